@@ -1,0 +1,1 @@
+"""Device drivers behind the ports of :mod:`robot_client.ports`."""

@@ -1,0 +1,1 @@
+"""The product on the cell PC: streams both fingers, detects incipient slip, decides the correction."""

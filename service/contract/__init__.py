@@ -1,0 +1,31 @@
+"""What the rooms tell each other: frames, model cards and wire messages.
+
+Pure data: numpy and pydantic only. This is the one part of the service that the other rooms may import.
+"""
+
+from service.contract.frames import (
+    FINGERS,
+    ContractError,
+    Finger,
+    FramePair,
+    FrameSpec,
+    TactileFrame,
+    decode_frame,
+    encode_frame,
+)
+from service.contract.model_card import CARD_KEY, Calibration, ErrorClass, ModelCard
+
+__all__ = [
+    "CARD_KEY",
+    "FINGERS",
+    "Calibration",
+    "ContractError",
+    "ErrorClass",
+    "Finger",
+    "FramePair",
+    "FrameSpec",
+    "ModelCard",
+    "TactileFrame",
+    "decode_frame",
+    "encode_frame",
+]

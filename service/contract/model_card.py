@@ -1,0 +1,111 @@
+"""The model card: everything the service must know of a network, inside the ONNX file it describes.
+
+One ``metadata_props`` key holds strict JSON. Keys that other tools add beside it are ignored; inside it nothing
+unknown is accepted. The service refuses a model without a valid card, and two models whose cards disagree.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from service.contract.frames import Contract, ContractError, FrameSpec
+
+CARD_KEY = "tactile_insertion.card"
+
+Sign = Literal[-1, 0, 1]
+Role = Literal["direction", "magnitude", "joint"]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class ErrorClass(Contract):
+    """One class of DirectionNN: its name and the signs (S_x, S_theta) of the position error it stands for."""
+
+    name: str
+    sign_x: Sign
+    sign_theta: Sign
+
+
+class Calibration(Contract):
+    """Fitted on validation data: logits are divided by ``temperature``, sigmas multiplied by the scales."""
+
+    temperature: Positive = 1.0
+    sigma_scale_x: Positive = 1.0
+    sigma_scale_theta: Positive = 1.0
+
+
+class ModelCard(Contract):
+    """The card of one ONNX file.
+
+    Graph inputs, by form (uint8 frames, preprocessing inside the graph, batch B free):
+
+    - ``sequence``: ``frames`` uint8 [B, frames_per_decision, 2, H, W, 3]
+    - ``step``: ``frame`` uint8 [B, 2, H, W, 3], ``reference`` uint8 [B, 2, H, W, 3],
+      ``state`` float32 [B, state_size]
+    - both, if ``gap_width_input``: ``gap_width_mm`` float32 [B, 1]
+
+    Outputs: ``direction`` -> ``logits`` float32 [B, len(classes)]; ``magnitude`` -> ``error`` float32 [B, 2]
+    (dx in mm, dtheta in deg: the estimated position error) and, if ``has_sigma``, ``log_sigma`` float32 [B, 2];
+    ``joint`` -> ``log_density`` float32 [B, len(grid_x_mm), len(grid_theta_deg)], unnormalised. ``step`` adds
+    ``next_state`` float32 [B, state_size]. The two fingers are ordered left, right. A fresh state is all zeros.
+    """
+
+    schema_version: Literal[1] = 1
+    name: str
+    role: Role
+    form: Literal["sequence", "step"]
+    frame: FrameSpec
+    frames_per_decision: int = Field(ge=1, le=64)
+    state_size: int = Field(ge=0, default=0)
+    reference_rule: Literal["first_of_sequence", "before_onset"] = "first_of_sequence"
+    classes: tuple[ErrorClass, ...]
+    threshold_x_mm: Positive = 2.5
+    threshold_theta_deg: Positive = 5.0
+    gap_width_input: bool = False
+    has_sigma: bool = False
+    grid_x_mm: tuple[float, ...] = ()
+    grid_theta_deg: tuple[float, ...] = ()
+    calibration: Calibration = Calibration()
+    min_confidence: float = Field(ge=0, le=1, default=0.0)
+    training_data_sha256: str
+    git_commit: str
+    quantisation: Literal["none", "fp16", "int8"] = "none"
+    validation: dict[str, float]
+    verified_on_cpu: str
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.role == "direction" and len(self.classes) < 2:
+            raise ValueError("a direction network needs at least two classes")
+        if len({c.name for c in self.classes}) != len(self.classes):
+            raise ValueError("class names repeat")
+        if self.role == "joint" and (len(self.grid_x_mm) < 2 or len(self.grid_theta_deg) < 2):
+            raise ValueError("a joint network needs grid_x_mm and grid_theta_deg")
+        if self.form == "step" and self.state_size == 0:
+            raise ValueError("a step network needs a state_size")
+        return self
+
+    @classmethod
+    def from_props(cls, props: Mapping[str, str], source: str = "model") -> Self:
+        """Read the card out of ONNX ``metadata_props``; raise ContractError if it is absent or invalid."""
+        if CARD_KEY not in props:
+            raise ContractError(f"{source} carries no model card ({CARD_KEY}); export it with `python -m export onnx`")
+        try:
+            return cls.model_validate_json(props[CARD_KEY])
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"]) or "card"
+            raise ContractError(f"{source} has an invalid model card: {where}: {first['msg']}") from error
+
+    def to_props(self) -> dict[str, str]:
+        """The single ``metadata_props`` entry that :meth:`from_props` reads back."""
+        return {CARD_KEY: self.model_dump_json()}
+
+    def disagreements(self, other: Self) -> list[str]:
+        """Fields on which two cards that must serve one decision differ, as sentences; empty if they agree."""
+        shared = ("frame", "frames_per_decision", "reference_rule", "threshold_x_mm", "threshold_theta_deg", "form")
+        return [
+            f"{field}: {self.name} says {getattr(self, field)}, {other.name} says {getattr(other, field)}"
+            for field in shared
+            if getattr(self, field) != getattr(other, field)
+        ]

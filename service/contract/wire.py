@@ -1,0 +1,239 @@
+"""The insertion WebSocket, message by message. One connection is one insertion.
+
+Text frames are JSON objects with a ``type``; binary frames are :func:`service.contract.frames.encode_frame`.
+Every message carries the insertion id and, where it concerns one, the attempt number (1-based). Positions are
+millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock.
+
+client:  hello -> (arm -> descending -> stopped)* ; abort and heartbeat at any time
+service: hello -> (armed -> slip? -> correction | no_decision)* -> finished ; fault and heartbeat at any time
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from service.contract.frames import Contract, ContractError, Finger
+from service.contract.model_card import ModelCard
+
+PROTOCOL = 1
+MAX_ATTEMPTS = 15
+MAX_TEXT_BYTES = 65536
+
+InsertionId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
+Outcome = Literal["blocked", "inserted", "dropped", "stopped"]
+ControllerName = Literal["heuristic", "belief"]
+
+
+class _Message(Contract):
+    insertion_id: InsertionId
+
+
+# ---- client to service ------------------------------------------------------------------------------------------
+
+
+class ClientHello(_Message):
+    """First message. ``role`` watch receives everything and may send nothing but heartbeats."""
+
+    type: Literal["hello"] = "hello"
+    protocol: int = PROTOCOL
+    client: str = Field(max_length=128)
+    role: Literal["drive", "watch"] = "drive"
+    controller: ControllerName | None = None
+
+
+class Arm(_Message):
+    """The arm stands above the gap, holding the object still: take the reference, watch for slip."""
+
+    type: Literal["arm"] = "arm"
+    attempt: Attempt
+    gap_width_mm: float = Field(gt=0, le=1000)
+    expected_depth_mm: float = Field(gt=0, le=1000)
+
+
+class Descending(_Message):
+    """The guarded descent has begun."""
+
+    type: Literal["descending"] = "descending"
+    attempt: Attempt
+
+
+class Stopped(_Message):
+    """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion."""
+
+    type: Literal["stopped"] = "stopped"
+    attempt: Attempt
+    depth_mm: float
+    outcome: Outcome
+
+
+class Abort(_Message):
+    """The client gives up; the recording is kept."""
+
+    type: Literal["abort"] = "abort"
+    reason: str = Field(max_length=512)
+
+
+class ClientHeartbeat(_Message):
+    """Sent at least every second; the service answers with its own."""
+
+    type: Literal["heartbeat"] = "heartbeat"
+    count: int = Field(ge=0)
+
+
+ClientMessage = Annotated[
+    ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat, Field(discriminator="type")
+]
+
+# ---- service to client ------------------------------------------------------------------------------------------
+
+
+class ModelEntry(Contract):
+    """A loaded model: its card and the SHA-256 of its file."""
+
+    card: ModelCard
+    sha256: str
+
+
+class CameraEntry(Contract):
+    """One finger's camera as the service sees it."""
+
+    finger: Finger
+    source: str
+    state: Literal["live", "stalled", "lost", "starting"]
+    frame_rate_hz: float | None = None
+
+
+class Limits(Contract):
+    """The largest correction the service ever sends, and how old a frame may be to decide on."""
+
+    max_dx_mm: float = Field(gt=0)
+    max_dtheta_deg: float = Field(gt=0)
+    max_frame_age_ms: float = Field(gt=0)
+
+
+class ServiceHello(_Message):
+    """Answer to the client's hello; the client checks it before it moves."""
+
+    type: Literal["hello"] = "hello"
+    protocol: int = PROTOCOL
+    models: tuple[ModelEntry, ...]
+    cameras: tuple[CameraEntry, ...]
+    controller: ControllerName
+    limits: Limits
+
+
+class Armed(_Message):
+    """Reference taken at this frame; the descent may begin."""
+
+    type: Literal["armed"] = "armed"
+    attempt: Attempt
+    reference_seq: int
+
+
+class Slip(_Message):
+    """Incipient slip: stop the arm now. ``age_ms`` is from capture of the frame to sending this."""
+
+    type: Literal["slip"] = "slip"
+    attempt: Attempt
+    finger: Finger
+    frame_seq: int
+    captured_ns: int
+    age_ms: float
+    score: float
+    reason: str
+
+
+class Estimate(Contract):
+    """The estimated position error before the correction, with one-sigma and 90 % interval where the model gives it."""
+
+    dx_mm: float
+    dtheta_deg: float
+    sigma_x_mm: float | None = None
+    sigma_theta_deg: float | None = None
+    interval_x_mm: tuple[float, float] | None = None
+    interval_theta_deg: tuple[float, float] | None = None
+
+
+class Correction(_Message):
+    """Move by (dx_mm, dtheta_deg) in the work-object frame after retracting, then probe again. Apply once."""
+
+    type: Literal["correction"] = "correction"
+    attempt: Attempt
+    dx_mm: float
+    dtheta_deg: float
+    class_probabilities: dict[str, float]
+    estimate: Estimate
+    confidence: float = Field(ge=0, le=1)
+    controller: ControllerName
+    reason: str
+    latency_ms: dict[str, float]
+
+
+class NoDecision(_Message):
+    """No correction can be trusted for this attempt; the client must not move on its own guess."""
+
+    type: Literal["no_decision"] = "no_decision"
+    attempt: Attempt
+    reason: Literal["no_motion", "out_of_distribution", "low_confidence", "non_finite", "stale", "too_few_frames"]
+    detail: str
+
+
+class Finished(_Message):
+    """The insertion is closed and its recording complete."""
+
+    type: Literal["finished"] = "finished"
+    outcome: Literal["inserted", "failed", "aborted"]
+    attempts: int
+    recording: str | None = None
+
+
+class Fault(_Message):
+    """Something is wrong; hold the arm. ``fatal`` closes the connection."""
+
+    type: Literal["fault"] = "fault"
+    code: str
+    detail: str
+    fatal: bool = True
+
+
+class ServiceHeartbeat(_Message):
+    """Answer to a client heartbeat, same count, with the age of the newest frame pair."""
+
+    type: Literal["heartbeat"] = "heartbeat"
+    count: int
+    frame_age_ms: float | None
+
+
+ServiceMessage = Annotated[
+    ServiceHello | Armed | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat,
+    Field(discriminator="type"),
+]
+
+_CLIENT: TypeAdapter[Any] = TypeAdapter(ClientMessage)
+_SERVICE: TypeAdapter[Any] = TypeAdapter(ServiceMessage)
+
+
+def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
+    if len(text) > MAX_TEXT_BYTES:
+        raise ContractError(f"message of {len(text)} bytes, expected at most {MAX_TEXT_BYTES}")
+    try:
+        return adapter.validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "message"
+        raise ContractError(f"{where}: {first['msg']}") from error
+
+
+def parse_client(
+    text: str | bytes,
+) -> ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat:
+    """Parse what a client sent; raise ContractError naming the field that is wrong."""
+    return _parse(_CLIENT, text)
+
+
+def parse_service(
+    text: str | bytes,
+) -> ServiceHello | Armed | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat:
+    """Parse what the service sent; raise ContractError naming the field that is wrong."""
+    return _parse(_SERVICE, text)

@@ -1,0 +1,1 @@
+"""From a raw frame to markers, motion onset and slip. numpy and OpenCV only."""

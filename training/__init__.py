@@ -1,0 +1,1 @@
+"""Training of DirectionNN and MagnitudeNN on simulated probes. torch lives here and in export only."""
