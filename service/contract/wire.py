@@ -229,11 +229,15 @@ def parse_client(
     text: str | bytes,
 ) -> ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat:
     """Parse what a client sent; raise ContractError naming the field that is wrong."""
-    return _parse(_CLIENT, text)
+    message: ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat = _parse(_CLIENT, text)
+    return message
 
 
 def parse_service(
     text: str | bytes,
 ) -> ServiceHello | Armed | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat:
     """Parse what the service sent; raise ContractError naming the field that is wrong."""
-    return _parse(_SERVICE, text)
+    message: ServiceHello | Armed | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat = _parse(
+        _SERVICE, text
+    )
+    return message
