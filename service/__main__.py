@@ -1,0 +1,69 @@
+"""`python -m service COMMAND`: one lazy table, so that a command loads only what it needs.
+
+Each module exposes ``main(arguments) -> int`` and owns its own ``--help``.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """Where a command lives and what it does."""
+
+    module: str
+    help: str
+
+
+COMMANDS = {
+    "run": Command("service.run", "serve: cameras in, slip and corrections out, dashboard at /"),
+    "replay": Command("service.replay", "run perception over a recorded clip, or re-decide a recorded insertion (.mcap)"),
+    "calibrate": Command("service.calibrate", "fit the rectification of a camera from frames of a resting gel"),
+    "models": Command("service.inspect_models", "check a folder of models and print their cards"),
+    "soak": Command("service.soak", "run insertions against a running service while breaking things"),
+}
+EXIT_BAD_INPUT = 2
+
+
+def usage() -> str:
+    """The help text: one line a command."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {command.help}" for name, command in COMMANDS.items()]
+    return "\n".join(
+        ["usage: python -m service COMMAND [options]", "", *lines, "", "python -m service COMMAND --help tells more."]
+    )
+
+
+def module_of(name: str, arguments: Sequence[str]) -> str:
+    """The module that runs a command; ``replay`` of a recorded insertion is a re-decision."""
+    if name == "replay" and any(Path(argument).suffix == ".mcap" for argument in arguments):
+        return "service.redecide"
+    return COMMANDS[name].module
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; exit code 2 and one line on standard error if its input is bad."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments or arguments[0] in {"-h", "--help"}:
+        print(usage())
+        return 0 if arguments else EXIT_BAD_INPUT
+    name, *rest = arguments
+    if name not in COMMANDS:
+        print(f"service: unknown command {name!r}, expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+    try:
+        return int(importlib.import_module(module_of(name, rest)).main(rest))
+    except KeyboardInterrupt:
+        return 130
+    except (ValueError, OSError) as error:
+        if os.environ.get("TACTILE_TRACEBACK"):
+            raise
+        print(f"service {name}: {' '.join(str(error).split())}", file=sys.stderr)
+        return EXIT_BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())
