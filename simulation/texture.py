@@ -1,0 +1,117 @@
+"""What is painted on the gel and what falls on it: cloth, dots, the light of the LEDs, the camera's grain.
+
+Everything here is made once per appearance; a frame only looks it up. Textures live in rest coordinates of the
+rectified image (1 px of the rectified image = 1 px of the texture) with a margin that stretching can pull in.
+"""
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+RAW_HEIGHT_PX, RAW_WIDTH_PX = 320, 427
+RECTIFIED_HEIGHT_PX, RECTIFIED_WIDTH_PX = 320, 327
+MARKER_ROWS, MARKER_COLS = 20, 21
+MARKER_PITCH_PX, MARKER_DIAMETER_PX = 15.0, 5.0
+FIRST_MARKER_PX = (13.0, 17.0)  # (u, v) of row 0, column 0: the grid is centred in the rectified image
+MARGIN_PX = 30
+
+Image = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+
+
+def marker_rest_px() -> Floats:
+    """Float32 [20, 21, 2]: (u, v) of each marker at rest in rectified pixels."""
+    u = FIRST_MARKER_PX[0] + MARKER_PITCH_PX * np.arange(MARKER_COLS)
+    v = FIRST_MARKER_PX[1] + MARKER_PITCH_PX * np.arange(MARKER_ROWS)
+    return np.stack(np.meshgrid(u, v), -1).astype(np.float32)
+
+
+def texture_grid() -> tuple[Floats, Floats]:
+    """(u [1, W], v [H, 1]) of the texture's pixels in rectified coordinates, float32."""
+    u = np.arange(-MARGIN_PX, RECTIFIED_WIDTH_PX + MARGIN_PX, dtype=np.float32)[None, :]
+    v = np.arange(-MARGIN_PX, RECTIFIED_HEIGHT_PX + MARGIN_PX, dtype=np.float32)[:, None]
+    return u, v
+
+
+def dot_cover(rng: np.random.Generator, missing_share: float) -> Floats:
+    """Float32 [H, W] in 0..1: how much each texture pixel is covered by a black dot.
+
+    Dots have a soft rim one pixel wide, small random radii and opacity as if dabbed by hand; ``missing_share`` of
+    them have worn off.
+    """
+    u, v = texture_grid()
+    column = np.rint((u - FIRST_MARKER_PX[0]) / MARKER_PITCH_PX)
+    row = np.rint((v - FIRST_MARKER_PX[1]) / MARKER_PITCH_PX)
+    distance = np.hypot(
+        u - FIRST_MARKER_PX[0] - MARKER_PITCH_PX * column, v - FIRST_MARKER_PX[1] - MARKER_PITCH_PX * row
+    )
+    radius = MARKER_DIAMETER_PX / 2 * rng.normal(1.0, 0.05, (MARKER_ROWS + 2, MARKER_COLS + 2))
+    opacity = rng.uniform(0.85, 1.0, radius.shape) * (rng.random(radius.shape) >= missing_share)
+    opacity[[0, -1], :] = 0  # the printed grid ends; beyond it there is cloth only
+    opacity[:, [0, -1]] = 0
+    rows = np.clip(row + 1, 0, MARKER_ROWS + 1).astype(np.intp)
+    columns = np.clip(column + 1, 0, MARKER_COLS + 1).astype(np.intp)
+    cover: Floats = (np.clip(radius[rows, columns] - distance + 0.5, 0, 1) * opacity[rows, columns]).astype(np.float32)
+    return cover
+
+
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell_px: int) -> Floats:
+    """Float32 of ``shape``, roughly unit variance, varying over about ``cell_px`` pixels."""
+    import cv2
+
+    coarse = rng.standard_normal((shape[0] // cell_px + 3, shape[1] // cell_px + 3)).astype(np.float32)
+    full = cv2.resize(coarse, None, fx=cell_px, fy=cell_px, interpolation=cv2.INTER_CUBIC)
+    field: Floats = np.ascontiguousarray(full[cell_px : cell_px + shape[0], cell_px : cell_px + shape[1]])
+    return field
+
+
+def cloth(rng: np.random.Generator, period_px: float, contrast: float, worn: float) -> Floats:
+    """Float32 [H, W], mean 1: a plain weave seen by the camera, with thick and thin yarns and worn spots."""
+    u, v = texture_grid()
+    shape = (v.shape[0], u.shape[1])
+    sway = 0.8 * smooth_noise(rng, shape, 40)
+    warp_yarn = np.sin(2 * np.pi * (u + sway) / period_px)
+    weft_yarn = np.sin(2 * np.pi * (v - sway) / period_px)
+    weave = warp_yarn * weft_yarn + 0.4 * (warp_yarn + weft_yarn) + 0.5 * smooth_noise(rng, shape, 3)
+    spots = np.clip(smooth_noise(rng, shape, 24) - 1.2, 0, 1) * worn
+    pattern: Floats = (1 + contrast * weave * (1 - spots) - 0.35 * spots).astype(np.float32)
+    return pattern
+
+
+def relief(rng: np.random.Generator, kind: str, period_px: float) -> Floats:
+    """Float32 [H, W] in -1..1: the held surface's own texture as side light shows it through the cloth.
+
+    ``kind``: "smooth" (fine grain only), "layers" (horizontal lines of a 3D print), "ribs" (vertical knurling of a
+    cap), "print" (blotches of a label).
+    """
+    u, v = texture_grid()
+    shape = (v.shape[0], u.shape[1])
+    grain = 0.25 * smooth_noise(rng, shape, 4)
+    phase = rng.uniform(0, 2 * np.pi)
+    pattern: NDArray[np.floating]
+    if kind == "layers":
+        pattern = np.sin(2 * np.pi * (v + 0.02 * u) / period_px + phase) + grain
+    elif kind == "ribs":
+        pattern = np.sin(2 * np.pi * (u + 0.02 * v) / period_px + phase) + grain
+    elif kind == "print":
+        pattern = np.tanh(2 * smooth_noise(rng, shape, max(2, round(period_px)))) + grain
+    elif kind == "smooth":
+        pattern = grain
+    else:
+        raise ValueError(f"object texture {kind!r}, expected smooth, layers, ribs or print")
+    bounded: Floats = np.clip(pattern, -1, 1).astype(np.float32)
+    return bounded
+
+
+@cache
+def noise_bank() -> Floats:
+    """Float32 [3, 960, 1281] of unit normals, the same in every process; a frame adds a random crop of it.
+
+    Drawing 400,000 normals a frame would cost more than the rest of the renderer; the 1.1 million crops and signs
+    repeat too rarely to be learnt.
+    """
+    rng = np.random.Generator(np.random.PCG64(20_190_617))
+    bank = rng.standard_normal((3, 3 * RAW_HEIGHT_PX, 3 * RAW_WIDTH_PX), dtype=np.float32)
+    bank.setflags(write=False)
+    return bank
