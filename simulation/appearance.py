@@ -14,7 +14,14 @@ Corners = tuple[tuple[float, float], tuple[float, float], tuple[float, float], t
 # Where the rectified image's corner pixels lie in the raw frame (top left, top right, bottom right, bottom left):
 # the camera looks along the finger, so the far (lower) edge appears at about half the width of the near one.
 NOMINAL_CORNERS_PX: Corners = ((24.0, 6.0), (402.0, 6.0), (312.0, 311.0), (114.0, 311.0))
-OBJECT_TEXTURES = ("smooth", "layers", "ribs", "print")
+# A scene's word for the held surface -> (relief pattern, period in px, gain)
+OBJECT_TEXTURES = {
+    "smooth": ("smooth", 5.0, 0.05),
+    "paper": ("smooth", 3.0, 0.09),
+    "ribbed": ("ribs", 14.0, 0.10),
+    "label": ("print", 12.0, 0.07),
+    "layers": ("layers", 5.0, 0.07),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +51,7 @@ class Appearance:
     motion_blur_share: float = 0.0
 
     @classmethod
-    def draw(cls, scene: object, finger: Finger, seed: int) -> Self:
+    def draw(cls, scene: Any, finger: Finger, seed: int) -> Self:
         """The appearance of ``finger`` in ``scene``; the same (scene, finger, seed) gives the same numbers.
 
         What the scene states (mm per px, noise, exposure, textures) is taken as it is; what a maker cannot control
@@ -85,14 +92,18 @@ def _as_tuples(value: Any) -> Any:
     return tuple(_as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
-def optics_of(scene: object) -> dict[str, Any]:
-    """The appearance fields that ``scene`` itself fixes; looked up by name so that scenes may leave them out."""
-    names = {f.name for f in dataclasses.fields(Appearance)} - {"finger", "seed", "corners_raw_px"}
-    found: dict[str, Any] = {}
-    parts = [scene, *(getattr(scene, part, None) for part in ("camera", "gel", "light", "noise", "object", "shape"))]
-    for part in parts:
-        for name in names:
-            value = getattr(part, name, None)
-            if value is not None:
-                found[name] = value
-    return found
+def optics_of(scene: Any) -> dict[str, Any]:
+    """The appearance fields that the scene itself fixes (see `simulation.scene.Camera`, `Gel`, `HeldObject`)."""
+    camera, effects = scene.camera, scene.effects
+    texture, period, gain = OBJECT_TEXTURES[scene.object.texture]
+    return {
+        "mm_per_px": camera.mm_per_px,
+        "noise_sigma_grey": camera.noise_grey if effects.camera_noise != "off" else 0.0,
+        "exposure": camera.exposure * camera.light,
+        "worn": scene.gel.wear if effects.gel_wear != "off" else 0.0,
+        "missing_dots_share": 0.02 * scene.gel.wear if effects.gel_wear != "off" else 0.0,
+        "object_texture": texture,
+        "object_texture_period_px": period,
+        "object_texture_gain": gain if effects.object_texture != "off" else 0.0,
+        "motion_blur_share": camera.exposure_ms * camera.fps / 1000 if effects.motion_blur != "off" else 0.0,
+    }

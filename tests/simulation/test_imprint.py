@@ -147,14 +147,3 @@ def test_jpeg_costs_little_at_quality_95() -> None:
 def test_a_gel_state_that_is_not_one_is_refused(shape: tuple[int, ...], value: float) -> None:
     with pytest.raises(ValueError, match="gel state"):
         Renderer(QUIET).raw(np.full(shape, value), 0)
-
-
-def test_appearance_survives_json() -> None:
-    import json
-
-    look = Appearance.draw(object(), "right", 11)
-    assert Appearance.from_dict(json.loads(look.to_json())) == look
-    assert Appearance.draw(object(), "right", 11) == look
-    assert Appearance.draw(object(), "left", 11) != look
-    with pytest.raises(ValueError, match="too many or too few"):
-        Appearance.from_dict({**look.as_dict(), "sparkle": 1})

@@ -1,0 +1,215 @@
+"""Datasets of pokes: Parquet shards and one manifest; frames are drawn from gel states when they are read.
+
+A dataset is a folder: ``manifest.json`` and ``*.parquet``. Only what the manifest lists exists; a shard is listed
+after it is complete and on disk, so a kill at any moment loses no listed trial and doubles none. Everything needed
+to draw a trial's frames (gel states, optics, seed) is in its row: the same row gives the same bits.
+This module is all of the simulator that training may import.
+"""
+
+import fcntl
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.appearance import Appearance
+from simulation.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest, write_durably
+from simulation.trial import SCALARS, SPLITS, Split, Trial, from_row, parquet_schema, render_frames, split_of, to_row
+
+__all__ = ["Dataset", "DatasetError", "DatasetWriter", "Manifest", "ShardEntry", "Split", "Trial", "split_of"]
+
+_ROWS_PER_GROUP = 10
+_CACHED_GROUPS = 16
+_CACHED_RENDERERS = 32
+
+
+class DatasetWriter:
+    """Adds complete shards to a dataset folder; the manifest on disk is always true. Close it, or use ``with``."""
+
+    def __init__(self, path: Path, fresh: Manifest) -> None:
+        """Create the folder or continue the one that is there.
+
+        DatasetError, with nothing changed, if it holds another collection, broken shards, or another writer.
+        """
+        self.path = path
+        path.mkdir(parents=True, exist_ok=True)
+        self._lock = _locked(path)
+        try:
+            self.manifest = self._opened(fresh)
+        except BaseException:
+            self.close()
+            raise
+
+    def _opened(self, fresh: Manifest) -> Manifest:
+        if not (self.path / MANIFEST).exists():
+            write_durably(self.path / MANIFEST, fresh.model_dump_json(indent=1).encode())
+            return fresh
+        manifest = read_manifest(self.path)
+        manifest.must_continue(fresh, self.path)
+        for entry in manifest.shards:
+            entry.must_be_whole(self.path)
+        for leftover in self.path.glob(".*.tmp"):
+            leftover.unlink()
+        return manifest
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def write_shard(self, name: str, trials: Sequence[Trial]) -> ShardEntry:
+        """Write one shard durably, without listing it yet; safe to call from worker processes."""
+        return write_shard(self.path, name, trials)
+
+    def commit(self, entry: ShardEntry) -> None:
+        """List a shard that is on disk. A name is listed once."""
+        if any(listed.name == entry.name for listed in self.manifest.shards):
+            raise DatasetError(f"shard {entry.name} is already in {self.path / MANIFEST}")
+        shards = tuple(sorted((*self.manifest.shards, entry), key=lambda listed: listed.name))
+        self.manifest = self.manifest.model_copy(update={"shards": shards})
+        self._save()
+
+    def extend(self, asked: Manifest) -> None:
+        """Take over a larger size or more objects; the dataset is incomplete until :meth:`finish`."""
+        larger = max(self.manifest.trials_per_object, asked.trials_per_object)
+        update = {"scenes": self.manifest.scenes | asked.scenes, "trials_per_object": larger, "complete": False}
+        self.manifest = self.manifest.model_copy(update=update)
+        self._save()
+
+    def finish(self) -> bool:
+        """Mark the dataset complete if every object has all its shards; whether it is."""
+        complete = not self.manifest.missing_shards()
+        self.manifest = self.manifest.model_copy(update={"complete": complete})
+        self._save()
+        return complete
+
+    def close(self) -> None:
+        """Let another process write."""
+        self._lock.close()
+
+    def _save(self) -> None:
+        write_durably(self.path / MANIFEST, self.manifest.model_dump_json(indent=1).encode())
+
+
+def _locked(path: Path) -> BinaryIO:
+    """The folder's lock; the kernel lets it go when this process ends, also by kill -9."""
+    lock = (path / ".lock").open("wb")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        lock.close()
+        raise DatasetError(f"{path}: another process is writing to this dataset") from error
+    return lock
+
+
+def write_shard(folder: Path, name: str, trials: Sequence[Trial]) -> ShardEntry:
+    """Check and write trials as ``folder/name`` (temp file, fsync, rename); the entry to list it with."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    for trial in trials:
+        trial.check()
+    table = pa.Table.from_pylist([to_row(trial) for trial in trials], schema=parquet_schema())
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, row_group_size=_ROWS_PER_GROUP, compression="zstd", use_dictionary=["appearances"])
+    data = sink.getvalue().to_pybytes()
+    write_durably(folder / name, data)
+    return ShardEntry.of(name, data, trials=len(trials), object_name=trials[0].object_name if trials else "")
+
+
+class Dataset:
+    """Reads a dataset; trials are numbered 0.. over the shards in manifest order.
+
+    Raises DatasetError on a missing, truncated or altered shard, another schema version, or labels that are not
+    finite: by name, before anything is used.
+    """
+
+    def __init__(self, path: str | Path, splits: Iterable[Split] | None = None, *, verify: bool = True) -> None:
+        """Open ``path``, keep only ``splits`` if given; ``verify`` compares every shard's SHA-256 (0.1 s each)."""
+        self.path = Path(path)
+        self.manifest = read_manifest(self.path)
+        wanted = set(SPLITS if splits is None else splits)
+        self.labels: dict[str, NDArray[Any]] = {}
+        self._groups: OrderedDict[tuple[int, int], list[dict[str, Any]]] = OrderedDict()
+        self._renderers: OrderedDict[Appearance, Any] = OrderedDict()
+        self._files: dict[int, Any] = {}
+        columns: dict[str, list[Any]] = {name: [] for name in SCALARS}
+        where: list[tuple[int, int]] = []
+        for shard, entry in enumerate(self.manifest.shards):
+            entry.must_be_whole(self.path, verify=verify)
+            found = self._label_columns(shard)
+            for name in SCALARS:
+                columns[name] += found[name]
+            where += [(shard, row) for row in range(entry.trials)]
+        keep = [i for i, split in enumerate(columns["split"]) if split in wanted]
+        self._where = [where[i] for i in keep]
+        self.labels = {name: np.asarray([values[i] for i in keep]) for name, values in columns.items()}
+
+    def __len__(self) -> int:
+        return len(self._where)
+
+    def trial(self, index: int) -> Trial:
+        """Trial ``index``; its arrays are read-only views."""
+        shard, row = self._where[index]
+        return from_row(self._row_group(shard, row // _ROWS_PER_GROUP)[row % _ROWS_PER_GROUP])
+
+    def frames(self, index: int, start: int | None = None, count: int = 8, *, jpeg: bool = False) -> NDArray[np.uint8]:
+        """Uint8 [count, 2, 320, 327, 3]: rectified frames from ``start`` (the onset if None), both fingers.
+
+        The same (dataset, index, frame) gives the same bits in every process. ``jpeg`` adds the coding of a camera
+        that streams MJPEG at quality 95.
+        """
+        trial = self.trial(index)
+        return render_frames(trial, self._renderer, trial.onset_frame if start is None else start, count, jpeg=jpeg)
+
+    def _renderer(self, look: Appearance) -> Any:
+        from simulation.imprint import Renderer
+
+        if look not in self._renderers:
+            self._renderers[look] = Renderer(look)
+            if len(self._renderers) > _CACHED_RENDERERS:
+                self._renderers.popitem(last=False)
+        return self._renderers[look]
+
+    def _file(self, shard: int) -> Any:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if shard not in self._files:
+            path = self.path / self.manifest.shards[shard].name
+            try:
+                self._files[shard] = pq.ParquetFile(path, memory_map=True)
+            except (pa.ArrowException, OSError) as error:
+                raise DatasetError(f"{path}: not a Parquet shard: {error}") from error
+            if not self._files[shard].schema_arrow.equals(parquet_schema()):
+                raise DatasetError(f"{path}: its columns are not those of schema {self.manifest.schema_version}")
+        return self._files[shard]
+
+    def _label_columns(self, shard: int) -> dict[str, list[Any]]:
+        found: dict[str, list[Any]] = self._file(shard).read(columns=list(SCALARS)).to_pydict()
+        name = self.path / self.manifest.shards[shard].name
+        for label in ("x_mm", "theta_deg", "gap_width_mm"):
+            if not np.isfinite(np.asarray(found[label], float)).all():
+                raise DatasetError(f"{name}: label {label} holds a number that is not finite")
+        if len(found["x_mm"]) != self.manifest.shards[shard].trials:
+            stated = self.manifest.shards[shard].trials
+            raise DatasetError(f"{name}: {len(found['x_mm'])} trials, the manifest says {stated}")
+        return found
+
+    def _row_group(self, shard: int, group: int) -> list[dict[str, Any]]:
+        key = (shard, group)
+        if key not in self._groups:
+            rows: list[dict[str, Any]] = self._file(shard).read_row_group(group).to_pylist()
+            self._groups[key] = rows
+            if len(self._groups) > _CACHED_GROUPS:
+                self._groups.popitem(last=False)
+        self._groups.move_to_end(key)
+        return self._groups[key]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Open files stay behind when a worker process gets a copy."""
+        return self.__dict__ | {"_files": {}, "_groups": OrderedDict(), "_renderers": OrderedDict()}

@@ -1,0 +1,124 @@
+"""The manifest of a dataset and the durable writing behind it: temp file, fsync, rename, fsync of the folder."""
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Final, Literal, Self
+
+from pydantic import Field, ValidationError
+
+from service.contract.frames import Contract
+
+MANIFEST = "manifest.json"
+SCHEMA_VERSION: Final = 1
+
+
+class DatasetError(ValueError):
+    """A dataset, shard or label that cannot be used; the text names it and what was expected."""
+
+
+class ShardEntry(Contract):
+    """One complete shard on disk."""
+
+    name: str
+    object_name: str
+    trials: int = Field(ge=0)
+    size_bytes: int = Field(ge=0)
+    sha256: str
+
+    @classmethod
+    def of(cls, name: str, data: bytes, *, trials: int, object_name: str) -> Self:
+        """The entry of a shard whose bytes are ``data``."""
+        digest = hashlib.sha256(data).hexdigest()
+        return cls(name=name, object_name=object_name, trials=trials, size_bytes=len(data), sha256=digest)
+
+    def must_be_whole(self, folder: Path, *, verify: bool = False) -> None:
+        """DatasetError if the file is missing, has another size or, with ``verify``, other contents."""
+        path = folder / self.name
+        if not path.is_file():
+            raise DatasetError(f"{path}: listed in {MANIFEST} but missing")
+        if path.stat().st_size != self.size_bytes:
+            raise DatasetError(f"{path}: {path.stat().st_size} bytes, {MANIFEST} says {self.size_bytes} (truncated?)")
+        if verify and file_sha256(path) != self.sha256:
+            raise DatasetError(f"{path}: SHA-256 differs from {MANIFEST} (altered since it was written)")
+
+
+class Manifest(Contract):
+    """What a dataset holds and how it was made. ``scenes``: name -> SHA-256 of the base scene."""
+
+    schema_version: Literal[1] = SCHEMA_VERSION
+    made_by: str
+    seed: int
+    trials_per_object: int = Field(ge=1)
+    trials_per_shard: int = Field(ge=1)
+    held_out_share: float = Field(ge=0, le=1)
+    scenes: dict[str, str]
+    complete: bool = False
+    shards: tuple[ShardEntry, ...] = ()
+
+    @property
+    def trials(self) -> int:
+        """Number of trials in all listed shards."""
+        return sum(entry.trials for entry in self.shards)
+
+    def missing_shards(self) -> list[tuple[str, int]]:
+        """(scene name, shard number) of each shard the asked size still lacks, objects interleaved."""
+        listed = {entry.name for entry in self.shards}
+        numbers = range(-(-self.trials_per_object // self.trials_per_shard))
+        return [(scene, n) for n in numbers for scene in self.scenes if shard_file_name(scene, n) not in listed]
+
+    def sha256(self) -> str:
+        """One digest of all contents: what a model card states as its training data."""
+        listed = "\n".join(f"{entry.name} {entry.sha256}" for entry in self.shards)
+        return hashlib.sha256(listed.encode()).hexdigest()
+
+    def must_continue(self, fresh: "Manifest", path: Path) -> None:
+        """DatasetError unless ``fresh`` asks for more of the same collection."""
+        for name in ("made_by", "seed", "trials_per_shard", "held_out_share"):
+            mine, asked = getattr(self, name), getattr(fresh, name)
+            if mine != asked:
+                raise DatasetError(f"{path / MANIFEST}: {name} is {mine!r}, asked for {asked!r}; use another folder")
+        for name in self.scenes.keys() & fresh.scenes.keys():
+            if self.scenes[name] != fresh.scenes[name]:
+                raise DatasetError(f"{path / MANIFEST}: scene {name} has changed since; use another folder")
+
+
+def shard_file_name(scene_name: str, number: int) -> str:
+    """File name of shard ``number`` of a scene (built-in name or TOML path)."""
+    return f"{Path(scene_name).stem}-{number:05d}.parquet"
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a dataset folder; DatasetError names what is wrong with it."""
+    path = folder / MANIFEST
+    try:
+        return Manifest.model_validate_json(path.read_bytes())
+    except FileNotFoundError as error:
+        raise DatasetError(f"{path}: no such file; a dataset is a folder with {MANIFEST} and shards") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if key == "schema_version":
+            raise DatasetError(f"{path}: schema version {first['input']!r}, expected {SCHEMA_VERSION}") from error
+        raise DatasetError(f"{path}: {key or 'contents'}: {first['msg']}") from error
+
+
+def write_durably(path: Path, data: bytes) -> None:
+    """Replace ``path`` by ``data`` so that a kill or power cut leaves either the old or the new file, whole."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def file_sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,32 @@
+"""How far a long job is: a bar with ETA on a terminal, a line every half minute elsewhere."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+_LINE_EVERY_S = 30.0
+
+
+@contextmanager
+def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Yield ``show(done)`` for ``total`` things called ``what``."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    on_terminal = sys.stderr.isatty()
+    began = said = time.monotonic()
+    with Progress(*columns, disable=not on_terminal) as bar:
+        task = bar.add_task(what, total=total)
+
+        def show(done: int) -> None:
+            nonlocal said
+            bar.update(task, completed=done)
+            now = time.monotonic()
+            if not on_terminal and done and now - said >= _LINE_EVERY_S:
+                said = now
+                rate = done / (now - began)
+                left_min = (total - done) / rate / 60
+                print(f"{done}/{total} {what}, {rate:.1f}/s, about {left_min:.1f} min left", flush=True)
+
+        yield show
