@@ -1,0 +1,86 @@
+"""The marker field: what one finger's markers did, indexed by their grid, from an image or from the simulator."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+TrackStatus = Literal["tracking", "partial", "lost", "duplicate", "no_grid"]
+FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerField:
+    """Displacement of every marker of one finger at one instant, in pixels of the rectified image.
+
+    ``rest_px`` float32 [rows, cols, 2] (u right, v down) is where the marker was in the tracker's first frame,
+    ``displacement_px`` float32 [rows, cols, 2] how far it has moved since. Both are finite everywhere: where ``valid``
+    [rows, cols] is False the displacement is interpolated from the neighbours and is no evidence. ``contact``
+    [rows, cols] says which nodes touch the object, None where that is not known. ``status`` "no_grid" comes with
+    empty arrays. ``captured_ns`` is the frame's monotonic stamp.
+    """
+
+    rest_px: FloatArray
+    displacement_px: FloatArray
+    valid: BoolArray
+    contact: BoolArray | None
+    pitch_px: float
+    captured_ns: int
+    status: TrackStatus = "tracking"
+    reason: str = ""
+
+    @property
+    def usable(self) -> bool:
+        """True if the field carries new evidence: tracked, and not a repetition of the frame before."""
+        return self.status in {"tracking", "partial"}
+
+
+def empty_field(captured_ns: int, status: TrackStatus, reason: str) -> MarkerField:
+    """A field without a grid: no marker was ever found."""
+    nothing = np.zeros((0, 0, 2), np.float32)
+    return MarkerField(nothing, nothing, np.zeros((0, 0), np.bool_), None, 1.0, captured_ns, status, reason)
+
+
+def field_from_gel(
+    gel: NDArray[np.floating],
+    captured_ns: int,
+    *,
+    marker_pitch_mm: float,
+    pitch_px: float = 15.0,
+    contact_pressure_n_per_mm2: float = 1e-4,
+) -> MarkerField:
+    """The true field of a simulated gel, so that slip and onset run without an image.
+
+    ``gel`` [rows, cols, 3] is (du_mm, dv_mm, pressure_n_per_mm2) at the markers' rest positions in the finger frame;
+    one ``marker_pitch_mm`` is drawn as ``pitch_px``. Nodes pressed above the limit are in contact. Raises ValueError
+    if the shape is wrong; non-finite nodes come out invalid with zero displacement.
+    """
+    if gel.ndim != 3 or gel.shape[2] != 3 or not marker_pitch_mm > 0:
+        raise ValueError(f"gel is {list(gel.shape)} at pitch {marker_pitch_mm} mm, expected [rows, cols, 3] and > 0")
+    state = np.asarray(gel, np.float32)
+    rows, cols = state.shape[:2]
+    rest = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), -1).astype(np.float32) * np.float32(pitch_px)
+    valid: BoolArray = np.asarray(np.isfinite(state).all(-1))
+    displacement = np.where(valid[..., None], state[..., :2], 0.0) * np.float32(pitch_px / marker_pitch_mm)
+    contact: BoolArray = valid & (state[..., 2] > contact_pressure_n_per_mm2)
+    return MarkerField(rest, displacement.astype(np.float32), valid, contact, pitch_px, captured_ns)
+
+
+def neighbour_median(values: FloatArray, valid: BoolArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Median over the up to eight valid neighbours of each node, and their number.
+
+    ``values`` [rows, cols, 2] and ``valid`` [rows, cols]; the median is 0 where a node has no valid neighbour.
+    """
+    rows, cols = valid.shape
+    padded = np.full((rows + 2, cols + 2, 2), np.inf, np.float32)
+    padded[1:-1, 1:-1] = np.where(valid[..., None], values, np.float32(np.inf))
+    around = [padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    stack = np.sort(np.stack(around), axis=0)
+    count = np.isfinite(stack[..., 0]).sum(0)
+    low = np.maximum(count - 1, 0) // 2
+    high = np.minimum(count // 2, 7)
+    at = (np.arange(rows)[:, None], np.arange(cols)[None])
+    median = (stack[low, at[0], at[1]] + stack[high, at[0], at[1]]) / 2
+    return np.where(count[..., None] > 0, median, np.float32(0)).astype(np.float32), count

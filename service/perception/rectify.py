@@ -1,0 +1,154 @@
+"""From the raw camera frame to the rectified one in which the markers form a regular grid.
+
+A calibration file is TOML: ``schema_version = 1`` and one table for each finger, ``[left]`` and ``[right]``, with
+``raw_px = [width, height]``, ``rectified_px = [width, height]`` and ``homography`` (3 rows of 3): pixels of the raw
+frame to pixels of the rectified one, u right, v down, pixel centres at integers.
+"""
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from service.contract import FINGERS, Finger, FrameSpec
+
+RAW = FrameSpec(height_px=320, width_px=427, rectified=False)
+RECTIFIED = FrameSpec(height_px=320, width_px=327)
+SCHEMA_VERSION = 1
+_MIN_AREA_SHARE = 0.02  # of the raw frame, seen by the rectified one
+
+
+class CalibrationError(ValueError):
+    """A calibration that cannot be used; the text names the file, the finger and what was wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraCalibration:
+    """One camera: what it delivers, what it is turned into, and by which homography (float64 [3, 3], raw to rectified).
+
+    Raises CalibrationError if the homography is not finite, degenerate, or takes the rectified frame from (almost)
+    nowhere in the raw one.
+    """
+
+    homography: NDArray[np.float64]
+    raw: FrameSpec = RAW
+    rectified: FrameSpec = RECTIFIED
+
+    def __post_init__(self) -> None:
+        matrix = np.asarray(self.homography, np.float64)
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+            raise CalibrationError(f"homography must be 3 x 3 finite numbers, got {np.asarray(matrix).tolist()}")
+        scale = np.linalg.norm(matrix)
+        if not scale > 0 or abs(np.linalg.det(matrix / scale)) < 1e-12:
+            raise CalibrationError("homography is degenerate (its determinant vanishes)")
+        object.__setattr__(self, "homography", matrix)
+        self._check_view(matrix)
+
+    def _check_view(self, matrix: NDArray[np.float64]) -> None:
+        width, height = self.rectified.width_px, self.rectified.height_px
+        corners = np.array([(0, 0, 1), (width, 0, 1), (width, height, 1), (0, height, 1)], np.float64)
+        seen = corners @ np.linalg.inv(matrix).T
+        depth = seen[:, 2]
+        if not (np.all(depth > 0) or np.all(depth < 0)) or np.abs(depth).min() < 1e-9 * np.abs(depth).max():
+            raise CalibrationError("homography puts the horizon inside the rectified frame")
+        quad = (seen[:, :2] / depth[:, None]).astype(np.float32)
+        frame = np.array(
+            [(0, 0), (self.raw.width_px, 0), (self.raw.width_px, self.raw.height_px), (0, self.raw.height_px)],
+            np.float32,
+        )
+        if not cv2.isContourConvex(quad[:, None]):
+            raise CalibrationError("homography folds the rectified frame")
+        shared, _ = cv2.intersectConvexConvex(quad[:, None], frame[:, None])
+        if not shared > _MIN_AREA_SHARE * self.raw.width_px * self.raw.height_px:
+            raise CalibrationError("homography takes the rectified frame from outside the raw one")
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """The calibration of a cell: one camera a finger."""
+
+    left: CameraCalibration
+    right: CameraCalibration
+
+    def camera(self, finger: Finger) -> CameraCalibration:
+        """The calibration of one finger's camera."""
+        return self.left if finger == "left" else self.right
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a calibration file; raise CalibrationError, or FileNotFoundError, with one clear line."""
+        try:
+            table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise CalibrationError(f"{path} is no TOML: {error}") from error
+        if table.get("schema_version") != SCHEMA_VERSION:
+            raise CalibrationError(
+                f"{path} has schema_version {table.get('schema_version')!r}, expected {SCHEMA_VERSION}"
+            )
+        strangers = set(table) - {"schema_version", *FINGERS}
+        if strangers:
+            raise CalibrationError(f"{path} has unknown entries {sorted(strangers)}, expected tables {list(FINGERS)}")
+        return cls(*(_camera(table, finger, path) for finger in FINGERS))
+
+    def save(self, path: str | Path) -> None:
+        """Write the file that :meth:`load` reads back exactly."""
+        lines = [f"schema_version = {SCHEMA_VERSION}"]
+        for finger in FINGERS:
+            camera = self.camera(finger)
+            rows = ",\n".join(f"  [{', '.join(repr(float(value)) for value in row)}]" for row in camera.homography)
+            lines += [
+                f"\n[{finger}]",
+                f"raw_px = [{camera.raw.width_px}, {camera.raw.height_px}]",
+                f"rectified_px = [{camera.rectified.width_px}, {camera.rectified.height_px}]",
+                f"homography = [\n{rows},\n]",
+            ]
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _camera(table: dict[str, Any], finger: Finger, path: str | Path) -> CameraCalibration:
+    entry = table.get(finger)
+    if not isinstance(entry, dict):
+        raise CalibrationError(f"{path} lacks the table [{finger}]")
+    strangers = set(entry) - {"raw_px", "rectified_px", "homography"}
+    if strangers:
+        raise CalibrationError(f"{path} [{finger}] has unknown entries {sorted(strangers)}")
+    try:
+        raw, rectified = _spec(entry["raw_px"], rectified=False), _spec(entry["rectified_px"], rectified=True)
+        rows = [[float(value) for value in row] for row in entry["homography"]]
+        return CameraCalibration(np.array(rows, np.float64), raw, rectified)
+    except KeyError as error:
+        raise CalibrationError(f"{path} [{finger}] lacks {error}") from error
+    except ValidationError as error:
+        raise CalibrationError(f"{path} [{finger}]: a frame size is wrong: {error.errors()[0]['msg']}") from error
+    except (TypeError, ValueError) as error:
+        raise CalibrationError(f"{path} [{finger}]: {error}") from error
+
+
+def _spec(size: Any, *, rectified: bool) -> FrameSpec:
+    width, height = size
+    return FrameSpec(width_px=width, height_px=height, rectified=rectified)
+
+
+class Rectifier:
+    """Warps raw frames by a table computed once: bilinear, exact to 1/32 px, black outside the raw frame."""
+
+    def __init__(self, camera: CameraCalibration) -> None:
+        self.camera = camera
+        width, height = camera.rectified.width_px, camera.rectified.height_px
+        grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(np.float64)
+        inverse = np.linalg.inv(camera.homography)
+        source = cv2.perspectiveTransform(grid, inverse)
+        limit = float(4 * max(camera.raw.width_px, camera.raw.height_px))
+        source = np.clip(source, -limit, limit).astype(np.float32)
+        self._table, self._fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)
+
+    def apply(self, raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Rectified uint8 [height, width, 3] from the raw BGR frame; ContractError if that has another size."""
+        self.camera.raw.check(raw)
+        warped = cv2.remap(raw, self._table, self._fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return np.asarray(warped, np.uint8)

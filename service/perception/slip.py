@@ -1,0 +1,263 @@
+"""Incipient slip of one finger: who of the sticking nodes stops following the object.
+
+After Dong, Ma, Donlon, Rodriguez (2019): a rigid motion is fitted to the markers that stick, and slip is the deviation
+of markers in the contact from it. Unlike there, rotation is exact, a uniform scale may be fitted (pressing spreads
+markers), the contact need not be known beforehand, and a fit that cannot be made is "unknown".
+
+Where the contact is not given, it is learned from the motion itself: a node belongs to it once it has followed the
+object for a while. A node outside lags from the start, by a constant share of the motion (the gel is elastic there);
+a node that slips follows first and then stops. The score measures that excess lag.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from service.perception.field import BoolArray, FloatArray, MarkerField
+from service.perception.rigid import Float64, Motion, moving_patch, refine
+
+FingerState = Literal[
+    "no_contact", "grasping", "hold", "contact", "incipient_slip", "gross_slip", "release", "lost", "unknown"
+]
+
+
+@dataclass(frozen=True, slots=True)
+class SlipSettings:
+    """Limits in shares of the marker pitch, so that they hold at every resolution; times in seconds.
+
+    ``max_shift_pitch`` and ``max_angle_deg`` are the safety rule: a patch carried further than this must stop the arm
+    even if no node has slipped.
+    """
+
+    slip_pitch: float = 0.10
+    min_nodes: int = 3
+    min_share: float = 0.02
+    gross_share: float = 0.6
+    tolerance_pitch: float = 0.03
+    still_pitch: float = 0.02
+    contact_pitch: float = 0.06
+    follow_share: float = 0.35
+    fit_scale: bool = True
+    max_scale_change: float = 0.08
+    release_scale: float = 0.03
+    max_shift_pitch: float = 2.0
+    max_angle_deg: float = 15.0
+    lost_after_s: float = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class SlipState:
+    """What one finger feels now.
+
+    ``score`` is the slip evidence, slip at 1 and above. ``residual_px`` float32 [rows, cols, 2] is each marker's
+    deviation from the object's motion, ``slipping`` and ``sticking`` [rows, cols] the nodes judged so. The object's
+    motion since the reference is ``shift_px`` (of the patch's centre, u right, v down) and ``angle_rad`` (from u to v).
+    ``over_limit`` is the safety rule; ``stop`` says that the arm must not go on.
+    """
+
+    state: FingerState
+    score: float
+    residual_px: FloatArray
+    slipping: BoolArray
+    sticking: BoolArray
+    shift_px: tuple[float, float]
+    angle_rad: float
+    scale: float
+    over_limit: bool
+    captured_ns: int
+    reason: str
+
+    @property
+    def slip(self) -> bool:
+        """True on incipient or gross slip."""
+        return self.state in {"incipient_slip", "gross_slip"}
+
+    @property
+    def stop(self) -> bool:
+        """True on slip, on too large a motion of the patch, and where contact or sight is lost."""
+        return self.slip or self.over_limit or self.state in {"release", "lost"}
+
+
+class SlipDetector:
+    """Judges one finger's fields against the reference taken at :meth:`rearm`, after contact was established."""
+
+    def __init__(self, settings: SlipSettings | None = None) -> None:
+        self.settings = settings or SlipSettings()
+        self._reference: MarkerField | None = None
+        self._last: SlipState | None = None
+
+    @property
+    def armed(self) -> bool:
+        """True once a reference is held."""
+        return self._reference is not None
+
+    def rearm(self, field: MarkerField) -> SlipState:
+        """Take ``field`` as the reference of a firm grasp. A field without evidence disarms instead."""
+        self._reference = field if field.usable and field.valid.sum() >= 4 else None
+        shape = field.valid.shape
+        self._stuck = np.zeros(shape, np.bool_)
+        self._lagged = np.zeros(shape)  # sums of lag times motion and of motion squared: their ratio is the
+        self._weight = np.zeros(shape)  # elastic share of each node, by least squares
+        self._slipped = np.zeros(shape, np.bool_)
+        self._motion: Motion | None = None
+        self._seen_ns = field.captured_ns
+        if self._reference is None:
+            self._last = self._plain("unknown", field, f"no reference: {field.reason or field.status}")
+        else:
+            self._last = self._plain("hold", field, "reference taken")
+        return self._last
+
+    def update(self, field: MarkerField) -> SlipState:
+        """Judge one field; never raises for its content."""
+        if self._reference is None or field.valid.shape != self._reference.valid.shape:
+            state = self._plain("unknown", field, "not armed" if self._reference is None else "the grid changed")
+        elif field.status == "duplicate" and self._last is not None:
+            return self._last
+        elif not field.usable:
+            lost = (field.captured_ns - self._seen_ns) * 1e-9 > self.settings.lost_after_s
+            state = self._plain("lost" if lost else "unknown", field, field.reason or field.status)
+        else:
+            self._seen_ns = field.captured_ns
+            state = self._judge(field, self._reference)
+        self._last = state
+        return state
+
+    def _judge(self, field: MarkerField, reference: MarkerField) -> SlipState:
+        limits, pitch = self.settings, field.pitch_px
+        before = (reference.rest_px + reference.displacement_px).astype(np.float64)
+        after = (field.rest_px + field.displacement_px).astype(np.float64)
+        may = field.valid & reference.valid
+        contact = None
+        if reference.contact is not None:
+            contact = reference.contact
+            may = may & contact
+            if field.contact is not None and field.contact.sum() < 0.3 * contact.sum():
+                return self._plain("release", field, f"contact area fell to {field.contact.sum()} nodes")
+        if may.sum() < 4:
+            return self._plain("unknown", field, f"{may.sum()} usable markers, expected at least 4")
+        if carried_px(after - before, may) < limits.still_pitch * pitch:
+            return self._plain("hold", field, "at rest")
+        motion = self._fit(before, after, may, pitch)
+        if motion is None:
+            return self._plain("unknown", field, "the sticking markers determine no rigid motion")
+        return self._weigh(field, before, after, may, contact, motion)
+
+    def _fit(self, before: Float64, after: Float64, may: BoolArray, pitch: float) -> Motion | None:
+        """Robust motion of the sticking core, from the last one or, while none is known, from the moving patch."""
+        tolerance = self.settings.tolerance_pitch * pitch
+        core = may & self._stuck & ~self._slipped
+        warm = self._motion is not None and int(core.sum()) >= 12
+        chosen = core if warm else may & ~self._slipped
+        x, y = before[chosen], after[chosen]
+        everyone = np.ones(len(x))
+        if warm and self._motion is not None:
+            motion = self._refined(x, y, self._motion, everyone, pitch)
+            if motion is not None and _followers(motion, x, y, tolerance) > 0.5:
+                self._motion = motion
+                return motion
+        start = moving_patch(before, after, chosen, tolerance, pitch)
+        # Nodes that the moving patch leaves behind are outside the contact: they must not pull at the fit.
+        carried = start.apply(x)
+        moved = np.hypot(*(carried - x).T)
+        follows = np.hypot(*(carried - y).T) < tolerance + self.settings.follow_share * moved
+        self._motion = self._refined(x, y, start, follows.astype(np.float64), pitch)
+        return self._motion
+
+    def _refined(self, x: Float64, y: Float64, start: Motion, base: Float64, pitch: float) -> Motion | None:
+        limits = self.settings
+        tolerance = limits.tolerance_pitch * pitch
+        motion = refine(x, y, start, base, tolerance, pitch, scale=limits.fit_scale)
+        if motion is not None and abs(motion.scale - 1) > limits.max_scale_change:
+            motion = refine(x, y, start, base, tolerance, pitch, scale=False)
+        return motion
+
+    def _weigh(
+        self,
+        field: MarkerField,
+        before: Float64,
+        after: Float64,
+        may: BoolArray,
+        contact: BoolArray | None,
+        motion: Motion,
+    ) -> SlipState:
+        limits, pitch = self.settings, field.pitch_px
+        carried = motion.apply(before)
+        residual = np.where(may[..., None], after - carried, 0.0)
+        lag = np.linalg.norm(residual, axis=-1)
+        moved = np.linalg.norm(carried - before, axis=-1)
+        if contact is not None:
+            self._stuck |= contact & may
+        excess = self._excess(lag, moved, may, pitch, learn=contact is None)
+        slipping = excess > limits.slip_pitch * pitch
+        known = int((self._stuck & may).sum())
+        need = max(limits.min_nodes, int(np.ceil(limits.min_share * known)))
+        ranked = np.sort(excess, axis=None)
+        score = float(ranked[-need] / (limits.slip_pitch * pitch)) if known >= need else 0.0
+        self._slipped |= slipping
+        return self._verdict(field, motion, residual, slipping, score, known)
+
+    def _excess(self, lag: Float64, moved: Float64, may: BoolArray, pitch: float, *, learn: bool) -> Float64:
+        """Lag in px beyond what each node's elastic share of the motion explains, 0 outside the contact."""
+        limits = self.settings
+        elastic = np.where(self._weight > 0, self._lagged / np.maximum(self._weight, 1e-9), 0.0)
+        excess = lag - elastic * moved
+        if learn:
+            seen = may & (moved > limits.contact_pitch * pitch) & ~self._slipped
+            joins = seen & ~self._stuck & (lag < limits.follow_share * moved)
+            self._stuck |= joins
+            steady = joins | (seen & self._stuck & (excess < 0.4 * limits.slip_pitch * pitch))
+            self._lagged += np.where(steady, lag * moved, 0)
+            self._weight += np.where(steady, moved * moved, 0)
+            excess = np.where(joins, 0.0, excess)
+        return np.where(self._stuck & may, excess, 0.0)
+
+    def _verdict(
+        self, field: MarkerField, motion: Motion, residual: Float64, slipping: BoolArray, score: float, known: int
+    ) -> SlipState:
+        limits, pitch = self.settings, field.pitch_px
+        centre = field.rest_px[self._stuck].mean(0) if self._stuck.any() else motion.pivot_px
+        shift = motion.apply(np.asarray(centre, np.float64)) - centre
+        far = float(np.hypot(*shift)) > limits.max_shift_pitch * pitch
+        turned = abs(motion.angle_rad) > np.deg2rad(limits.max_angle_deg)
+        share = slipping.sum() / max(known, 1)
+        state: FingerState = "contact"
+        reason = f"the patch moved {np.hypot(*shift):.1f} px and turned {np.rad2deg(motion.angle_rad):.1f} deg"
+        if score >= 1:
+            state = "gross_slip" if share > limits.gross_share else "incipient_slip"
+            reason = f"{slipping.sum()} of {known} nodes left the object's motion"
+        elif motion.scale < 1 - limits.release_scale:
+            state, reason = "release", f"markers contracted by {100 * (1 - motion.scale):.1f} %"
+        return SlipState(
+            state=state,
+            score=score,
+            residual_px=residual.astype(np.float32),
+            slipping=slipping,
+            sticking=self._stuck & ~self._slipped,
+            shift_px=(float(shift[0]), float(shift[1])),
+            angle_rad=motion.angle_rad,
+            scale=motion.scale,
+            over_limit=far or turned,
+            captured_ns=field.captured_ns,
+            reason=reason + ("; beyond the limit of motion" if far or turned else ""),
+        )
+
+    def _plain(self, state: FingerState, field: MarkerField, reason: str) -> SlipState:
+        nobody = np.zeros(field.valid.shape, np.bool_)
+        residual = np.zeros((*field.valid.shape, 2), np.float32)
+        return SlipState(state, 0.0, residual, nobody, nobody, (0.0, 0.0), 0.0, 1.0, False, field.captured_ns, reason)
+
+
+def carried_px(displacement: Float64, may: BoolArray) -> float:
+    """How far the gel was carried anywhere, in px: the tenth largest 3 x 3 mean of the displacement."""
+    weight = may.astype(np.float64)
+    stack = np.dstack([displacement * weight[..., None], weight])
+    total = cv2.boxFilter(stack, cv2.CV_64F, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    mean = np.hypot(total[..., 0], total[..., 1]) / np.maximum(total[..., 2], 1)
+    return float(np.sort(mean, axis=None)[-min(10, mean.size)])
+
+
+def _followers(motion: Motion, before: Float64, after: Float64, tolerance: float) -> float:
+    """Share of the points that follow the motion within twice the tolerance."""
+    return float((np.square(motion.apply(before) - after).sum(1) < (2 * tolerance) ** 2).mean())
