@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.perception.field import BoolArray, FloatArray, neighbour_median
-from service.perception.lattice import flood, lattice_basis
+from service.perception.lattice import fill_gaps, flood, lattice_basis
 
 _SEARCH = 0.46  # pitch; the spot that belongs to a node lies within this of its prediction
 _TEAR = 0.5  # pitch; a node that moved this much otherwise than its neighbours is a wrong match
@@ -95,7 +95,7 @@ def judge(
     if len(points) == 0:
         return Match(previous, valid, _CAP, 0, spot)
     xy = np.where(valid[..., None], points[spot], previous)
-    displacement = xy - rest
+    displacement = xy - _affine(rest, xy, valid)  # of a twisted grid, neighbours move very differently
     typical, around = neighbour_median(displacement, valid)
     torn = valid & (around >= 3) & (np.square(displacement - typical).sum(-1) > (_TEAR * pitch) ** 2)
     valid = valid & ~torn
@@ -110,6 +110,19 @@ def judge(
     stray = len(points) - int(valid.sum())
     total = max(1, int((in_view | valid).sum()))
     return Match(xy, valid, float((cost + 0.5 * _CAP * stray) / total), int(torn.sum()), np.where(valid, spot, -1))
+
+
+def _affine(rest: FloatArray, xy: FloatArray, valid: BoolArray) -> FloatArray:
+    """``rest`` carried along by the affine map that fits the valid nodes best; ``rest`` itself if there are few."""
+    if valid.sum() < 12:
+        return rest
+    middle = rest[valid].mean(0)
+    x = np.concatenate([rest[valid] - middle, np.ones((int(valid.sum()), 1), np.float32)], 1).astype(np.float64)
+    normal = x.T @ x
+    if np.linalg.cond(normal) > 1e10:
+        return rest
+    linear = np.linalg.solve(normal, x.T @ xy[valid])
+    return np.asarray((rest - middle) @ linear[:2] + linear[2], np.float32)
 
 
 def reindex(
@@ -147,7 +160,12 @@ def reindex(
             score = rival.misfit + _motion(rival, previous, pitch)
             if score < best_score - 0.05:
                 best, best_score = rival, score
-    return best
+    if best is prior:
+        return prior
+    # The flood stops at gaps; what lies beyond is found where a smooth surface through the rest puts it.
+    spread, _ = fill_gaps(best.xy_px, best.valid)
+    full = match(spread, rest, points, pitch, view, previous)
+    return full if full.valid.sum() > best.valid.sum() else best
 
 
 def _motion(candidate: Match, previous: FloatArray, pitch: float) -> float:

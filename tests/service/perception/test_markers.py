@@ -1,0 +1,151 @@
+import numpy as np
+import pytest
+
+from service.perception.markers import MarkerTracker
+from tests.service.perception.synthetic import FRAME_NS, draw, grid, twist
+
+
+def follow(tracker, images, start=0):
+    return [tracker.update(image, (start + k) * FRAME_NS) for k, image in enumerate(images)]
+
+
+def identity(field, truth, width=327, height=320, margin=6.0):
+    """Share of the visible markers that are tracked as themselves, within a quarter pitch."""
+    error = np.linalg.norm(field.rest_px + field.displacement_px - truth, axis=-1)
+    inside = (truth > margin).all(-1) & (truth[..., 0] < width - margin) & (truth[..., 1] < height - margin)
+    return float((field.valid & (error < 0.25 * field.pitch_px))[inside].mean())
+
+
+@pytest.mark.parametrize(("noise", "limit_px"), [(2.0, 0.04), (6.0, 0.08)])
+def test_displacement_is_found_to_a_few_hundredths_of_a_pixel(noise, limit_px):
+    rng = np.random.default_rng(1)
+    rest = grid()
+    errors = []
+    tracker = MarkerTracker()
+    tracker.update(draw(rest, rng, noise=noise), 0)
+    first = rest
+    for k in range(1, 6):
+        moved = twist(rest, 0.8 * k, shift=(0.37 * k, -0.61 * k))
+        field = tracker.update(draw(moved, rng, noise=noise), k * FRAME_NS)
+        error = (field.displacement_px - (moved - first))[field.valid]
+        errors.append(error)
+    rms = float(np.sqrt(np.square(np.concatenate(errors)).mean()))  # per axis
+    assert rms < limit_px
+
+
+def shifted(points, u, v):
+    return points + np.array([u, v])
+
+
+@pytest.mark.parametrize(
+    "jump",
+    [
+        lambda p: shifted(p, 13.5, 0),
+        lambda p: shifted(p, -13.5, 0),
+        lambda p: shifted(p, 0, 13.5),
+        lambda p: shifted(p, 9.5, -9.5),
+        lambda p: p + np.array([13.5, 0]) * np.exp(-np.square(p - 160).sum(-1) / 2 / 50**2)[..., None],
+        lambda p: twist(p, 20),
+        lambda p: twist(p, 35),
+    ],
+)
+@pytest.mark.parametrize("noise", [2.0, 6.0])
+def test_markers_keep_their_identity_over_a_jump_of_nearly_a_pitch(jump, noise):
+    rng = np.random.default_rng(2)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng, noise=noise) for _ in range(3)])
+    truth = jump(rest)
+    field = tracker.update(draw(truth, rng, noise=noise), 3 * FRAME_NS)
+    assert field.status == "tracking"
+    assert identity(field, truth) >= 0.99
+
+
+def test_a_twist_of_sixty_degrees_is_followed():
+    rng = np.random.default_rng(3)
+    rest = grid()
+    tracker = MarkerTracker()
+    for k in range(13):
+        truth = twist(rest, 5.0 * k)
+        field = tracker.update(draw(truth, rng), k * FRAME_NS)
+        assert identity(field, truth) >= 0.98
+
+
+@pytest.mark.parametrize(
+    ("rows", "cols", "width", "height", "pitch", "diameter"),
+    [
+        (7, 9, 320, 240, 34.0, 14.0),
+        (11, 16, 384, 278, 23.5, 9.0),
+        (20, 21, 327, 320, 15.0, 5.0),
+        (14, 18, 640, 480, 33.0, 11.0),
+        (20, 21, 640, 480, 22.0, 8.0),
+    ],
+)
+def test_the_grid_is_found_by_itself(rows, cols, width, height, pitch, diameter):
+    rng = np.random.default_rng(4)
+    points = grid(rows, cols, pitch, width, height)
+    tracker = MarkerTracker()
+    field = tracker.update(draw(points, rng, width, height, diameter), 0)
+    assert tracker.grid_shape == (rows, cols)
+    assert field.pitch_px == pytest.approx(pitch, rel=0.02)
+    assert identity(field, points, width, height) == 1.0
+
+
+def test_an_exposure_jump_moves_no_marker():
+    rng = np.random.default_rng(5)
+    rest = grid()
+    tracker = MarkerTracker()
+    fields = follow(tracker, [draw(rest, rng, light=light) for light in (140, 140, 70, 210, 50)])
+    for field in fields[1:]:
+        assert identity(field, rest) >= 0.99
+        assert np.abs(field.displacement_px[field.valid]).max() < 0.6
+
+
+def test_repeated_and_late_frames_are_no_new_evidence():
+    rng = np.random.default_rng(6)
+    image = draw(grid(), rng)
+    tracker = MarkerTracker()
+    tracker.update(image, 10)
+    assert tracker.update(image, 20).status == "duplicate"
+    assert tracker.update(draw(grid(), rng), 5).status == "duplicate"
+    assert tracker.update(draw(grid(), rng), 30).status == "tracking"
+
+
+def test_half_the_gel_covered_keeps_the_other_half():
+    rng = np.random.default_rng(7)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng), draw(rest, rng)])
+    covered = draw(rest, rng)
+    covered[:, :160] = 90
+    field = tracker.update(covered, 2 * FRAME_NS)
+    assert field.usable
+    assert not field.valid[:, :9].any()
+    assert field.valid[:, 11:].mean() > 0.98
+    back = tracker.update(draw(rest, rng), 3 * FRAME_NS)
+    assert identity(back, rest) >= 0.99
+
+
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_a_blank_frame_is_lost_not_an_error(level):
+    rng = np.random.default_rng(8)
+    rest = grid()
+    blank = np.full((320, 327, 3), level, np.uint8)
+    tracker = MarkerTracker()
+    assert tracker.update(blank, 0).status == "no_grid"
+    assert tracker.update(draw(rest, rng), 1).status == "tracking"
+    lost = tracker.update(blank, 2)
+    assert lost.status == "lost"
+    assert np.isfinite(lost.displacement_px).all()
+    assert not lost.valid.any()
+    assert tracker.update(None, 3).status == "lost"
+    assert identity(tracker.update(draw(rest, rng), 4), rest) >= 0.99
+
+
+def test_a_frame_of_another_size_or_type_is_refused():
+    tracker = MarkerTracker()
+    tracker.update(draw(grid(), np.random.default_rng(9)), 0)
+    with pytest.raises(ValueError, match="reset"):
+        tracker.update(np.zeros((100, 100, 3), np.uint8), 1)
+    with pytest.raises(ValueError, match="expected uint8"):
+        tracker.update(np.zeros((320, 327, 3), np.float32), 1)  # type: ignore[arg-type]
