@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 RUN_VENV ?= .venv-run
+OPS_VENV ?= .venv-ops
 TORCH_VERSION = 2.13.0
 OUT ?= runs
 
@@ -10,6 +11,7 @@ RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
 .PHONY: help run test test-all check collect train export requirements clean
+.PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -50,8 +52,49 @@ test-all: $(VENV)/ready ## the fast tests and the long ones
 
 # ---- from probes to released models -------------------------------------------------------------------------------
 
+# ---- operations ---------------------------------------------------------------------------------------------------
+# Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.
+
+CELL ?= cell-a
+ENV_FILE ?= docker/$(CELL).env
+COMPOSE ?= $(if $(shell command -v docker),docker compose,$(OPS_VENV)/bin/podman-compose)
+COMPOSE_FILE_ARGS = --project-name $(CELL) --file docker/compose.yaml
+
+$(OPS_VENV)/ready: requirements/ops.txt
+	$(PYTHON) -m venv $(OPS_VENV)
+	$(OPS_VENV)/bin/pip install -q --require-hashes --no-deps -r requirements/ops.txt
+	@touch $@
+
+image: $(OPS_VENV)/ready ## build the three images (service, robot client, simulated cell)
+	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim build
+
+up: $(OPS_VENV)/ready ## start the service of a real cell (CELL=cell-a reads docker/cell-a.env; MONITORING=1 adds Prometheus, Grafana)
+	@test -f $(ENV_FILE) || { echo "$(ENV_FILE) is missing: copy docker/cell.env.example and edit it" >&2; exit 2; }
+	$(COMPOSE) --env-file $(ENV_FILE) $(COMPOSE_FILE_ARGS) --profile live $(if $(MONITORING),--profile monitoring) up --detach
+
+up-sim: $(OPS_VENV)/ready ## start the simulated cell and the service in containers and insert one object
+	COMPOSE="$(COMPOSE) $(COMPOSE_FILE_ARGS)" sh docker/up_sim.sh
+
+down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings stay
+	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim --profile monitoring down
+
+verify-images: $(OPS_VENV)/ready ## build the images, run the loop in them, kill the service in mid-insertion, print sizes and times
+	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) docker/verify_images.py
+
+lint-ops: $(OPS_VENV)/ready ## check Dockerfiles, alert rules (needs promtool) and manifests
+	$(OPS_VENV)/bin/hadolint docker/*.Dockerfile
+	promtool check config docker/prometheus/prometheus.yml
+	promtool test rules docker/prometheus/alerts_test.yml
+	$(OPS_VENV)/bin/kubernetes-validate --quiet --strict docker/kubernetes/cell.yaml
+
+bundle: $(RUN_VENV)/ready ## archive for a cell without internet: wheels, code, models, installer, checksums -> dist/
+	sh docker/bundle.sh $(RUN) dist
+
+sbom: $(RUN_VENV)/ready $(OPS_VENV)/ready ## list every shipped dependency with its licence -> dist/
+	sh docker/sbom.sh $(RUN) $(OPS_VENV)/bin dist
+
 requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
 clean: ## remove what the commands above made, but no data and no runs
-	rm -rf $(VENV) $(RUN_VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

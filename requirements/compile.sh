@@ -14,3 +14,4 @@ pin simulation --extra simulation
 pin run --extra service --extra robot --extra simulation
 pin test --extra service --extra robot --extra simulation --extra training --extra dev \
   --override requirements/no-torch.txt requirements/torch.in --no-emit-package torch
+pin ops --extra ops

@@ -1,0 +1,219 @@
+"""`make verify-images`: build the images, run the simulated loop in them, break it, and print what was measured.
+
+Checks, each of which must hold: no torch, no compiler and no root in any image; the root filesystem is read-only; the
+loop inserts an object; SIGKILL of the service in mid-insertion stops the arm, the service comes back ready by itself
+and the next insertion succeeds; SIGTERM drains within the grace period; the service is within its size and idle budget.
+Ports are free ones, so that a running cell on this machine is not disturbed.
+"""
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from images import IMAGES, VerificationError, build_all, call, prepare_engine, say
+from sim_loop import Loop, free_ports, waited
+
+SERVICE_MB, IDLE_RSS_MB, IDLE_CPU_SHARE = 450.0, 300.0, 0.05
+FORBIDDEN = {
+    "service": ("torch", "numba", "pip"),
+    "robot_client": ("torch", "onnxruntime", "cv2"),
+    "simulation": ("torch",),
+}
+
+
+@dataclass
+class Report:
+    """Lines of the final table, and whether each held."""
+
+    rows: list[tuple[str, str, bool]] = field(default_factory=list)
+
+    def add(self, what: str, value: str, held: bool = True) -> None:
+        """One row, printed at once."""
+        self.rows.append((what, value, held))
+        say(f"  {'ok  ' if held else 'FAIL'} {what}: {value}")
+
+    @property
+    def held(self) -> bool:
+        """Whether every row did."""
+        return all(held for _, _, held in self.rows)
+
+
+def check_contents(report: Report) -> None:
+    """What must not be in an image is not, and its user is nobody special."""
+    for name, modules in FORBIDDEN.items():
+        for module in modules:
+            command = [
+                "podman",
+                "run",
+                "--rm",
+                "--network",
+                "none",
+                "--entrypoint",
+                "python",
+                IMAGES[name],
+                "-c",
+                f"import {module}",
+            ]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            refused = done.returncode != 0 and "ModuleNotFoundError" in done.stderr
+            report.add(f"{name}: import {module}", "refused" if refused else "it is there", refused)
+        probe = "import os, shutil; print(os.getuid(), shutil.which('gcc') or shutil.which('cc') or 'none')"
+        found = call(
+            ["podman", "run", "--rm", "--network", "none", "--entrypoint", "python", IMAGES[name], "-c", probe]
+        )
+        report.add(f"{name}: user and compiler", found, found == "10001 none")
+
+
+def check_hardening(report: Report, loop: Loop) -> None:
+    """The running service cannot write outside its volumes and holds no capability."""
+    write = "open('/opt/app/x', 'w')"
+    done = subprocess.run(
+        ["podman", "exec", loop.container("service-sim"), "python", "-c", write],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    report.add(
+        "service: root filesystem",
+        "read-only" if "Read-only" in done.stderr else "writable",
+        "Read-only" in done.stderr,
+    )
+    status = Path(f"/proc/{loop.process('service-sim')}/status").read_text()
+    capabilities = next(line.split()[1] for line in status.splitlines() if line.startswith("CapEff"))
+    report.add("service: effective capabilities", capabilities, int(capabilities, 16) == 0)
+
+
+def check_idle(report: Report, loop: Loop, seconds: float = 20.0) -> None:
+    """Resident memory and processor time of the ready service with both cameras live and no insertion."""
+    process = loop.process("service-sim")
+    ticks = os.sysconf("SC_CLK_TCK")
+
+    def cpu_s() -> float:
+        fields = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / ticks
+
+    before, started = cpu_s(), time.monotonic()
+    time.sleep(seconds)
+    share = (cpu_s() - before) / (time.monotonic() - started)
+    resident = Path(f"/proc/{process}/status").read_text().split("VmRSS:")[1].split()[0]
+    rss_mb = int(resident) * 1024 / 1e6
+    report.add(
+        "service idle, cameras live: resident memory",
+        f"{rss_mb:.0f} MB, at most {IDLE_RSS_MB:.0f}",
+        rss_mb <= IDLE_RSS_MB,
+    )
+    report.add("service idle, cameras live: processor", f"{share:.1%} of a core, aim {IDLE_CPU_SHARE:.0%}")
+
+
+def insert(report: Report, loop: Loop, what: str) -> None:
+    """One insertion that must end with 0 and with the object in the gap."""
+    started = time.monotonic()
+    with loop.client() as client:
+        output = client.communicate(timeout=300)[0]
+    inserted = dict_of(loop.truth().get("object")).get("inserted") is True
+    held = client.returncode == 0 and inserted
+    report.add(what, f"exit {client.returncode}, inserted {inserted}, {time.monotonic() - started:.0f} s", held)
+    if not held:
+        say(output[-3000:])
+
+
+def dict_of(value: object) -> dict[str, object]:
+    """The value if it is an object, otherwise an empty one."""
+    return value if isinstance(value, dict) else {}
+
+
+def height_mm(loop: Loop) -> float:
+    """Height of the tool centre point as the simulated arm has it."""
+    position = dict_of(loop.truth()["tcp"])["position_mm"]
+    assert isinstance(position, list)
+    return float(position[2])
+
+
+def break_and_recover(report: Report, loop: Loop) -> None:
+    """SIGKILL the service while the arm descends: the arm holds, the service returns, the next insertion succeeds."""
+    start_mm = height_mm(loop)
+    with loop.client() as client:
+        waited(lambda: height_mm(loop) < start_mm - 12.0, 120, "the arm in its descent", lambda: "client still waits")
+        os.kill(loop.process("service-sim"), signal.SIGKILL)
+        killed = time.monotonic()
+        rest_s = waited(lambda: loop.truth()["moving"] is False, 10, "the arm at rest after the kill")
+        at_rest_mm = height_mm(loop)
+        output = client.communicate(timeout=60)[0]
+    moved_mm = abs(height_mm(loop) - at_rest_mm)
+    report.add(
+        "service killed in the descent: arm at rest after",
+        f"{rest_s:.1f} s, then moved {moved_mm:.3f} mm",
+        moved_mm < 0.05,
+    )
+    said = (output.strip().splitlines() or ["nothing"])[-1][:160]
+    report.add(
+        "service killed in the descent: client says",
+        f"exit {client.returncode}: {said}",
+        client.returncode not in (0, 2),
+    )
+    loop.wait_healthy("service-sim", 120)
+    report.add("service killed in the descent: healthy again by itself after", f"{time.monotonic() - killed:.1f} s")
+    insert(report, loop, "next insertion after the kill")
+
+
+def check_drain(report: Report, loop: Loop) -> None:
+    """SIGTERM ends the service by itself, with 0, within its grace period."""
+    started = time.monotonic()
+    call(["podman", "stop", "--time", "30", loop.container("service-sim")])
+    code = call(["podman", "inspect", "--format", "{{.State.ExitCode}}", loop.container("service-sim")])
+    report.add("SIGTERM: drained", f"exit {code} after {time.monotonic() - started:.1f} s", code == "0")
+
+
+def verify(*, keep: bool) -> bool:
+    """Everything, in order; True if all held."""
+    report, started = Report(), time.monotonic()
+    prepare_engine(os.environ)
+    for name, (megabytes, seconds) in build_all().items():
+        limit = SERVICE_MB if name == "service" else float("inf")
+        report.add(f"{name}: size beyond the base", f"{megabytes:.0f} MB, built in {seconds:.0f} s", megabytes <= limit)
+    check_contents(report)
+    loop = Loop(free_ports())
+    try:
+        loop.up(X_MM="6", THETA_DEG="3")
+        cell_s = loop.wait_healthy("cell", 300)
+        report.add(
+            "sim profile: ready", f"cell {cell_s:.0f} s, service {cell_s + loop.wait_healthy('service-sim', 120):.0f} s"
+        )
+        check_hardening(report, loop)
+        check_idle(report, loop)
+        insert(report, loop, "insertion in containers")
+        report.add(
+            "from nothing to an inserted object",
+            f"{(time.monotonic() - started) / 60:.1f} min, at most 10",
+            time.monotonic() - started <= 600,
+        )
+        loop.up(X_MM="6", THETA_DEG="3")
+        loop.wait_healthy("cell", 300)
+        loop.wait_healthy("service-sim", 120)
+        break_and_recover(report, loop)
+        check_drain(report, loop)
+    finally:
+        if not keep:
+            loop.down()
+    return report.held
+
+
+def main() -> int:
+    """0 if everything held, 1 if something did not, 2 if it could not be tried."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--keep", action="store_true", help="leave the containers running")
+    options = parser.parse_args()
+    try:
+        return 0 if verify(keep=options.keep) else 1
+    except (VerificationError, subprocess.TimeoutExpired, OSError) as error:
+        print(f"verify-images: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,90 @@
+"""The operations files agree with each other and with the code, as far as that shows without building an image."""
+
+import http.server
+import re
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from tests.docs.commands import ROOT
+
+DOCKER = ROOT / "docker"
+DOCKERFILES = sorted(DOCKER.glob("*.Dockerfile"))
+MAY_COPY = {
+    "service": {"service"},
+    "robot_client": {"robot_client", "service/__init__.py", "service/contract"},
+    "simulation": {
+        *("simulation", "service/__init__.py", "service/contract", "service/perception"),
+        *("robot_client/__init__.py", "robot_client/codecs"),
+    },
+}
+
+
+def test_all_images_stand_on_one_base_pinned_by_digest():
+    bases = {re.search(r"^ARG BASE=(\S+)$", path.read_text(), re.MULTILINE)[1] for path in DOCKERFILES}
+    assert len(bases) == 1
+    assert re.search(r"@sha256:[0-9a-f]{64}$", bases.pop())
+
+
+@pytest.mark.parametrize("path", DOCKERFILES, ids=lambda path: path.name)
+def test_an_image_runs_as_nobody_special_with_exec_form_commands(path):
+    text = path.read_text()
+    assert re.search(r"^USER 10001:10001$", text, re.MULTILINE)
+    assert re.search(r"^ENTRYPOINT \[", text, re.MULTILINE)
+    assert re.search(r"^CMD \[", text, re.MULTILINE)
+    assert "--require-hashes" in text
+
+
+@pytest.mark.parametrize("path", DOCKERFILES, ids=lambda path: path.name)
+def test_an_image_carries_its_own_room_and_nothing_of_a_sibling(path):
+    copied = set(
+        re.findall(r"^COPY ((?:service|robot_client|simulation|training|export)\S*) ", path.read_text(), re.MULTILINE)
+    )
+    assert copied == MAY_COPY[path.stem]
+
+
+@pytest.mark.parametrize("role", ["service", "robot", "simulation", "run"])
+def test_no_shipped_role_pins_torch(role):
+    assert not re.search(r"^(torch|nvidia-\S+)==", (ROOT / "requirements" / f"{role}.txt").read_text(), re.MULTILINE)
+
+
+@pytest.mark.parametrize("path", sorted(DOCKER.glob("*.sh")), ids=lambda path: path.name)
+def test_a_shell_script_parses(path):
+    assert subprocess.run(["sh", "-n", str(path)], check=False).returncode == 0
+
+
+class _Answer(http.server.BaseHTTPRequestHandler):
+    def do_GET(self):
+        self.send_response(200 if self.path == "/readyz" else 503)
+        self.end_headers()
+
+    def log_message(self, *args):
+        pass
+
+
+@pytest.fixture
+def port():
+    server = http.server.HTTPServer(("127.0.0.1", 0), _Answer)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield server.server_port
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def healthcheck(port: int, path: str) -> int:
+    return subprocess.run(
+        [sys.executable, "-I", "-S", DOCKER / "healthcheck.py", str(port), path], check=False
+    ).returncode
+
+
+def test_the_healthcheck_passes_on_200_only(port):
+    assert healthcheck(port, "/readyz") == 0
+    assert healthcheck(port, "/other") == 1
+
+
+def test_the_healthcheck_fails_where_nobody_listens(port):
+    assert healthcheck(1, "/readyz") == 1

@@ -1,0 +1,69 @@
+"""What the documentation tells people to type: every fenced shell block of README.md and docs/*.md, with its marker.
+
+A block that a machine without a robot cannot run carries, on the line before the fence, `<!-- not executed: why -->`.
+"""
+
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+SHELLS = {"sh", "bash", "shell", "console"}
+_FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_MARKER = re.compile(r"<!--\s*not executed:\s*(.*?)\s*-->\s*\Z", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block: where it stands, its language, its text and, if it is not executed, why."""
+
+    page: str
+    line: int
+    language: str
+    text: str
+    why_not: str | None
+
+    @property
+    def name(self) -> str:
+        """Page and line, for the test's id."""
+        return f"{self.page}:{self.line}"
+
+    @property
+    def script(self) -> str:
+        """What a person types: in a `console` block the lines after a prompt, otherwise everything."""
+        if self.language != "console":
+            return self.text
+        return "\n".join(line[2:] for line in self.text.splitlines() if line.startswith("$ "))
+
+    def commands(self) -> list[list[str]]:
+        """Each command split into words, without comments; lines that end in a backslash are joined."""
+        lines = self.script.replace("\\\n", " ").splitlines()
+        parts = [part for line in lines for part in re.split(r"\s(?:&&|\|\||\|)\s", line)]
+        return [words for words in (shlex.split(part, comments=True) for part in parts) if words]
+
+
+def pages() -> list[Path]:
+    """README.md, if there is one, and every page in docs/."""
+    return [path for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))] if path.exists()]
+
+
+def blocks(page: Path) -> list[Block]:
+    """The fenced blocks of a page, in order."""
+    text = page.read_text()
+    found = []
+    for match in _FENCE.finditer(text):
+        before = text[: match.start()]
+        marker = _MARKER.search(before.rstrip("\n"))
+        line = before.count("\n") + 1
+        found.append(
+            Block(
+                str(page.relative_to(ROOT)), line, match[1], match[2], " ".join(marker[1].split()) if marker else None
+            )
+        )
+    return found
+
+
+def shell_blocks() -> list[Block]:
+    """Every shell block of every page."""
+    return [block for page in pages() for block in blocks(page) if block.language in SHELLS]

@@ -1,0 +1,113 @@
+"""Every command in the documentation exists, takes the options shown, and runs, or says why no test can run it."""
+
+import os
+import re
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.docs.commands import ROOT, Block, blocks, pages, shell_blocks
+
+MAKEFILE = (ROOT / "Makefile").read_text()
+TARGETS = set(re.findall(r"^([a-z][a-z-]*):", MAKEFILE, re.MULTILINE))
+VARIABLES = set(re.findall(r"\$\(([A-Z_]+)\)|\b([A-Z_]+) \?=", MAKEFILE))
+OWN = {"service", "robot_client", "simulation", "training", "export"}
+
+
+@cache
+def help_of(*words: str) -> str:
+    """What `python -m PACKAGE [COMMAND] --help` prints; the command must end with 0."""
+    environment = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1"}
+    command = [sys.executable, "-m", *words, "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, timeout=60, check=False)
+    assert done.returncode == 0, (
+        f"python -m {' '.join(words)} --help ended with {done.returncode}: {done.stderr[-300:]}"
+    )
+    return done.stdout
+
+
+def check_module(words: list[str]) -> None:
+    """`python -m PACKAGE COMMAND --option`: the package is ours, the command and every option are in its help."""
+    package, *rest = words
+    assert package in OWN, f"python -m {package} is none of our packages"
+    if not rest or rest == ["--help"]:
+        help_of(package)
+        return
+    command = [package] if rest[0].startswith("-") else [package, rest[0]]
+    text = help_of(*command)
+    for word in rest:
+        option = word.split("=")[0]
+        if option.startswith("--"):
+            assert re.search(rf"{re.escape(option)}\b", text), f"{' '.join(command)} has no option {option}"
+
+
+def check_make(words: list[str]) -> None:
+    """`make TARGET NAME=value`: the target exists and something reads the variable."""
+    known = {name for pair in VARIABLES for name in pair if name}
+    for word in words:
+        if "=" in word:
+            assert word.split("=")[0] in known, f"no rule of the Makefile reads {word.split('=')[0]}"
+        elif not word.startswith("-"):
+            assert word in TARGETS, f"make has no target {word}"
+
+
+def without_assignments(words: list[str]) -> list[str]:
+    """The command after `NAME=value` prefixes."""
+    while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
+        words = words[1:]
+    return words
+
+
+@pytest.mark.parametrize("block", shell_blocks(), ids=lambda block: block.name)
+def test_every_command_exists_and_takes_the_options_shown(block: Block):
+    for command in block.commands():
+        words = without_assignments(command)
+        if words[:1] == ["make"]:
+            check_make(words[1:])
+        elif len(words) > 2 and Path(words[0]).name.startswith("python") and words[1] == "-m" and words[2] in OWN:
+            check_module(words[2:])
+        else:
+            assert words[0] not in OWN, f"{words[0]} is a package: python -m {words[0]}"
+
+
+def test_whatever_is_not_executed_says_why():
+    for block in shell_blocks():
+        assert block.why_not is None or len(block.why_not) > 10, f"{block.name}: say why it is not executed"
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_every_link_leads_to_a_file(page: Path):
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text()):
+        if not re.match(r"[a-z]+:", target):
+            assert (page.parent / target).exists(), f"{page.name} points to {target}, which is absent"
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_every_python_block_is_python(page: Path):
+    for block in blocks(page):
+        if block.language == "python":
+            compile(block.text, block.name, "exec")
+
+
+@pytest.fixture(scope="session")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The shell of a person who has run `make setup`: this interpreter stands for the project's environments."""
+    stand_in = tmp_path_factory.mktemp("environment")
+    (stand_in / "bin").symlink_to(Path(sys.executable).parent)
+    (stand_in / "ready").touch()
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    return {**os.environ, "PATH": path, "RUN_VENV": str(stand_in), "OUT": str(stand_in / "runs")}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("block", [b for b in shell_blocks() if b.why_not is None], ids=lambda block: block.name)
+def test_every_command_runs(block: Block, environment: dict[str, str]):
+    script = f"set -euo pipefail\n{block.script}"
+    done = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, cwd=ROOT, env=environment, timeout=1800, check=False
+    )
+    assert done.returncode == 0, f"{block.name} ended with {done.returncode}:\n{(done.stdout + done.stderr)[-2000:]}"
