@@ -1,0 +1,35 @@
+"""ONNX Runtime sessions as the service opens them, and what machine this is."""
+
+import platform
+from pathlib import Path
+from typing import Any
+
+import onnxruntime
+
+from service.contract import ContractError
+
+
+def session(file: Path, threads: int = 1, *, spinning: bool = False) -> Any:
+    """A CPU session with one intra-op thread; raise ContractError on a file that ONNX Runtime refuses."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "1" if spinning else "0")
+    options.add_session_config_entry("session.set_denormal_as_zero", "1")
+    options.log_severity_level = 3
+    if not file.is_file():
+        raise ContractError(f"no model at {file}")
+    try:
+        return onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises its own pybind types for every kind of bad file
+        raise ContractError(f"{file} is not a model this runtime can open: {str(error).splitlines()[0]}") from error
+
+
+def cpu_name() -> str:
+    """Model name of this machine's processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else "unknown"

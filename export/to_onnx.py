@@ -1,0 +1,125 @@
+"""Checkpoint -> ONNX: two roles in two forms, the card attached last, parity proved before a file is kept."""
+
+import logging
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from torch import nn
+
+from export.golden import golden_frames
+from export.runtime import cpu_name, session
+from service.contract import Calibration, ContractError, FrameSpec, ModelCard
+from training.checkpoint import Checkpoint
+from training.config import FRAMES_PER_DECISION
+from training.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
+from training.networks.forms import SequenceForm, StepForm
+from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
+
+OPSET = 20
+TOLERANCE = 1e-5
+Role = Literal["direction", "magnitude"]
+Form = Literal["sequence", "step"]
+ROLES: tuple[Role, Role] = ("direction", "magnitude")
+FORMS: tuple[Form, Form] = ("sequence", "step")
+OUTPUTS: dict[Role, list[str]] = {"direction": ["logits"], "magnitude": ["error", "log_sigma"]}
+
+
+def export_checkpoint(path: Path, out: Path) -> list[Path]:
+    """Write ``<out>/<role>.<form>.onnx`` for both roles and forms; raise ContractError if any parity fails."""
+    checkpoint = Checkpoint.load(path)
+    network = checkpoint.build()
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    with tempfile.TemporaryDirectory(dir=out) as scratch:
+        for role in ROLES:
+            for form in FORMS:
+                file = Path(scratch) / f"{role}.{form}.onnx"
+                _export(network, checkpoint, role, form, file)
+                written.append(file)
+        return [file.replace(out / file.name) for file in written]
+
+
+def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> ModelCard:
+    """The card of one file; its validation figures are those of the validation split, all objects."""
+    scales = checkpoint.scales
+    return ModelCard(
+        name=f"{checkpoint.name}-{role}",
+        role=role,
+        form=form,
+        frame=FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX, colour="bgr", rectified=True),
+        frames_per_decision=FRAMES_PER_DECISION,
+        state_size=network.state_size if form == "step" else 0,
+        classes=CLASSES,
+        threshold_x_mm=THRESHOLD_X_MM,
+        threshold_theta_deg=THRESHOLD_THETA_DEG,
+        gap_width_input=network.uses_gap_width,
+        has_sigma=role == "magnitude",
+        calibration=Calibration(
+            temperature=scales.temperature, sigma_scale_x=scales.sigma_x, sigma_scale_theta=scales.sigma_theta
+        ),
+        training_data_sha256=checkpoint.training_data_sha256,
+        git_commit=checkpoint.git_commit,
+        validation=checkpoint.figures.get("validation/all", {}),
+        verified_on_cpu=cpu_name(),
+    )
+
+
+def _example(network: Any, form: Form, batch: int) -> dict[str, torch.Tensor]:
+    spec = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX)
+    frames = torch.from_numpy(golden_frames(spec, FRAMES_PER_DECISION))
+    gap = {"gap_width_mm": torch.full((batch, 1), 57.0)} if network.uses_gap_width else {}
+    if form == "sequence":
+        return {"frames": frames[None].repeat(batch, 1, 1, 1, 1, 1), **gap}
+    state = torch.linspace(-0.5, 0.5, network.state_size).repeat(batch, 1)
+    frame, reference = frames[5:6].repeat(batch, 1, 1, 1, 1), frames[:1].repeat(batch, 1, 1, 1, 1)
+    return {"frame": frame, "reference": reference, "state": state, **gap}
+
+
+def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: Path) -> None:
+    wrapped: nn.Module = (SequenceForm if form == "sequence" else StepForm)(network, role).eval()
+    example = _example(network, form, 2)
+    outputs = [*OUTPUTS[role], *(["next_state"] if form == "step" else [])]
+    batch = torch.export.Dim("batch", min=1, max=1024)
+    with warnings.catch_warnings(), torch.inference_mode(mode=False), torch.no_grad():
+        warnings.simplefilter("ignore")
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        program = torch.onnx.export(
+            wrapped,
+            kwargs=example,
+            dynamo=True,
+            opset_version=OPSET,
+            input_names=list(example),
+            output_names=outputs,
+            dynamic_shapes={name: {0: batch} for name in example},
+            verbose=False,
+        )
+    assert program is not None
+    program.save(str(file))
+    _check_parity(wrapped, example, file)
+    attach_card(file, make_card(checkpoint, role, form, network))
+
+
+def _check_parity(wrapped: nn.Module, example: dict[str, torch.Tensor], file: Path) -> None:
+    onnx.checker.check_model(str(file), full_check=True)
+    with torch.no_grad():
+        expected = wrapped(**example)
+    got = session(file).run(None, {name: value.numpy() for name, value in example.items()})
+    for tensor, array in zip(expected, got, strict=True):
+        gap = float(np.abs(tensor.numpy() - array).max())
+        if not gap <= TOLERANCE:
+            raise ContractError(f"{file.name}: torch and onnxruntime differ by {gap:.2e}, expected at most {TOLERANCE}")
+
+
+def attach_card(file: Path, card: ModelCard) -> None:
+    """Write the card into the file's metadata: the last thing that happens to it."""
+    model = onnx.load(str(file))
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, card.to_props())
+    onnx.save(model, str(file))
+    ModelCard.from_props(onnxruntime.InferenceSession(str(file)).get_modelmeta().custom_metadata_map, file.name)

@@ -1,0 +1,59 @@
+"""Train and evaluate networks: ``python -m training train configs/compact.toml``."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from service.contract import ContractError
+
+
+def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
+    """Train one run from its TOML file; started again, it goes on where it stopped.
+
+    Args:
+        config: the run's TOML file, see configs/.
+        data: dataset folder, instead of the one the config names.
+    """
+    from training.config import RunConfig
+    from training.train import train as run
+
+    loaded = RunConfig.load(config)
+    if data is not None:
+        loaded = loaded.model_copy(update={"data": loaded.data.model_copy(update={"path": str(data)})})
+    print_table(run(loaded).figures)
+    print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
+
+
+def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
+    """Print the figures that a checkpoint carries.
+
+    Args:
+        checkpoint: a ``checkpoint.pt`` written by ``train``.
+    """
+    from training.checkpoint import Checkpoint
+
+    print_table(Checkpoint.load(checkpoint).figures)
+
+
+def print_table(figures: dict[str, dict[str, float]]) -> None:
+    """One line an object and split."""
+    names = "trials accuracy chance ece wrong_side_x mae_x_mm mae_theta_deg rmse_x_mm rmse_theta_deg"
+    columns = (names + " coverage90_x coverage90_theta").split()
+    print(f"{'':24}" + "".join(f"{name[:12]:>14}" for name in columns))
+    for row, values in figures.items():
+        print(f"{row:24}" + "".join(f"{values[name]:14.3f}" for name in columns))
+
+
+def main() -> None:
+    """Command line entry."""
+    try:
+        tyro.extras.subcommand_cli_from_dict({"train": train, "show": show}, prog="python -m training")
+    except ContractError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""One run of training, read from one TOML file; every value that shapes a network is here and nowhere else."""
+
+import tomllib
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, ValidationError
+
+from service.contract.frames import Contract, ContractError
+
+FRAMES_PER_DECISION = 8
+JITTER = 1
+WINDOW = FRAMES_PER_DECISION + 2 * JITTER
+"""Frames kept for each trial: one more on either side of the decision's eight, for onset jitter."""
+
+
+class DataConfig(Contract):
+    """Which trials are read. ``rendered`` bounds the training trials drawn as images (the costly part)."""
+
+    path: str
+    cache: str = "runs/cache"
+    max_trials: int = Field(default=1_000_000, ge=1)
+    rendered_training: int = Field(default=1200, ge=0)
+    rendered_validation: int = Field(default=400, ge=0)
+    rendered_test: int = Field(default=400, ge=0)
+
+
+class NetworkConfig(Contract):
+    """Sizes of the compact network."""
+
+    kind: Literal["compact", "alexnet_lstm"] = "compact"
+    front_width: int = Field(default=32, ge=4)
+    trunk_width: int = Field(default=24, ge=4)
+    feature_size: int = Field(default=96, ge=8)
+    state_size: int = Field(default=128, ge=8)
+    dropout: float = Field(default=0.1, ge=0, lt=1)
+
+
+class StageConfig(Contract):
+    """One stage of training: AdamW, warm-up and cosine, early stopping after ``patience`` epochs without gain."""
+
+    epochs: int = Field(ge=0)
+    batch: int = Field(default=64, ge=1)
+    learning_rate: float = Field(default=1e-3, gt=0)
+    weight_decay: float = Field(default=1e-2, ge=0)
+    patience: int = Field(default=6, ge=1)
+    max_minutes: float = Field(default=60.0, gt=0)
+
+
+class LossConfig(Contract):
+    """Weights of the losses. ``class_weight_power`` 0 leaves the natural prior, 1 balances the classes fully."""
+
+    class_weight_power: float = Field(default=0.0, ge=0, le=1)
+    magnitude: float = Field(default=0.5, ge=0)
+    field: float = Field(default=0.5, ge=0)
+
+
+class RunConfig(Contract):
+    """A whole run: images to marker motion (front), marker motion to decision (trunk), both together (tune)."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
+    seed: int = 0
+    threads: int = Field(default=1, ge=1)
+    runs: str = "runs"
+    data: DataConfig
+    network: NetworkConfig = NetworkConfig()
+    loss: LossConfig = LossConfig()
+    front: StageConfig
+    trunk: StageConfig
+    tune: StageConfig
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a TOML file; raise ContractError naming the file and the key that is wrong."""
+        try:
+            return cls.model_validate(tomllib.loads(path.read_text()))
+        except OSError as error:
+            raise ContractError(f"cannot read the run config {path}: {error.strerror}") from error
+        except tomllib.TOMLDecodeError as error:
+            raise ContractError(f"{path} is not valid TOML: {error}") from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise ContractError(f"{path}: {where}: {first['msg']}") from error
+
+    @property
+    def folder(self) -> Path:
+        """Where this run writes."""
+        return Path(self.runs) / self.name

@@ -1,0 +1,125 @@
+"""How good the decisions are: accuracy, calibration, errors, each with the size of the sample it rests on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.labels import CLASSES, SIGNS, class_of
+
+Z90 = 1.6448536269514722
+BINS = 15
+NEAR = len(CLASSES) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Predictions:
+    """What a network said of N trials: ``logits`` [N, 9], ``error`` and ``log_sigma`` [N, 2], ``truth`` [N, 2]."""
+
+    logits: NDArray[np.float64]
+    error: NDArray[np.float64]
+    log_sigma: NDArray[np.float64]
+    truth: NDArray[np.float64]
+    objects: NDArray[np.str_]
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Predictions":
+        """The chosen rows."""
+        return Predictions(
+            self.logits[chosen], self.error[chosen], self.log_sigma[chosen], self.truth[chosen], self.objects[chosen]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """Calibration fitted on validation trials; see :class:`service.contract.Calibration`."""
+
+    temperature: float = 1.0
+    sigma_x: float = 1.0
+    sigma_theta: float = 1.0
+
+
+def probabilities(logits: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
+    """Softmax of logits / temperature."""
+    scaled = logits / temperature
+    scaled = scaled - scaled.max(-1, keepdims=True)
+    weights = np.exp(scaled)
+    normalised: NDArray[np.float64] = weights / weights.sum(-1, keepdims=True)
+    return normalised
+
+
+def calibrate(predictions: Predictions) -> Scales:
+    """Temperature of least negative log likelihood; sigma scales whose 90 % interval covers 90 % of the errors."""
+    labels = class_of(predictions.truth.astype(np.float32))
+    grid = np.exp(np.linspace(np.log(0.3), np.log(5.0), 141))
+    losses = [_nll(probabilities(predictions.logits, t), labels) for t in grid]
+    z = np.abs(predictions.error - predictions.truth) / np.exp(predictions.log_sigma)
+    scale = np.maximum(np.quantile(z, 0.9, axis=0) / Z90, 1e-3)
+    return Scales(float(grid[int(np.argmin(losses))]), float(scale[0]), float(scale[1]))
+
+
+def _nll(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
+    return float(-np.log(np.maximum(p[np.arange(len(labels)), labels], 1e-12)).mean())
+
+
+def calibration_curve(
+    p: NDArray[np.float64], labels: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Mean confidence, accuracy and count of the top class in equal bins of confidence (empty bins left out)."""
+    confidence = p.max(1)
+    right = p.argmax(1) == labels
+    index = np.minimum((confidence * BINS).astype(int), BINS - 1)
+    count = np.bincount(index, minlength=BINS)
+    full = count > 0
+    means = np.bincount(index, confidence, BINS)[full] / count[full]
+    return means, np.bincount(index, right, BINS)[full] / count[full], count[full]
+
+
+def expected_calibration_error(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
+    """Mean gap between confidence and accuracy, weighted by the bins' share."""
+    confidence, accuracy, count = calibration_curve(p, labels)
+    return float(np.abs(confidence - accuracy) @ count / count.sum())
+
+
+def confusion(p: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Counts [true class, chosen class]."""
+    table = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
+    np.add.at(table, (labels, p.argmax(1)), 1)
+    return table
+
+
+def figures(predictions: Predictions, scales: Scales) -> dict[str, float]:
+    """Every figure of one sample, by name; accuracies and shares in [0, 1], errors in mm and deg."""
+    labels = class_of(predictions.truth.astype(np.float32))
+    p = probabilities(predictions.logits, scales.temperature)
+    chosen = p.argmax(1)
+    right = chosen == labels
+    outside = labels != NEAR
+    residual = predictions.error - predictions.truth
+    sigma = np.exp(predictions.log_sigma) * np.array([scales.sigma_x, scales.sigma_theta])
+    covered = np.abs(residual) <= Z90 * sigma
+    wrong_side = SIGNS[chosen] * SIGNS[labels] < 0
+    count = len(labels)
+    return {
+        "trials": float(count),
+        "accuracy": float(right.mean()),
+        "accuracy_interval": 1.96 * float(np.sqrt(right.mean() * (1 - right.mean()) / count)),
+        "accuracy_without_near": float(right[outside].mean()) if outside.any() else 0.0,
+        "chance": float(np.bincount(labels).max() / count),
+        "nll": _nll(p, labels),
+        "ece": expected_calibration_error(p, labels),
+        "wrong_side_x": float(wrong_side[:, 0].mean()),
+        "wrong_side_theta": float(wrong_side[:, 1].mean()),
+        "mae_x_mm": float(np.abs(residual[:, 0]).mean()),
+        "mae_theta_deg": float(np.abs(residual[:, 1]).mean()),
+        "rmse_x_mm": float(np.sqrt((residual[:, 0] ** 2).mean())),
+        "rmse_theta_deg": float(np.sqrt((residual[:, 1] ** 2).mean())),
+        "coverage90_x": float(covered[:, 0].mean()),
+        "coverage90_theta": float(covered[:, 1].mean()),
+    }
+
+
+def by_object(predictions: Predictions, scales: Scales) -> dict[str, dict[str, float]]:
+    """Figures of every object, and of ``all``."""
+    names = sorted(set(predictions.objects.tolist()))
+    table = {"all": figures(predictions, scales)}
+    return table | {name: figures(predictions.take(predictions.objects == name), scales) for name in names}

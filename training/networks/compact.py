@@ -1,0 +1,130 @@
+"""The compact image network: frames -> marker motion -> decision, under a million parameters.
+
+``front`` reads each finger's pooled frame against its reference and returns the change of the marker field (du, dv,
+pressure) on the 20 x 21 lattice: one output cell a marker cell, trained against the simulator's true fields.
+``trunk`` reads the fields of both fingers, frame after frame, with a recurrent cell. The split lets the trunk train on
+every trial without drawing a picture; both are tuned together on pictures at the end.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from training.config import NetworkConfig
+from training.networks.preprocessing import BLOCK_MEAN, CHANNELS, IntegerPooling
+
+FIELD_CHANNELS = 3
+MARKER_ROWS, MARKER_COLS = 20, 21
+GREY_SPAN = 32.0
+ERROR_SCALE = 5.0
+"""Heads speak in units of 5 mm and 5 deg, so that their outputs are of order one."""
+LOG_SIGMA_SPAN = 3.0
+
+
+class Front(nn.Module):
+    """Pooled frame and reference [N, 2, 64, 65] (block sums) -> normalised field change [N, 3, 20, 21]."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        # Five blocks of 5 px every three blocks is one marker pitch (15 px): with the first block row left out, the
+        # windows centre on the marker lattice of a rectified frame.
+        self.cells = nn.Conv2d(2 * CHANNELS, width, 5, stride=3)
+        self.context = nn.Conv2d(width, width, 3, padding=1)
+        self.blend = nn.Conv2d(width, width, 3, padding=1)
+        self.field = nn.Conv2d(width, FIELD_CHANNELS, 1)
+
+    def forward(self, frame: Tensor, reference: Tensor) -> Tensor:
+        """Both inputs are block sums; the difference is taken after the exact pooling."""
+        change = (frame - reference) * (BLOCK_MEAN / GREY_SPAN)
+        level = reference * (BLOCK_MEAN / GREY_SPAN) - 128.0 / GREY_SPAN
+        hidden = torch.relu(self.cells(torch.cat([change, level], 1)[:, :, 1:]))
+        hidden = torch.relu(self.context(hidden))
+        hidden = hidden + torch.relu(self.blend(hidden))
+        field: Tensor = self.field(hidden)
+        return field
+
+
+class Trunk(nn.Module):
+    """Normalised field changes of both fingers [B, 2, 3, 20, 21], gap width and state -> next state."""
+
+    def __init__(self, settings: NetworkConfig) -> None:
+        super().__init__()
+        width = settings.trunk_width
+        self.convolutions = nn.Sequential(
+            nn.Conv2d(FIELD_CHANNELS, width, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(width, 2 * width, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Flatten(),
+        )
+        self.project = nn.Linear(2 * width * 5 * 6, settings.feature_size)
+        self.dropout = nn.Dropout(settings.dropout)
+        self.cell = nn.GRUCell(2 * settings.feature_size + 1, settings.state_size)
+
+    def encode(self, fields: Tensor) -> Tensor:
+        """Fields [N, 2, 3, 20, 21] -> features [N, 2 * feature_size], left finger first."""
+        count = fields.shape[0]
+        maps = fields.reshape(count * 2, FIELD_CHANNELS, MARKER_ROWS, MARKER_COLS)
+        features = torch.relu(self.project(self.convolutions(maps)))
+        kept: Tensor = self.dropout(features.reshape(count, -1))
+        return kept
+
+    def advance(self, features: Tensor, gap_width_mm: Tensor, state: Tensor) -> Tensor:
+        """One step of the recurrent cell; ``gap_width_mm`` is [B, 1]."""
+        gap = (gap_width_mm - 56.0) / 10.0
+        following: Tensor = self.cell(torch.cat([features, gap], 1), state)
+        return following
+
+
+class CompactNetwork(nn.Module):
+    """Front, trunk and the two heads. ``field_scale`` [3] turns (mm, mm, N/mm2) into the normalised field."""
+
+    field_scale: Tensor
+    uses_gap_width = True
+
+    def __init__(self, settings: NetworkConfig, classes: int) -> None:
+        super().__init__()
+        self.state_size = settings.state_size
+        self.pooling = IntegerPooling()
+        self.front = Front(settings.front_width)
+        self.trunk = Trunk(settings)
+        self.direction = nn.Linear(settings.state_size, classes)
+        self.magnitude = nn.Linear(settings.state_size, 4)
+        self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
+
+    def features(self, frame: Tensor, reference: Tensor) -> Tensor:
+        """Frames uint8 [B, 2, 320, 327, 3] -> features of the pair."""
+        count, *image = frame.shape[0], *frame.shape[2:]
+        pooled = self.pooling(frame.reshape(count * 2, *image))
+        base = self.pooling(reference.reshape(count * 2, *image))
+        return self.trunk.encode(self.front(pooled, base).reshape(count, 2, FIELD_CHANNELS, MARKER_ROWS, MARKER_COLS))
+
+    def advance(self, features: Tensor, gap_width_mm: Tensor, state: Tensor) -> Tensor:
+        """One recurrent step."""
+        return self.trunk.advance(features, gap_width_mm, state)
+
+    def logits(self, state: Tensor) -> Tensor:
+        """Class logits [B, classes]."""
+        logits: Tensor = self.direction(state)
+        return logits
+
+    def error(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Estimated position error [B, 2] in (mm, deg) and its log sigma [B, 2] (of mm, deg)."""
+        out: Tensor = self.magnitude(state)
+        log_sigma = LOG_SIGMA_SPAN * torch.tanh(out[:, 2:] / LOG_SIGMA_SPAN)
+        return out[:, :2] * ERROR_SCALE, log_sigma + 1.0
+
+    def read_fields(self, fields: Tensor, gap_width_mm: Tensor) -> Tensor:
+        """Decision state after normalised field changes [B, T, 2, 3, 20, 21]."""
+        count, steps = fields.shape[:2]
+        features = self.trunk.encode(fields.flatten(0, 1)).reshape(count, steps, -1)
+        state = torch.zeros(count, self.state_size, device=fields.device)
+        for step in range(steps):
+            state = self.advance(features[:, step], gap_width_mm, state)
+        return state
+
+    def read_pooled(self, pooled: Tensor) -> Tensor:
+        """Pooled frames [B, T, 2, 2, 64, 65] -> normalised field changes [B, T, 2, 3, 20, 21] against the first."""
+        count, steps = pooled.shape[:2]
+        base = pooled[:, :1].expand_as(pooled)
+        field: Tensor = self.front(pooled.flatten(0, 2), base.flatten(0, 2))
+        return field.reshape(count, steps, 2, FIELD_CHANNELS, MARKER_ROWS, MARKER_COLS)

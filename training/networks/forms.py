@@ -1,0 +1,68 @@
+"""The two forms in which every network is exported, from one set of weights.
+
+``SequenceForm`` reads a whole decision at once, ``StepForm`` one frame pair at a time; they are the same arithmetic in
+the same order, so that they agree to rounding. Inputs and outputs are those of :class:`service.contract.ModelCard`.
+"""
+
+from typing import Literal, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from training.config import FRAMES_PER_DECISION
+
+
+class Recurrent(Protocol):
+    """What an exportable network offers; ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3]."""
+
+    state_size: int
+    uses_gap_width: bool
+
+    def features(self, frame: Tensor, reference: Tensor) -> Tensor:
+        """Features of a frame pair against its reference."""
+        ...
+
+    def advance(self, features: Tensor, gap_width_mm: Tensor, state: Tensor) -> Tensor:
+        """One recurrent step."""
+        ...
+
+    def logits(self, state: Tensor) -> Tensor:
+        """Class logits of a state."""
+        ...
+
+    def error(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Position error and log sigma of a state."""
+        ...
+
+
+class _Form(nn.Module):
+    def __init__(self, network: Recurrent, role: Literal["direction", "magnitude"]) -> None:
+        super().__init__()
+        self.network = network
+        self.role = role
+
+    def decide(self, state: Tensor) -> tuple[Tensor, ...]:
+        """Outputs of this role."""
+        return (self.network.logits(state),) if self.role == "direction" else self.network.error(state)
+
+
+class StepForm(_Form):
+    """(frame, reference, state, gap_width_mm) -> (outputs..., next_state)."""
+
+    def forward(self, frame: Tensor, reference: Tensor, state: Tensor, gap_width_mm: Tensor) -> tuple[Tensor, ...]:
+        """One step; ``state`` [B, state_size], zeros at first."""
+        following = self.network.advance(self.network.features(frame, reference), gap_width_mm, state)
+        return (*self.decide(following), following)
+
+
+class SequenceForm(_Form):
+    """(frames, gap_width_mm) -> outputs; ``frames`` uint8 [B, 8, 2, H, W, 3], the first one is the reference."""
+
+    def forward(self, frames: Tensor, gap_width_mm: Tensor) -> tuple[Tensor, ...]:
+        """A whole decision."""
+        state = torch.zeros(frames.shape[0], self.network.state_size)
+        reference = frames[:, 0]
+        for step in range(FRAMES_PER_DECISION):
+            features = self.network.features(frames[:, step], reference)
+            state = self.network.advance(features, gap_width_mm, state)
+        return self.decide(state)

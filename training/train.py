@@ -1,0 +1,229 @@
+"""Training of the compact pair in three stages; the last word is a checkpoint with calibration and honest figures.
+
+1. front: pictures -> true marker field changes (dense supervision, few pictures needed).
+2. trunk: true fields with the front's own error added -> decision (every trial, no picture needed).
+3. tune: pictures -> decision, through both.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from service.contract import ContractError
+from training.batches import Batch, decisions, epoch, frame_pairs
+from training.checkpoint import Checkpoint, git_commit
+from training.config import RunConfig
+from training.dataset import Source, Trials, load_trials
+from training.evaluate import Predictions, by_object, calibrate, figures
+from training.fit import Log, Stage, fit
+from training.labels import CLASSES, class_of
+from training.networks import build
+from training.networks.compact import CompactNetwork
+
+EVALUATION_BATCH = 32
+
+
+@dataclass
+class Trainer:
+    """The objects of one run."""
+
+    config: RunConfig
+    trials: Trials
+    network: CompactNetwork
+    class_weights: Tensor
+    front_error: Tensor
+
+    def decide(self, fields: Tensor, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+        """Logits, error and log sigma from normalised fields."""
+        state = self.network.read_fields(fields, batch.gap_width_mm)
+        return self.network.logits(state), *self.network.error(state)
+
+    def normalised(self, batch: Batch) -> Tensor:
+        """True field changes in the network's units."""
+        return batch.fields * self.network.field_scale[:, None, None]
+
+    def decision_loss(self, fields: Tensor, batch: Batch) -> Tensor:
+        """Cross entropy of the class and Gaussian negative log likelihood of the error."""
+        logits, error, log_sigma = self.decide(fields, batch)
+        direction = functional.cross_entropy(logits, batch.label, self.class_weights)
+        z = (error - batch.error) * torch.exp(-log_sigma)
+        return direction + self.config.loss.magnitude * (0.5 * z.square() + log_sigma).mean()
+
+    def front_loss(self, pair: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """Mean square error of the field change, in normalised units."""
+        frame, reference, change = pair
+        return functional.mse_loss(self.network.front(frame, reference), self._scaled(change))
+
+    def trunk_loss(self, batch: Batch) -> Tensor:
+        """Decision loss on true fields with the front's error added."""
+        return self.decision_loss(self.disturbed(self.normalised(batch)), batch)
+
+    def tune_loss(self, batch: Batch) -> Tensor:
+        """Decision loss on pictures, with the field still held to the truth."""
+        assert batch.pooled is not None
+        fields = self.network.read_pooled(batch.pooled)
+        held = functional.mse_loss(fields, self.normalised(batch))
+        return self.decision_loss(fields, batch) + self.config.loss.field * held
+
+    def disturbed(self, fields: Tensor) -> Tensor:
+        """Fields as the front would have read them: white and smooth error of its measured size."""
+        white = torch.randn_like(fields)
+        smooth = torch.randn(*fields.shape[:-2], 1, 1)
+        strength = torch.rand(fields.shape[0], 1, 1, 1, 1, 1) * 1.5
+        spread = self.front_error[:, :, None, None]
+        return fields + strength * (white * spread[0] + smooth * spread[1])
+
+    def _scaled(self, change: Tensor) -> Tensor:
+        return change * self.network.field_scale[:, None, None]
+
+    def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
+        """What the network says of trials, unaugmented; from pictures or from true fields."""
+        said: list[list[NDArray[np.float64]]] = [[], [], []]
+        self.network.eval()
+        with torch.inference_mode():
+            for start in range(0, len(chosen), EVALUATION_BATCH):
+                batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
+                fields = self.normalised(batch) if batch.pooled is None else self.network.read_pooled(batch.pooled)
+                for rows, value in zip(said, self.decide(fields, batch), strict=True):
+                    rows.append(value.double().numpy())
+        logits, error, log_sigma = (np.concatenate(rows) for rows in said)
+        truth = self.trials.error[chosen].astype(np.float64)
+        return Predictions(logits, error, log_sigma, truth, self.trials.objects[chosen])
+
+    def score(self, chosen: NDArray[np.int64], *, pictures: bool) -> dict[str, float]:
+        """Validation scalars; ``score`` is the loss without class weights."""
+        predictions = self.predict(chosen, pictures=pictures)
+        table = figures(predictions, calibrate(predictions))
+        z = (predictions.error - predictions.truth) * np.exp(-predictions.log_sigma)
+        likelihood = float((0.5 * z**2 + predictions.log_sigma).mean())
+        kept = {name: table[name] for name in ("accuracy", "nll", "rmse_x_mm", "rmse_theta_deg")}
+        return {"score": table["nll"] + self.config.loss.magnitude * likelihood, **kept}
+
+    def front_score(self, chosen: NDArray[np.int64]) -> dict[str, float]:
+        """Front's mean square error on validation pictures; also keeps the size of its error for the trunk."""
+        rng = np.random.default_rng(0)
+        residuals = [
+            self.network.front(frame, reference) - self._scaled(change)
+            for frame, reference, change in frame_pairs(self.trials, chosen, 256, rng)
+        ]
+        residual = torch.cat(residuals)
+        smooth = residual.mean((2, 3))
+        self.front_error = torch.stack([(residual - smooth[:, :, None, None]).std((0, 2, 3)), smooth.std(0)])
+        errors = self.front_error[0] / self.network.field_scale
+        du_um, dv_um = (1e3 * float(error) for error in errors[:2])
+        return {"score": float(residual.square().mean()), "du_um": du_um, "dv_um": dv_um}
+
+
+def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
+    """Run all stages, resuming where a killed run stopped, and save ``<runs>/<name>/checkpoint.pt``."""
+    torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
+    folder = config.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    _pin(folder, config)
+    trainer = _prepare(config, load_trials(config.data, config.seed, source))
+    log = Log(folder)
+    try:
+        for stage in _stages(trainer):
+            if stage.config.epochs:
+                print(stage.name, {name: round(value, 4) for name, value in _run(trainer, stage, folder, log).items()})
+    finally:
+        log.close()
+    return _finish(trainer, folder)
+
+
+def _pin(folder: Path, config: RunConfig) -> None:
+    """Refuse to resume a run whose config changed; a run's folder belongs to one config."""
+    path, text = folder / "config.json", config.model_dump_json(indent=1)
+    if path.exists() and path.read_text() != text:
+        raise ContractError(f"{folder} belongs to a run with another config; expected a new name or an empty folder")
+    path.write_text(text)
+
+
+def _prepare(config: RunConfig, trials: Trials) -> Trainer:
+    for split in ("train", "validation"):
+        if not len(trials.of(split)):
+            raise ContractError(f"the dataset has no collisions in its {split} split")
+    network = build(config.network, len(CLASSES))
+    chosen = trials.of("train")[:: max(1, len(trials.of("train")) // 500)]
+    fields = decisions(trials, chosen, None, pictures=False).fields
+    network.field_scale.copy_(1.0 / fields.std((0, 1, 2, 4, 5)).clamp_min(1e-4))
+    counts = np.bincount(class_of(trials.error[trials.of("train")]), minlength=len(CLASSES)).clip(1)
+    weights = (counts.sum() / counts) ** config.loss.class_weight_power
+    weights = weights / (weights * counts).sum() * counts.sum()
+    return Trainer(config, trials, network, torch.tensor(weights, dtype=torch.float32), torch.full((2, 3), 0.1))
+
+
+def _stages(trainer: Trainer) -> list[Stage]:
+    config, trials, network = trainer.config, trainer.trials, trainer.network
+    everything, drawn = trials.of("train"), trials.of("train", rendered=True)
+    held, held_drawn = trials.of("validation"), trials.of("validation", rendered=True)
+    decision = [*network.trunk.parameters(), *network.direction.parameters(), *network.magnitude.parameters()]
+
+    def stage(name: str, parameters: list[nn.Parameter], **rest: object) -> Stage:
+        return Stage(name, getattr(config, name), parameters, **rest)  # type: ignore[arg-type]
+
+    return [
+        stage(
+            "front",
+            list(network.front.parameters()),
+            batches=lambda rng: frame_pairs(trials, drawn, config.front.batch, rng),
+            batches_per_epoch=-(-len(drawn) // max(1, config.front.batch // 8)),
+            loss=trainer.front_loss,
+            validate=lambda: trainer.front_score(held_drawn),
+        ),
+        stage(
+            "trunk",
+            decision,
+            batches=lambda rng: epoch(trials, everything, config.trunk.batch, rng, pictures=False),
+            batches_per_epoch=-(-len(everything) // config.trunk.batch),
+            loss=trainer.trunk_loss,
+            validate=lambda: trainer.score(held, pictures=False),
+        ),
+        stage(
+            "tune",
+            list(network.parameters()),
+            batches=lambda rng: epoch(trials, drawn, config.tune.batch, rng, pictures=True),
+            batches_per_epoch=-(-len(drawn) // config.tune.batch),
+            loss=trainer.tune_loss,
+            validate=lambda: trainer.score(held_drawn, pictures=True),
+        ),
+    ]
+
+
+def _run(trainer: Trainer, stage: Stage, folder: Path, log: Log) -> dict[str, float]:
+    for split in ("train", "validation"):
+        if stage.name != "trunk" and not len(trainer.trials.of(split, rendered=True)):
+            raise ContractError(f"stage {stage.name} needs rendered {split} trials; see data.rendered_*")
+    return fit(trainer.network, stage, folder, trainer.config.seed, log)
+
+
+def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
+    """Calibrate on validation, score every split on pictures where there are any, save."""
+    trials = trainer.trials
+    pictures = len(trials.of("validation", rendered=True)) > 0
+    scales = calibrate(trainer.predict(trials.of("validation", rendered=pictures), pictures=pictures))
+    tables: dict[str, dict[str, float]] = {}
+    for split in ("train", "validation", "test"):
+        chosen = trials.of(split, rendered=pictures)[:2000]
+        if len(chosen):
+            for name, row in by_object(trainer.predict(chosen, pictures=pictures), scales).items():
+                tables[f"{split}/{name}"] = row
+    checkpoint = Checkpoint(
+        name=trainer.config.name,
+        network=trainer.config.network,
+        weights={name: value.detach().clone() for name, value in trainer.network.state_dict().items()},
+        scales=scales,
+        figures=tables,
+        training_data_sha256=trials.sha256,
+        git_commit=git_commit(),
+    )
+    checkpoint.save(folder / "checkpoint.pt")
+    (folder / "figures.json").write_text(json.dumps(tables, indent=1))
+    return checkpoint
