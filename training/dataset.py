@@ -5,7 +5,6 @@ The only module that touches the simulator, and only its dataset reader.
 
 import hashlib
 import json
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -79,12 +78,17 @@ def open_source(path: str) -> Source:
 
 def data_sha256(source: Source) -> str:
     """Hash of the dataset's manifest, which names every shard and its own hash."""
-    manifest = source.manifest
-    plain = manifest.model_dump(mode="json") if hasattr(manifest, "model_dump") else manifest
-    return hashlib.sha256(json.dumps(plain, sort_keys=True, default=str).encode()).hexdigest()
+    digest: str = source.manifest.sha256()
+    return digest
 
 
-def load_trials(config: DataConfig, seed: int, source: Source | None = None) -> Trials:
+def _key(trial: Any) -> str:
+    """What makes a trial's pictures what they are, hashed."""
+    stated = (trial.scene_sha256, trial.seed, trial.group, trial.poke, trial.onset_frame, trial.x_mm, trial.theta_deg)
+    return hashlib.sha256(json.dumps(stated).encode() + trial.gel.tobytes()).hexdigest()[:24]
+
+
+def load_trials(config: DataConfig, source: Source | None = None) -> Trials:
     """Read labels and fields, and draw the pictures asked for, from the cache where it already holds them.
 
     Raises ContractError on non-finite labels, on trials without their window, and on groups spread over splits.
@@ -94,7 +98,7 @@ def load_trials(config: DataConfig, seed: int, source: Source | None = None) -> 
     folder = Path(config.cache) / digest[:16]
     folder.mkdir(parents=True, exist_ok=True)
     table = _load_table(source, folder, min(len(source), config.max_trials))
-    picture, pooled = _load_pictures(source, folder, table, config, seed)
+    picture, pooled = _load_pictures(source, table, config)
     return Trials(
         error=table["error"],
         gap_width_mm=table["gap"],
@@ -125,20 +129,23 @@ def _load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[A
     if path.exists():
         with np.load(path) as stored:
             return {name: stored[name] for name in stored.files}
-    rows: dict[str, list[Any]] = {name: [] for name in ("index", "start", "error", "gap", "split", "objects", "groups")}
+    rows: dict[str, list[Any]] = {
+        name: [] for name in ("key", "index", "start", "error", "gap", "split", "objects", "groups")
+    }
     fields = []
     for index in track(range(count), description="reading trials", transient=True):
         trial = source.trial(index)
         if trial.outcome != "blocked" or trial.onset_frame is None or trial.onset_frame < 0:
             continue
         start = _window_start(trial, index)
+        rows["key"].append(_key(trial))
         rows["index"].append(index)
         rows["start"].append(start)
         rows["error"].append((trial.x_mm, trial.theta_deg))
         rows["gap"].append(trial.gap_width_mm)
         rows["split"].append(SPLITS.index(trial.split))
         rows["objects"].append(trial.object_name)
-        rows["groups"].append(str(trial.group))
+        rows["groups"].append(f"{trial.object_name}/{trial.group}")
         fields.append(np.asarray(trial.gel[start : start + WINDOW], np.float16))
     if not fields:
         raise ContractError(f"none of the {count} trials is a collision; expected outcome 'blocked' with an onset")
@@ -172,33 +179,28 @@ def _write(path: Path, table: dict[str, NDArray[Any]]) -> None:
 
 
 def _load_pictures(
-    source: Source, folder: Path, table: dict[str, NDArray[Any]], config: DataConfig, seed: int
+    source: Source, table: dict[str, NDArray[Any]], config: DataConfig
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
-    """Pooled pictures of a seeded choice of trials; drawing goes on where an interrupted run stopped."""
-    wanted = _choose(table["split"], config, seed)
-    name = f"pooled-{_FORMAT}-{len(table['split'])}-{seed}-{hashlib.sha256(wanted.tobytes()).hexdigest()[:8]}"
-    shape = (len(wanted), WINDOW, 2, CHANNELS, ROWS, COLS)
-    path, marker = folder / f"{name}.npy", folder / f"{name}.done"
-    done = int(marker.read_text()) if marker.exists() else 0
-    mode = "r+" if path.exists() and done else "w+"
-    pooled = np.lib.format.open_memmap(path, mode=mode, dtype=np.uint16, shape=shape if mode == "w+" else None)
-    todo: Iterable[int] = range(done, len(wanted))
-    for row in track(todo, description="drawing pictures", disable=done == len(wanted), transient=True):
-        trial = wanted[row]
-        pooled[row] = pool_frames(source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW))
-        if row % 50 == 49 or row + 1 == len(wanted):
-            pooled.flush()
-            marker.write_text(str(row + 1))
+    """Pooled pictures of a fixed choice of trials, one file a trial: a kill or a growing dataset costs none of them."""
+    wanted = _choose(table, config)
+    folder = Path(config.cache) / f"pooled-{_FORMAT}"
+    folder.mkdir(parents=True, exist_ok=True)
+    pooled = np.empty((len(wanted), WINDOW, 2, CHANNELS, ROWS, COLS), np.uint16)
+    for row, trial in enumerate(track(wanted, description="drawing pictures", disable=not len(wanted), transient=True)):
+        path = folder / f"{table['key'][trial]}.npy"
+        if not path.exists():
+            drawn = pool_frames(source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW))
+            temporary = path.with_suffix(".tmp.npy")
+            np.save(temporary, drawn)
+            temporary.replace(path)
+        pooled[row] = np.load(path)
     picture = np.full(len(table["split"]), -1, np.int64)
     picture[wanted] = np.arange(len(wanted))
     return picture, pooled
 
 
-def _choose(split: NDArray[np.int64], config: DataConfig, seed: int) -> NDArray[np.int64]:
-    rng = np.random.default_rng(seed)
+def _choose(table: dict[str, NDArray[Any]], config: DataConfig) -> NDArray[np.int64]:
+    """The first trials of each split in the order of their keys: a random choice that a growing dataset keeps."""
     counts = (config.rendered_training, config.rendered_validation, config.rendered_test)
-    chosen = []
-    for code, count in enumerate(counts):
-        members = rng.permutation(np.flatnonzero(split == code))
-        chosen.append(members[:count])
-    return np.concatenate(chosen)
+    order = np.argsort(table["key"])
+    return np.concatenate([order[table["split"][order] == code][:count] for code, count in enumerate(counts)])

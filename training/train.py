@@ -127,7 +127,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
     folder = config.folder
     folder.mkdir(parents=True, exist_ok=True)
     _pin(folder, config)
-    trainer = _prepare(config, load_trials(config.data, config.seed, source))
+    trainer = _prepare(config, load_trials(config.data, source))
     log = Log(folder)
     try:
         for stage in _stages(trainer):

@@ -1,7 +1,7 @@
 """A tiny stand-in for a collected dataset: real pictures of moving dots whose motion follows the error."""
 
+import hashlib
 from dataclasses import dataclass, field
-from typing import Any
 
 import cv2
 import numpy as np
@@ -36,6 +36,8 @@ class SyntheticTrial:
     stop_frame: int = 20
     outcome: str = "blocked"
     seed: int = 0
+    poke: int = 0
+    scene_sha256: str = "0"
 
 
 def _gel(x_mm, theta_deg, onset, rng):
@@ -51,16 +53,24 @@ def _gel(x_mm, theta_deg, onset, rng):
 
 
 @dataclass
+class SyntheticManifest:
+    name: str = ""
+
+    def sha256(self):
+        return hashlib.sha256(self.name.encode()).hexdigest()
+
+
+@dataclass
 class SyntheticSource:
     """Same interface as ``simulation.dataset.Dataset``."""
 
     count: int = 60
     seed: int = 0
-    manifest: dict[str, Any] = field(default_factory=lambda: {"schema": "synthetic"})
+    manifest: SyntheticManifest = field(default_factory=SyntheticManifest)
 
     def __post_init__(self):
         rng = np.random.default_rng(self.seed)
-        self.manifest["count"], self.manifest["seed"] = self.count, self.seed
+        self.manifest.name = f"{self.count}-{self.seed}"
         self.trials = []
         for index in range(self.count):
             x_mm, theta_deg = rng.uniform(-15, 15, 2)

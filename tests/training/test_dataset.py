@@ -21,21 +21,21 @@ def small():
 def trials(small, tmp_path_factory):
     cache = str(tmp_path_factory.mktemp("cache"))
     return load_trials(
-        DataConfig(path="unused", cache=cache, rendered_training=4, rendered_validation=3, rendered_test=1), 0, small
+        DataConfig(path="unused", cache=cache, rendered_training=4, rendered_validation=3, rendered_test=1), small
     )
 
 
 def test_the_cache_returns_what_was_read(config, small):
-    first = load_trials(config.data, 0, small)
+    first = load_trials(config.data, small)
     small.frames = None  # a second load must not draw again
-    again = load_trials(config.data, 0, small)
+    again = load_trials(config.data, small)
     del small.frames
     for name in ("error", "fields", "picture", "pooled"):
         assert np.array_equal(getattr(first, name), getattr(again, name))
 
 
 def test_an_interrupted_drawing_goes_on_where_it_stopped(config, small, monkeypatch):
-    whole = load_trials(config.data, 0, small).pooled.copy()
+    whole = load_trials(config.data, small).pooled.copy()
     calls = []
     other = config.data.model_copy(update={"cache": config.data.cache + "-2"})
 
@@ -47,9 +47,9 @@ def test_an_interrupted_drawing_goes_on_where_it_stopped(config, small, monkeypa
 
     monkeypatch.setattr(small, "frames", dies)
     with pytest.raises(KeyboardInterrupt):
-        load_trials(other, 0, small)
+        load_trials(other, small)
     monkeypatch.undo()
-    assert np.array_equal(load_trials(other, 0, small).pooled, whole)
+    assert np.array_equal(load_trials(other, small).pooled, whole)
 
 
 def test_pictures_belong_to_their_trials(trials, small):
@@ -67,15 +67,15 @@ def test_no_group_is_shared_between_splits(trials):
 def test_a_group_in_two_splits_is_refused(config):
     source = SyntheticSource(10)
     source.trials[1] = replace(source.trials[1], split="test")
-    with pytest.raises(ContractError, match="re-fixture group 0"):
-        load_trials(config.data, 0, source)
+    with pytest.raises(ContractError, match="re-fixture group rectangle/0"):
+        load_trials(config.data, source)
 
 
 def test_nan_labels_are_named_and_refused(config):
     source = SyntheticSource(10)
     source.trials[7] = replace(source.trials[7], theta_deg=float("nan"))
     with pytest.raises(ContractError, match="trial 7: error is not finite"):
-        load_trials(config.data, 0, source)
+        load_trials(config.data, source)
 
 
 def test_a_decision_starts_at_the_onset_and_is_relative_to_it(trials):
