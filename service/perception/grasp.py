@@ -1,0 +1,65 @@
+"""A finger watched without a robot's word: when the grasp has settled, the reference is taken by itself.
+
+In an insertion the robot client says when to arm. A clip says nothing: grasping, holding, slipping and letting go
+follow each other, and it may begin in the middle. The watch arms once the markers have been at rest for a while, and
+again after a slip, a release or a loss of sight, once they rest again.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.perception.field import MarkerField
+from service.perception.slip import SlipDetector, SlipSettings, SlipState, carried_px
+
+
+@dataclass(frozen=True, slots=True)
+class GraspSettings:
+    """At rest means: nowhere carried further than ``rest_pitch`` within ``settle_s``."""
+
+    rest_pitch: float = 0.04
+    settle_s: float = 0.4
+
+
+class GraspWatch:
+    """Turns the fields of one finger into states, arming the slip detector whenever the grasp has settled."""
+
+    def __init__(self, slip: SlipSettings | None = None, settings: GraspSettings | None = None) -> None:
+        self.detector = SlipDetector(slip)
+        self.settings = settings or GraspSettings()
+        self._anchor: MarkerField | None = None
+        self._free = False
+
+    def update(self, field: MarkerField) -> SlipState:
+        """Judge one field; until the grasp has settled the state is "grasping"."""
+        settled = self._settled(field)
+        if not self.detector.armed or self._free:
+            if settled:
+                self._free = False
+                return self.detector.rearm(field)
+            waiting = self.detector.update(field) if not self.detector.armed else self._grasping(field)
+            return replace(waiting, state="grasping") if field.usable else waiting
+        state = self.detector.update(field)
+        if state.state in {"incipient_slip", "gross_slip", "release", "lost", "unknown"}:
+            self._free = True
+            self._anchor = None
+        return state
+
+    def _grasping(self, field: MarkerField) -> SlipState:
+        state = self.detector.update(field)
+        return replace(state, score=0.0, over_limit=False, reason="waiting for the grasp to settle")
+
+    def _settled(self, field: MarkerField) -> bool:
+        if not field.usable:
+            self._anchor = None if field.status == "lost" else self._anchor
+            return False
+        anchor = self._anchor
+        if anchor is None or anchor.valid.shape != field.valid.shape or self._moved(anchor, field):
+            self._anchor = field
+            return False
+        return (field.captured_ns - anchor.captured_ns) * 1e-9 >= self.settings.settle_s
+
+    def _moved(self, anchor: MarkerField, field: MarkerField) -> bool:
+        may = field.valid & anchor.valid
+        step = np.asarray(field.displacement_px - anchor.displacement_px, np.float64)
+        return carried_px(step, may) > self.settings.rest_pitch * field.pitch_px
