@@ -1,0 +1,41 @@
+"""`python -m simulation COMMAND`: a table of commands, each imported only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "explain": ("simulation.cli.explain:main", "which effects a scene calls for, why, and what each costs"),
+    "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),
+    "accuracy": ("simulation.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
+}
+
+
+def usage() -> str:
+    """One line a command."""
+    lines = ["usage: python -m simulation COMMAND [--help]", ""]
+    return "\n".join(lines + [f"  {name:<10} {text}" for name, (_, text) in COMMANDS.items()])
+
+
+def main(arguments: list[str]) -> int:
+    """Run one command. Exit status 2 with one line when the input was wrong."""
+    if not arguments or arguments[0] in {"-h", "--help"}:
+        print(usage())
+        return 0
+    name, rest = arguments[0], arguments[1:]
+    if name not in COMMANDS:
+        print(f"no command {name!r}: expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+        return 2
+    module, function = COMMANDS[name][0].split(":")
+    run: Callable[[list[str]], int] = getattr(importlib.import_module(module), function)
+    try:
+        return run(rest)
+    except (ValueError, OSError) as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

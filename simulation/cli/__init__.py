@@ -1,0 +1,1 @@
+"""Command line of the simulator, one module a command."""

@@ -1,0 +1,279 @@
+"""The simulated bench: a hand that holds the object above the gap, moved by poses, with all its memory.
+
+Frames and signs are the work-object frame's; angles at the interface in deg.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation import contact, gel, mechanics
+from simulation.effects import Active, active_effects
+from simulation.linear import apply, mat, rotation
+from simulation.readout import Readout
+from simulation.scene import Scene
+
+Array = NDArray[np.float64]
+
+GRAVITY_N_PER_KG = 9.81
+APPROACH_MM = 5.0
+TANGENTIAL_RATIO = 0.5  # block contact: tangential over normal stiffness
+BASE_K = 2000.0  # a block's base corner on the table, N/mm
+LOST_MM, LOST_GRIP = 12.0, 0.1
+MAX_HALVINGS = 6
+
+
+class PhysicsError(RuntimeError):
+    """The equilibrium could not be found; the text says where. The cell's state is the last one that was found."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellState:
+    """One moment.
+
+    Gel: float32 [2, 20, 21, 3] = du mm, dv mm (finger frame), pressure N/mm2, at marker rest positions.
+    """
+
+    gel: NDArray[np.float32]
+    slipping_share: Array
+    wrench_n_nmm: Array
+    in_hand: Array
+    object_error: tuple[float, float]
+    bottom_z_mm: float
+    block_motion: Array
+    in_contact: bool
+    inserted: bool
+    grasp_lost: bool
+    residual_n: float
+
+
+class Cell:
+    """A scene with its state.
+
+    `regrasp` puts the object back into the hand, `move_to` moves the hand quasi-statically.
+    """
+
+    def __init__(self, scene: Scene, seed: int = 0) -> None:
+        self.scene = scene
+        self.rng = np.random.default_rng(seed)
+        self.active: Active = active_effects(scene)
+        self.foot = scene.object.footprint_mm
+        self.readout = Readout(scene, coupled=self.active.gel_coupling)
+        pitch = scene.marker_pitch_mm
+        self.pads = gel.make_pads(
+            scene.object.held_profile,
+            scene.gel.node_rows,
+            scene.gel.node_columns,
+            scene.camera.marker_rows * pitch,
+            scene.camera.marker_columns * pitch,
+            scene.gel.crown_mm,
+            scene.gel.shear_modulus_n_per_mm2 / scene.gel.thickness_mm,
+            scene.gel.normal_ratio,
+            scene.gel.friction,
+        )
+        self.body = self._body()
+        self.rows = contact.make_rows(self.foot.shape[0], 18 if self.active.free_blocks else 6)
+        self.pose = np.zeros(4)
+        self.newton_iterations = 0
+        self.load_steps = 0
+        self.reset_blocks()
+        self.regrasp(0.0, 0.0)
+
+    def _body(self) -> mechanics.Body:
+        body, blocks = self.scene.object, self.scene.blocks
+        weight = body.mass_kg * GRAVITY_N_PER_KG if self.active.gravity else 0.0
+        return mechanics.Body(
+            foot=self.foot,
+            bottom=-self.scene.grasp.height_mm,
+            weight=weight,
+            mass_height=body.centre_of_mass_height_mm - self.scene.grasp.height_mm,
+            contact_k=blocks.stiffness_n_per_mm,
+            contact_kt=TANGENTIAL_RATIO * blocks.stiffness_n_per_mm,
+            friction=blocks.friction if self.active.edge_friction else 0.0,
+            free=int(self.active.free_blocks),
+            block_size=np.array([blocks.size_x_mm, blocks.size_y_mm, blocks.height_mm]),
+            block_weight=blocks.mass_kg * GRAVITY_N_PER_KG,
+            base_k=BASE_K,
+            table_friction=blocks.table_friction,
+        )
+
+    def reset_blocks(self) -> None:
+        """Put both blocks back where the scene has them."""
+        half = 0.5 * self.scene.blocks.gap_mm
+        sink = self.body.block_weight / (4.0 * BASE_K) if self.active.free_blocks else 0.0
+        self.block_turn = np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])])
+        self.block = np.array([[half, 0.0, -sink], [-half, 0.0, -sink]])
+
+    def regrasp(self, x_mm: float, theta_deg: float) -> CellState:
+        """Fixture: object centred in hand up to the pre-tilt spread, error (x_mm, theta_deg), approach height."""
+        nodes, slots = self.pads.node.shape[0], 2 * (2 + 2 * self.foot.shape[0]) + 8
+        spread = self.scene.grasp
+        tilt = np.radians(self.rng.normal(0.0, 1.0, 2) * (spread.pre_tilt_spread_deg, spread.pre_yaw_spread_deg))
+        force = np.zeros(slots)
+        if self.active.free_blocks:
+            force[-8:] = 0.25 * self.body.block_weight
+        self.state = mechanics.State(
+            turn=rotation(np.array([0.0, tilt[0], tilt[1]])),
+            place=np.zeros(3),
+            stretch=np.zeros((nodes, 2)),
+            slipped=np.zeros(nodes, dtype=np.int64),
+            pressure=np.zeros(nodes),
+            slide=np.zeros((slots, 2)),
+            force=force,
+            mode=np.zeros(2, dtype=np.int64),
+            block_turn=self.block_turn,
+            block=self.block,
+            wrench=np.zeros(6),
+            report=np.zeros(5),
+        )
+        self.grasp_lost = False
+        self.pose = np.array([0.0, 0.0, self.scene.grasp.height_mm + 10.0 * APPROACH_MM, 0.0])
+        self._close()
+        self._advance(self.pose)
+        # place the hand so that the object's error is the one asked for, and its lowest point at approach height
+        theta = self._object_error()[1]
+        self.pose[3] += math.radians(theta_deg - theta)
+        self.pose[0] += x_mm - self._object_error()[0]
+        self.pose[2] += APPROACH_MM - (self.pose[2] - self.scene.grasp.height_mm)
+        return self.look()
+
+    def _close(self) -> None:
+        """Close the fingers to the grip force: bisection on the opening, the object held still."""
+        crest = 2.0 * float(self.pads.profile[0])
+        wide, tight = crest + 8.0, crest - 1.9 * self.scene.gel.thickness_mm
+        fresh = np.empty_like(self.state.pressure)
+
+        def grip(opening: float) -> float:
+            gel.pressures(self.pads, opening, self.state.turn, self.state.place, fresh)
+            return 0.5 * float(fresh.sum()) * self.pads.area_mm2
+
+        if grip(tight) < self.scene.grasp.force_n:
+            raise PhysicsError(
+                f"grasp.force_n: {self.scene.grasp.force_n} N squeezes the gel through; it bears {grip(tight):.1f} N"
+            )
+        for _ in range(60):
+            middle = 0.5 * (wide + tight)
+            wide, tight = (wide, middle) if grip(middle) > self.scene.grasp.force_n else (middle, tight)
+        self.opening = tight
+        grip(self.opening)
+        self.state.pressure[:] = fresh
+
+    def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
+        """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium was found."""
+        target = np.array([x_mm, y_mm, z_mm, math.radians(yaw_deg)])
+        if not np.all(np.isfinite(target)):
+            raise ValueError(f"move_to: expected finite numbers, got {target.tolist()}")
+        if self.grasp_lost:
+            self.pose = target
+            return self.look()
+        self.state.slipped[:] = 0
+        start, reach = self.pose.copy(), self._free_share(target)
+        if reach > 0.0:
+            self.pose = start + reach * (target - start)
+        rest = target - self.pose
+        length = max(float(np.max(np.abs(rest[:3]))), 40.0 * abs(float(rest[3])))
+        if reach < 1.0 and length > 0.0:
+            begin, count = self.pose.copy(), max(1, math.ceil(length / self.scene.numerics.load_step_mm - 1e-9))
+            for i in range(count):
+                self._advance(begin + rest * ((i + 1) / count))
+                if self.lost():
+                    break
+        self.pose = target
+        return self.look()
+
+    def _free_share(self, target: Array) -> float:
+        """Share of a move in which nothing touches, so that the held object just rides along."""
+        if np.any(self.state.force[:-8] > 0.0):
+            return 0.0
+        now, then = self._lowest(self.pose), self._lowest(target)
+        if now > 1e-3 and then > 1e-3:
+            return 1.0
+        vertical = np.array_equal(self.pose[[0, 1, 3]], target[[0, 1, 3]])
+        return max(0.0, (now - 0.01) / (now - then)) if vertical and now > then and now > 0.01 else 0.0
+
+    def _lowest(self, pose: Array) -> float:
+        bottom = np.column_stack([self.foot, np.full(len(self.foot), self.body.bottom)])
+        heights = bottom @ self.state.turn[2] + self.state.place[2] + pose[2]
+        return float(heights.min() - max(0.0, float(self.block[:, 2].max())))
+
+    def _advance(self, target: Array, depth: int = 0) -> None:
+        status = mechanics.advance(
+            self.pads, self.body, self.opening, self.state, self.rows, self.pose, target, self.scene.numerics.residual_n
+        )
+        self.load_steps += 1
+        self.newton_iterations += int(self.state.report[1])
+        if status == mechanics.STALLED and depth < MAX_HALVINGS:
+            middle = 0.5 * (self.pose + target)
+            self._advance(middle, depth + 1)
+            self._advance(target, depth + 1)
+            return
+        if status == mechanics.STALLED:
+            raise PhysicsError(
+                f"scene {self.scene.name!r}: no equilibrium within {self.scene.numerics.residual_n} N at TCP "
+                f"{np.round(target[:3], 3).tolist()} mm (residual {self.state.report[0]:.2e} N)"
+            )
+        self.pose = target
+        grips = self._grips()
+        if (
+            status == mechanics.LOST
+            or np.abs(self.state.place).max() > LOST_MM
+            or grips.min() < LOST_GRIP * grips.max()
+        ):
+            self.grasp_lost = True
+
+    def lost(self) -> bool:
+        """Whether the object has left the grasp."""
+        return self.grasp_lost
+
+    def _grips(self) -> Array:
+        return np.asarray(self.state.pressure.reshape(2, -1).sum(axis=1) * self.pads.area_mm2)
+
+    def _world(self) -> tuple[Array, Array]:
+        hand = rotation(np.array([0.0, 0.0, self.pose[3]]))
+        return mat(hand, self.state.turn), apply(hand, self.state.place) + self.pose[:3]
+
+    def _object_error(self) -> tuple[float, float]:
+        turn, place = self._world()
+        bottom = place + turn[:, 2] * self.body.bottom
+        return float(bottom[0]), math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+
+    def look(self) -> CellState:
+        """The state now, without moving."""
+        turn, place = self._world()
+        bottom = float(np.min(self.foot @ turn[2, :2]) + turn[2, 2] * self.body.bottom + place[2])
+        touching = (self.state.pressure > 0.0).reshape(2, -1).sum(axis=1)
+        slipped = self.state.slipped.reshape(2, -1).sum(axis=1)
+        return CellState(
+            gel=self.readout(self.state.stretch, self.state.pressure),
+            slipping_share=slipped / np.maximum(touching, 1),
+            wrench_n_nmm=self.state.wrench.copy(),
+            in_hand=np.concatenate([self.state.place, _rotation_vector(self.state.turn)]),
+            object_error=self._object_error(),
+            bottom_z_mm=bottom,
+            block_motion=self._block_motion(),
+            in_contact=bool(np.any(self.state.force[:-8] > 0.0)),
+            inserted=bool(bottom < -15.0) and not self.grasp_lost,
+            grasp_lost=self.grasp_lost,
+            residual_n=float(self.state.report[0]),
+        )
+
+    def _block_motion(self) -> Array:
+        half = 0.5 * self.scene.blocks.gap_mm
+        out = np.zeros((2, 4))
+        for b, sign in enumerate((1.0, -1.0)):
+            turn = self.block_turn[b] * np.array([sign, sign, 1.0])
+            out[b, :2] = self.block[b, :2] - (sign * half, 0.0)
+            out[b, 2] = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+            out[b, 3] = math.degrees(math.atan2(math.hypot(turn[2, 0], turn[2, 1]), turn[2, 2]))
+        return out
+
+
+def _rotation_vector(turn: Array) -> Array:
+    """Rotation vector [3] in rad of a rotation matrix with a small angle (under 90 deg)."""
+    axis = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    sine = float(np.linalg.norm(axis))
+    return np.asarray(axis * (math.asin(min(1.0, sine)) / sine if sine > 1e-12 else 1.0))

@@ -1,0 +1,40 @@
+"""Scenes refuse what cannot be, naming the key."""
+
+import numpy as np
+import pytest
+
+from simulation.scene import BUILT_IN, SceneError, load_scene
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_built_in_scene_loads(name: str) -> None:
+    assert load_scene(name).clearance_mm == pytest.approx(2.25, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("override", "named"),
+    [
+        ({"gel__thicknes_mm": 1.0}, "gel.thicknes_mm: unknown key"),
+        ({"gel__shear_modulus_n_per_mm2": -0.1}, "greater than or equal to 0.005"),
+        ({"blocks__gap_mm": 50.0}, "blocks.gap_mm"),
+        ({"blocks__stiffness_n_per_mm": -5.0}, "blocks.stiffness_n_per_mm"),
+        ({"gel__friction": float("nan")}, "gel.friction"),
+        ({"object__corner_radius_mm": 40.0}, "object.corner_radius_mm"),
+    ],
+)
+def test_an_impossible_scene_is_refused_by_name(override: dict[str, float], named: str) -> None:
+    with pytest.raises(SceneError, match=named.replace(".", r"\.")):
+        load_scene("rectangle", **override)
+
+
+def test_an_unknown_name_gets_the_nearest_one() -> None:
+    with pytest.raises(SceneError, match="did you mean 'rectangle'"):
+        load_scene("rectangel")
+
+
+def test_held_out_draws_never_meet_training_draws() -> None:
+    scene, rng = load_scene("circle"), np.random.default_rng(0)
+    train = [scene.randomised(rng).gel.friction for _ in range(50)]
+    held = [scene.randomised(rng, held_out=True).gel.friction for _ in range(50)]
+    assert all(0.65 <= value <= 0.95 for value in train)
+    assert not any(0.65 < value < 0.95 for value in held)
