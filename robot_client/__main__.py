@@ -1,0 +1,97 @@
+"""Command line of the robot client: ``python -m robot_client insert|...``; see ``--help``."""
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+from robot_client.settings import Settings, load_settings
+
+_EPILOG = """exit codes: 0 inserted (or done), 1 not inserted or failed safe, 2 wrong input or configuration
+
+examples:
+  python -m robot_client insert --x-mm 8 --theta-deg 6                        rehearse, nothing connected
+  python -m robot_client insert --live --config cell.toml --x-mm 8 --theta-deg 6
+"""
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(
+        prog="python -m robot_client", description=__doc__, epilog=_EPILOG, formatter_class=raw
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    insert = commands.add_parser("insert", help="insert the held object; a rehearsal unless --live is typed")
+    _add_connection(insert)
+    insert.add_argument("--x-mm", type=_number, default=0.0, help="start error across the gap (default 0)")
+    insert.add_argument("--theta-deg", type=_number, default=0.0, help="start error in yaw (default 0)")
+    insert.add_argument("--gap-width-mm", type=_number, help="width of the gap (default 56)")
+    insert.add_argument("--expected-depth-mm", type=_number, help="depth of a full insertion below the approach pose")
+    insert.add_argument("--approach-z-mm", type=_number, help="TCP height of the approach pose (default 35)")
+    insert.add_argument("--controller", choices=("heuristic", "belief"), help="ask the service for this controller")
+    insert.add_argument("--insertion-id", help="name of this insertion (default: time and a random suffix)")
+    insert.add_argument("--log", type=Path, help="episode log to write (default runs/robot/INSERTION.jsonl)")
+    return parser
+
+
+def _add_connection(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--live", action="store_true", help="connect and MOVE; without it nothing is connected")
+    parser.add_argument("--config", type=Path, help="TOML configuration; see robot_client/README.md")
+    parser.add_argument("--service", metavar="URL", help="ws://HOST:PORT/PATH of the decision service")
+    parser.add_argument("--egm-port", type=int, help="UDP port we listen on (the controller's UCdevice sends to it)")
+    parser.add_argument("--rws-url", metavar="URL", help="http://HOST[:PORT] of the controller")
+    parser.add_argument("--gripper", metavar="HOST:PORT", help="WSG-50, binary protocol over TCP")
+
+
+def _overrides(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    gripper: dict[str, Any] = {}
+    if args.gripper is not None:
+        host, separator, port = args.gripper.rpartition(":")
+        if not separator or not host or not port.isdigit():
+            raise ValueError(f"--gripper {args.gripper!r}, expected HOST:PORT")
+        gripper = {"host": host, "port": int(port)}
+    task = {key: getattr(args, key, None) for key in ("gap_width_mm", "expected_depth_mm", "approach_z_mm")}
+    return {
+        "service": {"url": args.service},
+        "egm": {"port": args.egm_port},
+        "rws": {"url": args.rws_url},
+        "gripper": gripper,
+        "task": task,
+    }
+
+
+def _insert(args: argparse.Namespace, settings: Settings) -> int:
+    from robot_client.commands import insert, make_plan
+
+    plan = make_plan(settings, args.x_mm, args.theta_deg, args.insertion_id, args.controller)
+    log = args.log or Path("runs") / "robot" / f"{plan.insertion_id}.jsonl"
+    if log.exists():
+        raise ValueError(f"--log {log} exists already; episode logs are never overwritten")
+    return insert(settings, plan, live=args.live, log=log)
+
+
+_COMMANDS = {"insert": _insert}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; wrong input is one line on stderr and exit code 2."""
+    args = _parser().parse_args(argv)
+    try:
+        return _COMMANDS[args.command](args, load_settings(args.config, _overrides(args)))
+    except ValueError as error:
+        from robot_client.ports import DriverError
+
+        print(f"{'FAILED SAFE' if isinstance(error, DriverError) else 'error'}: {error}", file=sys.stderr)
+        return 1 if isinstance(error, DriverError) else 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,94 @@
+"""What the command line does, one function a command; each returns the exit code."""
+
+import asyncio
+import secrets
+import signal
+import sys
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from robot_client.drivers.abb_egm import EgmArm
+from robot_client.drivers.abb_rws import RwsClient
+from robot_client.drivers.dry_run import DryArm, DryGripper, DryService
+from robot_client.drivers.wsg50 import Wsg50
+from robot_client.geometry import WorkPose
+from robot_client.insertion_state import Phase, Plan
+from robot_client.ports import Arm, DecisionService, Gripper
+from robot_client.recorder import Recorder
+from robot_client.report import Report
+from robot_client.runner import Runner
+from robot_client.service_link import ServiceLink
+from robot_client.settings import Settings
+from service.contract.wire import ControllerName
+
+NOT_A_SAFETY_FUNCTION = "LIVE: this moves a real robot. It is not a safety function; the cell's guards and stops are."
+
+
+def make_plan(
+    settings: Settings, x_mm: float, theta_deg: float, insertion_id: str | None, controller: ControllerName | None
+) -> Plan:
+    """The plan of one insertion with the start error (x_mm, theta_deg) in its approach pose."""
+    task = settings.task
+    approach = WorkPose(x_mm=x_mm, y_mm=task.approach_y_mm, z_mm=task.approach_z_mm, yaw_deg=theta_deg)
+    return Plan(
+        insertion_id=insertion_id or f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}",
+        approach=approach,
+        gap_width_mm=task.gap_width_mm,
+        expected_depth_mm=task.expected_depth_mm,
+        depth_tolerance_mm=task.depth_tolerance_mm,
+        max_no_decisions=task.max_no_decisions,
+        controller=controller,
+        limits=settings.limits,
+        ramps=settings.ramps,
+        timeouts=settings.timeouts,
+    )
+
+
+def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:
+    """Drivers of the real protocols; guidance is only taken from the host that RWS names."""
+    rws = RwsClient(settings.rws)
+    egm = settings.egm
+    host = urlsplit(settings.rws.url).hostname
+    if egm.robot_host is None and host is not None and host.replace(".", "").isdigit():
+        egm = egm.model_copy(update={"robot_host": host})
+    arm = EgmArm(egm, settings.limits, settings.ramps, settings.work_object.frame(), rws)
+    return arm, Wsg50(settings.gripper), ServiceLink(settings.service, plan.insertion_id)
+
+
+def dry_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:
+    """The rehearsal: starts 40 mm above the approach pose, knows the start error."""
+    service = DryService(plan.insertion_id, settings.limits, plan.approach.z_mm)
+    start = plan.approach.at_height(plan.approach.z_mm + 40.0)
+    arm = DryArm(settings.limits, settings.ramps, start, on_target=service.watch)
+    return arm, DryGripper(), service
+
+
+def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> int:
+    """Run one insertion; 0 inserted, 1 not inserted or failed safe. Raises DriverError if a device is not ready."""
+    print(NOT_A_SAFETY_FUNCTION if live else "DRY RUN: nothing is connected, nothing moves (type --live to move).")
+    print(f"insertion {plan.insertion_id}: start x {plan.approach.x_mm:+.2f} mm, yaw {plan.approach.yaw_deg:+.2f} deg")
+    return asyncio.run(_insert(settings, plan, live=live, log=log))
+
+
+async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> int:
+    arm, gripper, service = (live_ports if live else dry_ports)(settings, plan)
+    report = Report(arm.position, lambda text: print(text, flush=True))
+    runner = Runner(plan, arm, gripper, service, Recorder(log, plan), (report,))
+    _stop_on_signals()
+    state = await runner.run()
+    for line in report.final(state, runner.farewell, arm.statistics()):
+        print(line)
+    if log is not None:
+        print(f"  log         {log}")
+    sys.stdout.flush()
+    return 0 if state.phase is Phase.INSERTED else 1
+
+
+def _stop_on_signals() -> None:
+    """Ctrl-C and SIGTERM hold the arm and end the insertion in order."""
+    task = asyncio.current_task()
+    assert task is not None
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, task.cancel)

@@ -1,0 +1,165 @@
+"""Robot Web Services 1.0 of an IRC5 (RobotWare 6): state, motors, program start, and the backup stop.
+
+Digest access, one session (cookie ABBCX kept), every request bounded in time. A 204 for stop does not mean stopped:
+the execution state is polled until the controller says so, and the answer names what it said last.
+"""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+from pydantic import Field, SecretStr
+
+from robot_client.ports import DriverError
+from service.contract.frames import Contract
+
+_JSON = {"json": "1"}
+_START = {
+    "regain": "continue",
+    "execmode": "continue",
+    "cycle": "asis",
+    "condition": "none",
+    "stopatbp": "disabled",
+    "alltaskbytsp": "true",
+}
+
+
+class RwsError(DriverError):
+    """The controller did not answer, or not as hoped; the text names request and reason."""
+
+
+class RwsSettings(Contract):
+    """Where the controller is and how long it may take. User and password are ABB's factory defaults."""
+
+    url: str = "http://192.168.125.1"
+    user: str = "Default User"
+    password: SecretStr = SecretStr("robotics")
+    request_timeout_s: float = Field(default=1.0, gt=0)
+    motors_timeout_s: float = Field(default=5.0, gt=0)
+    start_timeout_s: float = Field(default=5.0, gt=0)
+    stop_timeout_s: float = Field(default=3.0, gt=0)
+    poll_s: float = Field(default=0.05, gt=0)
+    switch_motors_on: bool = True
+
+
+class ControllerStatus(Contract):
+    """What the controller says of itself."""
+
+    operating_mode: str
+    controller: str
+    execution: str
+    speed_ratio: str
+
+
+class RwsClient:
+    """One controller; make it inside the event loop that uses it."""
+
+    def __init__(self, settings: RwsSettings) -> None:
+        parts = urlsplit(settings.url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise DriverError(f"rws url {settings.url!r}, expected http://HOST[:PORT]")
+        self.settings = settings
+        self._client = httpx.AsyncClient(
+            base_url=settings.url,
+            auth=httpx.DigestAuth(settings.user, settings.password.get_secret_value()),
+            timeout=settings.request_timeout_s,
+            trust_env=False,
+        )
+
+    async def close(self) -> None:
+        """Give the session back (the controller has few) and close the connection."""
+        with contextlib.suppress(RwsError):  # a lost controller ends the session by itself
+            await self._request("GET", "/logout")
+        await self._client.aclose()
+
+    async def status(self) -> ControllerStatus:
+        """Mode, state, execution and speed ratio; raises RwsError. Moves nothing."""
+        return ControllerStatus(
+            operating_mode=await self._state("/rw/panel/opmode", "opmode"),
+            controller=await self._state("/rw/panel/ctrlstate", "ctrlstate"),
+            execution=await self.execution(),
+            speed_ratio=await self._state("/rw/panel/speedratio", "speedratio"),
+        )
+
+    async def execution(self) -> str:
+        """``running`` or ``stopped``."""
+        return await self._state("/rw/rapid/execution", "ctrlexecstate")
+
+    async def start_program(self) -> None:
+        """Motors on and RAPID running; raises RwsError if the controller is not fit for it or does not follow."""
+        status = await self.status()
+        if status.operating_mode != "AUTO":
+            raise RwsError(f"operating mode is {status.operating_mode}, expected AUTO; turn the key switch")
+        if status.controller != "motoron":
+            if status.controller != "motoroff" or not self.settings.switch_motors_on:
+                raise RwsError(f"controller state is {status.controller}, expected motoron; release the stop by hand")
+            await self._post("/rw/panel/ctrlstate", "setctrlstate", {"ctrl-state": "motoron"})
+            await self._until("/rw/panel/ctrlstate", "ctrlstate", "motoron", self.settings.motors_timeout_s)
+        if status.execution == "running":
+            raise RwsError("the RAPID program runs already; stop it, so that guidance starts from a known state")
+        await self._post("/rw/rapid/execution", "start", _START)
+        await self._until("/rw/rapid/execution", "ctrlexecstate", "running", self.settings.start_timeout_s)
+
+    async def stop_program(self) -> str:
+        """Ask for a stop and poll until the controller says stopped; never raises, says in words how it ended."""
+        deadline_s = time.monotonic() + self.settings.stop_timeout_s
+        asked, last = False, "no answer"
+        while time.monotonic() < deadline_s:
+            try:
+                if not asked:
+                    await self._post("/rw/rapid/execution", "stop", {"stopmode": "stop"})
+                    asked = True
+                last = await self.execution()
+                if last == "stopped":
+                    return "controller confirms: program stopped"
+            except RwsError as error:
+                last, asked = str(error), False
+            await asyncio.sleep(self.settings.poll_s)
+        return f"STOP NOT CONFIRMED by the controller ({last}): use the stop button"
+
+    # ---- requests -------------------------------------------------------------------------------------------------
+
+    async def _until(self, path: str, key: str, wanted: str, timeout_s: float) -> None:
+        deadline_s = time.monotonic() + timeout_s
+        value = await self._state(path, key)
+        while value != wanted:
+            if time.monotonic() > deadline_s:
+                raise RwsError(f"{key} is {value} after {timeout_s:g} s, expected {wanted}")
+            await asyncio.sleep(self.settings.poll_s)
+            value = await self._state(path, key)
+
+    async def _state(self, path: str, key: str) -> str:
+        answer = await self._request("GET", path)
+        try:
+            return str(answer.json()["_embedded"]["_state"][0][key])
+        except (ValueError, KeyError, IndexError, TypeError):
+            raise RwsError(f"GET {path}: answer without {key}: {answer.text[:80]!r}") from None
+
+    async def _post(self, path: str, action: str, form: Mapping[str, str]) -> None:
+        await self._request("POST", path, {"action": action}, form)
+
+    async def _request(
+        self, method: str, path: str, query: Mapping[str, str] | None = None, form: Mapping[str, str] | None = None
+    ) -> httpx.Response:
+        params = {**(query or {}), **_JSON}
+        try:
+            bounded = self._client.request(method, path, params=params, data=form)
+            # httpx bounds each network operation; this bounds the whole exchange, digest round included
+            answer = await asyncio.wait_for(bounded, 2.0 * self.settings.request_timeout_s)
+        except (httpx.HTTPError, TimeoutError) as error:
+            raise RwsError(f"{method} {path}: {type(error).__name__} {error}".rstrip()) from None
+        if answer.is_success:
+            return answer
+        raise RwsError(f"{method} {path}: HTTP {answer.status_code}{_reason(answer)}")
+
+
+def _reason(answer: httpx.Response) -> str:
+    try:
+        status: dict[str, Any] = answer.json()["_embedded"]["status"]
+        return f": {status.get('msg', status.get('code'))}"
+    except (ValueError, KeyError, TypeError):
+        return ""

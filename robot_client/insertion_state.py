@@ -1,0 +1,83 @@
+"""What an insertion is told to do (Plan) and what it remembers (State)."""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from robot_client.geometry import WorkPose
+from robot_client.limits import Limits
+from robot_client.motion import Ramps
+from service.contract import wire
+from service.contract.frames import Contract
+
+
+class Phase(StrEnum):
+    """Where an insertion stands."""
+
+    START = "start"
+    GREETING = "greeting"
+    GRASPING = "grasping"
+    APPROACHING = "approaching"
+    ARMING = "arming"
+    DESCENDING = "descending"
+    STOPPING = "stopping"
+    DECIDING = "deciding"
+    RETRACTING = "retracting"
+    CORRECTING = "correcting"
+    CLOSING = "closing"
+    INSERTED = "inserted"
+    FAILED = "failed"
+
+
+TERMINAL = frozenset({Phase.INSERTED, Phase.FAILED})
+
+
+class Timeouts(Contract):
+    """How long each phase may last; ``motion_s`` is added to the planned time of a move."""
+
+    greeting_s: float = 10.0
+    grasping_s: float = 15.0
+    arming_s: float = 3.0
+    stopping_s: float = 1.5
+    deciding_s: float = 4.0
+    closing_s: float = 2.0
+    motion_s: float = 3.0
+
+
+class Plan(Contract):
+    """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it."""
+
+    insertion_id: wire.InsertionId
+    approach: WorkPose
+    gap_width_mm: float
+    expected_depth_mm: float
+    depth_tolerance_mm: float = 1.0
+    max_no_decisions: int = 2
+    max_frame_age_ms: float = 1000.0
+    client: str = "tactile-insertion robot client"
+    controller: wire.ControllerName | None = None
+    limits: Limits = Limits()
+    ramps: Ramps = Ramps()
+    timeouts: Timeouts = Timeouts()
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Everything the machine remembers. ``pose`` is the last pose that the arm was sent to or measured at."""
+
+    plan: Plan
+    phase: Phase = Phase.START
+    attempt: int = 0
+    deadline_s: float = math.inf
+    pose: WorkPose | None = None
+    path: tuple[WorkPose, ...] = ()
+    armed: WorkPose | None = None
+    stopped_s: float = 0.0
+    dropped: bool = False
+    no_decisions: int = 0
+    reason: str = ""
+
+    @property
+    def done(self) -> bool:
+        """True once nothing more will be ordered."""
+        return self.phase in TERMINAL

@@ -1,0 +1,97 @@
+"""The client's configuration: one TOML file, every key checked, unknown keys refused with their name."""
+
+import json
+import os
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, SecretStr, ValidationError
+
+from robot_client.drivers.abb_egm import EgmSettings
+from robot_client.drivers.abb_rws import RwsSettings
+from robot_client.drivers.wsg50 import WsgSettings
+from robot_client.geometry import IDENTITY, TOOL_DOWN, CellFrame, Quaternion, Vector, normalised
+from robot_client.insertion_state import Timeouts
+from robot_client.limits import Limits
+from robot_client.motion import Ramps
+from robot_client.service_link import ServiceSettings
+from service.contract.frames import Contract, ContractError
+
+PASSWORD_VARIABLE = "TACTILE_INSERTION_RWS_PASSWORD"  # noqa: S105 the variable's name, not a password
+Positive = Annotated[float, Field(gt=0)]
+
+
+class SettingsError(ContractError):
+    """The configuration is wrong; the text names file, key and what was expected."""
+
+
+class WorkObject(Contract):
+    """The gap's frame in the frame of the controller's poses, and the tool at yaw 0; quaternions w, x, y, z."""
+
+    origin_mm: Vector = (0.0, 0.0, 0.0)
+    rotation: Quaternion = IDENTITY
+    tool: Quaternion = TOOL_DOWN
+
+    def frame(self) -> CellFrame:
+        """The conversion that the driver uses; raises ValueError for a quaternion without direction."""
+        return CellFrame(self.origin_mm, normalised(self.rotation), normalised(self.tool))
+
+
+class Task(Contract):
+    """The insertion itself. Heights are those of the TCP in the work-object frame."""
+
+    approach_z_mm: float = 35.0  # object's bottom 30 mm below the TCP, 5 mm above the blocks
+    approach_y_mm: float = 0.0
+    gap_width_mm: Positive = 56.0
+    expected_depth_mm: Positive = 25.0
+    depth_tolerance_mm: Positive = 1.0
+    max_no_decisions: int = Field(default=2, ge=0, le=15)
+
+
+class Settings(Contract):
+    """Everything; each section has the defaults of its module."""
+
+    service: ServiceSettings = ServiceSettings()
+    rws: RwsSettings = RwsSettings()
+    egm: EgmSettings = EgmSettings()
+    gripper: WsgSettings = WsgSettings()
+    work_object: WorkObject = WorkObject()
+    limits: Limits = Limits()
+    ramps: Ramps = Ramps()
+    timeouts: Timeouts = Timeouts()
+    task: Task = Task()
+
+
+def load_settings(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Settings:
+    """Settings of a TOML file (None: defaults) with ``overrides`` by section on top; raises SettingsError.
+
+    The RWS password may come from the environment instead of the file.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise SettingsError(f"cannot read configuration {path}: {error}") from None
+    for section, values in (overrides or {}).items():
+        given = {key: value for key, value in values.items() if value is not None}
+        if given:
+            data[section] = {**data.get(section, {}), **given}
+    try:
+        settings = Settings.model_validate_json(json.dumps(data))
+    except (ValidationError, ValueError, TypeError) as error:
+        raise SettingsError(f"{path or 'configuration'}: {_first(error)}") from None
+    password = os.environ.get(PASSWORD_VARIABLE)
+    if password:
+        rws = settings.rws.model_copy(update={"password": SecretStr(password)})
+        settings = settings.model_copy(update={"rws": rws})
+    return settings
+
+
+def _first(error: Exception) -> str:
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "file"
+    return f"{where}: {first['msg']}"
