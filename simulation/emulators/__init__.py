@@ -1,1 +1,1 @@
-"""Loopback emulators that speak the bytes of the ABB controller, the WSG-50 and the two cameras."""
+"""Devices of the cell as sockets on loopback: they speak the real protocols, with the physics behind them."""

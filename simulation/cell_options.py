@@ -1,0 +1,66 @@
+"""What a live cell can be asked for, checked before anything starts."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+_RANGES = {"x_mm": (-60.0, 60.0), "theta_deg": (-45.0, 45.0), "egm_lag_ms": (1.0, 500.0), "lift_mm": (0.0, 100.0)}
+
+
+class CellError(ValueError):
+    """A cell that cannot be set up as asked."""
+
+
+@dataclass(frozen=True)
+class CellOptions:
+    """Options of ``python -m simulation cell``."""
+
+    object: str = "rectangle"
+    """Scene: a built-in name or a TOML file."""
+    x_mm: float = 8.0
+    """Position error at the start, across the gap."""
+    theta_deg: float = 6.0
+    """Yaw error at the start."""
+    seed: int = 0
+    """Seed of grasp, optics and noise."""
+    out: Path = Path("runs/cell")
+    """Folder for cell.json and the calibration."""
+    fps: int = 30
+    """Camera rate: 30, 60 or 90."""
+    egm_lag_ms: float = 20.0
+    """First-order lag of the arm behind the guide."""
+    gripper: Literal["held", "open"] = "held"
+    """The object is held at the start, or stands in its fixture between the open fingers."""
+    fixed_blocks: bool = False
+    """Blocks bolted down (as in data collection) instead of free."""
+    lift_mm: float = 10.0
+    """Height of the start above the approach pose."""
+    egm_guide_port: int = 0
+    """UDP port the robot sends to, where the guide listens; 0 picks a free one."""
+    rws_port: int = 0
+    """RWS over HTTP; 0 picks a free one, as for all below."""
+    gripper_port: int = 0
+    """WSG-50 over TCP."""
+    camera_left_port: int = 0
+    """MJPEG of the left finger."""
+    camera_right_port: int = 0
+    """MJPEG of the right finger."""
+    admin_port: int = 0
+    """Truth and faults over HTTP."""
+    egm_joint_mode: bool = False
+    """EGM takes joint targets instead of poses."""
+    rws_user: str = "Default User"
+    """User of Robot Web Services."""
+    rws_password: str = "robotics"  # noqa: S105 the controller's factory default, on loopback
+    """Its password (the controller's factory default)."""
+
+    def check(self) -> None:
+        """Raise CellError naming the option that cannot be."""
+        if self.fps not in (30, 60, 90):
+            raise CellError(f"--fps {self.fps}: expected 30, 60 or 90")
+        for name, (low, high) in _RANGES.items():
+            if not low <= getattr(self, name) <= high:
+                raise CellError(f"--{name.replace('_', '-')} {getattr(self, name)}: expected {low:g} to {high:g}")
+        for name in ("egm_guide", "rws", "gripper", "camera_left", "camera_right", "admin"):
+            if not 0 <= getattr(self, f"{name}_port") <= 65535:
+                raise CellError(f"--{name.replace('_', '-')}-port: expected 0 to 65535")

@@ -1,0 +1,93 @@
+"""Loopback sockets and HTTP servers of the emulators: everything on 127.0.0.1, a busy port is one clear line."""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import uvicorn
+
+HOST = "127.0.0.1"
+
+
+class BusyPortError(ValueError):
+    """A port that was asked for cannot be had."""
+
+
+def _bind(kind: socket.SocketKind, port: int, name: str) -> socket.socket:
+    sock = socket.socket(socket.AF_INET, kind)
+    if kind == socket.SOCK_STREAM:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        sock.bind((HOST, port))
+    except OSError as error:
+        sock.close()
+        raise BusyPortError(
+            f"{name} cannot have port {port} on {HOST} ({error.strerror}); choose another one, or 0 for any free port"
+        ) from error
+    sock.setblocking(False)
+    return sock
+
+
+def bind_tcp(port: int, name: str) -> socket.socket:
+    """A TCP socket bound to loopback ``port`` (0: any free one); raise BusyPortError naming the device."""
+    return _bind(socket.SOCK_STREAM, port, name)
+
+
+def bind_udp(port: int, name: str) -> socket.socket:
+    """A UDP socket bound to loopback ``port`` (0: any free one); raise BusyPortError naming the device."""
+    return _bind(socket.SOCK_DGRAM, port, name)
+
+
+def port_of(sock: socket.socket) -> int:
+    """The port a bound socket has."""
+    port: int = sock.getsockname()[1]
+    return port
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+    """A port that was free a moment ago, for a process that insists on being told one."""
+    with contextlib.closing(_bind(kind, 0, "a probe for a free port")) as sock:
+        return port_of(sock)
+
+
+class _QuietServer(uvicorn.Server):
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """The cell's own main handles signals; several servers share its loop."""
+        yield
+
+
+class HttpServer:
+    """An ASGI application served from the running event loop on a socket of :func:`bind_tcp`."""
+
+    def __init__(self, app: Any, sock: socket.socket) -> None:
+        config = uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off", server_header=False)
+        config.timeout_graceful_shutdown = 1
+        self.port = port_of(sock)
+        self._sock = sock
+        self._server = _QuietServer(config)
+        self._task: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        """Return once the socket accepts requests."""
+        self._task = asyncio.create_task(self._server.serve(sockets=[self._sock]))
+        while not self._server.started:
+            if self._task.done():
+                await self._task
+                raise RuntimeError(f"the HTTP server on port {self.port} ended while starting")
+            await asyncio.sleep(0.005)
+
+    def abort(self, client: tuple[str, int] | None) -> None:
+        """Cut the connection of a client (``request.client``) without an answer."""
+        for connection in list(self._server.server_state.connections):
+            if getattr(connection, "client", None) == tuple(client or ()):
+                connection.transport.abort()
+
+    async def stop(self) -> None:
+        """Close listening socket and connections."""
+        self._server.should_exit = True
+        if self._task is not None:
+            await self._task
+        self._sock.close()
