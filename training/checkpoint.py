@@ -69,9 +69,9 @@ class Checkpoint:
         except Exception as error:  # torch raises pickle, zip and key errors of many kinds on a damaged file
             raise ContractError(f"checkpoint {path} is not one of ours: {type(error).__name__}") from error
 
-    def build(self) -> Any:
-        """The network with its weights, in evaluation mode; raise ContractError if they do not fit."""
-        network = build(self.network, len(CLASSES))
+    def build(self, expected: NetworkConfig | None = None) -> Any:
+        """The network with its weights, in evaluation mode; raise ContractError if they do not fit ``expected``."""
+        network = build(expected or self.network, len(CLASSES))
         try:
             network.load_state_dict(self.weights)
         except RuntimeError as error:

@@ -56,12 +56,16 @@ class LossConfig(Contract):
 
 
 class RunConfig(Contract):
-    """A whole run: images to marker motion (front), marker motion to decision (trunk), both together (tune)."""
+    """A whole run: images to marker motion (front), marker motion to decision (trunk), both together (tune).
+
+    ``start_from`` is a checkpoint whose weights the run begins with instead of random ones.
+    """
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
     seed: int = 0
     threads: int = Field(default=1, ge=1)
     runs: str = "runs"
+    start_from: str | None = None
     data: DataConfig
     network: NetworkConfig = NetworkConfig()
     loss: LossConfig = LossConfig()

@@ -1,6 +1,6 @@
 """How good the decisions are: accuracy, calibration, errors, each with the size of the sample it rests on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,24 @@ def calibrate(predictions: Predictions) -> Scales:
     return Scales(float(grid[int(np.argmin(losses))]), float(scale[0]), float(scale[1]))
 
 
+def rescaled(predictions: Predictions, scales: Scales) -> Predictions:
+    """The predictions with their calibration applied."""
+    shift = np.log([scales.sigma_x, scales.sigma_theta])
+    return replace(predictions, logits=predictions.logits / scales.temperature, log_sigma=predictions.log_sigma + shift)
+
+
+def cross_calibrated(predictions: Predictions, groups: NDArray[np.str_]) -> Predictions:
+    """Each half of the groups calibrated on the other half, so that a split may be scored on what calibrates it."""
+    names = np.unique(groups)
+    first = np.isin(groups, names[::2])
+    if not first.any() or first.all():
+        return rescaled(predictions, calibrate(predictions))
+    halves = [rescaled(predictions.take(half), calibrate(predictions.take(~half))) for half in (first, ~first)]
+    order = np.argsort(np.concatenate([np.flatnonzero(first), np.flatnonzero(~first)]))
+    joined = {name: np.concatenate([getattr(half, name) for half in halves])[order] for name in Predictions.__slots__}
+    return Predictions(**joined)
+
+
 def _nll(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
     return float(-np.log(np.maximum(p[np.arange(len(labels)), labels], 1e-12)).mean())
 
@@ -87,15 +105,15 @@ def confusion(p: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.i
     return table
 
 
-def figures(predictions: Predictions, scales: Scales) -> dict[str, float]:
-    """Every figure of one sample, by name; accuracies and shares in [0, 1], errors in mm and deg."""
+def figures(predictions: Predictions) -> dict[str, float]:
+    """Every figure of one sample of calibrated predictions; shares in [0, 1], errors in mm and deg."""
     labels = class_of(predictions.truth.astype(np.float32))
-    p = probabilities(predictions.logits, scales.temperature)
+    p = probabilities(predictions.logits, 1.0)
     chosen = p.argmax(1)
     right = chosen == labels
     outside = labels != NEAR
     residual = predictions.error - predictions.truth
-    sigma = np.exp(predictions.log_sigma) * np.array([scales.sigma_x, scales.sigma_theta])
+    sigma = np.exp(predictions.log_sigma)
     covered = np.abs(residual) <= Z90 * sigma
     wrong_side = SIGNS[chosen] * SIGNS[labels] < 0
     count = len(labels)
@@ -118,8 +136,8 @@ def figures(predictions: Predictions, scales: Scales) -> dict[str, float]:
     }
 
 
-def by_object(predictions: Predictions, scales: Scales) -> dict[str, dict[str, float]]:
+def by_object(predictions: Predictions) -> dict[str, dict[str, float]]:
     """Figures of every object, and of ``all``."""
     names = sorted(set(predictions.objects.tolist()))
-    table = {"all": figures(predictions, scales)}
-    return table | {name: figures(predictions.take(predictions.objects == name), scales) for name in names}
+    table = {"all": figures(predictions)}
+    return table | {name: figures(predictions.take(predictions.objects == name)) for name in names}

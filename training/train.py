@@ -20,7 +20,7 @@ from training.batches import Batch, decisions, epoch, frame_pairs
 from training.checkpoint import Checkpoint, git_commit
 from training.config import RunConfig
 from training.dataset import Source, Trials, load_trials
-from training.evaluate import Predictions, by_object, calibrate, figures
+from training.evaluate import Predictions, by_object, calibrate, cross_calibrated, figures, rescaled
 from training.fit import Log, Stage, fit
 from training.labels import CLASSES, class_of
 from training.networks import build
@@ -99,7 +99,7 @@ class Trainer:
     def score(self, chosen: NDArray[np.int64], *, pictures: bool) -> dict[str, float]:
         """Validation scalars; ``score`` is the loss without class weights."""
         predictions = self.predict(chosen, pictures=pictures)
-        table = figures(predictions, calibrate(predictions))
+        table = figures(rescaled(predictions, calibrate(predictions)))
         z = (predictions.error - predictions.truth) * np.exp(-predictions.log_sigma)
         likelihood = float((0.5 * z**2 + predictions.log_sigma).mean())
         kept = {name: table[name] for name in ("accuracy", "nll", "rmse_x_mm", "rmse_theta_deg")}
@@ -151,13 +151,21 @@ def _prepare(config: RunConfig, trials: Trials) -> Trainer:
         if not len(trials.of(split)):
             raise ContractError(f"the dataset has no collisions in its {split} split")
     network = build(config.network, len(CLASSES))
-    chosen = trials.of("train")[:: max(1, len(trials.of("train")) // 500)]
-    fields = decisions(trials, chosen, None, pictures=False).fields
-    network.field_scale.copy_(1.0 / fields.std((0, 1, 2, 4, 5)).clamp_min(1e-4))
+    if config.start_from is not None:
+        network.load_state_dict(Checkpoint.load(Path(config.start_from)).build(config.network).state_dict())
+    else:
+        _set_field_scale(network, trials)
     counts = np.bincount(class_of(trials.error[trials.of("train")]), minlength=len(CLASSES)).clip(1)
     weights = (counts.sum() / counts) ** config.loss.class_weight_power
     weights = weights / (weights * counts).sum() * counts.sum()
     return Trainer(config, trials, network, torch.tensor(weights, dtype=torch.float32), torch.full((2, 3), 0.1))
+
+
+def _set_field_scale(network: CompactNetwork, trials: Trials) -> None:
+    """Normalise field changes by their spread over training decisions."""
+    chosen = trials.of("train")[:: max(1, len(trials.of("train")) // 500)]
+    fields = decisions(trials, chosen, None, pictures=False).fields
+    network.field_scale.copy_(1.0 / fields.std((0, 1, 2, 4, 5)).clamp_min(1e-4))
 
 
 def _stages(trainer: Trainer) -> list[Stage]:
@@ -213,8 +221,9 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     for split in ("train", "validation", "test"):
         chosen = trials.of(split, rendered=pictures)[:2000]
         if len(chosen):
-            for name, row in by_object(trainer.predict(chosen, pictures=pictures), scales).items():
-                tables[f"{split}/{name}"] = row
+            said = trainer.predict(chosen, pictures=pictures)
+            fair = cross_calibrated(said, trials.groups[chosen]) if split == "validation" else rescaled(said, scales)
+            tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
     checkpoint = Checkpoint(
         name=trainer.config.name,
         network=trainer.config.network,

@@ -1,7 +1,15 @@
 import numpy as np
 import pytest
 
-from training.evaluate import Predictions, Scales, calibrate, expected_calibration_error, figures, probabilities
+from training.evaluate import (
+    Predictions,
+    calibrate,
+    cross_calibrated,
+    expected_calibration_error,
+    figures,
+    probabilities,
+    rescaled,
+)
 from training.labels import CLASSES, class_of
 
 
@@ -34,7 +42,7 @@ def test_calibration_finds_known_sigma_scales(factor):
 
 def test_calibrated_intervals_cover_what_they_say_on_fresh_trials():
     scales = calibrate(make(sigma_factor=2.0, seed=1))
-    table = figures(make(sigma_factor=2.0, seed=2), scales)
+    table = figures(rescaled(make(sigma_factor=2.0, seed=2), scales))
     assert table["coverage90_x"] == pytest.approx(0.9, abs=0.02)
     assert table["ece"] < 0.03
 
@@ -48,6 +56,13 @@ def test_an_overconfident_network_has_a_large_calibration_error():
 def test_a_perfect_network_has_no_error():
     truth = np.random.default_rng(0).uniform(-15, 15, (200, 2))
     logits = 50.0 * np.eye(len(CLASSES))[class_of(truth.astype(np.float32))]
-    table = figures(Predictions(logits, truth, np.zeros_like(truth), truth, np.full(200, "circle")), Scales())
+    table = figures(Predictions(logits, truth, np.zeros_like(truth), truth, np.full(200, "circle")))
     assert table["accuracy"] == 1
     assert table["wrong_side_x"] == table["mae_x_mm"] == table["rmse_theta_deg"] == 0
+
+
+def test_cross_calibration_keeps_the_order_and_the_coverage():
+    predictions = make(sigma_factor=2.0)
+    fair = cross_calibrated(predictions, np.arange(len(predictions.truth)).astype(str))
+    assert np.array_equal(fair.truth, predictions.truth)
+    assert figures(fair)["coverage90_x"] == pytest.approx(0.9, abs=0.02)
