@@ -1,0 +1,186 @@
+"""A grid Bayes filter over the position error (x, theta) at the start of an insertion.
+
+The moves between attempts are commands, hence known: the belief stays in coordinates of the first attempt's error and
+an attempt's evidence is evaluated at first error + sum of moves. Only what moves cannot explain (the object creeping
+in the hand) is blurred in.
+"""
+
+import numpy as np
+
+from service.decision import Density, Evidence, Floats
+
+HALF_RANGE = 20.0  # grid reaches +-20 mm and +-20 deg; starts are within +-15
+CELL = 0.5
+PRIOR_EDGE, PRIOR_SOFTNESS = 16.0, 0.6
+# A pose closer than this inserts; the same for all objects since the service does not know the shape it holds.
+TOLERANCE_X_MM, TOLERANCE_THETA_DEG = 2.0, 3.5
+SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7
+SURE_INSERT = 0.95  # probability of insertion at zero error
+CREEP_X_MM, CREEP_THETA_DEG = 0.3, 0.5  # standard deviation of in-hand creep an attempt
+# Both networks see the same images, so their errors are correlated: each gets less than its full weight.
+DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.6, 0.8
+OUTLIER_SHARE = 0.03
+DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
+INCONSISTENT_BELOW = 0.01
+RANGE = 15.0  # of the errors the networks were trained on (mm and deg)
+_CANDIDATES = 4
+
+
+def _sigmoid(value: Floats) -> Floats:
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * value)), np.float64)
+
+
+def _blur(cells: Floats, sigma: float) -> Floats:
+    kernel = np.exp(-0.5 * ((cells[:, None] - cells[None]) / sigma) ** 2)
+    return np.asarray(kernel / kernel.sum(0), np.float64)
+
+
+def _near(values: Floats, tolerance: float, softness: float) -> Floats:
+    return _sigmoid((tolerance - np.abs(values)) / softness)
+
+
+def _sign_membership(values: Floats, threshold: float, softness: float) -> Floats:
+    """[3, n]: soft membership in the signs -1, 0, +1 around +-threshold."""
+    positive, negative = _sigmoid((values - threshold) / softness), _sigmoid((-values - threshold) / softness)
+    return np.stack([negative, np.clip(1 - positive - negative, 0, 1), positive])
+
+
+class BeliefGrid:
+    """Probability [81, 81] over the first error, and the sum of the moves made since.
+
+    All methods cost well under a millisecond: every kernel is separable, so each is two small matrix products.
+    """
+
+    def __init__(self) -> None:
+        self._cells = np.arange(-HALF_RANGE, HALF_RANGE + CELL / 2, CELL)
+        edge = _near(self._cells, PRIOR_EDGE, PRIOR_SOFTNESS)
+        self._prior = np.outer(edge, edge) / edge.sum() ** 2
+        self.probability: Floats = self._prior.copy()
+        self.offset = np.zeros(2)
+        distance = self._cells[:, None] - self._cells[None]
+        self._aim_x = _near(distance, TOLERANCE_X_MM, SOFT_X_MM)
+        self._aim_theta = _near(distance, TOLERANCE_THETA_DEG, SOFT_THETA_DEG)
+        self._creep = _blur(self._cells, CREEP_X_MM), _blur(self._cells, CREEP_THETA_DEG)
+
+    @property
+    def current_x_mm(self) -> Floats:
+        """The x error of each row now."""
+        return np.asarray(self._cells + self.offset[0], np.float64)
+
+    @property
+    def current_theta_deg(self) -> Floats:
+        """The yaw error of each column now."""
+        return np.asarray(self._cells + self.offset[1], np.float64)
+
+    def move(self, dx_mm: float, dtheta_deg: float) -> None:
+        """The pose was moved by a correction."""
+        self.offset += (dx_mm, dtheta_deg)
+        self.probability = self._creep[0] @ self.probability @ self._creep[1].T
+
+    def absorb_failure(self) -> None:
+        """The current pose did not insert, so the error is not near zero."""
+        near = np.outer(
+            _near(self.current_x_mm, TOLERANCE_X_MM, SOFT_X_MM),
+            _near(self.current_theta_deg, TOLERANCE_THETA_DEG, SOFT_THETA_DEG),
+        )
+        self._normalise(self.probability * (1 - SURE_INSERT * near))
+
+    def absorb(self, evidence: Evidence) -> bool:
+        """Multiply in a failed attempt and its evidence; False if they contradict, and the belief starts from it."""
+        self.absorb_failure()
+        likelihood = self.likelihood(evidence)
+        agreement = float((self.probability * likelihood).sum() / likelihood.max())
+        if agreement < INCONSISTENT_BELOW:
+            wide = self._prior + 1e-3 * self._prior.max()
+            self._normalise(wide * likelihood)
+            return False
+        self._normalise(self.probability * likelihood)
+        return True
+
+    def likelihood(self, evidence: Evidence) -> Floats:
+        """[81, 81], up to a factor: how well each first error explains this attempt's evidence."""
+        if evidence.density is not None:
+            return self._density_likelihood(evidence.density)
+        return np.asarray(
+            self._direction_likelihood(evidence) ** DIRECTION_WEIGHT
+            * self._magnitude_likelihood(evidence) ** MAGNITUDE_WEIGHT,
+            np.float64,
+        )
+
+    def _direction_likelihood(self, evidence: Evidence) -> Floats:
+        t_x, t_theta = evidence.threshold_x_mm, evidence.threshold_theta_deg
+        share_x = np.array([RANGE - t_x, 2 * t_x, RANGE - t_x]) / (2 * RANGE)
+        share_theta = np.array([RANGE - t_theta, 2 * t_theta, RANGE - t_theta]) / (2 * RANGE)
+        table = np.zeros((3, 3))
+        for entry, probability in zip(evidence.classes, evidence.probabilities, strict=True):
+            table[entry.sign_x + 1, entry.sign_theta + 1] = probability
+        # The networks give P(class | images); dividing by the class's share of the training errors leaves likelihood.
+        table /= np.outer(share_x, share_theta)
+        table = (1 - OUTLIER_SHARE) * table + OUTLIER_SHARE
+        x_part = _sign_membership(self.current_x_mm, t_x, 0.5)
+        theta_part = _sign_membership(self.current_theta_deg, t_theta, 1.0)
+        return np.asarray(x_part.T @ table @ theta_part, np.float64)
+
+    def _magnitude_likelihood(self, evidence: Evidence) -> Floats:
+        sigma = evidence.sigma or DEFAULT_SIGMA
+        peaks = [
+            np.exp(-0.5 * ((cells - centre) / width) ** 2)
+            for cells, centre, width in zip(
+                (self.current_x_mm, self.current_theta_deg), evidence.error, sigma, strict=True
+            )
+        ]
+        return np.asarray((1 - OUTLIER_SHARE) * np.outer(*peaks) + OUTLIER_SHARE, np.float64)
+
+    def _density_likelihood(self, density: Density) -> Floats:
+        peak = np.exp(density.log_density - density.log_density.max())
+        along_x = np.stack([np.interp(self.current_x_mm, density.x_mm, column) for column in peak.T], axis=1)
+        both = np.stack([np.interp(self.current_theta_deg, density.theta_deg, row) for row in along_x])
+        return np.asarray((1 - OUTLIER_SHARE) * both + OUTLIER_SHARE, np.float64)
+
+    def best_move(self) -> tuple[tuple[float, float], float]:
+        """The move ((mm, deg), probability that the next attempt inserts) with the fewest expected trials.
+
+        The bound: 1 + P(next misses) (1 + P(the one after misses | nothing is learnt from the next but its failure)).
+        """
+        hits = self._aim_x @ self.probability @ self._aim_theta.T
+        candidates = _peaks(hits)
+        costs = [self._two_step_cost(hits, row, column) for row, column in candidates]
+        row, column = candidates[int(np.argmin(costs))]
+        target = self._refined(row, column)
+        return (-target[0] - float(self.offset[0]), -target[1] - float(self.offset[1])), float(hits[row, column])
+
+    def _two_step_cost(self, hits: Floats, row: int, column: int) -> float:
+        missed = self.probability * (1 - SURE_INSERT * np.outer(self._aim_x[row], self._aim_theta[column]))
+        second = float((self._aim_x @ missed @ self._aim_theta.T).max())
+        miss = 1 - SURE_INSERT * float(hits[row, column])
+        return 1 + miss + (miss - SURE_INSERT * second)
+
+    def _refined(self, row: int, column: int) -> tuple[float, float]:
+        """Centre of mass of the belief inside the aimed tolerance: finer than a cell."""
+        inside = self.probability * np.outer(self._aim_x[row], self._aim_theta[column])
+        total = inside.sum()
+        return float(inside.sum(1) @ self._cells / total), float(inside.sum(0) @ self._cells / total)
+
+    def moments(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Mean and standard deviation of the current error, (mm, deg) each."""
+        rows, columns = self.probability.sum(1), self.probability.sum(0)
+        mean = float(rows @ self.current_x_mm), float(columns @ self.current_theta_deg)
+        spread = (
+            float(np.sqrt(rows @ (self.current_x_mm - mean[0]) ** 2)),
+            float(np.sqrt(columns @ (self.current_theta_deg - mean[1]) ** 2)),
+        )
+        return mean, spread
+
+    def _normalise(self, weights: Floats) -> None:
+        self.probability = np.asarray(weights / weights.sum(), np.float64)
+
+
+def _peaks(hits: Floats) -> list[tuple[int, int]]:
+    """The best cells, each outside the neighbourhood (4 mm, 6 deg) of the better ones."""
+    remaining = hits.copy()
+    found: list[tuple[int, int]] = []
+    for _ in range(_CANDIDATES):
+        row, column = np.unravel_index(int(np.argmax(remaining)), remaining.shape)
+        found.append((int(row), int(column)))
+        remaining[max(0, row - 8) : row + 9, max(0, column - 12) : column + 13] = -1
+    return found

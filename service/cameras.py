@@ -1,0 +1,208 @@
+"""The two fingers' cameras: one capture thread each, monotonic stamps, explicit faults, pairing by capture time.
+
+A camera is a URL: ``http://host:port/path`` (MJPEG), ``v4l2:0`` or ``/dev/video0``, ``file:clip.mp4`` or a path to a
+recording or folder of images (played at its own pace, in a loop), ``push:`` (a client sends the frames).
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import ContractError, Finger, FramePair, TactileFrame
+from service.contract.wire import CameraEntry
+
+RETRY_S = 0.25  # a returned camera is found within 1 s
+STALL_S = 0.5  # no frame for this long is a stall
+State = Literal["live", "stalled", "lost", "starting"]
+
+
+class CameraError(ContractError):
+    """A camera cannot be read; the text names it and what was expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """What a source yields: monotonic stamp, pixels uint8 [h, w, 3] BGR, and the JPEG they came in, if any."""
+
+    captured_ns: int
+    pixels: NDArray[np.uint8]
+    jpeg: bytes | None = None
+
+
+class Source(Protocol):
+    """Where frames come from. ``frames`` yields until the camera ends or fails (raises OSError or CameraError)."""
+
+    name: str
+
+    def frames(self, stop: threading.Event) -> Iterator[Capture]:
+        """Connect and yield frames; returns when ``stop`` is set."""
+        ...
+
+
+def decode_jpeg(jpeg: bytes) -> NDArray[np.uint8]:
+    """BGR pixels of one JPEG; raises CameraError if it is broken."""
+    pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise CameraError(f"{len(jpeg)} bytes are not a JPEG image")
+    return np.asarray(pixels, np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFrame:
+    """A frame with the JPEG it was decoded from, for recording and streaming on without encoding again."""
+
+    frame: TactileFrame
+    jpeg: bytes | None
+
+
+class Camera:
+    """One finger's camera: a thread that captures, stamps, counts, notices stalls and size changes, and reconnects.
+
+    ``on_frame`` is called in the capture thread for each frame, ``on_fault(finger, code, detail)`` once for each change
+    into a bad state; codes are camera_lost, camera_stalled, camera_size.
+    """
+
+    def __init__(
+        self,
+        finger: Finger,
+        source: Source,
+        on_frame: Callable[[CameraFrame], None],
+        on_fault: Callable[[Finger, str, str], None],
+    ) -> None:
+        self.finger = finger
+        self.source = source
+        self.state: State = "starting"
+        self.latest: CameraFrame | None = None
+        self.frames_n = self.repeated_n = self.faults_n = 0
+        self.shape: tuple[int, ...] | None = None
+        self.last_fault = ""
+        self._on_frame, self._on_fault = on_frame, on_fault
+        self._stamps: deque[int] = deque(maxlen=31)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"camera-{finger}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to capture."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the capture thread; waits at most 2 s for a source that blocks."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+
+    @property
+    def frame_rate_hz(self) -> float | None:
+        """Measured over the last second or so, None before the second frame."""
+        stamps = list(self._stamps)
+        if len(stamps) < 2 or stamps[-1] == stamps[0]:
+            return None
+        return (len(stamps) - 1) * 1e9 / (stamps[-1] - stamps[0])
+
+    @property
+    def entry(self) -> CameraEntry:
+        """As the wire carries it."""
+        return CameraEntry(
+            finger=self.finger, source=self.source.name, state=self.state, frame_rate_hz=self.frame_rate_hz
+        )
+
+    def check_stall(self, now_ns: int) -> None:
+        """Called a few times a second by whoever owns the camera: a live camera without frames becomes stalled."""
+        latest = self.latest
+        if self.state == "live" and latest and now_ns - latest.frame.captured_ns > STALL_S * 1e9:
+            self._fault("stalled", "camera_stalled", f"no frame for {STALL_S:g} s from {self.source.name}")
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                for capture in self.source.frames(self._stop):
+                    self._publish(capture)
+                detail = f"{self.source.name} ended"
+            except Exception as error:
+                detail = f"{self.source.name}: {error or type(error).__name__}"
+            if not self._stop.is_set():
+                self._fault("lost", "camera_lost", detail)
+                self._stop.wait(RETRY_S)
+
+    def _publish(self, capture: Capture) -> None:
+        latest = self.latest.frame if self.latest else None
+        if latest is not None and capture.captured_ns <= latest.captured_ns:
+            self.repeated_n += 1
+            return
+        if self.shape is not None and capture.pixels.shape != self.shape:
+            was, self.shape = self.shape, capture.pixels.shape
+            self._fault("lost", "camera_size", f"{self.finger} frames changed from {_size(was)} to {_size(self.shape)}")
+        self.shape = capture.pixels.shape
+        seq = latest.seq + 1 if latest else 0
+        frame = CameraFrame(TactileFrame(self.finger, seq, capture.captured_ns, capture.pixels), capture.jpeg)
+        self.latest = frame
+        self.frames_n += 1
+        self._stamps.append(capture.captured_ns)
+        self.state = "live"
+        self._on_frame(frame)
+
+    def _fault(self, state: State, code: str, detail: str) -> None:
+        changed = self.state != state or code == "camera_size"
+        self.state, self.last_fault = state, detail
+        self._stamps.clear()
+        if changed:
+            self.faults_n += 1
+            self._on_fault(self.finger, code, detail)
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]} x {shape[0]}"
+
+
+class Pairer:
+    """Pairs the two fingers' frames by capture time: each frame is used once, skew is bounded, newest wins.
+
+    Thread safe. The allowed skew is ``max_skew_ms`` or, where None, 0.6 of the slower camera's frame period.
+    """
+
+    def __init__(self, max_skew_ms: float | None = None) -> None:
+        self._max_skew_ms = max_skew_ms
+        self._waiting: dict[Finger, TactileFrame] = {}
+        self._last: dict[Finger, int] = {}
+        self._period_ns: dict[Finger, float] = {}
+        self._lock = threading.Lock()
+        self.pairs_n = self.dropped_n = 0
+
+    def _allowed_ns(self) -> float:
+        if self._max_skew_ms is not None:
+            return self._max_skew_ms * 1e6
+        return 0.6 * max(self._period_ns.values(), default=33e6)
+
+    def add(self, frame: TactileFrame) -> FramePair | None:
+        """Take in a frame; returns the pair it completes."""
+        with self._lock:
+            self._measure(frame)
+            other: Finger = "right" if frame.finger == "left" else "left"
+            partner = self._waiting.get(other)
+            if partner is None or abs(frame.captured_ns - partner.captured_ns) > self._allowed_ns():
+                self.dropped_n += frame.finger in self._waiting
+                self._waiting[frame.finger] = frame
+                return None
+            del self._waiting[other]
+            self.dropped_n += self._waiting.pop(frame.finger, None) is not None
+            self.pairs_n += 1
+            return FramePair(frame, partner) if frame.finger == "left" else FramePair(partner, frame)
+
+    def _measure(self, frame: TactileFrame) -> None:
+        last = self._last.get(frame.finger)
+        self._last[frame.finger] = frame.captured_ns
+        if last is not None and 0 < frame.captured_ns - last < 0.2e9:
+            period = float(frame.captured_ns - last)
+            self._period_ns[frame.finger] = 0.9 * self._period_ns.get(frame.finger, period) + 0.1 * period
+
+
+def now_ns() -> int:
+    """The clock of all stamps of this process and this machine."""
+    return time.monotonic_ns()

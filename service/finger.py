@@ -1,0 +1,67 @@
+"""Perception of one finger as the session uses it: rectify, track, judge slip, notice the onset of motion."""
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import ContractError, Finger, FrameSpec, TactileFrame
+from service.observation import Observation
+from service.perception.markers import MarkerTracker
+from service.perception.onset import OnsetDetector
+from service.perception.rectify import CameraCalibration, Rectifier
+from service.perception.slip import SlipDetector
+
+
+class TactileFinger:
+    """One finger's perception chain; takes raw frames where a calibration is given, and rectified ones always.
+
+    ``spec`` is the rectified frame the networks expect.
+    """
+
+    def __init__(self, finger: Finger, spec: FrameSpec, calibration: CameraCalibration | None = None) -> None:
+        self.finger = finger
+        self._spec = spec
+        self._rectifier = Rectifier(calibration) if calibration else None
+        self._tracker = MarkerTracker()
+        self._slip = SlipDetector()
+        self._onset = OnsetDetector()
+        self._rearm = False
+
+    def rearm(self) -> None:
+        """The next frame becomes the reference of slip and onset; the tracker goes on."""
+        self._rearm = True
+
+    def observe(self, frame: TactileFrame) -> Observation:
+        """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
+        started = time.perf_counter()
+        image = self._rectified(frame.pixels)
+        rectified = time.perf_counter()
+        field = self._tracker.update(image, frame.captured_ns)
+        tracked = time.perf_counter()
+        if self._rearm:
+            slip = self._slip.rearm(field)
+            self._onset.rearm(field)
+            self._rearm = False
+            onset = None
+        else:
+            slip = self._slip.update(field)
+            onset = self._onset.update(field)
+        cost_ms = {
+            "rectify": (rectified - started) * 1e3,
+            "markers": (tracked - rectified) * 1e3,
+            "slip": (time.perf_counter() - tracked) * 1e3,
+        }
+        onset_ns = None if onset is None else onset.captured_ns
+        return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms)
+
+    def _rectified(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        if pixels.shape == self._spec.shape:
+            return pixels
+        if self._rectifier is None:
+            height, width = pixels.shape[:2]
+            expected = f"{self._spec.width_px} x {self._spec.height_px}"
+            raise ContractError(
+                f"{self.finger} frame is {width} x {height}, expected {expected} rectified; pass --calibration"
+            )
+        return self._spec.check(self._rectifier.apply(pixels))

@@ -1,0 +1,118 @@
+"""A running insertion: the session with its recorder, its driving client and everyone who watches."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from service.attempt import Attempt, WorkResult
+from service.cameras import CameraFrame, now_ns
+from service.contract import FramePair, wire
+from service.insertion_session import InsertionSession, Replies, ServiceMessage
+from service.recording import Recorder
+
+Send = Callable[[ServiceMessage], None]
+
+
+@dataclass(slots=True)
+class Insertion:
+    """Feeds a session, records what it is told and what it says, and passes its messages on.
+
+    Only the perception thread calls its methods. ``send`` is the driving client (None while it is away); ``publish``
+    takes (kind, content) for watchers and metrics.
+    """
+
+    session: InsertionSession
+    recorder: Recorder | None
+    send: Send | None
+    publish: Callable[[str, Any], None]
+    heard_ns: int = field(default_factory=now_ns)
+    closing: bool = False
+    answers: list[ServiceMessage] = field(default_factory=list)
+
+    @property
+    def wants_frames(self) -> bool:
+        """Whether an attempt is under way; frames between attempts are neither perceived nor recorded."""
+        return self.session.wants_frames
+
+    def message(self, message: Any) -> None:
+        """A message of the driving client."""
+        now = self.heard_ns = now_ns()
+        if self.recorder and message.type != "heartbeat":
+            content = message.model_dump(mode="json")
+            self.recorder.message("client", content, now)
+            self.recorder.call({"call": "message", "message": content}, now)
+        self._emit(self.session.handle(message, now), now)
+
+    def prime(self, frame: CameraFrame) -> None:
+        """Show the trackers a first frame."""
+        if self.recorder:
+            self.recorder.frame(frame)
+        self._call({"call": "prime", "finger": frame.frame.finger, "seq": frame.frame.seq}, now_ns())
+        self.session.prime(frame.frame)
+
+    def frame(self, frame: CameraFrame, pair: FramePair | None) -> None:
+        """A camera frame, and the pair it completes, if any."""
+        now = now_ns()
+        if self.recorder:
+            self.recorder.frame(frame)
+        self._call({"call": "frame", "finger": frame.frame.finger, "seq": frame.frame.seq}, now)
+        self._emit(self.session.on_frame(frame.frame, now), now)
+        if pair is not None:
+            now = now_ns()
+            self._call({"call": "pair", "left": pair.left.seq, "right": pair.right.seq}, now)
+            self._emit(self.session.on_pair(pair, now), now)
+
+    def result(self, result: WorkResult) -> None:
+        """What the networks said."""
+        now = now_ns()
+        self._call({"call": "result", "generation": result.generation}, now)
+        self._emit(self.session.on_result(result, now), now)
+
+    def tick(self) -> None:
+        """Time passed: deadlines."""
+        now = now_ns()
+        replies = self.session.on_tick(now)
+        if replies:
+            self._call({"call": "tick"}, now)
+        self._emit(replies, now)
+
+    def camera_fault(self, code: str, detail: str) -> None:
+        """A camera went bad in the middle of an insertion."""
+        now = now_ns()
+        self._emit(self.session.on_camera_fault(code, detail), now)
+
+    def attempt_decided(self, attempt: Attempt) -> None:
+        """Keep the frames the decision rests on."""
+        arrays = attempt.arrays()
+        if self.recorder and arrays and attempt.decision is not None:
+            self.recorder.attempt(attempt.arm.attempt, arrays)
+
+    def _call(self, value: dict[str, Any], now: int) -> None:
+        if self.recorder:
+            self.recorder.call(value, now)
+
+    def _emit(self, replies: Replies, now: int) -> None:
+        for answer in replies:
+            if isinstance(answer, wire.ServiceHeartbeat):
+                self._deliver(answer)
+                continue
+            reply = with_current_age(answer)
+            if self.recorder and not self.closing:
+                self.recorder.message("service", reply.model_dump(mode="json"), now)
+            self.publish("message", reply)
+            if isinstance(reply, wire.Finished):
+                self.closing = True
+                self.publish("finished", reply)
+            else:
+                self._deliver(reply)
+
+    def _deliver(self, reply: ServiceMessage) -> None:
+        if self.send is not None:
+            self.send(reply)
+
+
+def with_current_age(message: ServiceMessage) -> ServiceMessage:
+    """The same message; a slip's age is measured at the moment of sending."""
+    if isinstance(message, wire.Slip):
+        return message.model_copy(update={"age_ms": (now_ns() - message.captured_ns) / 1e6})
+    return message

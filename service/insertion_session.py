@@ -1,0 +1,354 @@
+"""One insertion, synchronous and free of I/O: messages and frames in, messages out.
+
+The same object runs in real time (the service's perception thread calls it, the networks run in another thread) and
+in lock step (the simulator calls it, the networks run inside :meth:`InsertionSession.on_pair`). Time is what the
+caller says it is: every ``now_ns`` is on the clock of the frames' ``captured_ns``.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from service.attempt import Attempt, Stage, WorkResult
+from service.contract import Finger, FramePair, TactileFrame, wire
+from service.contract.wire import CameraEntry, ControllerName, Limits
+from service.controllers import Command, Controller, make_controller
+from service.decision import Evidence, Refusal
+from service.models import ModelSet
+from service.observation import FingerWatch, Observation, PairObservation, belongs
+from service.verdict import Deadlines, Work, check_evidence, correction, overdue, plan_work
+
+ServiceMessage = (
+    wire.ServiceHello
+    | wire.Armed
+    | wire.Slip
+    | wire.Correction
+    | wire.NoDecision
+    | wire.Finished
+    | wire.Fault
+    | wire.ServiceHeartbeat
+)
+Replies = list[ServiceMessage]
+DEFAULT_LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=300.0)
+
+
+def no_cameras() -> tuple[CameraEntry, ...]:
+    """For sessions whose frames do not come from cameras."""
+    return ()
+
+
+def ignore(_: Any) -> None:
+    """Observer of a session that nobody watches."""
+
+
+@dataclass(slots=True)
+class InsertionSession:
+    """State machine of one insertion (see :mod:`service.contract.wire` for the order of messages).
+
+    ``submit`` takes network work to another thread, whose result comes back through :meth:`on_result`; without it the
+    work runs at once. ``on_observation`` sees each observation, ``on_attempt`` each attempt when it is decided or
+    ends, both for recording and display. Not thread safe.
+    """
+
+    models: ModelSet
+    left: FingerWatch
+    right: FingerWatch
+    controller_name: ControllerName = "belief"
+    limits: Limits = DEFAULT_LIMITS
+    deadlines: Deadlines = field(default_factory=Deadlines)
+    cameras: Callable[[], tuple[CameraEntry, ...]] = no_cameras
+    submit: Callable[[Work], None] | None = None
+    on_observation: Callable[[Observation], None] = ignore
+    on_attempt: Callable[[Attempt], None] = ignore
+    on_command: Callable[[Command], None] = ignore
+    insertion_id: str | None = None
+    attempt: Attempt | None = None
+    finished: wire.Finished | None = None
+    recording: str | None = None
+    newest_ns: int | None = None
+    _controller: Controller | None = None
+    _seen: dict[Finger, Observation] = field(default_factory=dict)
+    _generation: int = 0
+
+    # ---- messages -------------------------------------------------------------------------------------------------
+
+    def handle(self, message: Any, now_ns: int) -> Replies:
+        """Answer one client message; anything out of order is a non-fatal fault and changes nothing."""
+        if self.insertion_id is not None and message.insertion_id != self.insertion_id:
+            return [self._fault("protocol", f"insertion id {message.insertion_id}, expected {self.insertion_id}")]
+        replies: Replies = []
+        match message:
+            case wire.ClientHello():
+                replies = self._hello(message)
+            case _ if self.insertion_id is None:
+                replies = [self._fault("protocol", f"{message.type} before hello", message.insertion_id)]
+            case wire.ClientHeartbeat():
+                replies = [self._heartbeat(message, now_ns)]
+            case _ if self.finished is not None:
+                replies = [self.finished]
+            case wire.Arm():
+                replies = self._arm(message, now_ns)
+            case wire.Descending():
+                replies = self._descending(message)
+            case wire.Stopped():
+                replies = self._stopped(message, now_ns)
+            case wire.Abort():
+                replies = self._finish("aborted")
+        return replies
+
+    def _hello(self, message: wire.ClientHello) -> Replies:
+        if message.protocol != wire.PROTOCOL:
+            detail = f"client speaks protocol {message.protocol}, this service {wire.PROTOCOL}; update the older one"
+            return [self._fault("protocol_version", detail, message.insertion_id, fatal=True)]
+        if self.insertion_id is None:
+            self.insertion_id = message.insertion_id
+            self.controller_name = message.controller or self.controller_name
+            self._controller = make_controller(self.controller_name, self.limits)
+        return [
+            wire.ServiceHello(
+                insertion_id=self.insertion_id,
+                models=self.models.entries,
+                cameras=self.cameras(),
+                controller=self.controller_name,
+                limits=self.limits,
+            )
+        ]
+
+    def _heartbeat(self, message: wire.ClientHeartbeat, now_ns: int) -> wire.ServiceHeartbeat:
+        age = None if self.newest_ns is None else (now_ns - self.newest_ns) / 1e6
+        return wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=age)
+
+    def _arm(self, message: wire.Arm, now_ns: int) -> Replies:
+        last = self.attempt.arm.attempt if self.attempt else 0
+        decided = self.attempt is None or self.attempt.stage is Stage.DECIDED
+        if self.attempt and message.attempt == last and not decided:
+            if self.attempt.armed and self.attempt.stage is Stage.ARMED and not self.attempt.slip_sent:
+                return [self.attempt.armed]
+        elif message.attempt != last + 1 or not decided:
+            state = "decided" if decided else "not decided yet"
+            return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
+        self._generation += 1
+        self.attempt = Attempt(message, now_ns, self._generation)
+        return []
+
+    def _descending(self, message: wire.Descending) -> Replies:
+        if self._is_current(message.attempt, {Stage.ARMED}):
+            return []
+        return [self._fault("protocol", f"descending in attempt {message.attempt}, which is not armed; send arm first")]
+
+    def _stopped(self, message: wire.Stopped, now_ns: int) -> Replies:
+        attempt = self.attempt
+        if attempt and message.attempt == attempt.arm.attempt and attempt.decision:
+            return [attempt.decision]
+        if attempt is None or not self._is_current(message.attempt, {Stage.ARMED, Stage.STOPPED}):
+            return [self._fault("protocol", f"stopped in attempt {message.attempt}, which is not armed")]
+        attempt.outcome, attempt.depth_mm = message.outcome, message.depth_mm
+        if message.outcome in {"inserted", "dropped"}:
+            attempt.stage = Stage.DECIDED
+            self.on_attempt(attempt)
+            return self._finish("inserted" if message.outcome == "inserted" else "failed")
+        if attempt.stage is Stage.ARMED:
+            attempt.stage, attempt.stopped_ns = Stage.STOPPED, now_ns
+        return self._conclude(now_ns)
+
+    def _is_current(self, number: int, stages: set[Stage]) -> bool:
+        return self.attempt is not None and number == self.attempt.arm.attempt and self.attempt.stage in stages
+
+    # ---- frames ---------------------------------------------------------------------------------------------------
+
+    @property
+    def wants_frames(self) -> bool:
+        """Whether an attempt is under way; frames between attempts (the arm moves freely) tell nothing."""
+        return self.attempt is not None and self.attempt.stage is not Stage.DECIDED and self.finished is None
+
+    def prime(self, frame: TactileFrame) -> None:
+        """Let a finger's tracker find its grid before time matters; the search costs some 0.2 s, following it 2 ms."""
+        watch = self.left if frame.finger == "left" else self.right
+        watch.observe(frame)
+
+    def on_frame(self, frame: TactileFrame, now_ns: int) -> Replies:
+        """Perceive one finger's frame and say at once if it slips; the slip path never waits for the other finger."""
+        self.newest_ns = frame.captured_ns
+        attempt = self.attempt
+        if attempt is None or not self.wants_frames:
+            return []
+        watch = self.left if frame.finger == "left" else self.right
+        if attempt.stage is Stage.ARMING and frame.captured_ns >= attempt.armed_ns:
+            self._rearm(attempt, watch, frame.finger)
+        observation = watch.observe(frame)
+        self._seen[frame.finger] = observation
+        self.on_observation(observation)
+        if attempt.stage is not Stage.ARMED or not observation.slip.stop or attempt.slip_sent:
+            return []
+        attempt.slip_sent = True
+        return [
+            wire.Slip(
+                insertion_id=str(self.insertion_id),
+                attempt=attempt.arm.attempt,
+                finger=frame.finger,
+                frame_seq=frame.seq,
+                captured_ns=frame.captured_ns,
+                age_ms=(now_ns - frame.captured_ns) / 1e6,
+                score=float(observation.slip.score),
+                reason=f"{observation.slip.state}: {observation.slip.reason}",
+            )
+        ]
+
+    def _rearm(self, attempt: Attempt, watch: FingerWatch, finger: Finger) -> None:
+        if finger not in attempt.rearmed:
+            watch.rearm()
+            attempt.rearmed.add(finger)
+
+    def on_pair(self, pair: FramePair, now_ns: int) -> Replies:
+        """Take in both fingers' frames of one instant: slip, reference, onset, and the frames of the decision."""
+        attempt = self.attempt
+        if attempt is None or not self.wants_frames:
+            self.newest_ns = pair.captured_ns
+            return []
+        replies: Replies = []
+        for frame in (pair.left, pair.right):
+            seen = self._seen.get(frame.finger)
+            if seen is None or not belongs(seen, pair):
+                replies += self.on_frame(frame, now_ns)
+        both = PairObservation(self._seen["left"], self._seen["right"])
+        if attempt.stage is Stage.ARMING:
+            return replies + self._take_reference(attempt, both)
+        attempt.ring.append(both)
+        return replies + self._feed(attempt, now_ns)
+
+    def _take_reference(self, attempt: Attempt, both: PairObservation) -> Replies:
+        if attempt.rearmed != {"left", "right"}:
+            return []
+        problems = [f"{o.finger}: {o.field.reason or o.field.status}" for o in both.fingers if not o.field.usable]
+        if problems:
+            attempt.rearmed.clear()
+            attempt.problem = "; ".join(problems)
+            return []
+        attempt.reference, attempt.stage = both, Stage.ARMED
+        attempt.ring.append(both)
+        attempt.armed = wire.Armed(
+            insertion_id=str(self.insertion_id), attempt=attempt.arm.attempt, reference_seq=both.seq
+        )
+        return [attempt.armed]
+
+    def _feed(self, attempt: Attempt, now_ns: int) -> Replies:
+        if attempt.onset_ns is None:
+            onsets = [o.onset_ns for o in attempt.ring[-1].fingers if o.onset_ns is not None]
+            attempt.onset_ns = min(onsets, default=None)
+        card = self.models.card
+        replies: Replies = []
+        for pair in attempt.take_decision_pairs(card.frames_per_decision, card.reference_rule):
+            replies += self._submit(plan_work(self.models, attempt, pair), now_ns)
+        return replies
+
+    # ---- networks ------------------------------------------------------------------------------------------------
+
+    def _submit(self, work: Work, now_ns: int) -> Replies:
+        if self.submit is not None:
+            self.submit(work)
+            return []
+        result = work.run()
+        return self.on_result(result, now_ns) if result else []
+
+    def on_result(self, result: WorkResult, now_ns: int) -> Replies:
+        """Take back what the networks said; results of another attempt or an earlier arming are dropped."""
+        attempt = self.attempt
+        if attempt is None or result.generation != attempt.generation or self.finished is not None:
+            return []
+        attempt.result = attempt.result or result
+        return self._conclude(now_ns)
+
+    def on_camera_fault(self, code: str, detail: str) -> Replies:
+        """A camera went bad: the client must hold, and an attempt under way needs a new reference."""
+        attempt = self.attempt
+        if attempt is None or not self.wants_frames:
+            return []
+        fault = self._fault(code, detail)
+        if attempt.stage is Stage.ARMED:
+            attempt.broken = detail
+        return [fault]
+
+    # ---- decisions ------------------------------------------------------------------------------------------------
+
+    def on_tick(self, now_ns: int) -> Replies:
+        """Check deadlines and the age of the newest frame; call it a few times a second."""
+        attempt = self.attempt
+        if attempt is None or self.finished is not None:
+            return []
+        if attempt.stage is Stage.ARMING and now_ns - attempt.armed_ns > self.deadlines.reference_s * 1e9:
+            self.attempt = None if attempt.arm.attempt == 1 else attempt
+            attempt.stage = Stage.DECIDED
+            why = attempt.problem or "no frame pair arrived"
+            return [self._fault("no_reference", f"attempt {attempt.arm.attempt} could not be armed: {why}")]
+        if attempt.stage is Stage.STOPPED:
+            return self._conclude(now_ns)
+        return self._check_age(attempt, now_ns)
+
+    def _check_age(self, attempt: Attempt, now_ns: int) -> Replies:
+        if attempt.stage is not Stage.ARMED or self.newest_ns is None or attempt.stale_sent:
+            return []
+        age_ms = (now_ns - self.newest_ns) / 1e6
+        if age_ms <= self.limits.max_frame_age_ms:
+            return []
+        attempt.stale_sent = True
+        return [self._fault("stale_frames", f"newest frame is {age_ms:.0f} ms old; hold until cameras are back")]
+
+    def _conclude(self, now_ns: int) -> Replies:
+        attempt = self.attempt
+        if attempt is None or attempt.stage is not Stage.STOPPED or attempt.stopped_ns is None:
+            return []
+        waited_s = (now_ns - attempt.stopped_ns) / 1e9
+        if attempt.broken:
+            return self._refuse(attempt, Refusal("stale", f"a camera failed during the attempt: {attempt.broken}"))
+        if attempt.result is None:
+            refusal = overdue(attempt, waited_s, self.models.card.frames_per_decision, self.deadlines)
+            return [] if refusal is None else self._refuse(attempt, refusal)
+        if attempt.result.evidence is None:
+            return self._refuse(attempt, attempt.result.refusal or Refusal("non_finite", "no evidence"))
+        return self._correct(attempt, attempt.result.evidence, attempt.result.latency_ms, now_ns)
+
+    def _correct(self, attempt: Attempt, evidence: Evidence, latency_ms: dict[str, float], now_ns: int) -> Replies:
+        started = time.perf_counter()
+        assert self._controller is not None
+        try:
+            check_evidence(self.models, attempt, evidence)
+            command = self._controller.decide(evidence, attempt.arm.attempt)
+        except Refusal as refusal:
+            return self._refuse(attempt, refusal)
+        latency_ms = latency_ms | {
+            "controller": (time.perf_counter() - started) * 1e3,
+            "since_last_frame": (now_ns - attempt.decision_pairs[-1].captured_ns) / 1e6,
+        }
+        self.on_command(command)
+        return self._decided(attempt, correction(str(self.insertion_id), attempt, evidence, command, latency_ms))
+
+    def _refuse(self, attempt: Attempt, refusal: Refusal) -> Replies:
+        assert self._controller is not None
+        self._controller.blocked_without_evidence()
+        refused = wire.NoDecision(
+            insertion_id=str(self.insertion_id),
+            attempt=attempt.arm.attempt,
+            reason=refusal.reason,
+            detail=str(refusal),
+        )
+        return self._decided(attempt, refused)
+
+    def _decided(self, attempt: Attempt, decision: wire.Correction | wire.NoDecision) -> Replies:
+        attempt.stage, attempt.decision = Stage.DECIDED, decision
+        self.on_attempt(attempt)
+        if attempt.arm.attempt >= wire.MAX_ATTEMPTS:
+            return [decision, *self._finish("failed")]
+        return [decision]
+
+    def _finish(self, outcome: Any) -> Replies:
+        attempts = self.attempt.arm.attempt if self.attempt else 0
+        self.finished = wire.Finished(
+            insertion_id=str(self.insertion_id), outcome=outcome, attempts=attempts, recording=self.recording
+        )
+        return [self.finished]
+
+    def _fault(self, code: str, detail: str, insertion_id: str | None = None, *, fatal: bool = False) -> wire.Fault:
+        return wire.Fault(
+            insertion_id=insertion_id or self.insertion_id or "none", code=code, detail=detail, fatal=fatal
+        )

@@ -1,0 +1,71 @@
+"""Prometheus metrics, fed by the hub."""
+
+from functools import partial
+from typing import Any
+
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
+from service.cameras import CameraFrame, now_ns
+from service.contract import Finger, wire
+from service.observation import Observation
+from service.station import Station
+
+_STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13, 0.25, 0.5, 1, 2)
+
+
+class Metrics:
+    """Counts what the hub tells; its own registry, so that two apps in one process do not collide."""
+
+    def __init__(self, station: Station) -> None:
+        self.registry = CollectorRegistry()
+        make: dict[str, Any] = {"registry": self.registry, "namespace": "tactile"}
+        self._station = station
+        self._stages = Histogram("stage_seconds", "Time by stage", ["stage"], buckets=_STAGE_BUCKETS, **make)
+        self._frames = Counter("frames", "Camera frames", ["finger"], **make)
+        self._messages = Counter("messages", "Messages to clients", ["type"], **make)
+        self._refusals = Counter("no_decisions", "Attempts without a correction", ["reason"], **make)
+        self._finished = Counter("insertions", "Insertions by outcome", ["outcome"], **make)
+        self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
+        self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
+        age = Gauge("frame_age_seconds", "Age of the newest frame", ["finger"], **make)
+        dropped = Gauge("frames_dropped", "Frames dropped by backlog", **make)
+        unpaired = Gauge("frames_unpaired", "Frames without a partner in time", **make)
+        ready = Gauge("ready", "1 if models are warm and cameras live", **make)
+        for finger in station.cameras:
+            age.labels(finger).set_function(partial(self._age_s, finger))
+        dropped.set_function(lambda: station.counters.frames_dropped_n)
+        unpaired.set_function(lambda: station.pairer.dropped_n)
+        ready.set_function(lambda: float(station.ready))
+        station.hub.subscribe(self._heard)
+
+    def _age_s(self, finger: Finger) -> float:
+        latest = self._station.cameras[finger].latest
+        return float("nan") if latest is None else (now_ns() - latest.frame.captured_ns) * 1e-9
+
+    def exposition(self) -> tuple[bytes, str]:
+        """The text Prometheus scrapes, and its content type."""
+        return generate_latest(self.registry), CONTENT_TYPE_LATEST
+
+    def _heard(self, kind: str, content: Any) -> None:
+        self._count(kind, content)
+        match content:
+            case CameraFrame():
+                self._frames.labels(content.frame.finger).inc()
+            case Observation():
+                for stage, cost_ms in content.cost_ms.items():
+                    self._stages.labels(stage).observe(cost_ms / 1e3)
+            case wire.Correction():
+                for stage, cost_ms in content.latency_ms.items():
+                    self._stages.labels(stage).observe(cost_ms / 1e3)
+            case wire.Slip():
+                self._slip_age.observe(content.age_ms / 1e3)
+            case wire.NoDecision():
+                self._refusals.labels(content.reason).inc()
+
+    def _count(self, kind: str, content: Any) -> None:
+        if kind == "message":
+            self._messages.labels(content.type).inc()
+        elif kind == "finished":
+            self._finished.labels(content.outcome).inc()
+        elif kind == "camera_fault":
+            self._faults.labels(content["finger"], content["code"]).inc()

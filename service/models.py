@@ -1,0 +1,182 @@
+"""The networks the service decides with: ONNX files whose cards are valid and agree, each warmed up before use."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from service.contract import ContractError, ModelCard
+from service.contract.wire import ModelEntry
+
+Array = NDArray[Any]
+_OUTPUTS = {"direction": "logits", "magnitude": "error", "joint": "log_density"}
+_WARM_UP_STEPS = 3
+
+
+class ModelError(ContractError):
+    """A model cannot serve; the text names the file and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedModel:
+    """One ONNX file, open in onnxruntime with one thread, and what it says of itself."""
+
+    path: Path
+    card: ModelCard
+    sha256: str
+    session: Any
+
+    @property
+    def entry(self) -> ModelEntry:
+        """Card and file hash as the wire carries them."""
+        return ModelEntry(card=self.card, sha256=self.sha256)
+
+    def run(self, inputs: Mapping[str, Array]) -> dict[str, Array]:
+        """All outputs by name for a batch of inputs that match the card's shapes."""
+        names = [output.name for output in self.session.get_outputs()]
+        return dict(zip(names, self.session.run(names, dict(inputs)), strict=True))
+
+
+class StepModel:
+    """A network in step form: one frame pair and its own recurrent state in, outputs and the next state out."""
+
+    def __init__(self, model: LoadedModel) -> None:
+        self.model = model
+        self.card = model.card
+
+    def fresh_state(self) -> NDArray[np.float32]:
+        """Zeros float32 [1, state_size]: the state before the first frame of a decision."""
+        return np.zeros((1, self.card.state_size), np.float32)
+
+    def step(
+        self, frame: NDArray[np.uint8], reference: NDArray[np.uint8], state: NDArray[np.float32], gap_width_mm: float
+    ) -> tuple[dict[str, Array], NDArray[np.float32]]:
+        """Outputs after one pair; ``frame`` and ``reference`` are uint8 [2, H, W, 3], left finger first."""
+        inputs: dict[str, Array] = {"frame": frame[None], "reference": reference[None], "state": state}
+        if self.card.gap_width_input:
+            inputs["gap_width_mm"] = np.array([[gap_width_mm]], np.float32)
+        outputs = self.model.run(inputs)
+        return outputs, outputs.pop("next_state")
+
+    def warm_up(self) -> None:
+        """Run a few steps on grey frames, so that the first real decision is as fast as the later ones."""
+        grey = np.full((2, *self.card.frame.shape), 128, np.uint8)
+        state = self.fresh_state()
+        for _ in range(_WARM_UP_STEPS):
+            _, state = self.step(grey, grey, state, 50.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelSet:
+    """What decides: either a direction and a magnitude network, or one joint density; plus every other file found."""
+
+    steps: tuple[StepModel, ...]
+    models: tuple[LoadedModel, ...]
+
+    @property
+    def card(self) -> ModelCard:
+        """The card whose shared fields (frame, frames per decision, thresholds, reference rule) all steps agree on."""
+        return self.steps[0].card
+
+    @property
+    def entries(self) -> tuple[ModelEntry, ...]:
+        """The deciding models as the hello message carries them."""
+        return tuple(step.model.entry for step in self.steps)
+
+    def role(self, role: str) -> StepModel | None:
+        """The deciding network of a role, if the set has one."""
+        return next((step for step in self.steps if step.card.role == role), None)
+
+    def warm_up(self) -> None:
+        """Warm every deciding network."""
+        for step in self.steps:
+            step.warm_up()
+
+
+def load_model(path: Path) -> LoadedModel:
+    """Open one ONNX file; raise ModelError if it is unreadable, card-less, or its graph is not what its card says."""
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    options.add_session_config_entry("session.set_denormal_as_zero", "1")
+    content = path.read_bytes()
+    try:
+        session = ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise ModelError(
+            f"{path} is not a readable ONNX model; export it again with `python -m export onnx`"
+        ) from error
+    card = ModelCard.from_props(session.get_modelmeta().custom_metadata_map, str(path))
+    model = LoadedModel(path, card, hashlib.sha256(content).hexdigest(), session)
+    _check_graph(model)
+    return model
+
+
+def _check_graph(model: LoadedModel) -> None:
+    card = model.card
+    shape = [2, *card.frame.shape]
+    if card.form == "step":
+        expected: dict[str, list[int]] = {"frame": shape, "reference": shape, "state": [card.state_size]}
+    else:
+        expected = {"frames": [card.frames_per_decision, *shape]}
+    if card.gap_width_input:
+        expected["gap_width_mm"] = [1]
+    found = {entry.name: list(entry.shape[1:]) for entry in model.session.get_inputs()}
+    if found != expected:
+        raise ModelError(f"{model.path} takes inputs {found}, but its card says {expected}; export it again")
+    outputs = {entry.name for entry in model.session.get_outputs()}
+    needed = {_OUTPUTS[card.role]} | ({"log_sigma"} if card.has_sigma else set())
+    needed |= {"next_state"} if card.form == "step" else set()
+    if not needed <= outputs:
+        raise ModelError(f"{model.path} gives outputs {sorted(outputs)}, but its card promises {sorted(needed)}")
+
+
+def load_models(folder: Path) -> ModelSet:
+    """Load, check and warm all ``*.onnx`` of a folder.
+
+    Raises ModelError (one line, says what to do) when the folder or a needed network is missing, a card is absent or
+    invalid, a role is served twice, or two cards disagree.
+    """
+    folder = Path(folder)
+    paths = sorted(folder.glob("*.onnx"))
+    if not paths:
+        raise ModelError(f"no *.onnx model in {folder}; export them with `python -m export onnx` or pass --models DIR")
+    models = tuple(load_model(path) for path in paths)
+    steps = _choose_steps(folder, [model for model in models if model.card.form == "step"])
+    _check_agreement(steps)
+    chosen = ModelSet(steps, models)
+    chosen.warm_up()
+    return chosen
+
+
+def _choose_steps(folder: Path, candidates: Sequence[LoadedModel]) -> tuple[StepModel, ...]:
+    by_role: dict[str, LoadedModel] = {}
+    for model in candidates:
+        other = by_role.setdefault(model.card.role, model)
+        if other is not model:
+            raise ModelError(f"two {model.card.role} step models, {other.path.name} and {model.path.name}; keep one")
+    if "joint" in by_role and len(by_role) > 1:
+        raise ModelError(
+            f"{folder} holds a joint step model beside {sorted(by_role)}; keep the joint one or the others"
+        )
+    if "joint" not in by_role and set(by_role) != {"direction", "magnitude"}:
+        missing = " and ".join(sorted({"direction", "magnitude"} - set(by_role)))
+        raise ModelError(f"{folder} has no {missing} step model; export it with `python -m export onnx`")
+    return tuple(StepModel(by_role[role]) for role in sorted(by_role))
+
+
+def _check_agreement(steps: Sequence[StepModel]) -> None:
+    first, *others = steps
+    for other in others:
+        found = first.card.disagreements(other.card)
+        if found:
+            raise ModelError(
+                f"{first.model.path.name} and {other.model.path.name} disagree on {'; '.join(found)};"
+                " export both from the same training run"
+            )

@@ -1,0 +1,263 @@
+"""Recordings: one folder an insertion, an MCAP file that Foxglove and Rerun open, and a small file an attempt.
+
+``RECORDINGS/<UTC stamp>_<insertion id>/``
+
+- ``insertion.mcap`` (``insertion.mcap.part`` while it is written; a crash loses at most the last second, and
+  :func:`recover` closes such a file). Channels: ``/left/image`` and ``/right/image`` (foxglove.CompressedImage, the
+  camera's own JPEG, or foxglove.RawImage), ``/left/markers`` and ``/right/markers`` (tactile_insertion.Markers),
+  ``/messages`` (JSON: ``from`` client or service, ``message``), ``/calls`` (JSON: what the session was told, in order,
+  which is what makes a replay bit for bit), metadata ``insertion`` (id, models, controller, calibration, clock offset).
+  Log times are wall-clock nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of the metadata.
+- ``attempt_01.npz``, ``attempt_02.npz``, ... for each blocked attempt, read with ``numpy.load``:
+
+  ===================  ==========================================================================================
+  ``frames``           uint8 [n, 2, 320, 327, 3] BGR, rectified; the n <= 8 pairs of the decision, left finger first
+  ``reference``        uint8 [2, 320, 327, 3] BGR, rectified; what the networks subtract
+  ``frame_seq``        int64 [n], pair numbers; ``captured_ns`` int64 [n], monotonic
+  ``rest_px``          float32 [2, rows, cols, 2] marker positions at rest (u, v) in the rectified image
+  ``displacement_px``  float32 [2, rows, cols, 2] marker displacement in the last of the pairs
+  ``valid``            bool [2, rows, cols]
+  ``decision``         0-d string array: JSON of the ``correction`` or ``no_decision`` message; "{}" if there was none
+  ===================  ==========================================================================================
+
+- ``summary.json``: insertion id, outcome, attempts, start time, whether any frame was left out for lack of speed.
+"""
+
+import json
+import queue
+import shutil
+import threading
+import time
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from service.cameras import CameraFrame
+from service.observation import Observation
+from service.protowire import COMPRESSED_IMAGE, MARKERS, RAW_IMAGE, Schema
+
+FLUSH_S = 0.5
+MAX_WAITING = 600  # items; about 5 s of two 60 fps cameras
+MAX_INSERTION_BYTES = 2 << 30
+PART = "insertion.mcap.part"
+FINAL = "insertion.mcap"
+
+
+class _Mcap:
+    """The MCAP file: registers channels on first use; only the recorder's thread touches it."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self._writer = Writer(stream, chunk_size=1 << 20, compression=CompressionType.LZ4)
+        self._writer.start(profile="", library="tactile-insertion")
+        self._channels: dict[str, int] = {}
+
+    def protobuf(self, topic: str, schema: Schema, values: Mapping[str, Any], log_ns: int, seq: int) -> None:
+        channel = self._channel(f"{topic}", "protobuf", schema.name, "protobuf", schema.descriptor_set)
+        self._write(channel, log_ns, schema.encode(values), seq)
+
+    def json(self, topic: str, value: Mapping[str, Any], log_ns: int) -> None:
+        channel = self._channel(topic, "json", f"tactile_insertion{topic}", "jsonschema", lambda: b'{"type":"object"}')
+        self._write(channel, log_ns, json.dumps(value).encode(), 0)
+
+    def metadata(self, name: str, value: Mapping[str, str]) -> None:
+        self._writer.add_metadata(name, dict(value))
+
+    def _channel(self, topic: str, encoding: str, name: str, kind: str, schema: Callable[[], bytes]) -> int:
+        key = f"{topic} {name}"
+        if key not in self._channels:
+            schema_id = self._writer.register_schema(name, kind, schema())
+            self._channels[key] = self._writer.register_channel(topic, encoding, schema_id)
+        return self._channels[key]
+
+    def _write(self, channel: int, log_ns: int, data: bytes, seq: int) -> None:
+        self._writer.add_message(channel, log_ns, data, log_ns, seq)
+
+    def flush(self) -> None:
+        self._writer.flush()
+        self._stream.flush()
+
+    def close(self) -> None:
+        self._writer.finish()
+        self._stream.flush()
+
+
+@dataclass(slots=True)
+class Recorder:
+    """Writes one insertion in its own thread; every method returns at once.
+
+    If the disk is too slow, frames are left out (and counted), messages and calls never.
+    """
+
+    root: Path
+    insertion_id: str
+    metadata: Mapping[str, str]
+    left_out_n: int = 0
+    folder: Path = field(init=False)
+    _queue: queue.SimpleQueue[Callable[[], None] | None] = field(init=False, default_factory=queue.SimpleQueue)
+    _thread: threading.Thread = field(init=False)
+    _mcap: _Mcap = field(init=False)
+    _stream: IO[bytes] = field(init=False)
+    _offset_ns: int = field(init=False)
+    error: str = ""
+
+    def __post_init__(self) -> None:
+        """Create the folder and start writing; raises OSError if the folder cannot be written."""
+        started = datetime.now(UTC)
+        self.folder = self.root / f"{started:%Y%m%dT%H%M%S%f}_{self.insertion_id}"
+        self.folder.mkdir(parents=True)
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+        self._stream = (self.folder / PART).open("wb")
+        self._mcap = _Mcap(self._stream)
+        facts = {"insertion_id": self.insertion_id, "started": started.isoformat()}
+        self._mcap.metadata(
+            "insertion", facts | dict(self.metadata) | {"wall_minus_monotonic_ns": str(self._offset_ns)}
+        )
+        self._mcap.flush()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def path(self) -> Path:
+        """Where the finished recording will lie."""
+        return self.folder / FINAL
+
+    def frame(self, frame: CameraFrame) -> None:
+        """Record a camera frame as it came."""
+        if self._has_room():
+            self._queue.put(lambda: self._write_frame(frame))
+
+    def observation(self, observation: Observation) -> None:
+        """Record markers and slip of one frame."""
+        if self._has_room():
+            self._queue.put(lambda: self._write_markers(observation))
+
+    def message(self, sender: str, message: Mapping[str, Any], now_ns: int) -> None:
+        """Record a wire message; ``sender`` is client or service."""
+        value = {"from": sender, "message": message}
+        self._queue.put(lambda: self._mcap.json("/messages", value, now_ns + self._offset_ns))
+
+    def call(self, value: Mapping[str, Any], now_ns: int) -> None:
+        """Record one call of the session (see :mod:`service.redecide`)."""
+        self._queue.put(lambda: self._mcap.json("/calls", dict(value) | {"now_ns": now_ns}, now_ns + self._offset_ns))
+
+    def attempt(self, number: int, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Write ``attempt_XX.npz``."""
+        path = self.folder / f"attempt_{number:02d}.npz"
+        self._queue.put(lambda: save_arrays(path, arrays))
+
+    def close(self, summary: Mapping[str, Any]) -> Path:
+        """Write what waits, close the file, give it its final name; blocks until done and returns the path."""
+        if self._thread.is_alive():
+            self._queue.put(lambda: self._write_summary(summary))
+            self._queue.put(None)
+            self._thread.join()
+        return self.path
+
+    def _has_room(self) -> bool:
+        if self._queue.qsize() < MAX_WAITING and not self.error:
+            return True
+        self.left_out_n += 1
+        return False
+
+    def _run(self) -> None:
+        flushed = time.monotonic()
+        while True:
+            try:
+                work = self._queue.get(timeout=FLUSH_S)
+            except queue.Empty:
+                work = _nothing
+            if work is None:
+                break
+            try:
+                work()
+                if time.monotonic() - flushed > FLUSH_S:
+                    self._mcap.flush()
+                    flushed = time.monotonic()
+            except Exception as error:
+                self.error = self.error or str(error)
+        self._finish()
+
+    def _finish(self) -> None:
+        try:
+            self._mcap.close()
+            self._stream.close()
+            (self.folder / PART).rename(self.path)
+        except OSError as error:
+            self.error = self.error or str(error)
+
+    def _write_frame(self, camera_frame: CameraFrame) -> None:
+        frame = camera_frame.frame
+        log_ns = frame.captured_ns + self._offset_ns
+        if self._stream.tell() > MAX_INSERTION_BYTES:
+            self.left_out_n += 1
+            return
+        common = {"timestamp": log_ns, "frame_id": frame.finger}
+        topic = f"/{frame.finger}/image"
+        if camera_frame.jpeg is not None:
+            values = common | {"data": camera_frame.jpeg, "format": "jpeg"}
+            self._mcap.protobuf(topic, COMPRESSED_IMAGE, values, log_ns, frame.seq)
+            return
+        height, width = frame.pixels.shape[:2]
+        size = {"width": width, "height": height, "encoding": "bgr8", "step": 3 * width}
+        values = common | size | {"data": np.ascontiguousarray(frame.pixels).tobytes()}
+        self._mcap.protobuf(topic, RAW_IMAGE, values, log_ns, frame.seq)
+
+    def _write_markers(self, observation: Observation) -> None:
+        log_ns = observation.captured_ns + self._offset_ns
+        rows, cols = observation.field.valid.shape
+        values = {
+            "timestamp": log_ns,
+            "seq": observation.seq,
+            "rows": rows,
+            "cols": cols,
+            "rest_px": _floats(observation.field.rest_px),
+            "displacement_px": _floats(observation.field.displacement_px),
+            "residual_px": _floats(observation.slip.residual_px),
+            "valid": observation.field.valid.astype(np.uint8).tobytes(),
+            "state": observation.slip.state,
+            "slip_score": float(observation.slip.score),
+        }
+        self._mcap.protobuf(f"/{observation.finger}/markers", MARKERS, values, log_ns, observation.seq)
+
+    def _write_summary(self, summary: Mapping[str, Any]) -> None:
+        facts = {"insertion_id": self.insertion_id, "left_out_n": self.left_out_n} | dict(summary)
+        (self.folder / "summary.json").write_text(json.dumps(facts, indent=1))
+
+
+def _nothing() -> None:
+    """Time passed; the flush follows."""
+
+
+def _floats(values: NDArray[Any]) -> bytes:
+    return np.ascontiguousarray(values, "<f4").tobytes()
+
+
+def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """An ``.npz`` with light compression (numpy's own level costs ten times the time for a few per cent)."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
+
+
+def prune(root: Path, max_bytes: int) -> list[Path]:
+    """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them."""
+    folders = sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+    sizes = [sum(file.stat().st_size for file in folder.iterdir() if file.is_file()) for folder in folders]
+    removed: list[Path] = []
+    total = sum(sizes)
+    for folder, size in zip(folders[:-1], sizes[:-1], strict=True):
+        if total <= max_bytes:
+            break
+        shutil.rmtree(folder)
+        removed.append(folder)
+        total -= size
+    return removed

@@ -1,0 +1,70 @@
+"""Who may do what: bearer tokens with roles, and the origin of browsers."""
+
+import hmac
+from typing import Any, Literal
+from urllib.parse import urlsplit
+
+from fastapi import Depends, HTTPException, Request, WebSocket
+from pydantic import SecretStr
+from starlette.requests import HTTPConnection
+
+from service.settings import Settings
+
+Role = Literal["watch", "drive", "admin"]
+_RANK: dict[Role, int] = {"watch": 0, "drive": 1, "admin": 2}
+FORBIDDEN_CLOSE = 4403
+
+
+class Access:
+    """Checks requests against the settings' tokens. Without any token (loopback only) everybody may do everything.
+
+    A token comes as ``Authorization: Bearer TOKEN`` or, for browsers' WebSockets and images, ``?token=TOKEN``.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        given: list[tuple[Role, SecretStr | None]] = [
+            ("watch", settings.token_watch),
+            ("drive", settings.token_drive),
+            ("admin", settings.token_admin),
+        ]
+        self._tokens = [(role, token.get_secret_value()) for role, token in given if token is not None]
+        self._origins = set(settings.allowed_origins)
+
+    def role(self, connection: HTTPConnection) -> Role | None:
+        """The highest role a request's token gives, None for a wrong or absent one."""
+        if not self._tokens:
+            return "admin"
+        scheme, _, value = connection.headers.get("authorization", "").partition(" ")
+        offered = value.strip() if scheme.lower() == "bearer" else connection.query_params.get("token", "")
+        held = [role for role, token in self._tokens if hmac.compare_digest(offered.encode(), token.encode())]
+        return max(held, key=_RANK.__getitem__, default=None)
+
+    def allows(self, connection: HTTPConnection, needed: Role) -> bool:
+        """Whether a request may act in a role."""
+        role = self.role(connection)
+        return role is not None and _RANK[role] >= _RANK[needed]
+
+    def same_origin(self, connection: HTTPConnection) -> bool:
+        """Whether a browser's page is ours or allowed; other clients send no Origin."""
+        origin = connection.headers.get("origin")
+        return origin is None or urlsplit(origin).netloc == connection.headers.get("host") or origin in self._origins
+
+    async def admit(self, socket: WebSocket, needed: Role) -> bool:
+        """Close a WebSocket that may not come in; True if it may."""
+        if self.allows(socket, needed) and self.same_origin(socket):
+            return True
+        await socket.close(FORBIDDEN_CLOSE)
+        return False
+
+    def require(self, needed: Role) -> Any:
+        """A FastAPI dependency that refuses with 401 or 403."""
+
+        def check(request: Request) -> None:
+            if not self.same_origin(request):
+                raise HTTPException(403, "this page's origin is not allowed; see --allowed-origins")
+            if self.role(request) is None:
+                raise HTTPException(401, "a bearer token is needed", {"WWW-Authenticate": "Bearer"})
+            if not self.allows(request, needed):
+                raise HTTPException(403, f"this token does not give the role {needed}")
+
+        return Depends(check)

@@ -1,0 +1,91 @@
+"""`python -m service run`: the service as a process."""
+
+import contextlib
+import logging
+import socket
+import sys
+from collections.abc import Sequence
+
+import structlog
+import uvicorn
+
+from service.app import create_app
+from service.contract import ContractError
+from service.settings import Settings, read_settings
+from service.station import open_station
+
+MAX_MESSAGE_BYTES = 4 << 20
+
+
+class PortError(ContractError):
+    """The port cannot be had."""
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """A listening TCP socket; raise PortError with what to do if the port is busy or the address is not ours."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    sock = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((host, port))
+        sock.listen(128)
+    except OSError as error:
+        sock.close()
+        raise PortError(
+            f"cannot listen on {host}:{port} ({error.strerror}); stop what uses it or pass another --port"
+        ) from error
+    return sock
+
+
+def set_up_logs(settings: Settings) -> None:
+    """Structured lines on standard error, JSON where asked for."""
+    renderer = structlog.processors.JSONRenderer() if settings.log_json else structlog.dev.ConsoleRenderer(colors=False)
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso"),
+            structlog.processors.format_exc_info,
+            renderer,
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
+        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+    )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Serve until interrupted; bad input raises ContractError or OSError before anything listens."""
+    settings = read_settings(arguments)
+    set_up_logs(settings)
+    with contextlib.closing(bind(settings.host, settings.port)) as sock:
+        station = open_station(settings)
+        station.start()
+        try:
+            station.wait_for_cameras(settings.camera_wait_s)
+            scheme = "https" if settings.tls_certificate else "http"
+            print(f"service ready at {scheme}://{settings.host}:{sock.getsockname()[1]}/", flush=True)
+            _serve(settings, sock, create_app(station))
+        finally:
+            station.stop()
+    return 0
+
+
+def _serve(settings: Settings, sock: socket.socket, app: object) -> None:
+    config = uvicorn.Config(
+        app,  # type: ignore[arg-type]
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,
+        ws_max_size=MAX_MESSAGE_BYTES,
+        ws_ping_interval=5.0,
+        ws_ping_timeout=20.0,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_keep_alive=30,
+        timeout_graceful_shutdown=3,
+        h11_max_incomplete_event_size=65536,
+        limit_concurrency=256,
+        ssl_certfile=str(settings.tls_certificate) if settings.tls_certificate else None,
+        ssl_keyfile=str(settings.tls_key) if settings.tls_key else None,
+    )
+    uvicorn.Server(config).run(sockets=[sock])

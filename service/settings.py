@@ -1,0 +1,142 @@
+"""What the service is told: command line over environment (``TACTILE_*``) over a TOML file (``--config``)."""
+
+import ipaddress
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import Field, SecretStr, ValidationError, model_validator
+from pydantic_settings import (
+    BaseSettings,
+    CliApp,
+    CliSettingsSource,
+    InitSettingsSource,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+)
+from pydantic_settings import SettingsError as CliError
+
+from service.contract import ContractError
+from service.contract.wire import ControllerName, Limits
+
+
+class SettingsError(ContractError):
+    """The service was told something it cannot do; the text names the option."""
+
+
+class Settings(BaseSettings):
+    """Serve tactile insertions: two finger cameras in, slip and corrections out, a dashboard at /.
+
+    Example: python -m service run --models models --calibration cell/calibration.toml
+    --camera-left http://127.0.0.1:8081/stream.mjpg --camera-right http://127.0.0.1:8082/stream.mjpg
+    """
+
+    model_config = SettingsConfigDict(
+        env_prefix="TACTILE_",
+        extra="forbid",
+        frozen=True,
+        cli_kebab_case=True,
+        cli_hide_none_type=True,
+        cli_exit_on_error=False,
+    )
+
+    models: Path = Field(Path("models"), description="folder with the ONNX files and their cards")
+    camera_left: str = Field(description="left finger: http://HOST:PORT/PATH (MJPEG), v4l2:N, file:PATH or push:")
+    camera_right: str = Field(description="right finger, same forms")
+    calibration: Path | None = Field(None, description="rectification TOML; leave out for rectified cameras")
+    host: str = Field("127.0.0.1", description="address to listen on; anything but loopback needs a token")
+    port: int = Field(8000, ge=0, le=65535, description="port to listen on; 0 takes any free one and prints it")
+    recordings: Path = Field(Path("recordings"), description="folder for recorded insertions")
+    recordings_max_gb: float = Field(20.0, gt=0, description="oldest insertions are removed beyond this")
+    controller: ControllerName = Field("belief", description="heuristic (the paper's) or belief (remembers attempts)")
+    frame_rate_hz: float = Field(30.0, gt=0, le=240, description="asked of V4L2 cameras")
+    max_skew_ms: float | None = Field(None, gt=0, description="largest skew of a pair; default 0.6 frame periods")
+    max_dx_mm: float = Field(15.0, gt=0, le=50, description="largest correction across the gap ever sent")
+    max_dtheta_deg: float = Field(15.0, gt=0, le=45, description="largest yaw correction ever sent")
+    max_frame_age_ms: float = Field(300.0, gt=0, description="an older newest frame during a descent is a fault")
+    client_timeout_s: float = Field(10.0, gt=0, description="a silent driving client is given up after this")
+    camera_wait_s: float = Field(10.0, ge=0, description="how long start-up waits for each camera's first frame")
+    token_drive: SecretStr | None = Field(None, description="bearer token of clients that drive (they may also watch)")
+    token_watch: SecretStr | None = Field(None, description="bearer token of clients that only watch")
+    token_admin: SecretStr | None = Field(None, description="bearer token for loading models and deleting recordings")
+    tls_certificate: Path | None = Field(None, description="PEM certificate; serve https and wss")
+    tls_key: Path | None = Field(None, description="PEM key of the certificate")
+    allowed_origins: tuple[str, ...] = Field((), description="browser origins allowed besides our own pages")
+    log_json: bool = Field(False, description="one JSON object a log line")
+
+    @model_validator(mode="after")
+    def _safe(self) -> Self:
+        if not self.is_loopback and self.token_drive is None:
+            raise ValueError(f"host {self.host} is reachable from outside: set --token-drive, or listen on 127.0.0.1")
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            raise ValueError("tls_certificate and tls_key go together: give both or neither")
+        return self
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether only this machine can connect."""
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
+
+    @property
+    def limits(self) -> Limits:
+        """As the hello message carries them."""
+        return Limits(
+            max_dx_mm=self.max_dx_mm, max_dtheta_deg=self.max_dtheta_deg, max_frame_age_ms=self.max_frame_age_ms
+        )
+
+
+def read_settings(arguments: Sequence[str]) -> Settings:
+    """Settings from a command line; raise SettingsError with one line that names the option.
+
+    ``--config FILE`` gives defaults from TOML with the same names (underscores for dashes).
+    """
+    rest, defaults = _take_config(list(arguments))
+    kind = _with_defaults(defaults)
+    try:
+        source: CliSettingsSource[Settings] = CliSettingsSource(kind, cli_prog_name="python -m service run")
+        return CliApp.run(kind, cli_args=rest, cli_settings_source=source)
+    except CliError as error:
+        raise SettingsError(f"{error} (python -m service run --help)") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = "--" + "-".join(str(part) for part in first["loc"]).replace("_", "-") if first["loc"] else "settings"
+        raise SettingsError(f"{name}: {first['msg']} (python -m service run --help)") from error
+
+
+def _take_config(arguments: list[str]) -> tuple[list[str], dict[str, Any]]:
+    if "--config" not in arguments:
+        return arguments, {}
+    at = arguments.index("--config")
+    if at + 1 >= len(arguments):
+        raise SettingsError("--config needs a TOML file")
+    path = Path(arguments[at + 1])
+    try:
+        defaults = tomllib.loads(path.read_text())
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise SettingsError(f"--config {path}: {error}") from error
+    return arguments[:at] + arguments[at + 2 :], defaults
+
+
+def _with_defaults(defaults: dict[str, Any]) -> type[Settings]:
+    """A Settings class whose lowest source is the given table."""
+    if not defaults:
+        return Settings
+
+    class Configured(Settings):
+        @classmethod
+        def settings_customise_sources(
+            cls,
+            settings_cls: type[BaseSettings],
+            init_settings: PydanticBaseSettingsSource,
+            env_settings: PydanticBaseSettingsSource,
+            dotenv_settings: PydanticBaseSettingsSource,
+            file_secret_settings: PydanticBaseSettingsSource,
+        ) -> tuple[PydanticBaseSettingsSource, ...]:
+            del dotenv_settings, file_secret_settings
+            return init_settings, env_settings, InitSettingsSource(settings_cls, defaults)
+
+    return Configured

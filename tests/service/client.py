@@ -1,0 +1,58 @@
+"""A robot client as short as the protocol allows, for tests of the live service."""
+
+import time
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+from service.contract import wire
+from tests.service.conftest import LiveService
+
+
+class Driver:
+    def __init__(self, live: LiveService, insertion_id: str, **hello: Any) -> None:
+        self.live, self.id = live, insertion_id
+        self.socket: ClientConnection = connect(live.url("/v1/insertion", "ws"), compression=None)
+        self.send(wire.ClientHello(insertion_id=insertion_id, client="test", **hello))
+
+    def send(self, message: Any) -> None:
+        self.socket.send(message.model_dump_json())
+
+    def receive(self, timeout_s: float = 20.0) -> Any:
+        return wire.parse_service(self.socket.recv(timeout_s))
+
+    def until(self, kind: str, timeout_s: float = 20.0) -> Any:
+        deadline = time.monotonic() + timeout_s
+        while (left := deadline - time.monotonic()) > 0:
+            message = self.receive(left)
+            if message.type == kind:
+                return message
+            assert message.type not in {"fault", "no_decision"}, message
+        raise AssertionError(f"no {kind} within {timeout_s} s")
+
+    def attempt(self, number: int) -> wire.Correction:
+        self.rest()
+        self.send(wire.Arm(insertion_id=self.id, attempt=number, gap_width_mm=56.0, expected_depth_mm=25.0))
+        self.until("armed")
+        self.live.probe()
+        self.send(wire.Descending(insertion_id=self.id, attempt=number))
+        slip = self.until("slip")
+        self.send(wire.Stopped(insertion_id=self.id, attempt=number, depth_mm=6.0, outcome="blocked"))
+        correction = self.until("correction")
+        assert slip.attempt == correction.attempt == number
+        return correction
+
+    def rest(self) -> None:
+        for finger in self.live.fingers:
+            finger.probe_started = None
+        time.sleep(0.1)
+
+    def insert(self, number: int) -> wire.Finished:
+        self.rest()
+        self.send(wire.Arm(insertion_id=self.id, attempt=number, gap_width_mm=56.0, expected_depth_mm=25.0))
+        self.until("armed")
+        self.send(wire.Stopped(insertion_id=self.id, attempt=number, depth_mm=25.0, outcome="inserted"))
+        return self.until("finished")
+
+    def close(self) -> None:
+        self.socket.close()

@@ -1,0 +1,86 @@
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import uvicorn
+
+from service.app import create_app
+from service.run import bind
+from service.settings import Settings
+from service.station import Station, open_station
+from tests.service import drawn, tiny_models
+from tests.service.mjpeg import FakeFinger
+
+
+@pytest.fixture(scope="session")
+def models_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")
+
+
+@dataclass
+class LiveService:
+    """A whole service on a real port, with two cameras on real sockets."""
+
+    station: Station
+    fingers: tuple[FakeFinger, FakeFinger]
+    port: int
+    recordings: Path
+
+    def probe(self, delay_s: float = 0.0) -> None:
+        started = time.monotonic() + delay_s
+        for finger in self.fingers:
+            finger.probe(started)
+
+    def url(self, path: str, scheme: str = "http") -> str:
+        return f"{scheme}://127.0.0.1:{self.port}{path}"
+
+
+@contextlib.contextmanager
+def serve(station: Station) -> Iterator[int]:
+    sock: socket.socket = bind("127.0.0.1", 0)
+    config = uvicorn.Config(create_app(station), ws="websockets-sansio", ws_per_message_deflate=False, log_config=None)
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [sock]}, daemon=True)
+    thread.start()
+    try:
+        yield sock.getsockname()[1]
+    finally:
+        server.should_exit = True
+        thread.join(10)
+        sock.close()
+
+
+@contextlib.contextmanager
+def live_service(folder: Path, models: Path, **changes: object) -> Iterator[LiveService]:
+    fingers = FakeFinger("left"), FakeFinger("right")
+    calibration = folder / "calibration.toml"
+    drawn.calibration().save(calibration)
+    settings = Settings(
+        models=models,
+        camera_left=fingers[0].url,
+        camera_right=fingers[1].url,
+        calibration=calibration,
+        recordings=folder / "recordings",
+        **{"max_frame_age_ms": 2000.0, **changes},  # tests share their machine
+    )
+    station = open_station(settings)
+    station.start()
+    try:
+        station.wait_for_cameras(10)
+        with serve(station) as port:
+            yield LiveService(station, fingers, port, settings.recordings)
+    finally:
+        station.stop()
+        for finger in fingers:
+            finger.close()
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory, models_folder: Path) -> Iterator[LiveService]:
+    with live_service(tmp_path_factory.mktemp("live"), models_folder) as service:
+        yield service

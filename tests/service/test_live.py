@@ -1,0 +1,120 @@
+import json
+import time
+from pathlib import Path
+
+import httpx
+import numpy as np
+
+from service.contract import wire
+from tests.service.client import Driver
+from tests.service.conftest import LiveService
+
+
+def test_a_whole_insertion_with_corrections_is_answered_and_recorded(live: LiveService) -> None:
+    driver = Driver(live, "whole")
+    hello = driver.until("hello")
+    assert {entry.card.role for entry in hello.models} == {"direction", "magnitude"}
+    assert [camera.state for camera in hello.cameras] == ["live", "live"]
+    corrections = [driver.attempt(number) for number in (1, 2)]
+    assert all(c.latency_ms["since_last_frame"] < 2000 for c in corrections)
+    finished = driver.insert(3)
+    assert (finished.outcome, finished.attempts) == ("inserted", 3)
+    assert finished.recording is not None
+    folder = Path(finished.recording).parent
+    assert (folder / "insertion.mcap").stat().st_size > 100_000
+    assert json.loads((folder / "summary.json").read_text())["outcome"] == "inserted"
+    with np.load(folder / "attempt_01.npz") as arrays:
+        assert arrays["frames"].shape == (8, 2, 320, 327, 3)
+        decision = wire.parse_service(str(arrays["decision"]))
+    assert decision == corrections[0]
+
+
+def test_health_ready_and_metrics_answer(live: LiveService) -> None:
+    assert httpx.get(live.url("/healthz")).json() == {"status": "ok"}
+    assert httpx.get(live.url("/readyz")).status_code == 200
+    text = httpx.get(live.url("/metrics")).text
+    assert 'tactile_frames_total{finger="left"}' in text
+    assert "tactile_ready 1.0" in text
+
+
+def test_only_one_client_drives_and_others_watch(live: LiveService) -> None:
+    driver, second, watcher = Driver(live, "first"), None, None
+    try:
+        driver.until("hello")
+        second = Driver(live, "second")
+        fault = second.receive()
+        assert (fault.type, fault.code, fault.fatal) == ("fault", "busy", True)
+        watcher = Driver(live, "watcher", role="watch")
+        assert watcher.receive().type == "hello"
+        watcher.send(wire.Descending(insertion_id="watcher", attempt=1))
+        assert watcher.receive().code == "watch_only"
+        driver.attempt(1)
+        assert watcher.until("correction").insertion_id == "first"
+        driver.send(wire.Abort(insertion_id="first", reason="done"))
+        assert driver.until("finished").outcome == "aborted"
+    finally:
+        for client in (driver, second, watcher):
+            if client:
+                client.close()
+
+
+def test_garbage_is_answered_by_a_fault_and_the_insertion_goes_on(live: LiveService) -> None:
+    driver = Driver(live, "garbled")
+    driver.until("hello")
+    for garbage in ("{", '{"type": "arm"}', "[]", '{"type": "dance", "insertion_id": "garbled"}'):
+        driver.socket.send(garbage)
+        assert driver.receive().code == "bad_message"
+    driver.socket.send(b"\0" * 100)
+    assert driver.receive().code == "bad_message"
+    driver.attempt(1)
+    driver.send(wire.Abort(insertion_id="garbled", reason="done"))
+    driver.until("finished")
+    driver.close()
+
+
+def test_a_client_that_lost_its_connection_takes_its_insertion_up_again(live: LiveService) -> None:
+    driver = Driver(live, "resumed")
+    driver.until("hello")
+    driver.attempt(1)
+    driver.close()
+    time.sleep(0.1)
+    again = Driver(live, "resumed")
+    again.until("hello")
+    again.attempt(2)
+    again.send(wire.Abort(insertion_id="resumed", reason="done"))
+    assert again.until("finished").attempts == 2
+    again.close()
+
+
+def test_a_cut_camera_is_a_fault_and_comes_back_within_a_second(live: LiveService) -> None:
+    left = live.fingers[0]
+    driver = Driver(live, "cut")
+    driver.until("hello")
+    driver.rest()
+    driver.send(wire.Arm(insertion_id="cut", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0))
+    driver.until("armed")
+    left.connected = False
+    fault = driver.receive()
+    assert (fault.code, fault.fatal) == ("camera_lost", False)
+    assert httpx.get(live.url("/readyz")).status_code == 503
+    left.connected = True
+    returned = time.monotonic()
+    while not live.station.ready and time.monotonic() - returned < 5:
+        time.sleep(0.01)
+    assert time.monotonic() - returned < 1.0
+    driver.send(wire.Stopped(insertion_id="cut", attempt=1, depth_mm=3.0, outcome="blocked"))
+    refused = driver.receive()
+    assert (refused.type, refused.reason) == ("no_decision", "stale")
+    driver.send(wire.Abort(insertion_id="cut", reason="done"))
+    driver.until("finished")
+    driver.close()
+
+
+def test_the_first_message_must_be_hello(live: LiveService) -> None:
+    from websockets.sync.client import connect
+
+    with connect(live.url("/", "ws"), compression=None) as socket:
+        socket.send(wire.Abort(insertion_id="x", reason="").model_dump_json())
+        fault = wire.parse_service(socket.recv(5))
+    assert isinstance(fault, wire.Fault)
+    assert fault.fatal
