@@ -25,7 +25,7 @@ class ServiceSettings(Contract):
     url: str = "ws://127.0.0.1:8000/v1/insertion"
     connect_timeout_s: float = Field(default=3.0, gt=0)
     heartbeat_s: float = Field(default=0.1, gt=0, le=1.0)
-    silence_s: float = Field(default=0.5, gt=0)
+    silence_s: float = Field(default=0.75, gt=0)
 
 
 @dataclass(slots=True)

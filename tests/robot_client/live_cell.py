@@ -9,6 +9,14 @@ import socket
 import time
 from dataclasses import dataclass, field
 
+from websockets.asyncio.server import serve
+
+from robot_client.commands import live_ports, make_plan
+from robot_client.recorder import Recorder
+from robot_client.report import Report
+from robot_client.runner import Runner
+from robot_client.settings import Settings, load_settings
+from service.contract import wire
 from simulation.emulators.abb_cabinet import Cabinet, Delays
 from simulation.emulators.abb_egm import EgmEmulator
 from simulation.emulators.abb_frames import CellFrames
@@ -18,14 +26,6 @@ from simulation.emulators.faults import FaultBoard
 from simulation.emulators.net import HttpServer, bind_tcp, bind_udp, free_port, port_of
 from simulation.emulators.wsg50 import Wsg50Emulator
 from simulation.emulators.wsg50_gripper import Gripper
-from websockets.asyncio.server import serve
-
-from robot_client.commands import live_ports, make_plan
-from robot_client.recorder import Recorder
-from robot_client.report import Report
-from robot_client.runner import Runner
-from robot_client.settings import Settings, load_settings
-from service.contract import wire
 
 CONTACT_MM, CLEARANCE_MM, CLEARANCE_DEG = 6.0, 2.5, 3.5
 LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
@@ -178,7 +178,7 @@ class Bench:
 @contextlib.asynccontextmanager
 async def bench(*, lag_ms=20.0, holding=True, overrides=None):
     board = FaultBoard()
-    start = Pose((0.0, 0.0, 60.0), tool_down(0.0))
+    start = Pose((5.0, 0.0, 40.0), tool_down(0.0))
     delays = Delays(motors_s=0.02, program_start_s=0.02, program_stop_s=0.05)
     cabinet = Cabinet(Follower(start, MotionLimits(lag_s=lag_ms / 1000.0)), board, delays)
     frames = CellFrames()
@@ -201,7 +201,8 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None):
         "service": {"url": f"ws://127.0.0.1:{service_port}"},
         "rws": {"url": f"http://127.0.0.1:{rws.port}", "poll_s": 0.01},
         "egm": {"port": guide_port, "bind": "127.0.0.1", "ready_timeout_s": 3.0},
-        "gripper": {"host": "127.0.0.1", "port": wsg_port},
+        "gripper": {"host": "127.0.0.1", "port": wsg_port, "grasp_speed_mm_s": 150.0},
+        "task": {"expected_depth_mm": 12.0, "depth_tolerance_mm": 0.5},
     }
     for section, values in (overrides or {}).items():
         sections[section] = {**sections.get(section, {}), **values}
