@@ -23,9 +23,6 @@ class Observer(Protocol):
     def on_event(self, state: State, event: Event) -> None:
         """``event`` happened; ``state`` is the one after it."""
 
-    def summary(self) -> dict[str, Any]:
-        """What it adds to the log's last line."""
-
 
 @dataclass(slots=True)
 class Runner:
@@ -121,5 +118,4 @@ class Runner:
             "reason": self.state.reason,
             "controller": self.farewell,
             "link": self.arm.statistics(),
-            **{key: value for observer in self.observers for key, value in observer.summary().items()},
         }

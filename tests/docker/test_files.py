@@ -88,3 +88,22 @@ def test_the_healthcheck_passes_on_200_only(port):
 
 def test_the_healthcheck_fails_where_nobody_listens(port):
     assert healthcheck(1, "/readyz") == 1
+
+
+def metrics_read(text: str) -> set[str]:
+    """Names of our metrics that a query file reads, without the suffixes that Prometheus adds."""
+    return {re.sub(r"_(total|bucket|count|sum)$", "", name) for name in re.findall(r"\btactile_[a-z_]+", text)}
+
+
+@pytest.mark.parametrize("path", ["prometheus/alerts.yml", "prometheus/alerts_test.yml", "grafana/dashboard.json"])
+def test_alerts_and_dashboard_read_only_metrics_that_the_service_has(path):
+    source = ROOT / "service" / "metrics.py"
+    made = set(re.findall(r'(?:Histogram|Counter|Gauge)\("([a-z_]+)"', source.read_text()))
+    assert metrics_read((DOCKER / path).read_text()) <= {f"tactile_{name}" for name in made}
+
+
+def test_every_alert_is_tested():
+    alerts = set(re.findall(r"- alert: (\w+)", (DOCKER / "prometheus" / "alerts.yml").read_text()))
+    tests = (DOCKER / "prometheus" / "alerts_test.yml").read_text()
+    assert alerts
+    assert {name for name in alerts if name not in tests} == set()

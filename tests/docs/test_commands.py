@@ -94,12 +94,9 @@ def test_every_python_block_is_python(page: Path):
 
 @pytest.fixture(scope="session")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """The shell of a person who has run `make setup`: this interpreter stands for the project's environments."""
-    stand_in = tmp_path_factory.mktemp("environment")
-    (stand_in / "bin").symlink_to(Path(sys.executable).parent)
-    (stand_in / "ready").touch()
+    """The shell of a person in the repository with this interpreter active; what a command writes goes elsewhere."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    return {**os.environ, "PATH": path, "RUN_VENV": str(stand_in), "OUT": str(stand_in / "runs")}
+    return {**os.environ, "PATH": path, "OUT": str(tmp_path_factory.mktemp("runs"))}
 
 
 @pytest.mark.slow
@@ -111,3 +108,13 @@ def test_every_command_runs(block: Block, environment: dict[str, str]):
         ["bash", "-c", script], capture_output=True, text=True, cwd=ROOT, env=environment, timeout=1800, check=False
     )
     assert done.returncode == 0, f"{block.name} ended with {done.returncode}:\n{(done.stdout + done.stderr)[-2000:]}"
+
+
+def test_the_robot_configuration_in_the_first_hour_is_accepted(tmp_path: Path):
+    from robot_client.settings import load_settings
+
+    text = "\n".join(b.text for b in blocks(ROOT / "docs" / "first_hour.md") if b.language == "toml")
+    (tmp_path / "cell.toml").write_text(text)
+    settings = load_settings(tmp_path / "cell.toml")
+    assert settings.limits.max_attempts == 3
+    assert settings.work_object.origin_mm[0] == 612.4
