@@ -1,6 +1,7 @@
 """Export, verify and measure networks: ``python -m export onnx runs/compact/checkpoint.pt --out models/``."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -33,10 +34,30 @@ def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models")) -> No
     print("\n".join(check(folder)))
 
 
+def benchmark(
+    models: Annotated[list[Path], tyro.conf.Positional] = [],  # noqa: B006 - tyro copies it
+    seconds: float = 2.0,
+    out: Path | None = Path("runs/benchmark.json"),
+    loadgen: bool = False,
+) -> None:
+    """Measure models on this machine: latency, throughput, operators, threads; optionally under MLPerf LoadGen.
+
+    Args:
+        models: ONNX files; all of models/ if none is named.
+        seconds: how long each measurement lasts.
+        out: JSON file of the results.
+        loadgen: also run LoadGen's SingleStream, Offline and Server scenarios.
+    """
+    from export.benchmark import benchmark as measure
+
+    measure(models or sorted(Path("models").glob("*.onnx")), seconds=seconds, out=out, with_loadgen=loadgen)
+
+
 def main() -> None:
     """Command line entry."""
     try:
-        tyro.extras.subcommand_cli_from_dict({"onnx": onnx, "verify": verify}, prog="python -m export")
+        commands: dict[str, Callable[..., None]] = {"onnx": onnx, "verify": verify, "benchmark": benchmark}
+        tyro.extras.subcommand_cli_from_dict(commands, prog="python -m export")
     except ContractError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -75,6 +75,7 @@ class StepGuard:
     last: WorkPose
     _speed: tuple[float, float, float] = (0.0, 0.0, 0.0)
     _turn_deg_s: float = 0.0
+    _elapsed_s: float = 0.004
 
     def check(self, target: WorkPose, elapsed_s: float, motion: Motion) -> WorkPose:
         """``target`` if it may follow the last one after ``elapsed_s``; raises LimitError otherwise."""
@@ -90,11 +91,12 @@ class StepGuard:
         top = self.limits.max_descent_speed_mm_s if motion == "descend" else self.limits.max_speed_mm_s
         self._bound("speed mm/s", math.hypot(*speed), top)
         self._bound("turn deg/s", abs(turn), self.limits.max_turn_deg_s)
-        change = math.dist(speed, self._speed) / elapsed_s
+        between_s = (elapsed_s + self._elapsed_s) / 2.0  # both speeds are means over their step
+        change = math.dist(speed, self._speed) / between_s
         self._bound("acceleration mm/s2", change, self.limits.max_acceleration_mm_s2)
-        change = abs(turn - self._turn_deg_s) / elapsed_s
+        change = abs(turn - self._turn_deg_s) / between_s
         self._bound("turn acceleration deg/s2", change, self.limits.max_turn_acceleration_deg_s2)
-        self.last, self._speed, self._turn_deg_s = target, speed, turn
+        self.last, self._speed, self._turn_deg_s, self._elapsed_s = target, speed, turn, elapsed_s
         return target
 
     def rest(self) -> None:

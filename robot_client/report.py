@@ -103,6 +103,10 @@ class Report:
     def _update(self, **values: Any) -> None:
         self.rows[-1] = self.rows[-1].model_copy(update=values)
 
+    def summary(self) -> dict[str, Any]:
+        """The rows, for the episode log."""
+        return {"rows": [row.model_dump(mode="json") for row in self.rows]}
+
     def final(self, state: State, farewell: str, link: dict[str, Any]) -> list[str]:
         """One screen: outcome, attempts, overtravel, link."""
         word = "INSERTED" if state.phase is Phase.INSERTED else "NOT INSERTED"

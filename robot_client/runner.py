@@ -23,6 +23,9 @@ class Observer(Protocol):
     def on_event(self, state: State, event: Event) -> None:
         """``event`` happened; ``state`` is the one after it."""
 
+    def summary(self) -> dict[str, Any]:
+        """What it adds to the log's last line."""
+
 
 @dataclass(slots=True)
 class Runner:
@@ -118,4 +121,5 @@ class Runner:
             "reason": self.state.reason,
             "controller": self.farewell,
             "link": self.arm.statistics(),
+            **{key: value for observer in self.observers for key, value in observer.summary().items()},
         }

@@ -10,6 +10,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "cell": ("simulation.cli.cell:main", "the cell in real time on loopback: robot, gripper, cameras, truth"),
     "explain": ("simulation.cli.explain:main", "which effects a scene calls for, why, and what each costs"),
     "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),
+    "collect": ("simulation.collect:main", "poke on all cores and keep the collisions as a dataset"),
+    "view": ("simulation.view:main", "trials of a dataset as pictures"),
     "accuracy": ("simulation.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
 }
 

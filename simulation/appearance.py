@@ -8,6 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from service.contract import FINGERS, Finger
+from simulation.scene import Scene
 
 Corners = tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
 
@@ -51,7 +52,7 @@ class Appearance:
     motion_blur_share: float = 0.0
 
     @classmethod
-    def draw(cls, scene: Any, finger: Finger, seed: int) -> Self:
+    def draw(cls, scene: Scene, finger: Finger, seed: int) -> Self:
         """The appearance of ``finger`` in ``scene``; the same (scene, finger, seed) gives the same numbers.
 
         What the scene states (mm per px, noise, exposure, textures) is taken as it is; what a maker cannot control
@@ -92,18 +93,20 @@ def _as_tuples(value: Any) -> Any:
     return tuple(_as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
-def optics_of(scene: Any) -> dict[str, Any]:
+def optics_of(scene: Scene) -> dict[str, Any]:
     """The appearance fields that the scene itself fixes (see `simulation.scene.Camera`, `Gel`, `HeldObject`)."""
-    camera, effects = scene.camera, scene.effects
+    from simulation.effects import active_effects
+
+    camera, active = scene.camera, active_effects(scene)
     texture, period, gain = OBJECT_TEXTURES[scene.object.texture]
     return {
         "mm_per_px": camera.mm_per_px,
-        "noise_sigma_grey": camera.noise_grey if effects.camera_noise != "off" else 0.0,
+        "noise_sigma_grey": camera.noise_grey if active.camera_noise else 0.0,
         "exposure": camera.exposure * camera.light,
-        "worn": scene.gel.wear if effects.gel_wear != "off" else 0.0,
-        "missing_dots_share": 0.02 * scene.gel.wear if effects.gel_wear != "off" else 0.0,
+        "worn": scene.gel.wear if active.gel_wear else 0.0,
+        "missing_dots_share": 0.02 * scene.gel.wear if active.gel_wear else 0.0,
         "object_texture": texture,
         "object_texture_period_px": period,
-        "object_texture_gain": gain if effects.object_texture != "off" else 0.0,
-        "motion_blur_share": camera.exposure_ms * camera.fps / 1000 if effects.motion_blur != "off" else 0.0,
+        "object_texture_gain": gain if active.object_texture else 0.0,
+        "motion_blur_share": camera.exposure_ms * camera.fps / 1000 if active.motion_blur else 0.0,
     }

@@ -6,9 +6,10 @@ to draw a trial's frames (gel states, optics, seed) is in its row: the same row 
 This module is all of the simulator that training may import.
 """
 
+import dataclasses
 import fcntl
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -69,7 +70,7 @@ class DatasetWriter:
         """List a shard that is on disk. A name is listed once."""
         if any(listed.name == entry.name for listed in self.manifest.shards):
             raise DatasetError(f"shard {entry.name} is already in {self.path / MANIFEST}")
-        shards = tuple(sorted((*self.manifest.shards, entry), key=lambda listed: listed.name))
+        shards = tuple(sorted((*self.manifest.shards, entry), key=lambda listed: listed.order))
         self.manifest = self.manifest.model_copy(update={"shards": shards})
         self._save()
 
@@ -106,7 +107,9 @@ def _locked(path: Path) -> BinaryIO:
     return lock
 
 
-def write_shard(folder: Path, name: str, trials: Sequence[Trial]) -> ShardEntry:
+def write_shard(
+    folder: Path, name: str, trials: Sequence[Trial], outcomes: Mapping[str, int] | None = None
+) -> ShardEntry:
     """Check and write trials as ``folder/name`` (temp file, fsync, rename); the entry to list it with."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -118,7 +121,8 @@ def write_shard(folder: Path, name: str, trials: Sequence[Trial]) -> ShardEntry:
     pq.write_table(table, sink, row_group_size=_ROWS_PER_GROUP, compression="zstd", use_dictionary=["appearances"])
     data = sink.getvalue().to_pybytes()
     write_durably(folder / name, data)
-    return ShardEntry.of(name, data, trials=len(trials), object_name=trials[0].object_name if trials else "")
+    object_name = trials[0].object_name if trials else ""
+    return ShardEntry.of(name, data, trials=len(trials), object_name=object_name, outcomes=dict(outcomes or {}))
 
 
 class Dataset:
@@ -128,9 +132,21 @@ class Dataset:
     finite: by name, before anything is used.
     """
 
-    def __init__(self, path: str | Path, splits: Iterable[Split] | None = None, *, verify: bool = True) -> None:
-        """Open ``path``, keep only ``splits`` if given; ``verify`` compares every shard's SHA-256 (0.1 s each)."""
+    def __init__(
+        self,
+        path: str | Path,
+        splits: Iterable[Split] | None = None,
+        *,
+        verify: bool = True,
+        noise_scale: float = 1.0,
+    ) -> None:
+        """Open ``path``, keep only ``splits`` if given.
+
+        ``verify`` compares every shard's SHA-256 (0.1 s each); ``noise_scale`` multiplies the cameras' noise, to see
+        what depends on it.
+        """
         self.path = Path(path)
+        self.noise_scale = noise_scale
         self.manifest = read_manifest(self.path)
         wanted = set(SPLITS if splits is None else splits)
         self.labels: dict[str, NDArray[Any]] = {}
@@ -152,6 +168,13 @@ class Dataset:
     def __len__(self) -> int:
         return len(self._where)
 
+    def trials_of_shard(self, name: str) -> list[int]:
+        """Numbers of the trials that lie in shard ``name``; DatasetError if the manifest does not list it."""
+        names = [entry.name for entry in self.manifest.shards]
+        if name not in names:
+            raise DatasetError(f"{self.path / name}: not listed in {MANIFEST}")
+        return [index for index, (shard, _) in enumerate(self._where) if shard == names.index(name)]
+
     def trial(self, index: int) -> Trial:
         """Trial ``index``; its arrays are read-only views."""
         shard, row = self._where[index]
@@ -170,7 +193,8 @@ class Dataset:
         from simulation.imprint import Renderer
 
         if look not in self._renderers:
-            self._renderers[look] = Renderer(look)
+            noise = look.noise_sigma_grey * self.noise_scale
+            self._renderers[look] = Renderer(dataclasses.replace(look, noise_sigma_grey=noise))
             if len(self._renderers) > _CACHED_RENDERERS:
                 self._renderers.popitem(last=False)
         return self._renderers[look]

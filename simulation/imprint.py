@@ -6,6 +6,7 @@ precomputed texture; the rest is shading. Same appearance, gel state and frame s
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,7 +24,6 @@ _DENSE = 5  # the 15 px marker lattice is refined to 3 px before it is sampled
 _COARSE_PX = 5  # raw frames: displacement and shading are evaluated on every fifth pixel, then interpolated
 _INVERSE_ITERATIONS = 6  # X = p - U(X) converges like (slope of U)^n; slopes stay below about 0.3
 _CONTACT_SHARE = 0.08  # of the reference pressure: where the held surface's texture is fully seen
-_NO_MAP = np.empty(0, np.float32)  # remap's second map: the first holds both coordinates
 GEL_SHAPE = (tx.MARKER_ROWS, tx.MARKER_COLS, 3)
 
 
@@ -91,7 +91,7 @@ class Renderer:
     def _painted(self, shift: Floats) -> tuple[Floats, Floats]:
         """Float32 [320, 427] each: albedo (grey levels of 160 for plain cloth) and relief in -gain..gain."""
         where = np.subtract(self._lens.map_to_rest, shift)
-        seen = cv2.remap(self._texture, where, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen = _remap(self._texture, where)
         albedo, bumps = cv2.split(seen)
         gain = self.appearance.object_texture_gain / 127
         return np.asarray(albedo, np.float32), (bumps.astype(np.float32) - 128) * np.float32(gain)
@@ -134,8 +134,14 @@ def _sample(refined: Floats, at_px: Floats) -> Floats:
     step = tx.MARKER_PITCH_PX / _DENSE
     first = np.asarray(tx.FIRST_MARKER_PX, np.float32)
     index = (at_px - first) * np.float32(1 / step) + np.float32(_DENSE + _DENSE // 2)
-    found = cv2.remap(refined, index, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, np.float32)
+    return np.asarray(_remap(refined, index), np.float32)
+
+
+def _remap(source: NDArray[Any], at: Floats) -> NDArray[Any]:
+    """``source`` at positions [h, w, 2], bilinear, its rim continued outside."""
+    # the stubs want a second map, but an empty array in its place is read as one by OpenCV 5's fast paths
+    none: Any = None
+    return np.asarray(cv2.remap(source, at, none, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 def _gains(felt: Floats, shading_gain: float) -> tuple[Floats, Floats]:

@@ -18,19 +18,25 @@ class DatasetError(ValueError):
 
 
 class ShardEntry(Contract):
-    """One complete shard on disk."""
+    """One complete shard on disk. ``outcomes`` counts all pokes it took, kept ("blocked") or not."""
 
     name: str
     object_name: str
     trials: int = Field(ge=0)
     size_bytes: int = Field(ge=0)
     sha256: str
+    outcomes: dict[str, int] = Field(default_factory=dict)
+
+    @property
+    def order(self) -> tuple[str, str]:
+        """Shards are listed by number first: objects stay mixed, and a larger collection begins with the smaller."""
+        return self.name.rpartition("-")[2], self.name
 
     @classmethod
-    def of(cls, name: str, data: bytes, *, trials: int, object_name: str) -> Self:
+    def of(cls, name: str, data: bytes, *, trials: int, object_name: str, outcomes: dict[str, int]) -> Self:
         """The entry of a shard whose bytes are ``data``."""
-        digest = hashlib.sha256(data).hexdigest()
-        return cls(name=name, object_name=object_name, trials=trials, size_bytes=len(data), sha256=digest)
+        digest, size = hashlib.sha256(data).hexdigest(), len(data)
+        return cls(name=name, object_name=object_name, trials=trials, size_bytes=size, sha256=digest, outcomes=outcomes)
 
     def must_be_whole(self, folder: Path, *, verify: bool = False) -> None:
         """DatasetError if the file is missing, has another size or, with ``verify``, other contents."""

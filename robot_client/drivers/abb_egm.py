@@ -32,8 +32,8 @@ class EgmSettings(Contract):
     port: int = egm.UDP_PORT
     robot_host: str | None = None
     ready_timeout_s: float = 8.0
-    silence_s: float = 0.1
-    max_age_s: float = 0.15
+    silence_s: float = 0.25  # harmless in position mode: targets stop with the stream
+    max_age_s: float = 0.25
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""The client printed in docs/api.md speaks the protocol: its messages parse, slip stops it, a correction moves it once."""
+"""The client printed in docs/api.md: its messages parse, slip stops it, a correction moves it once."""
 
 import threading
 

@@ -119,6 +119,15 @@ def test_yaw_of_the_object_shows_as_a_change_of_light_without_motion() -> None:
     assert green < -1.0
 
 
+def test_light_changes_smoothly_where_pressure_does() -> None:
+    gel = still()
+    gel[..., 2] = 0.05 * np.exp(-((REST_MM / 5.0) ** 2).sum(-1))
+    frame = Renderer(dataclasses.replace(QUIET, dot_darkness=0.0)).raw(gel, 0).astype(float)
+    inside = frame[20:300, 125:300]
+    assert np.abs(np.diff(inside, axis=1)).max() < 6
+    assert np.abs(np.diff(inside, n=2, axis=1)).max() < 6
+
+
 def test_held_texture_appears_only_in_contact() -> None:
     look = dataclasses.replace(QUIET, object_texture="layers", object_texture_gain=0.2)
     renderer, bare = Renderer(look), Renderer(QUIET)

@@ -1,0 +1,217 @@
+"""A small live cell for the tests: the emulated robot and gripper, and a decision service that knows the truth.
+
+Everything runs on the test's event loop over real sockets. Contact is geometry, as exact as the tests need it.
+"""
+
+import asyncio
+import contextlib
+import socket
+import time
+from dataclasses import dataclass, field
+
+from websockets.asyncio.server import serve
+
+from robot_client.commands import live_ports, make_plan
+from robot_client.recorder import Recorder
+from robot_client.report import Report
+from robot_client.runner import Runner
+from robot_client.settings import Settings, load_settings
+from service.contract import wire
+from simulation.emulators.abb_cabinet import Cabinet, Delays
+from simulation.emulators.abb_egm import EgmEmulator
+from simulation.emulators.abb_frames import CellFrames
+from simulation.emulators.abb_motion import Follower, MotionLimits, Pose, tool_down
+from simulation.emulators.abb_rws import Gate, create_app
+from simulation.emulators.faults import FaultBoard
+from simulation.emulators.net import HttpServer, bind_tcp, bind_udp, free_port, port_of
+from simulation.emulators.wsg50 import Wsg50Emulator
+from simulation.emulators.wsg50_gripper import Gripper
+
+CONTACT_MM, CLEARANCE_MM, CLEARANCE_DEG = 6.0, 2.5, 3.5
+LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
+
+
+class Part:
+    """A 50 mm wide object between the fingers."""
+
+    def __init__(self, present=True):
+        self.present = present
+
+    def width_mm(self):
+        return 50.0 if self.present else None
+
+    def gripped(self, force_n):
+        self.force_n = force_n
+
+    def released(self):
+        pass
+
+    def lost(self):
+        return False
+
+
+@dataclass
+class TruthfulService:
+    """Speaks the wire protocol; watches the emulated arm for contact and answers with 0.7 times the true error.
+
+    ``on_message`` sees each client message first and may return replies of its own instead (None: as usual).
+    """
+
+    cabinet: Cabinet
+    approach_z_mm: float = 35.0
+    share: float = 0.7
+    received: list = field(default_factory=list)
+    slips_ns: list = field(default_factory=list)
+    on_message: object = None
+    mute: bool = False
+    silent_heartbeat: bool = False
+    frame_age_ms: float | None = 10.0
+    connection: object = None
+    _attempt: int = 0
+    _watching: bool = False
+
+    @property
+    def error(self):
+        pose = self.cabinet.arm.pose
+        return pose.position_mm[0], pose.yaw_deg
+
+    async def handle(self, connection):
+        self.connection = connection
+        watcher = asyncio.create_task(self._watch())
+        try:
+            async for text in connection:
+                message = wire.parse_client(text)
+                if not isinstance(message, wire.ClientHeartbeat):
+                    self.received.append(message)
+                replies = self.on_message(message) if self.on_message else None
+                for reply in self._answer(message) if replies is None else replies:
+                    await self.say(reply)
+        except Exception:
+            pass
+        finally:
+            watcher.cancel()
+
+    async def say(self, reply):
+        if not self.mute and self.connection is not None:
+            await self.connection.send(reply if isinstance(reply, str | bytes) else reply.model_dump_json())
+
+    def slip(self, **changes):
+        values = {"attempt": self._attempt, "finger": "left", "frame_seq": 1, "captured_ns": 1, "age_ms": 5.0}
+        return wire.Slip(insertion_id=self.insertion_id, score=8.0, reason="test", **{**values, **changes})
+
+    def correction(self, attempt, **changes):
+        x, theta = self.error
+        values = {"dx_mm": -self.share * x, "dtheta_deg": -self.share * theta}
+        return wire.Correction(
+            insertion_id=self.insertion_id,
+            attempt=attempt,
+            class_probabilities={"5": 0.9, "2": 0.1},
+            estimate=wire.Estimate(dx_mm=x, dtheta_deg=theta),
+            confidence=0.9,
+            controller="heuristic",
+            reason="truth",
+            latency_ms={"infer": 2.0},
+            **{**values, **changes},
+        )
+
+    def hello(self, **changes):
+        values = {"models": (), "cameras": (), "controller": "heuristic", "limits": LIMITS}
+        return wire.ServiceHello(insertion_id=self.insertion_id, **{**values, **changes})
+
+    async def _watch(self):
+        while True:
+            await asyncio.sleep(0.002)
+            x, theta = self.error
+            depth = self.approach_z_mm - self.cabinet.arm.pose.position_mm[2]
+            blocked = abs(x) > CLEARANCE_MM or abs(theta) > CLEARANCE_DEG
+            if self._watching and blocked and depth >= CONTACT_MM:
+                self._watching = False
+                self.slips_ns.append(time.monotonic_ns())
+                await self.say(self.slip())
+
+    def _answer(self, message):
+        replies = []
+        name = {"insertion_id": message.insertion_id}
+        self.insertion_id = message.insertion_id
+        match message:
+            case wire.ClientHello():
+                replies = [self.hello()]
+            case wire.ClientHeartbeat() if not self.silent_heartbeat:
+                replies = [wire.ServiceHeartbeat(**name, count=message.count, frame_age_ms=self.frame_age_ms)]
+            case wire.Arm():
+                self._attempt, self._watching = message.attempt, True
+                replies = [wire.Armed(**name, attempt=message.attempt, reference_seq=1)]
+            case wire.Stopped(outcome="blocked"):
+                self._watching = False
+                replies = [self.correction(message.attempt)]
+            case wire.Stopped():
+                replies = [wire.Finished(**name, outcome="inserted", attempts=message.attempt)]
+            case wire.Abort():
+                replies = [wire.Finished(**name, outcome="aborted", attempts=self._attempt)]
+        return replies
+
+
+@dataclass
+class Bench:
+    """The emulators, the service and the settings to reach them."""
+
+    board: FaultBoard
+    cabinet: Cabinet
+    egm: EgmEmulator
+    gripper: Gripper
+    wsg: Wsg50Emulator
+    service: TruthfulService
+    settings: Settings
+    trace: list = field(default_factory=list)
+    report: Report | None = None
+    runner: Runner | None = None
+    lines: list = field(default_factory=list)
+
+    async def insert(self, x_mm=8.0, theta_deg=6.0, log=None, observers=()):
+        plan = make_plan(self.settings, x_mm, theta_deg, "test", None)
+        arm, gripper, service = live_ports(self.settings, plan)
+        self.report = Report(arm.position, self.lines.append)
+        self.runner = Runner(plan, arm, gripper, service, Recorder(log, plan), (self.report, *observers))
+        return await self.runner.run()
+
+
+@contextlib.asynccontextmanager
+async def bench(*, lag_ms=20.0, holding=True, overrides=None):
+    board = FaultBoard()
+    start = Pose((5.0, 0.0, 40.0), tool_down(0.0))
+    delays = Delays(motors_s=0.02, program_start_s=0.02, program_stop_s=0.05)
+    cabinet = Cabinet(Follower(start, MotionLimits(lag_s=lag_ms / 1000.0)), board, delays)
+    frames = CellFrames()
+    guide_port = free_port(socket.SOCK_DGRAM)
+    egm = EgmEmulator(cabinet, frames, guide_port)
+    gate = Gate(board, "Default User", "robotics")
+    rws_socket, wsg_socket = bind_tcp(0, "RWS"), bind_tcp(0, "gripper")
+    rws = HttpServer(create_app(cabinet, frames, gate), rws_socket)
+    gate.abort = rws.abort
+    gripper = Gripper(Part(), board, holding=holding)
+    wsg = Wsg50Emulator(gripper, board)
+    service = TruthfulService(cabinet)
+    wsg_port = port_of(wsg_socket)
+    await egm.start(bind_udp(0, "EGM"))
+    await wsg.start(wsg_socket)
+    await rws.start()
+    server = await serve(service.handle, "127.0.0.1", 0, compression=None)
+    service_port = server.sockets[0].getsockname()[1]
+    sections = {
+        "service": {"url": f"ws://127.0.0.1:{service_port}"},
+        "rws": {"url": f"http://127.0.0.1:{rws.port}", "poll_s": 0.01},
+        "egm": {"port": guide_port, "bind": "127.0.0.1", "ready_timeout_s": 3.0},
+        "gripper": {"host": "127.0.0.1", "port": wsg_port, "grasp_speed_mm_s": 150.0},
+        "task": {"expected_depth_mm": 12.0, "depth_tolerance_mm": 0.5},
+    }
+    for section, values in (overrides or {}).items():
+        sections[section] = {**sections.get(section, {}), **values}
+    cell = Bench(board, cabinet, egm, gripper, wsg, service, load_settings(None, sections))
+    egm.on_cycle.append(lambda now_s: cell.trace.append((now_s, cabinet.arm.target, cabinet.arm.pose)))
+    try:
+        yield cell
+    finally:
+        server.close()
+        await egm.stop()
+        await wsg.stop()
+        await rws.stop()
