@@ -31,6 +31,7 @@ class Loop:
 
     def __init__(self, ports: dict[str, str]) -> None:
         self.ports = ports
+        self.ready_s: dict[str, float] = {}
         self.compose = ["podman-compose", "--project-name", PROJECT, "--file", str(ROOT / "docker" / "compose.yaml")]
 
     def container(self, name: str) -> str:
@@ -38,10 +39,12 @@ class Loop:
         return f"{PROJECT}_{name}_1"
 
     def up(self, **environment: str) -> None:
-        """Start cell and service afresh (the arm back at its start, with the object in hand)."""
+        """Start the cell afresh (arm at its start, object in hand), then the service; wait until both are healthy."""
         os.environ.update(self.ports | environment)
         self.down()
-        call([*self.compose, "--profile", "sim", "up", "--detach", "--no-build"])
+        for name in ("cell", "service-sim"):
+            call([*self.compose, "--profile", "sim", "up", "--detach", "--no-build", name])
+            self.ready_s[name] = self.wait_healthy(name, 300)
 
     def down(self) -> None:
         """Stop and remove the containers; volumes stay for the next start."""
@@ -70,7 +73,7 @@ class Loop:
     @contextlib.contextmanager
     def client(self) -> Iterator[subprocess.Popen[str]]:
         """One insertion in its container, as `compose run` starts it."""
-        command = [*self.compose, "--profile", "sim-insert", "run", "--rm", "--no-deps", "robot-client-sim"]
+        command = [*self.compose, "--profile", "sim-insert", "run", "--rm", "-T", "--no-deps", "robot-client-sim"]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
         try:
             yield process

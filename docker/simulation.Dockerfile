@@ -23,9 +23,9 @@ ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 \
     NUMBA_CACHE_DIR=/var/lib/tactile/numba PYTHONPATH=/opt/app
 COPY --from=build /opt/venv /opt/venv
 COPY --from=build /opt/app /opt/app
-RUN install -d -o 10001 -g 10001 /var/lib/tactile /var/lib/tactile/numba /run/cell
+RUN install -d -o 10001 -g 10001 /var/lib/tactile /var/lib/tactile/numba /var/lib/tactile/cell
 USER 10001:10001
-WORKDIR /run/cell
+WORKDIR /var/lib/tactile/cell
 STOPSIGNAL SIGTERM
 ENTRYPOINT ["python", "-m", "simulation"]
 CMD ["cell", "--object", "rectangle"]

@@ -1,0 +1,34 @@
+"""How long the networks take after the last frame: p50 and p99 in ms over N decisions, as one JSON line.
+
+usage: python decision_time.py MODELS [N]      Run with the service importable, inside a container and outside.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from service.models import load_models
+
+
+def main(folder: str, decisions: int) -> None:
+    """Time one step of every deciding network on random frames, the work that is left when the eighth frame arrives."""
+    models = load_models(Path(folder))
+    shape = (2, *models.card.frame.shape)
+    rng = np.random.default_rng(0)
+    frames = [rng.integers(0, 256, shape, np.uint8) for _ in range(4)]
+    states = [step.fresh_state() for step in models.steps]
+    took_ms = []
+    for index in range(decisions):
+        started = time.perf_counter()
+        for step, state in zip(models.steps, states, strict=True):
+            step.step(frames[index % 4], frames[0], state, 56.0)
+        took_ms.append((time.perf_counter() - started) * 1e3)
+    p50, p99 = np.percentile(took_ms, (50, 99))
+    print(json.dumps({"p50_ms": float(p50), "p99_ms": float(p99)}))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 500)
