@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 
 COMMANDS: dict[str, tuple[str, str]] = {
+    "run": ("simulation.run:main", "the whole loop: cell, service and robot client insert an object in real time"),
     "cell": ("simulation.cli.cell:main", "the cell in real time on loopback: robot, gripper, cameras, truth"),
     "explain": ("simulation.cli.explain:main", "which effects a scene calls for, why, and what each costs"),
     "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),

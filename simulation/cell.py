@@ -98,7 +98,7 @@ class LiveCell:
         self.guide_port = options.egm_guide_port or free_port(socket.SOCK_DGRAM)
         self.egm = EgmEmulator(self.cabinet, self.frames, self.guide_port, joint_mode=options.egm_joint_mode)
         self.stop_watch = StopWatch(self.cabinet)
-        self.egm.on_cycle += [self.stop_watch, self._share_wrench]
+        self.egm.on_cycle += [self.stop_watch, self._set_lag]
         self.gate = Gate(self.board, options.rws_user, options.rws_password)
         self.rws = HttpServer(create_app(self.cabinet, self.frames, self.gate), self.sockets.rws)
         self.gate.abort = self.rws.abort
@@ -115,7 +115,7 @@ class LiveCell:
     def _pose(self) -> Pose:
         return self.cabinet.arm.pose
 
-    def _share_wrench(self, _now_s: float) -> None:
+    def _set_lag(self) -> None:
         lag_ms = self.board.faults.robot.egm_lag_ms
         wanted = (lag_ms or self.options.egm_lag_ms) / 1000.0
         if not math.isclose(self.cabinet.arm.limits.lag_s, wanted):

@@ -5,7 +5,6 @@ communication timeout. A guide that falls silent ends the run, the arm brakes an
 is started again. Everything happens on the cell's event loop; ``advance`` is the only place where time passes.
 """
 
-import time
 from collections import deque
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -62,12 +61,11 @@ class Cabinet:
     signals: dict[str, float] = field(default_factory=lambda: {"doSlipStop": 0.0, "diObjectFixed": 1.0})
     symbols: dict[str, str] = field(default_factory=dict)
     log: deque[LogEntry] = field(default_factory=lambda: deque(maxlen=1000))
-    wrench_n_nmm: tuple[float, ...] = (0.0,) * 6
     _motors_due_s: float | None = None
     _start_due_s: float | None = None
     _stop_due_s: float | None = None
     _last_guide_s: float = 0.0
-    _now_s: float = field(default_factory=time.monotonic)
+    _now_s: float = 0.0
     _entries: int = 0
 
     @property
@@ -141,7 +139,7 @@ class Cabinet:
     # ---- time -------------------------------------------------------------------------------------------------
 
     def advance(self, now_s: float) -> None:
-        """Let time pass: safety faults, delayed actions, communication timeout, motion."""
+        """Let time pass on the controller's clock: safety faults, delayed actions, communication timeout, motion."""
         self._apply_faults()
         if self._motors_due_s is not None and now_s >= self._motors_due_s:
             self._motors_due_s = None

@@ -20,6 +20,7 @@ from simulation.emulators.irb1600 import ReachError
 from simulation.emulators.net import HOST
 
 CYCLE_S = 0.004
+_CATCH_UP_CYCLES = 3
 _FAREWELL_CYCLES = 12  # the controller reports the stopped state for some 50 ms before the stream ends
 
 
@@ -31,7 +32,7 @@ class EgmCounters:
     received: int = 0
     refused: int = 0
     targets_changed: int = 0
-    late_cycles: int = 0
+    lost_cycles: int = 0
     last_change_ns: int = 0
 
 
@@ -40,14 +41,18 @@ def _to_wire(pose: Pose) -> WirePose:
 
 
 class EgmEmulator(asyncio.DatagramProtocol):
-    """The UDP side of the cabinet; also the clock that advances it, every 4 ms of real time."""
+    """The UDP side of the cabinet; also the controller's clock, in cycles of exactly 4 ms as on the real one.
+
+    A machine too busy to serve a cycle makes the next ones follow at once; if it is more than a few behind, the lost
+    ones are skipped and counted, as if their datagrams had been lost. The arm moves by the clock, not by the count.
+    """
 
     def __init__(self, cabinet: Cabinet, frames: CellFrames, guide_port: int, *, joint_mode: bool = False) -> None:
         self.cabinet = cabinet
         self.frames = frames
         self.joint_mode = joint_mode
         self.counters = EgmCounters()
-        self.on_cycle: list[Callable[[float], None]] = []
+        self.on_cycle: list[Callable[[], None]] = []
         self._guide = (HOST, guide_port)
         self._sequence = 0
         self._farewell = 0
@@ -56,7 +61,7 @@ class EgmEmulator(asyncio.DatagramProtocol):
         self._random = random.Random(0)
         self._transport: asyncio.DatagramTransport | None = None
         self._clock: asyncio.Task[None] | None = None
-        self._start_s = time.monotonic()
+        self.controller_s = 0.0
 
     async def start(self, sock: socket.socket) -> None:
         """Take the bound socket and start the 4 ms clock."""
@@ -75,20 +80,23 @@ class EgmEmulator(asyncio.DatagramProtocol):
     async def _run(self) -> None:
         due_s = time.monotonic()
         while True:
-            now_s = time.monotonic()
-            self.cabinet.advance(now_s)
+            self.controller_s += CYCLE_S
+            self.cabinet.advance(self.controller_s)
             for callback in self.on_cycle:
-                callback(now_s)
-            self._report(now_s)
+                callback()
+            self._report()
             due_s += CYCLE_S
-            if now_s > due_s + CYCLE_S:  # a loaded machine: skip the cycles that are gone, never burst
-                self.counters.late_cycles += int((now_s - due_s) / CYCLE_S)
-                due_s = now_s
+            late_s = time.monotonic() - due_s
+            if late_s > _CATCH_UP_CYCLES * CYCLE_S:
+                lost = int(late_s / CYCLE_S)
+                self.counters.lost_cycles += lost
+                self.controller_s += lost * CYCLE_S
+                due_s += lost * CYCLE_S
             await asyncio.sleep(max(0.0, due_s - time.monotonic()))
 
     # ---- robot to guide ---------------------------------------------------------------------------------------
 
-    def _report(self, now_s: float) -> None:
+    def _report(self) -> None:
         if self.cabinet.egm != "off":
             self._farewell = _FAREWELL_CYCLES
         elif self._farewell:
@@ -97,7 +105,7 @@ class EgmEmulator(asyncio.DatagramProtocol):
             self._sequence = 0
             return
         faults = self.cabinet.board.faults.egm
-        message = self._message(now_s)
+        message = self._message()
         if faults.frozen:
             message = self._frozen = self._frozen or message
         else:
@@ -121,12 +129,12 @@ class EgmEmulator(asyncio.DatagramProtocol):
             self._transport.sendto(message, self._guide)
             self.counters.sent += 1
 
-    def _message(self, now_s: float) -> bytes:
+    def _message(self) -> bytes:
         cabinet, arm = self.cabinet, self.cabinet.arm
         running = cabinet.egm != "off"
         state = RobotState(
             sequence=self._sequence,
-            time_ms=int((now_s - self._start_s) * 1000.0),
+            time_ms=round(self.controller_s * 1000.0),
             feedback=_to_wire(arm.pose),
             planned=_to_wire(arm.target if running else arm.pose),
             joints_deg=self.frames.joints_deg(arm.pose),

@@ -42,7 +42,7 @@ class StopWatch:
         self._z_frozen_mm = 0.0
         self._descending = False
 
-    def __call__(self, _now_s: float) -> None:
+    def __call__(self) -> None:
         arm = self._cabinet.arm
         if arm.target != self._target:
             self._target = arm.target

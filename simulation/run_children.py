@@ -1,0 +1,116 @@
+"""Child processes of a run: own session, log file each, ended in order whatever happens."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Self
+
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+_TAIL_LINES = 8
+
+
+class ChildError(RuntimeError):
+    """A child ended or stayed silent when it should not have; ``code`` is its exit code, None if it still ran."""
+
+    def __init__(self, text: str, code: int | None) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class Child:
+    """``python -m MODULE ARGUMENTS`` with its output in a log file, in a session of its own.
+
+    The session keeps a Ctrl-C of the terminal from reaching it: the run ends its children itself, in order.
+    """
+
+    def __init__(self, name: str, module: str, arguments: Sequence[str], log: Path) -> None:
+        self.name = name
+        self.log = log
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("wb") as stream:
+            self.process = subprocess.Popen(
+                [sys.executable, "-u", "-m", module, *arguments],
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env=os.environ | _ONE_THREAD,
+                start_new_session=True,
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    @property
+    def code(self) -> int | None:
+        """Exit code, None while it runs."""
+        return self.process.poll()
+
+    def end(self, patience_s: float = 8.0) -> None:
+        """Ask it to end, insist after ``patience_s``."""
+        for number, wait_s in ((signal.SIGTERM, patience_s), (signal.SIGKILL, 5.0)):
+            if self.code is not None:
+                return
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.process.pid, number)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(wait_s)
+
+    def tail(self) -> str:
+        """The last lines of its log, indented."""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return "\n".join(f"  | {line}" for line in lines[-_TAIL_LINES:]) or "  | (it said nothing)"
+
+    def check(self) -> None:
+        """Raise ChildError with its last lines if it ended."""
+        if self.code is not None:
+            raise ChildError(f"{self.name} ended with exit code {self.code}:\n{self.tail()}", self.code)
+
+    def until(self, text: str, timeout_s: float) -> str:
+        """The first line of its log that contains ``text``; raise ChildError if it ends or is late."""
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s:
+            for line in self.log.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True):
+                if text in line and line.endswith("\n"):
+                    return line.strip()
+            self.check()
+            time.sleep(0.05)
+        raise ChildError(f"{self.name} was not ready within {timeout_s:.0f} s:\n{self.tail()}", None)
+
+    def lines(self, others: Sequence["Child"], timeout_s: float) -> Iterator[str]:
+        """Its output line by line until it ends; raise ChildError if another child ends or time is up."""
+        deadline_s = time.monotonic() + timeout_s
+        with self.log.open(encoding="utf-8", errors="replace") as stream:
+            pending = ""
+            while True:
+                ended = self.code is not None
+                while chunk := stream.readline():
+                    pending += chunk
+                    if pending.endswith("\n"):
+                        yield pending.rstrip()
+                        pending = ""
+                if ended:
+                    return
+                for other in others:
+                    other.check()
+                if time.monotonic() > deadline_s:
+                    raise ChildError(f"{self.name} was not done within {timeout_s:.0f} s:\n{self.tail()}", None)
+                time.sleep(0.03)
+
+
+def terminate_as_interrupt() -> None:
+    """Make SIGTERM end the run as Ctrl-C does, so that children are ended too."""
+
+    def raise_interrupt(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, raise_interrupt)

@@ -1,0 +1,56 @@
+"""The whole loop in real time: cell, service and robot client as processes, with the shipped networks."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+MODELS = ROOT / "models"
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(600),
+    pytest.mark.skipif(not list(MODELS.glob("*.onnx")), reason="no released models in models/"),
+]
+
+
+def run(tmp_path, *arguments):
+    command = [sys.executable, "-m", "simulation", "run", "--out", str(tmp_path), *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=560, check=False)
+
+
+def test_the_rectangle_is_inserted_through_the_real_protocols(tmp_path):
+    done = run(tmp_path, "--x-mm", "8", "--theta-deg", "6")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "INSERTED after" in done.stdout
+    (result,) = tmp_path.glob("*/result.json")
+    facts = json.loads(result.read_text())
+    assert facts["inserted"]
+    assert facts["grasp_kept"]
+    assert abs(facts["final_x_mm"]) < 4.0
+    picture = Path(re.search(r"picture +(\S+)", done.stdout)[1])
+    assert picture.stat().st_size > 20_000
+
+
+def test_nothing_is_left_running_after_an_interrupt(tmp_path):
+    import signal
+    import time
+
+    command = [sys.executable, "-m", "simulation", "run", "--out", str(tmp_path)]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        for line in process.stdout:
+            if "approaching" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+    finally:
+        process.kill()
+        process.stdout.close()
+    time.sleep(0.2)
+    left = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    assert str(tmp_path) not in left
