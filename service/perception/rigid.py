@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 Float64 = NDArray[np.float64]
 MIN_NODES = 4
+_LEAD = 4.0
 MIN_SPREAD = 0.3  # pitch; standard deviation of the nodes across their thinnest direction below which a fit is none
 
 
@@ -58,12 +59,18 @@ def fit_motion(before: Float64, after: Float64, weights: Float64, pitch: float, 
 def refine(
     before: Float64, after: Float64, start: Motion, base: Float64, tolerance: float, pitch: float, *, scale: bool
 ) -> Motion | None:
-    """Iteratively reweighted fit (Geman-McClure) from ``start``; ``base`` [n] weights say which points may count."""
+    """Iteratively reweighted fit (Geman-McClure) from ``start``; ``base`` [n] weights say which points may count.
+
+    A slipping node always lags and never leads, so points ahead of the motion keep their weight up to ``_LEAD`` times
+    the tolerance: the fit follows those who stick even when most have begun to lag.
+    """
     motion: Motion | None = start
     for _ in range(3):
         assert motion is not None
-        squared = np.square(after - motion.apply(before)).sum(1)
-        weights = base / np.square(1 + squared / tolerance**2)
+        carried = motion.apply(before)
+        off, way = after - carried, carried - before
+        reach = np.where((off * way).sum(1) > 0, _LEAD * tolerance, tolerance)
+        weights = base / np.square(1 + np.square(off).sum(1) / np.square(reach))
         motion = fit_motion(before, after, weights, pitch, scale=scale)
         if motion is None:
             return None

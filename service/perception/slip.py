@@ -27,13 +27,19 @@ FingerState = Literal[
 class SlipSettings:
     """Limits in shares of the marker pitch, so that they hold at every resolution; times in seconds.
 
+    Slip is declared when ``slip_share`` of the nodes known to have stuck (at least ``min_nodes``) lag the object by
+    more than ``slip_pitch`` beyond their elastic share. That is learned while the object has moved less than
+    ``learn_pitch``, and later from nodes whose lag grows by less than ``learn_share`` of the motion.
+
     ``max_shift_pitch`` and ``max_angle_deg`` are the safety rule: a patch carried further than this must stop the arm
     even if no node has slipped.
     """
 
     slip_pitch: float = 0.10
+    slip_share: float = 0.25
     min_nodes: int = 3
-    min_share: float = 0.02
+    learn_pitch: float = 0.2
+    learn_share: float = 0.05
     gross_share: float = 0.6
     tolerance_pitch: float = 0.03
     still_pitch: float = 0.02
@@ -129,11 +135,9 @@ class SlipDetector:
         before = (reference.rest_px + reference.displacement_px).astype(np.float64)
         after = (field.rest_px + field.displacement_px).astype(np.float64)
         may = field.valid & reference.valid
-        contact = None
         if reference.contact is not None:
-            contact = reference.contact
-            may = may & contact
-            if field.contact is not None and field.contact.sum() < 0.3 * contact.sum():
+            may = may & reference.contact
+            if field.contact is not None and field.contact.sum() < 0.3 * reference.contact.sum():
                 return self._plain("release", field, f"contact area fell to {field.contact.sum()} nodes")
         if may.sum() < 4:
             return self._plain("unknown", field, f"{may.sum()} usable markers, expected at least 4")
@@ -142,7 +146,7 @@ class SlipDetector:
         motion = self._fit(before, after, may, pitch)
         if motion is None:
             return self._plain("unknown", field, "the sticking markers determine no rigid motion")
-        return self._weigh(field, before, after, may, contact, motion)
+        return self._weigh(field, before, after, may, motion)
 
     def _fit(self, before: Float64, after: Float64, may: BoolArray, pitch: float) -> Motion | None:
         """Robust motion of the sticking core, from the last one or, while none is known, from the moving patch."""
@@ -179,7 +183,6 @@ class SlipDetector:
         before: Float64,
         after: Float64,
         may: BoolArray,
-        contact: BoolArray | None,
         motion: Motion,
     ) -> SlipState:
         limits, pitch = self.settings, field.pitch_px
@@ -187,30 +190,28 @@ class SlipDetector:
         residual = np.where(may[..., None], after - carried, 0.0)
         lag = np.linalg.norm(residual, axis=-1)
         moved = np.linalg.norm(carried - before, axis=-1)
-        if contact is not None:
-            self._stuck |= contact & may
-        excess = self._excess(lag, moved, may, pitch, learn=contact is None)
+        excess = self._excess(lag, moved, may, pitch)
         slipping = excess > limits.slip_pitch * pitch
         known = int((self._stuck & may).sum())
-        need = max(limits.min_nodes, int(np.ceil(limits.min_share * known)))
+        need = max(limits.min_nodes, int(np.ceil(limits.slip_share * known)))
         ranked = np.sort(excess, axis=None)
         score = float(ranked[-need] / (limits.slip_pitch * pitch)) if known >= need else 0.0
         self._slipped |= slipping
         return self._verdict(field, motion, residual, slipping, score, known)
 
-    def _excess(self, lag: Float64, moved: Float64, may: BoolArray, pitch: float, *, learn: bool) -> Float64:
+    def _excess(self, lag: Float64, moved: Float64, may: BoolArray, pitch: float) -> Float64:
         """Lag in px beyond what each node's elastic share of the motion explains, 0 outside the contact."""
         limits = self.settings
         elastic = np.where(self._weight > 0, self._lagged / np.maximum(self._weight, 1e-9), 0.0)
         excess = lag - elastic * moved
-        if learn:
-            seen = may & (moved > limits.contact_pitch * pitch) & ~self._slipped
-            joins = seen & ~self._stuck & (lag < limits.follow_share * moved)
-            self._stuck |= joins
-            steady = joins | (seen & self._stuck & (excess < 0.4 * limits.slip_pitch * pitch))
-            self._lagged += np.where(steady, lag * moved, 0)
-            self._weight += np.where(steady, moved * moved, 0)
-            excess = np.where(joins, 0.0, excess)
+        seen = may & (moved > limits.contact_pitch * pitch) & ~self._slipped
+        joins = seen & ~self._stuck & (lag < limits.follow_share * moved)
+        self._stuck |= joins
+        early = moved < limits.learn_pitch * pitch
+        steady = joins | (seen & self._stuck & (early | (excess < limits.learn_share * moved)))
+        self._lagged += np.where(steady, lag * moved, 0)
+        self._weight += np.where(steady, moved * moved, 0)
+        excess = np.where(joins, 0.0, excess)
         return np.where(self._stuck & may, excess, 0.0)
 
     def _verdict(

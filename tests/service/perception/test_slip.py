@@ -32,7 +32,7 @@ def test_a_patch_that_sticks_never_slips(contact_known, shift, degrees):
 @pytest.mark.parametrize("shift", [(0, 1.5), (0, -1.5), (1.5, 0), (1.0, 1.0)])
 def test_slip_is_seen_soon_in_every_direction(contact_known, shift):
     fields, shares = patch_fields(rigid(shift, 0.7), hold_px=14, contact_known=contact_known)
-    true = next(k for k, share in enumerate(shares) if share > 0.03)
+    true = next(k for k, share in enumerate(shares) if share > 0.2)
     seen = first_slip(fields)
     assert seen is not None
     assert true - 1 <= seen <= true + 2
@@ -126,7 +126,7 @@ def test_true_fields_of_a_simulated_gel_run_without_an_image():
     detector = SlipDetector()
     slips = []
     for k in range(15):
-        shear = np.minimum(0.05 * k, 0.4 * pressure) * (pressure > 0)
+        shear = np.minimum(0.05 * k, 0.5 * pressure) * (pressure > 0)
         gel = np.stack([np.zeros_like(shear), shear, pressure], -1)
         field = field_from_gel(gel, k * FRAME_NS, marker_pitch_mm=1.05)
         if k == 0:
