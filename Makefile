@@ -10,7 +10,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all check collect train export requirements clean
+.PHONY: help run test test-all check collect train export evaluate requirements clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -51,6 +51,17 @@ test-all: $(VENV)/ready ## the fast tests and the long ones
 	$(BIN)/python -m pytest --timeout=1800
 
 # ---- from probes to released models -------------------------------------------------------------------------------
+
+PROBES ?= data/probes
+TRIALS ?= 1500
+EVALUATION ?= runs/evaluation
+COUNT ?= 30
+
+collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; goes on after an interruption
+	$(BIN)/python -m simulation collect --trials-per-object $(TRIALS) --out $(PROBES)
+
+evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours
+	$(RUN) -m simulation evaluate --out $(EVALUATION) --count $(COUNT)
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.

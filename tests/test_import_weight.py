@@ -1,0 +1,23 @@
+"""The light packages stay light: each is imported by a fresh interpreter, which then looks at what came along."""
+
+import subprocess
+import sys
+
+import pytest
+
+LIGHT = {
+    "service.contract": ("torch", "numba", "cv2", "onnxruntime", "fastapi"),
+    "service.perception.slip": ("torch", "numba", "onnxruntime", "fastapi"),
+    "service.app": ("torch", "numba", "simulation", "training"),
+    "robot_client.__main__": ("torch", "numba", "cv2", "onnxruntime", "fastapi", "simulation", "service.perception"),
+    "simulation.__main__": ("torch", "onnxruntime", "training"),
+    "simulation.dataset": ("torch", "onnxruntime"),
+}
+
+
+@pytest.mark.parametrize("package", LIGHT)
+def test_a_light_package_does_not_load_a_heavy_one(package):
+    code = f"import sys, {package}; print([m for m in {LIGHT[package]!r} if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.strip() == "[]"
