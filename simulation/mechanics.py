@@ -292,7 +292,7 @@ def _newton_step(hess: Array, grad: Array) -> Array:
     return -step * scale  # type: ignore[no-any-return]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def advance(
     pads: gel.Pads, body: Body, opening: float, state: State, rows: Rows, pose: Array, target: Array, tolerance: float
 ) -> int:

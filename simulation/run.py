@@ -142,13 +142,14 @@ def insert(start: Start, options: RunOptions, folder: Path) -> Result:
         told = json.loads((folder / "cell" / "cell.json").read_text())
         service = children.enter_context(_start_service(told, options, folder))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        began = time.monotonic()
+        began, used = time.monotonic(), [child.cpu_s() for child in (cell, service)]
         client = children.enter_context(_start_client(told, url, folder))
         for line in client.lines((cell, service), options.timeout_s):
             _say(f"  {line}")
         if client.code not in (0, 1):
             client.check()
         seconds = time.monotonic() - began
+        cores = [(child.cpu_s() - before) / seconds for child, before in zip((cell, service), used, strict=True)]
         with urlopen(f"{told['admin_url']}/truth", timeout=5.0) as answer:  # noqa: S310 our own child on loopback
             truth = json.load(answer)
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
@@ -160,6 +161,7 @@ def insert(start: Start, options: RunOptions, folder: Path) -> Result:
         theta_deg=start.theta_deg,
         seed=start.seed,
         seconds=seconds,
+        cores=(cores[0], cores[1]),
     )
 
 

@@ -54,6 +54,14 @@ class Child:
         """Exit code, None while it runs."""
         return self.process.poll()
 
+    def cpu_s(self) -> float:
+        """CPU seconds used so far; nan where the system does not tell (or once it ended)."""
+        try:
+            fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+            return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        except (OSError, IndexError, ValueError):
+            return float("nan")
+
     def end(self, patience_s: float = 8.0) -> None:
         """Ask it to end, insist after ``patience_s``."""
         for number, wait_s in ((signal.SIGTERM, patience_s), (signal.SIGKILL, 5.0)):

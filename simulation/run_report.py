@@ -33,6 +33,7 @@ class Result:
     frozen_ms: tuple[float, ...]
     rest_ms: tuple[float, ...]
     overtravel_mm: tuple[float, ...]
+    cores: tuple[float, float] = (float("nan"), float("nan"))  # mean CPU of cell and service during the insertion
 
     def as_json(self) -> str:
         """One indented JSON object."""
@@ -63,7 +64,15 @@ def _slips(events: list[dict[str, Any]]) -> list[int]:
 
 
 def collect(
-    truth: dict[str, Any], log: Path, *, object_name: str, x_mm: float, theta_deg: float, seed: int, seconds: float
+    truth: dict[str, Any],
+    log: Path,
+    *,
+    object_name: str,
+    x_mm: float,
+    theta_deg: float,
+    seed: int,
+    seconds: float,
+    cores: tuple[float, float] = (float("nan"), float("nan")),
 ) -> Result:
     """Put episode log and truth together."""
     events = _events(log)
@@ -97,6 +106,7 @@ def collect(
         frozen_ms=tuple(frozen),
         rest_ms=tuple(rest),
         overtravel_mm=tuple(over),
+        cores=cores,
     )
 
 
@@ -132,6 +142,8 @@ def screen(result: Result, recording: Path | None, drawn: Path | None, folder: P
             f" (worst {max(result.frozen_ms):.0f}), arm at rest {np.median(result.rest_ms):.0f} ms"
             f" (worst {max(result.rest_ms):.0f}), overtravel {np.median(result.overtravel_mm):.2f} mm"
         )
+    if not np.isnan(result.cores).any():
+        lines.append(f"  CPU          cell {result.cores[0]:.2f} cores, service {result.cores[1]:.2f} cores")
     lines.append(f"  recording    {recording or 'none'}")
     lines.append(f"  picture      {drawn or 'none: no attempt was blocked'}")
     lines.append(f"  logs         {folder}")
