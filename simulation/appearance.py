@@ -49,7 +49,8 @@ class Appearance:
     object_texture_period_px: float = 5.0
     object_texture_gain: float = 0.07
     defocus_px: float = 0.6
-    motion_blur_share: float = 0.0
+    motion_blur_share: float = 0.0  # exposure time over frame period
+    rolling_share: float = 0.0  # readout time of the sensor over frame period
 
     @classmethod
     def draw(cls, scene: Scene, finger: Finger, seed: int) -> Self:
@@ -77,10 +78,13 @@ class Appearance:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Self:
-        """Inverse of :meth:`as_dict` (also after JSON); ValueError names unknown or missing keys."""
-        names = {f.name for f in dataclasses.fields(cls)}
-        if set(data) != names:
-            raise ValueError(f"appearance has keys {sorted(set(data) ^ names)} too many or too few")
+        """Inverse of :meth:`as_dict` (also after JSON); keys an older shard lacks keep their defaults.
+
+        Raises ValueError naming unknown keys.
+        """
+        unknown = set(data) - {f.name for f in dataclasses.fields(cls)}
+        if unknown:
+            raise ValueError(f"appearance has unknown keys {sorted(unknown)}")
         return cls(**{name: _as_tuples(value) for name, value in data.items()})
 
     def to_json(self) -> str:

@@ -34,6 +34,7 @@ POKES_PER_FIXTURE = 5
 MAX_STOP_DELAY_FRAMES = 2
 MAX_OVERTRAVEL_MM = 0.15
 LIFT_MM = 0.5
+LIFT_STEP_MM = 0.5  # nothing is read from a lift: steps 3 times as coarse move the drift by less than 0.05 mm
 _MAX_POKES_PER_TRIAL = 40  # a scene where fewer than 1 poke in 40 collides is a mistake, not a data set
 _GROUPS_PER_SHARD = 100_000
 _SHARDS_PER_OBJECT = 10_000
@@ -130,16 +131,24 @@ class Hand:
         cell = self._cell
         delay_frames = int(rng.integers(MAX_STOP_DELAY_FRAMES + 1))
         overtravel_mm = float(rng.uniform(0, MAX_OVERTRAVEL_MM))
-        x, y, top, yaw = (float(value) for value in cell.pose)
+        x, _, top, yaw = (float(value) for value in cell.pose)
         phase = float(rng.random())
         probe = descend(
             cell, x, math.degrees(yaw), phase=phase, stop_delay_frames=delay_frames, overtravel_mm=overtravel_mm
         )
         if probe.outcome == "blocked":
-            while cell.look().in_contact and cell.pose[2] < top:
-                cell.move_to(x, y, min(top, float(cell.pose[2]) + LIFT_MM), math.degrees(yaw))
-            cell.move_to(x, y, top, math.degrees(yaw))
+            self._lift(top)
         return probe
+
+    def _lift(self, top_z_mm: float) -> None:
+        """Straight up until nothing touches, then to approach height."""
+        cell, scene = self._cell, self._cell.scene
+        x, y, _, yaw = (float(value) for value in cell.pose)
+        cell.scene = scene.varied({"numerics.load_step_mm": max(LIFT_STEP_MM, scene.numerics.load_step_mm)})
+        while cell.look().in_contact and cell.pose[2] < top_z_mm:
+            cell.move_to(x, y, min(top_z_mm, float(cell.pose[2]) + LIFT_MM), math.degrees(yaw))
+        cell.scene = scene
+        cell.move_to(x, y, top_z_mm, math.degrees(yaw))
 
 
 def trial_of(fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: str) -> Trial:

@@ -23,6 +23,9 @@ Floats = NDArray[np.float32]
 _DENSE = 5  # the 15 px marker lattice is refined to 3 px before it is sampled
 _COARSE_PX = 5  # raw frames: displacement and shading are evaluated on every fifth pixel, then interpolated
 _INVERSE_ITERATIONS = 6  # X = p - U(X) converges like (slope of U)^n; slopes stay below about 0.3
+_STEP_PX = tx.MARKER_PITCH_PX / _DENSE
+# Rolling shutter: rows are read from the top, so the top row is early by the whole readout time, the last by nothing
+_EARLINESS = np.linspace(1, 0, tx.RAW_HEIGHT_PX, dtype=np.float32)[:, None, None]
 _CONTACT_SHARE = 0.08  # of the reference pressure: where the held surface's texture is fully seen
 GEL_SHAPE = (tx.MARKER_ROWS, tx.MARKER_COLS, 3)
 
@@ -33,7 +36,7 @@ class _Lens:
 
     homography: NDArray[np.float64]
     map_to_rest: Floats  # [320, 427, 2] rectified px of each raw pixel, in texture coordinates
-    coarse_px: Floats  # [h, w, 2] rectified px of every fifth raw pixel
+    coarse_index: Floats  # [64, 86, 2] position of every fifth raw pixel in the refined marker lattice
 
 
 class Renderer:
@@ -43,7 +46,7 @@ class Renderer:
         self.appearance = appearance
         rng = np.random.Generator(np.random.PCG64(appearance.seed))
         self._lens = _lens(appearance)
-        self._texture = _texture(appearance, rng)
+        self._albedo, self._relief = _textures(appearance, rng)
         self._light, self._surround = _illumination(appearance, self._lens, rng)
 
     @property
@@ -54,16 +57,23 @@ class Renderer:
     def raw(self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None) -> Image:
         """Uint8 [320, 427, 3] BGR frame of ``gel`` [20, 21, 3]; ValueError if it is not finite or of another shape.
 
-        ``previous``, the gel state one frame earlier, smears moving dots by ``motion_blur_share`` of the motion.
+        ``previous``, the gel state one frame earlier, is what motion blur and the rolling shutter see of the motion.
         """
-        gel = _checked(gel)
         look = self.appearance
-        shift, gains, touched = self._felt(gel)
-        albedo, bumps = self._painted(shift)
-        if previous is not None and look.motion_blur_share > 0:
-            before, _, _ = self._felt(gel + look.motion_blur_share * (_checked(previous) - gel))
-            cv2.addWeighted(albedo, 0.5, self._painted(before)[0], 0.5, 0, dst=albedo)
-        return self._shaded(albedo, bumps * touched, gains, _noise(frame_seed, look.noise_sigma_grey))
+        gel = _checked(gel)
+        shift = self._inverse(_refined(gel[..., :2] * np.float32(1 / (look.mm_per_px * _STEP_PX))))
+        rest_index = self._lens.coarse_index - shift
+        gains, touched = _gains(self._slopes(gel, rest_index), look.shading_gain)
+        where = self._lens.map_to_rest - _to_raw(shift * np.float32(_STEP_PX), cv2.INTER_CUBIC)
+        smear: Floats | None = None
+        if previous is not None and (look.motion_blur_share > 0 or look.rolling_share > 0):
+            smear = self._motion_since(gel, _checked(previous), rest_index)
+            where += smear * (look.rolling_share * _EARLINESS)
+        albedo = np.asarray(_remap(self._albedo, where), np.float32)
+        if smear is not None and look.motion_blur_share > 0:
+            earlier = _remap(self._albedo, where + np.float32(look.motion_blur_share) * smear)
+            albedo = np.asarray(cv2.addWeighted(albedo, 0.5, earlier, 0.5, 0, dtype=cv2.CV_32F), np.float32)
+        return self._shaded(albedo, self._bumps(where, touched), gains, frame_seed)
 
     def rectified(
         self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None
@@ -76,35 +86,47 @@ class Renderer:
         size = (tx.RECTIFIED_WIDTH_PX, tx.RECTIFIED_HEIGHT_PX)
         return np.asarray(cv2.warpPerspective(raw, self._lens.homography, size, flags=cv2.INTER_LINEAR), np.uint8)
 
-    def _felt(self, gel: Floats) -> tuple[Floats, Floats, Floats]:
-        """The gel per raw pixel: motion [320, 427, 2], colour gains [3, 64, 86], touch [320, 427] in 0..1."""
-        motion = _refined(gel[..., :2] / self.appearance.mm_per_px)
-        height = gel[..., 2] / self.appearance.reference_pressure_n_per_mm2
-        slopes = _refined(np.stack([height, np.gradient(height, axis=1), np.gradient(height, axis=0)], -1))
-        at = self._lens.coarse_px
+    def _inverse(self, motion: Floats) -> Floats:
+        """How far the gel seen at each coarse raw pixel has come, [64, 86, 2], in steps of the refined lattice."""
+        at = self._lens.coarse_index
         shift = np.zeros_like(at)
-        for _ in range(_INVERSE_ITERATIONS if gel[..., :2].any() else 0):
-            shift = _sample(motion, at - shift)
-        gains, touched = _gains(_sample(slopes, at - shift), self.appearance.shading_gain)
-        return _to_raw(shift, cv2.INTER_CUBIC), gains, _to_raw(touched, cv2.INTER_LINEAR)
+        for _ in range(_INVERSE_ITERATIONS if motion.any() else 0):
+            shift = _remap(motion, at - shift)[..., :2]
+        return shift
 
-    def _painted(self, shift: Floats) -> tuple[Floats, Floats]:
-        """Float32 [320, 427] each: albedo (grey levels of 160 for plain cloth) and relief in -gain..gain."""
-        where = np.subtract(self._lens.map_to_rest, shift)
-        seen = _remap(self._texture, where)
-        albedo, bumps = cv2.split(seen)
-        gain = self.appearance.object_texture_gain / 127
-        return np.asarray(albedo, np.float32), (bumps.astype(np.float32) - 128) * np.float32(gain)
+    def _slopes(self, gel: Floats, rest_index: Floats) -> Floats:
+        """Imprint height and its slopes (h, dh/du, dh/dv) per marker pitch at the coarse raw pixels, [64, 86, 3]."""
+        height = gel[..., 2] * np.float32(1 / self.appearance.reference_pressure_n_per_mm2)
+        slope_v, slope_u = np.gradient(height)
+        return np.asarray(_remap(_refined(np.stack([height, slope_u, slope_v], -1)), rest_index), np.float32)
 
-    def _shaded(self, albedo: Floats, bumps: Floats, gains: Floats, noise: Floats) -> Image:
+    def _motion_since(self, gel: Floats, previous: Floats, rest_index: Floats) -> Floats:
+        """Motion from ``previous`` to ``gel`` of what each raw pixel sees, [320, 427, 2], rectified px."""
+        change = _refined((gel[..., :2] - previous[..., :2]) * np.float32(1 / self.appearance.mm_per_px))
+        return _to_raw(np.ascontiguousarray(_remap(change, rest_index)[..., :2]), cv2.INTER_LINEAR)
+
+    def _bumps(self, where: Floats, touched: Floats) -> Floats | None:
+        """The held surface's texture [320, 427] as a share of the light, or None where it has none."""
+        gain = self.appearance.object_texture_gain
+        if gain == 0 or not touched.any():
+            return None
+        seen = np.asarray(_remap(self._relief, where), np.float32)
+        seen -= 128
+        seen *= _to_raw(touched * np.float32(gain / 127), cv2.INTER_LINEAR)
+        return seen
+
+    def _shaded(self, albedo: Floats, bumps: Floats | None, gains: Floats, frame_seed: int) -> Image:
         """Uint8 [320, 427, 3]: light times albedo times slope shading, plus what is not gel, plus noise."""
+        noise, sigma = _noise(frame_seed), self.appearance.noise_sigma_grey
         channels = []
         for channel, sign in enumerate((0.2, -0.8, 1.0)):  # a bump is lit red on one side and shaded green there
             level = _to_raw(gains[channel], cv2.INTER_LINEAR)
-            cv2.scaleAdd(bumps, sign, level, dst=level)
+            if bumps is not None:
+                cv2.scaleAdd(bumps, sign, level, dst=level)
             level *= self._light[channel]
             level *= albedo
-            level += noise[channel]
+            if sigma > 0:
+                level = np.asarray(cv2.scaleAdd(noise[channel], sigma, level), np.float32)
             channels.append(cv2.add(level, self._surround[channel], dtype=cv2.CV_8U))  # rounds and saturates
         return np.asarray(cv2.merge(channels), np.uint8)
 
@@ -124,17 +146,16 @@ def _checked(gel: NDArray[np.floating]) -> Floats:
 
 
 def _refined(lattice: Floats) -> Floats:
-    """The lattice with one replicated node around it, at 3 px steps; node k lies at index 5 k + 7."""
-    padded = cv2.copyMakeBorder(lattice, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    """The lattice [20, 21, 2 or 3] with one replicated node around it, at 3 px steps, [110, 115, 3].
+
+    Node k lies at index 5 k + 7. Always three channels: with two, OpenCV interpolates at 1/32 of a step.
+    """
+    padded = np.zeros((tx.MARKER_ROWS + 2, tx.MARKER_COLS + 2, 3), np.float32)
+    channels = lattice.shape[-1]
+    padded[1:-1, 1:-1, :channels] = lattice
+    padded[0], padded[-1] = padded[1], padded[-2]
+    padded[:, 0], padded[:, -1] = padded[:, 1], padded[:, -2]
     return np.asarray(cv2.resize(padded, None, fx=_DENSE, fy=_DENSE, interpolation=cv2.INTER_CUBIC), np.float32)
-
-
-def _sample(refined: Floats, at_px: Floats) -> Floats:
-    """Values of a refined lattice at rectified positions [h, w, 2]."""
-    step = tx.MARKER_PITCH_PX / _DENSE
-    first = np.asarray(tx.FIRST_MARKER_PX, np.float32)
-    index = (at_px - first) * np.float32(1 / step) + np.float32(_DENSE + _DENSE // 2)
-    return np.asarray(_remap(refined, index), np.float32)
 
 
 def _remap(source: NDArray[Any], at: Floats) -> NDArray[Any]:
@@ -156,18 +177,18 @@ def _gains(felt: Floats, shading_gain: float) -> tuple[Floats, Floats]:
 
 
 def _to_raw(coarse: Floats, interpolation: int) -> Floats:
-    """Every-fifth-pixel field [64, 86, ...] to all raw pixels [320, 427, ...]."""
+    """Every-fifth-pixel field [64, 86, ...] to all raw pixels [320, 427, ...]; a view into something wider."""
     full = cv2.resize(coarse, None, fx=_COARSE_PX, fy=_COARSE_PX, interpolation=interpolation)
-    return np.ascontiguousarray(full[: tx.RAW_HEIGHT_PX, : tx.RAW_WIDTH_PX])
+    return np.asarray(full, np.float32)[: tx.RAW_HEIGHT_PX, : tx.RAW_WIDTH_PX]
 
 
-def _noise(frame_seed: int, sigma_grey: float) -> Floats:
-    """Float32 [3, 320, 427]: a random crop of the noise bank under a random sign."""
+def _noise(frame_seed: int) -> Floats:
+    """Float32 [3, 320, 427], unit variance: a random crop of the noise bank, or of its negative."""
     rng = np.random.Generator(np.random.PCG64(frame_seed))
-    bank = tx.noise_bank()
+    banks = tx.noise_bank()
     height, width = tx.RAW_HEIGHT_PX, tx.RAW_WIDTH_PX
-    top, left, sign = (int(n) for n in rng.integers((bank.shape[1] - height, bank.shape[2] - width, 2)))
-    return bank[:, top : top + height, left : left + width] * np.float32(sigma_grey * (1 - 2 * sign))
+    top, left, sign = (int(n) for n in rng.integers((banks.shape[2] - height, banks.shape[3] - width, 2)))
+    return banks[sign, :, top : top + height, left : left + width]
 
 
 def _lens(look: Appearance) -> _Lens:
@@ -185,18 +206,22 @@ def _lens(look: Appearance) -> _Lens:
     half = (_COARSE_PX - 1) / 2
     columns, rows = -(-tx.RAW_WIDTH_PX // _COARSE_PX), -(-tx.RAW_HEIGHT_PX // _COARSE_PX)
     coarse = rectified_of(np.arange(columns) * _COARSE_PX + half, np.arange(rows) * _COARSE_PX + half)
-    return _Lens(np.asarray(homography, np.float64), full + tx.MARGIN_PX, coarse)
+    index = (coarse - np.asarray(tx.FIRST_MARKER_PX, np.float32)) / _STEP_PX + (_DENSE + _DENSE // 2)
+    return _Lens(np.asarray(homography, np.float64), full + tx.MARGIN_PX, index.astype(np.float32))
 
 
-def _texture(look: Appearance, rng: np.random.Generator) -> Image:
-    """Uint8 [H, W, 2]: albedo (0.5 of full scale is plain cloth) and relief (128 is flat), at rest."""
+def _textures(look: Appearance, rng: np.random.Generator) -> tuple[Image, Image]:
+    """Uint8 [H, W] each, at rest: albedo (160 is plain cloth) and relief of the held surface (128 is flat)."""
     fabric = tx.cloth(rng, look.cloth_period_px, look.cloth_contrast, look.worn)
-    albedo = fabric * (1 - look.dot_darkness * tx.dot_cover(rng, look.missing_dots_share))
-    bumps = tx.relief(rng, look.object_texture, look.object_texture_period_px)
-    both = np.stack([160 * albedo, 128 + 127 * bumps], -1).astype(np.float32)
-    if look.defocus_px > 0:
-        both = np.asarray(cv2.GaussianBlur(both, (0, 0), look.defocus_px), np.float32)
-    return np.clip(np.rint(both), 0, 255).astype(np.uint8)
+    albedo = 160 * fabric * (1 - look.dot_darkness * tx.dot_cover(rng, look.missing_dots_share))
+    bumps = 128 + 127 * tx.relief(rng, look.object_texture, look.object_texture_period_px)
+    return _quantised(albedo, look.defocus_px), _quantised(bumps, look.defocus_px)
+
+
+def _quantised(texture: Floats, blur_px: float) -> Image:
+    if blur_px > 0:
+        texture = np.asarray(cv2.GaussianBlur(texture, (0, 0), blur_px), np.float32)
+    return np.clip(np.rint(texture), 0, 255).astype(np.uint8)
 
 
 def _illumination(look: Appearance, lens: _Lens, rng: np.random.Generator) -> tuple[Floats, Floats]:

@@ -106,12 +106,13 @@ def relief(rng: np.random.Generator, kind: str, period_px: float) -> Floats:
 
 @cache
 def noise_bank() -> Floats:
-    """Float32 [3, 960, 1281] of unit normals, the same in every process; a frame adds a random crop of it.
+    """Float32 [2, 3, 960, 1281] of unit normals and their negatives, the same in every process.
 
-    Drawing 400,000 normals a frame would cost more than the rest of the renderer; the 1.1 million crops and signs
-    repeat too rarely to be learnt.
+    A frame adds a random crop. Drawing 400,000 normals a frame would cost more than the rest of the renderer; the
+    1.1 million crops and signs repeat too rarely to be learnt.
     """
     rng = np.random.Generator(np.random.PCG64(20_190_617))
     bank = rng.standard_normal((3, 3 * RAW_HEIGHT_PX, 3 * RAW_WIDTH_PX), dtype=np.float32)
-    bank.setflags(write=False)
-    return bank
+    both: Floats = np.stack([bank, -bank])
+    both.setflags(write=False)
+    return both

@@ -18,7 +18,7 @@ def test_an_appearance_survives_json_and_depends_on_finger_and_seed() -> None:
 
 
 def test_unknown_keys_are_refused() -> None:
-    with pytest.raises(ValueError, match="sparkle"):
+    with pytest.raises(ValueError, match=r"unknown keys .*sparkle"):
         Appearance.from_dict({**Appearance().as_dict(), "sparkle": 1})
 
 
