@@ -104,16 +104,28 @@ class LiveCell:
         self.gate.abort = self.rws.abort
         held = options.gripper == "held"
         self.world = World(plant.mechanics, plant.regrasp, self._pose, fps=options.fps, held=held)
+        self.world.on_unsolved = self._supervise
         self.part = HeldPart(self.world, plant.part_width_mm, self._pose, at_start)
         self.gripper = Gripper(self.part, self.board, holding=held)
         self.wsg = Wsg50Emulator(self.gripper, self.board)
         self.cameras = {finger: CameraEmulator(finger, self.board) for finger in FINGERS}
         self.admin = HttpServer(create_admin(self, self.board), self.sockets.admin)
         self.feeds: list[CameraFeed] = []
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._started_s = time.monotonic()
 
     def _pose(self) -> Pose:
         return self.cabinet.arm.pose
+
+    def _supervise(self, why: str) -> None:
+        """Motion supervision: a load that the physics cannot bear ends in a protective stop, as a collision does."""
+
+        def stop() -> None:
+            self.cabinet.note(3, 50204, f"Motion supervision: {why}")
+            self.board.update({"robot": {"protective_stop": True}})
+
+        if self._loop is not None:
+            self._loop.call_soon_threadsafe(stop)
 
     def _set_lag(self) -> None:
         lag_ms = self.board.faults.robot.egm_lag_ms
@@ -123,7 +135,7 @@ class LiveCell:
 
     async def start(self) -> None:
         """Return once every device answers."""
-        loop = asyncio.get_running_loop()
+        loop = self._loop = asyncio.get_running_loop()
         await asyncio.to_thread(self.world.warm)
         for index, finger in enumerate(FINGERS):
             feed = CameraFeed(self.cameras[finger], index, self.plant.draw[finger], loop)

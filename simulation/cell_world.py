@@ -91,6 +91,7 @@ class Course:
     frames: int = 0
     frames_skipped: int = 0
     busy_s: float = 0.0
+    unsolved: int = 0  # moves for which the physics found no equilibrium
     contact_events: list[tuple[int, float]] = field(default_factory=list)  # (captured_ns, bottom z) at each touchdown
 
 
@@ -111,6 +112,7 @@ class World:
         self.state: CellStateLike | None = None
         self.error: BaseException | None = None
         self.held = held
+        self.on_unsolved: Callable[[str], None] = lambda _why: None
         self._mechanics = mechanics
         self._regrasp = regrasp
         self._pose = pose
@@ -197,8 +199,13 @@ class World:
         where = (*pose.position_mm, pose.yaw_deg)
         if self._last is not None and all(abs(a - b) < 1e-5 for a, b in zip(where, self._last, strict=True)):
             return
-        self.state = self._mechanics.move_to(*where)
         self._last = where
+        try:
+            self.state = self._mechanics.move_to(*where)
+        except RuntimeError as error:  # no equilibrium: the arm was driven into the blocks
+            self.course.unsolved += 1
+            self.on_unsolved(str(error))
+            return
         self._gel = np.array(self.state.gel, np.float32)
         if self.state.grasp_lost:
             self.held = False

@@ -7,11 +7,11 @@ Exit 0 if every insertion succeeded, 1 if one did not, 2 on wrong input.
 import json
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 from urllib.request import urlopen
 
 import numpy as np
@@ -131,31 +131,49 @@ def _start_client(told: dict[str, Any], url: str, folder: Path) -> Child:
     return Child("robot client", "robot_client", ["insert", *arguments], folder / "client.log")
 
 
-def insert(start: Start, options: RunOptions, folder: Path) -> Result:
-    """One insertion from nothing running to nothing running; raises ChildError if a process fails."""
+class Loop(NamedTuple):
+    """The three processes of one insertion and what the cell told of itself."""
+
+    cell: Child
+    service: Child
+    client: Child
+    told: dict[str, Any]
+    episode: Path
+
+
+@contextmanager
+def loop(start: Start, options: RunOptions, folder: Path) -> Iterator[Loop]:
+    """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails."""
     folder.mkdir(parents=True)
-    _say(f"{start.object}: start error x {start.x_mm:+.2f} mm, yaw {start.theta_deg:+.2f} deg, seed {start.seed}")
     with ExitStack() as children:
         cell = children.enter_context(_start_cell(start, options, folder))
-        _say("starting the simulated cell (the first time on a machine it compiles its physics: about a minute)")
         cell.until("cell: ready", CELL_READY_S)
         told = json.loads((folder / "cell" / "cell.json").read_text())
         service = children.enter_context(_start_service(told, options, folder))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        began, used = time.monotonic(), [child.cpu_s() for child in (cell, service)]
         client = children.enter_context(_start_client(told, url, folder))
-        for line in client.lines((cell, service), options.timeout_s):
+        yield Loop(cell, service, client, told, folder / "episode.jsonl")
+
+
+def insert(start: Start, options: RunOptions, folder: Path) -> Result:
+    """One insertion from nothing running to nothing running; raises ChildError if a process fails."""
+    _say(f"{start.object}: start error x {start.x_mm:+.2f} mm, yaw {start.theta_deg:+.2f} deg, seed {start.seed}")
+    _say("starting the simulated cell (the first time on a machine it compiles its physics: about a minute)")
+    with loop(start, options, folder) as running:
+        watched = (running.cell, running.service)
+        began, used = time.monotonic(), [child.cpu_s() for child in watched]
+        for line in running.client.lines(watched, options.timeout_s):
             _say(f"  {line}")
-        if client.code not in (0, 1):
-            client.check()
+        if running.client.code not in (0, 1):
+            running.client.check()
         seconds = time.monotonic() - began
-        cores = [(child.cpu_s() - before) / seconds for child, before in zip((cell, service), used, strict=True)]
-        with urlopen(f"{told['admin_url']}/truth", timeout=5.0) as answer:  # noqa: S310 our own child on loopback
+        cores = [(child.cpu_s() - before) / seconds for child, before in zip(watched, used, strict=True)]
+        with urlopen(f"{running.told['admin_url']}/truth", timeout=5.0) as answer:  # noqa: S310 our own child on loopback
             truth = json.load(answer)
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
     return run_report.collect(
         truth,
-        folder / "episode.jsonl",
+        running.episode,
         object_name=start.object,
         x_mm=start.x_mm,
         theta_deg=start.theta_deg,

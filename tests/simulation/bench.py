@@ -33,10 +33,12 @@ class TwoLinePhysics:
     """The object follows the hand rigidly; deeper than the block tops off centre is contact."""
 
     def __init__(self):
-        self.lost = False
+        self.lost = self.broken = False
         self.grips = []
 
     def move_to(self, x_mm, y_mm, z_mm, yaw_deg):  # noqa: ARG002
+        if self.broken:
+            raise RuntimeError("no equilibrium")
         bottom = z_mm - GRASP_HEIGHT_MM
         blocked = bottom < 0 and abs(x_mm) > 2.5
         return SimpleNamespace(

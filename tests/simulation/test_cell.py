@@ -75,3 +75,14 @@ def test_an_object_let_go_away_from_its_fixture_cannot_be_grasped_again(cell):
     cell.wait(lambda: not cell.cell.world.held)
     assert cell.cell.part.width_mm() is None
     gripper.close()
+
+
+def test_physics_without_equilibrium_is_a_protective_stop(cell):
+    cell.call(cell.cell.board.clear)
+    cell.physics.broken = True
+    cell.call(cell.cell.world.grip, 40.0)
+    cell.wait(lambda: cell.cell.cabinet.state == "guardstop")
+    cell.physics.broken = False
+    assert any("Motion supervision" in entry.title for entry in cell.cell.cabinet.log)
+    cell.call(cell.cell.board.clear)
+    cell.wait(lambda: cell.cell.cabinet.state == "motoroff")
