@@ -12,7 +12,9 @@ _EPILOG = """exit codes: 0 inserted (or done), 1 not inserted or failed safe, 2 
 
 examples:
   python -m robot_client insert --x-mm 8 --theta-deg 6                        rehearse, nothing connected
+  python -m robot_client check --config cell.toml                             read the devices, move nothing
   python -m robot_client insert --live --config cell.toml --x-mm 8 --theta-deg 6
+  python -m robot_client replay runs/robot/INSERTION.jsonl
 """
 
 
@@ -28,9 +30,29 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m robot_client", description=__doc__, epilog=_EPILOG, formatter_class=raw
     )
-    commands = parser.add_subparsers(dest="command", required=True)
-    insert = commands.add_parser("insert", help="insert the held object; a rehearsal unless --live is typed")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_insert(commands.add_parser("insert", help="insert the held object; a rehearsal unless --live is typed"))
+    check = commands.add_parser("check", help="read every device, move nothing, say what is not ready")
+    _add_connection(check)
+    home = commands.add_parser("home", help="reference the empty gripper")
+    _add_connection(home)
+    _add_mode(home)
+    home.add_argument("--acknowledge", action="store_true", help="first clear a latched fault whose cause you removed")
+    home.add_argument("--direction", choices=("default", "outward", "inward"), default="default", help="end stop")
+    jog = commands.add_parser("jog", help="take the TCP to a pose of the work object: up, over, down")
+    _add_connection(jog)
+    _add_mode(jog)
+    for name, unit in (("x", "mm"), ("y", "mm"), ("z", "mm"), ("theta", "deg")):
+        text = "required" if name == "z" else "default 0"
+        jog.add_argument(f"--{name}-{unit}", type=_number, default=0.0, required=name == "z", help=text)
+    replay = commands.add_parser("replay", help="tell an episode log again and compare it with today's state machine")
+    replay.add_argument("path", type=Path, help="episode log (JSON lines)")
+    return parser
+
+
+def _add_insert(insert: argparse.ArgumentParser) -> None:
     _add_connection(insert)
+    _add_mode(insert)
     insert.add_argument("--x-mm", type=_number, default=0.0, help="start error across the gap (default 0)")
     insert.add_argument("--theta-deg", type=_number, default=0.0, help="start error in yaw (default 0)")
     insert.add_argument("--gap-width-mm", type=_number, help="width of the gap (default 56)")
@@ -39,11 +61,15 @@ def _parser() -> argparse.ArgumentParser:
     insert.add_argument("--controller", choices=("heuristic", "belief"), help="ask the service for this controller")
     insert.add_argument("--insertion-id", help="name of this insertion (default: time and a random suffix)")
     insert.add_argument("--log", type=Path, help="episode log to write (default runs/robot/INSERTION.jsonl)")
-    return parser
+
+
+def _add_mode(parser: argparse.ArgumentParser) -> None:
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--live", action="store_true", help="connect and MOVE")
+    mode.add_argument("--dry-run", action="store_true", help="connect nothing, move nothing (the default)")
 
 
 def _add_connection(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--live", action="store_true", help="connect and MOVE; without it nothing is connected")
     parser.add_argument("--config", type=Path, help="TOML configuration; see robot_client/README.md")
     parser.add_argument("--service", metavar="URL", help="ws://HOST:PORT/PATH of the decision service")
     parser.add_argument("--egm-port", type=int, help="UDP port we listen on (the controller's UCdevice sends to it)")
@@ -78,14 +104,45 @@ def _insert(args: argparse.Namespace, settings: Settings) -> int:
     return insert(settings, plan, live=args.live, log=log)
 
 
-_COMMANDS = {"insert": _insert}
+def _check(_args: argparse.Namespace, settings: Settings) -> int:
+    from robot_client.check import check
+
+    return check(settings)
+
+
+def _home(args: argparse.Namespace, settings: Settings) -> int:
+    from robot_client.codecs.wsg50 import HomingDirection
+    from robot_client.jog import home
+
+    direction = HomingDirection[args.direction.upper()]
+    return home(settings, acknowledge=args.acknowledge, direction=direction, live=args.live)
+
+
+def _jog(args: argparse.Namespace, settings: Settings) -> int:
+    from robot_client.geometry import WorkPose
+    from robot_client.jog import jog
+
+    target = WorkPose(x_mm=args.x_mm, y_mm=args.y_mm, z_mm=args.z_mm, yaw_deg=args.theta_deg)
+    return jog(settings, target, live=args.live)
+
+
+_COMMANDS = {"insert": _insert, "check": _check, "home": _home, "jog": _jog}
+
+
+def _run(args: argparse.Namespace) -> int:
+    if args.command == "replay":
+        from robot_client.replay import replay
+
+        replay(args.path)
+        return 0
+    return _COMMANDS[args.command](args, load_settings(args.config, _overrides(args)))
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; wrong input is one line on stderr and exit code 2."""
     args = _parser().parse_args(argv)
     try:
-        return _COMMANDS[args.command](args, load_settings(args.config, _overrides(args)))
+        return _run(args)
     except ValueError as error:
         from robot_client.ports import DriverError
 

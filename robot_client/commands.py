@@ -45,15 +45,19 @@ def make_plan(
     )
 
 
-def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:
-    """Drivers of the real protocols; guidance is only taken from the host that RWS names."""
+def live_arm(settings: Settings) -> EgmArm:
+    """The arm over EGM and RWS; guidance is only given to the host that RWS names."""
     rws = RwsClient(settings.rws)
     egm = settings.egm
     host = urlsplit(settings.rws.url).hostname
     if egm.robot_host is None and host is not None and host.replace(".", "").isdigit():
         egm = egm.model_copy(update={"robot_host": host})
-    arm = EgmArm(egm, settings.limits, settings.ramps, settings.work_object.frame(), rws)
-    return arm, Wsg50(settings.gripper), ServiceLink(settings.service, plan.insertion_id)
+    return EgmArm(egm, settings.limits, settings.ramps, settings.work_object.frame(), rws)
+
+
+def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:
+    """Drivers of the real protocols."""
+    return live_arm(settings), Wsg50(settings.gripper), ServiceLink(settings.service, plan.insertion_id)
 
 
 def dry_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:

@@ -64,6 +64,13 @@ def check_correction(limits: Limits, attempt: int, dx_mm: float, dtheta_deg: flo
             raise LimitError(f"{name} = {value:.3f}, allowed up to {bound:g}")
 
 
+def _slows_down(new: tuple[float, ...], old: tuple[float, ...]) -> bool:
+    """True if ``new`` is ``old`` times a factor of 0..1: losing speed, as a stop does, is never refused."""
+    square = sum(v * v for v in old)
+    share = sum(a * b for a, b in zip(new, old, strict=True)) / square if square > 0.0 else 0.0
+    return 0.0 <= share <= 1.0 and math.dist(new, [share * v for v in old]) <= 1e-6 * math.sqrt(square)
+
+
 @dataclass(slots=True)
 class StepGuard:
     """Watches the stream of targets: box, speed and acceleration between one target and the next.
@@ -92,10 +99,11 @@ class StepGuard:
         self._bound("speed mm/s", math.hypot(*speed), top)
         self._bound("turn deg/s", abs(turn), self.limits.max_turn_deg_s)
         between_s = (elapsed_s + self._elapsed_s) / 2.0  # both speeds are means over their step
-        change = math.dist(speed, self._speed) / between_s
-        self._bound("acceleration mm/s2", change, self.limits.max_acceleration_mm_s2)
-        change = abs(turn - self._turn_deg_s) / between_s
-        self._bound("turn acceleration deg/s2", change, self.limits.max_turn_acceleration_deg_s2)
+        if not _slows_down((*speed, turn), (*self._speed, self._turn_deg_s)):
+            change = math.dist(speed, self._speed) / between_s
+            self._bound("acceleration mm/s2", change, self.limits.max_acceleration_mm_s2)
+            change = abs(turn - self._turn_deg_s) / between_s
+            self._bound("turn acceleration deg/s2", change, self.limits.max_turn_acceleration_deg_s2)
         self.last, self._speed, self._turn_deg_s, self._elapsed_s = target, speed, turn, elapsed_s
         return target
 

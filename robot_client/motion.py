@@ -95,16 +95,16 @@ class MotionGuide:
     def advance(self, elapsed_s: float) -> WorkPose:
         """Target after ``elapsed_s``; raises LimitError (target unchanged) if it may not be sent.
 
-        A gap of more than MISSED_CYCLES stops the target; it then resumes on a ramp instead of leaping.
+        Over a gap of more than MISSED_CYCLES the target takes one cycle's way at most, then gains speed on a ramp.
         """
         if self._profile is None or elapsed_s <= 0.0:
             return self.target
         if elapsed_s > (MISSED_CYCLES + 0.5) * CYCLE_S:
-            self._rate = 0.0
-            self._guard.rest()
-            return self.target
-        self._walked_s += elapsed_s * self._rate
-        self._rate = min(1.0, self._rate + elapsed_s / _RESUME_S)
+            self._rate = min(self._rate, CYCLE_S / elapsed_s)
+            self._walked_s += elapsed_s * self._rate
+        else:
+            self._walked_s += elapsed_s * self._rate
+            self._rate = min(1.0, self._rate + elapsed_s / _RESUME_S)
         share = self._profile.position(self._walked_s) / self._profile.length if self._profile.length > 0 else 1.0
         target = self._end if share >= 1.0 else self._start.towards(self._end, share)
         self.target = self._guard.check(target, elapsed_s, self._motion)

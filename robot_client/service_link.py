@@ -15,6 +15,7 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 
 from robot_client.events import Failure, FromService
 from robot_client.ports import DriverError, Post
+from robot_client.silence import Silence
 from service.contract import wire
 from service.contract.frames import Contract, ContractError
 
@@ -38,8 +39,11 @@ class ServiceLink:
     _connection: ClientConnection | None = None
     _outbox: asyncio.Queue[wire.ClientMessage] = field(default_factory=asyncio.Queue)
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)
-    _answered_s: float = 0.0
+    _silence: Silence = field(init=False)
     _greeted: bool = False
+
+    def __post_init__(self) -> None:
+        self._silence = Silence(self.settings.silence_s, self.settings.heartbeat_s)
 
     async def start(self, post: Post) -> None:
         """Connect; raises DriverError."""
@@ -57,7 +61,7 @@ class ServiceLink:
             )
         except (OSError, TimeoutError, WebSocketException, ValueError) as error:
             raise DriverError(f"service: cannot connect to {settings.url}: {type(error).__name__} {error}") from None
-        self._answered_s = time.monotonic()
+        self._silence.heard(time.monotonic())
         for work in (self._receive(), self._send(), self._beat()):
             self._tasks.append(asyncio.get_running_loop().create_task(work))
 
@@ -84,7 +88,7 @@ class ServiceLink:
             async for text in self._connection:
                 now_s = time.monotonic()
                 message = wire.parse_service(text)
-                self._answered_s = now_s
+                self._silence.heard(now_s)
                 self._greeted = self._greeted or isinstance(message, wire.ServiceHello)
                 if self._post is not None:
                     self._post(FromService(at_s=now_s, message=message))
@@ -115,8 +119,8 @@ class ServiceLink:
                 continue
             count += 1
             self.send(wire.ClientHeartbeat(insertion_id=self.insertion_id, count=count))
-            silent_s = time.monotonic() - self._answered_s
-            if silent_s > self.settings.silence_s:
+            silent_s = self._silence.over(time.monotonic())
+            if silent_s is not None:
                 self._fail("silent", f"no message for {silent_s * 1e3:.0f} ms")
 
     def _fail(self, code: str, detail: str) -> None:

@@ -20,6 +20,7 @@ from robot_client.geometry import CellFrame, WorkPose
 from robot_client.limits import LimitError, Limits, Motion
 from robot_client.motion import MotionGuide, Ramps
 from robot_client.ports import DriverError, Post
+from robot_client.silence import Silence
 from service.contract.frames import Contract
 
 _DRAIN = 64
@@ -62,7 +63,8 @@ class EgmArm:
     _holds_us: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._watch = EgmWatch(self.settings.silence_s, self.settings.max_age_s)
+        silence = Silence(self.settings.silence_s, self.settings.silence_s / 4.0)
+        self._watch = EgmWatch(silence, self.settings.max_age_s)
 
     # ---- port -----------------------------------------------------------------------------------------------------
 
@@ -110,7 +112,7 @@ class EgmArm:
         if self._guide is not None:
             self._guide.hold()
         self._stop_program()
-        outcome = await self._stopping if self._stopping else "program not under our control, guidance ends by silence"
+        outcome = await self._stopping if self._stopping else "no program was started"
         if self._timer is not None:
             self._timer.cancel()
         if self._socket is not None:
@@ -240,7 +242,7 @@ class EgmArm:
         self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
 
     def _stop_program(self) -> None:
-        if self.rws is not None and self._stopping is None:
+        if self.rws is not None and self.rws.started and self._stopping is None:
             self._stopping = asyncio.get_running_loop().create_task(self.rws.stop_program())
 
 

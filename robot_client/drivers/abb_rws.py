@@ -63,6 +63,7 @@ class RwsClient:
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise DriverError(f"rws url {settings.url!r}, expected http://HOST[:PORT]")
         self.settings = settings
+        self.started = False
         self._client = httpx.AsyncClient(
             base_url=settings.url,
             auth=httpx.DigestAuth(settings.user, settings.password.get_secret_value()),
@@ -101,6 +102,7 @@ class RwsClient:
             await self._until("/rw/panel/ctrlstate", "ctrlstate", "motoron", self.settings.motors_timeout_s)
         if status.execution == "running":
             raise RwsError("the RAPID program runs already; stop it, so that guidance starts from a known state")
+        self.started = True  # from here on the program is ours to stop, whatever the answer
         await self._post("/rw/rapid/execution", "start", _START)
         await self._until("/rw/rapid/execution", "ctrlexecstate", "running", self.settings.start_timeout_s)
 

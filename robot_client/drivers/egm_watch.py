@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robot_client.codecs.egm import RobotState
+from robot_client.silence import Silence
 
 _BAD_IN_A_ROW = 25
 
@@ -21,7 +22,7 @@ class StreamFault(Exception):  # noqa: N818 it reports the stream's state, the d
 class EgmWatch:
     """Counts and judges datagrams. Age is measured against the least delay ever seen on this stream."""
 
-    silence_s: float
+    silence: Silence
     max_age_s: float
     datagrams: int = 0
     bad_datagrams: int = 0
@@ -53,6 +54,7 @@ class EgmWatch:
         if self._newest_s is not None and now_s - self._newest_s > 0.014:
             self.gaps += 1
             self.worst_gap_s = max(self.worst_gap_s, now_s - self._newest_s)
+        self.silence.heard(now_s)
         self._sequence, self._robot_ms, self._newest_s, self._bad_in_a_row = state.sequence, state.time_ms, now_s, 0
         lag_s = now_s - state.time_ms / 1e3
         self._least_lag_s = lag_s if self._least_lag_s is None else min(self._least_lag_s, lag_s)
@@ -77,10 +79,8 @@ class EgmWatch:
 
     def check_silence(self, now_s: float) -> None:
         """Raise StreamFault if no new valid datagram came for too long."""
-        if self._newest_s is None:
-            return
-        silent_s = now_s - self._newest_s
-        if silent_s > self.silence_s:
+        silent_s = self.silence.over(now_s)
+        if silent_s is not None:
             why = (
                 "only unreadable ones came" if self._bad_in_a_row >= _BAD_IN_A_ROW else "the stream is silent or frozen"
             )

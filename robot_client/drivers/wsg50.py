@@ -18,6 +18,7 @@ from robot_client.codecs import wsg50
 from robot_client.codecs.wsg50 import Command, GraspingState, Reply, Status, SystemState, UpdateFlag, Value
 from robot_client.events import Failure, Grasped, PartLost
 from robot_client.ports import DriverError, Post
+from robot_client.silence import Silence
 from service.contract.frames import Contract
 
 _READ_BYTES = 4096
@@ -69,9 +70,12 @@ class Wsg50:
     _writer: asyncio.StreamWriter | None = None
     _waiting: dict[int, asyncio.Queue[Reply]] = field(default_factory=dict)
     _parser: wsg50.StreamParser = field(default_factory=wsg50.StreamParser)
-    _heard_s: float = 0.0
+    _silence: Silence = field(init=False)
     _lost: str = ""
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self._silence = Silence(self.settings.silence_s, self.settings.silence_s / 4.0)
 
     # ---- port -----------------------------------------------------------------------------------------------------
 
@@ -116,7 +120,7 @@ class Wsg50:
             reader, self._writer = await asyncio.wait_for(opening, self.settings.reply_timeout_s)
         except (OSError, TimeoutError) as error:
             raise GripperError(f"gripper: cannot connect to {where}: {type(error).__name__} {error}".rstrip()) from None
-        self._heard_s = time.monotonic()
+        self._silence.heard(time.monotonic())
         self._reader = asyncio.get_running_loop().create_task(self._read(reader))
         stroke, v0, v1, a0, a1, f0, f1, _ = (float(v) for v in (await self.request(Command.SYSTEM_LIMITS)).values)
         self.limits = GripperLimits(
@@ -205,7 +209,7 @@ class Wsg50:
             reply = wsg50.decode_reply(frame)
         except wsg50.WsgError:
             return  # not of this protocol: whoever waits for it times out
-        self._heard_s = time.monotonic()
+        self._silence.heard(time.monotonic())
         if reply.command == Command.GRASPING_STATE and reply.values:
             self._on_state(int(reply.values[0]))
         if reply.command in self._waiting:
@@ -231,8 +235,8 @@ class Wsg50:
         """Auto-updates are the heartbeat: silence is a failure."""
         while True:
             await asyncio.sleep(self.settings.silence_s / 4.0)
-            silent_s = time.monotonic() - self._heard_s
-            if silent_s > self.settings.silence_s:
+            silent_s = self._silence.over(time.monotonic())
+            if silent_s is not None:
                 self._fail("silent", f"gripper: no frame for {silent_s * 1e3:.0f} ms")
 
     def _fail(self, code: Literal["grasp", "link", "protocol", "error", "released", "silent"], detail: str) -> None:

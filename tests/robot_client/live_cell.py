@@ -10,6 +10,7 @@ import time
 from dataclasses import dataclass, field
 
 from websockets.asyncio.server import serve
+from websockets.exceptions import ConnectionClosed
 
 from robot_client.commands import live_ports, make_plan
 from robot_client.recorder import Recorder
@@ -63,6 +64,7 @@ class TruthfulService:
     received: list = field(default_factory=list)
     slips_ns: list = field(default_factory=list)
     on_message: object = None
+    delays_s: dict = field(default_factory=dict)
     mute: bool = False
     silent_heartbeat: bool = False
     frame_age_ms: float | None = 10.0
@@ -83,11 +85,12 @@ class TruthfulService:
                 message = wire.parse_client(text)
                 if not isinstance(message, wire.ClientHeartbeat):
                     self.received.append(message)
+                await asyncio.sleep(self.delays_s.get(message.type, 0.0))
                 replies = self.on_message(message) if self.on_message else None
                 for reply in self._answer(message) if replies is None else replies:
                     await self.say(reply)
-        except Exception:
-            pass
+        except (ConnectionClosed, OSError):
+            pass  # the client or the test cut the connection
         finally:
             watcher.cancel()
 

@@ -70,18 +70,33 @@ def test_a_hold_freezes_the_target_at_once(x, cycles):
         assert guide.advance(CYCLE_S) == held
 
 
-def test_a_gap_in_the_stream_pauses_the_target_and_resumes_without_a_leap():
+def test_over_a_gap_in_the_stream_the_target_takes_one_cycle_of_way_and_then_gains_speed_again():
     guide = MotionGuide(Limits(), Ramps(), pose())
     guide.move(pose(z=10.0), "descend")
     for _ in range(200):
         guide.advance(CYCLE_S)
     before = guide.target
-    assert guide.advance(0.5) == before
+    assert before.z_mm - guide.advance(0.5).z_mm == pytest.approx(10.0 * CYCLE_S)
+    before = guide.target
     for _ in range(100):
         after = guide.advance(CYCLE_S)
         assert 0 <= before.z_mm - after.z_mm <= 10.0 * CYCLE_S * 1.001
         before = after
     assert before.z_mm < 32
+
+
+@given(st.lists(st.sampled_from([0, 1, 2, 3, 4, 5, 8, 13, 14, 15, 40, 500]), min_size=5, max_size=60), INSIDE, INSIDE)
+def test_no_rhythm_of_the_stream_makes_a_move_unlawful_or_endless(rhythm_ms, start, end):
+    guide = MotionGuide(Limits(), Ramps(), start)
+    guide.move(end, "travel")
+    left = 30_000
+    while guide.moving and left:
+        for cycle_ms in [*rhythm_ms, 4]:
+            guide.advance(cycle_ms / 1000.0)
+            left -= 1
+            if not left:
+                break
+    assert guide.target == end
 
 
 def test_the_descent_reaches_ten_mm_per_second_and_takes_the_way_straight_down():

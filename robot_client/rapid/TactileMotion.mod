@@ -1,0 +1,137 @@
+MODULE TactileMotion
+    ! Motion server for tactile-insertion on a controller without EGM: task T_ROB1, option 616-1 PC Interface.
+    ! It moves along straight lines and stops as soon as the guard (TactileGuard.mod, a background task) raises
+    ! tactileStop. The guard raises it on request and whenever the cell PC falls silent. Not a safety function.
+    !
+    ! Requests end with "#":   M id x y z q1 q2 q3 q4 speed#     straight to the pose (mm, mm/s) unless stopped
+    !                          Q#                                close
+    ! Answers:                 D id#  done,  S id#  stopped on the way,  E id reason#  refused
+
+    PERS tooldata tactileTool := [TRUE, [[0, 0, 260], [1, 0, 0, 0]], [2.5, [0, 0, 110], [1, 0, 0, 0], 0, 0, 0]];
+    PERS wobjdata tactileGap := [FALSE, TRUE, "", [[800, 0, 300], [1, 0, 0, 0]], [[0, 0, 0], [1, 0, 0, 0]]];
+    PERS bool tactileStop := TRUE;
+    PERS bool tactileMoving := FALSE;
+
+    CONST num port := 5010;
+    CONST num topSpeed := 80; ! mm/s; SearchL \Stop is meant for less than 100
+    CONST num turnSpeed := 60; ! deg/s
+
+    VAR socketdev server;
+    VAR socketdev client;
+
+    PROC main()
+        VAR string request;
+        tactileStop := TRUE;
+        tactileMoving := FALSE;
+        ConfL \Off;
+        AccSet 30, 30;
+        listen;
+        WHILE TRUE DO
+            request := nextRequest();
+            IF StrPart(request, 1, 1) = "Q" THEN
+                tactileStop := TRUE;
+                SocketClose client;
+                SocketClose server;
+                EXIT;
+            ENDIF
+            answer handle(request);
+        ENDWHILE
+    ERROR
+        ! A lost PC is no reason to move: raise the stop and wait for the next connection.
+        tactileStop := TRUE;
+        SocketClose client;
+        SocketClose server;
+        WaitTime 0.2;
+        ExitCycle;
+    ENDPROC
+
+    PROC listen()
+        SocketCreate server;
+        SocketBind server, GetSysInfo(\LanIp), port;
+        SocketListen server;
+        SocketAccept server, client \Time:=WAIT_MAX;
+    ENDPROC
+
+    ! One request up to its "#". The PC sends the next one after the answer, and RAPID strings end at 80 characters.
+    FUNC string nextRequest()
+        VAR string whole := "";
+        VAR string part;
+        WHILE StrFind(whole, 1, "#") > StrLen(whole) DO
+            SocketReceive client \Str:=part \ReadNoOfBytes:=80 \Time:=WAIT_MAX;
+            IF StrLen(whole) + StrLen(part) > 80 THEN
+                whole := "";
+                answer "E 0 length";
+            ELSE
+                whole := whole + part;
+            ENDIF
+        ENDWHILE
+        RETURN StrPart(whole, 1, StrFind(whole, 1, "#") - 1);
+    ENDFUNC
+
+    FUNC string handle(string request)
+        VAR num fields{9};
+        VAR robtarget target;
+        VAR bool arrived;
+        IF StrLen(request) < 3 THEN
+            RETURN "E 0 format";
+        ENDIF
+        IF StrPart(request, 1, 2) <> "M " OR NOT numbers(request, fields) THEN
+            RETURN "E 0 format";
+        ENDIF
+        IF fields{9} <= 0 OR fields{9} > topSpeed THEN
+            RETURN "E " + ValToStr(fields{1}) + " speed";
+        ENDIF
+        ! configuration and external axes stay as they are
+        target := CRobT(\Tool:=tactileTool \WObj:=tactileGap);
+        target.trans := [fields{2}, fields{3}, fields{4}];
+        target.rot := NOrient([fields{5}, fields{6}, fields{7}, fields{8}]);
+        arrived := travel(target, fields{9});
+        IF arrived THEN
+            RETURN "D " + ValToStr(fields{1});
+        ENDIF
+        RETURN "S " + ValToStr(fields{1});
+    ENDFUNC
+
+    FUNC bool travel(robtarget target, num speed)
+        VAR robtarget hit;
+        VAR speeddata v := [10, 10, 100, 100];
+        VAR bool ended := FALSE;
+        v.v_tcp := speed;
+        v.v_ori := turnSpeed;
+        tactileMoving := TRUE;
+        ! Hard stop on the flag. Reaching the end without it is ERR_WHLSEARCH, here the good outcome.
+        SearchL \Stop, tactileStop \HighLevel, hit, target, v, tactileTool \WObj:=tactileGap;
+        tactileMoving := FALSE;
+        RETURN ended;
+    ERROR
+        IF ERRNO = ERR_WHLSEARCH THEN
+            ended := TRUE;
+            TRYNEXT;
+        ELSEIF ERRNO = ERR_SIGSUPSEARCH THEN
+            TRYNEXT; ! the stop was up before the start: nothing moved
+        ELSE
+            tactileMoving := FALSE;
+            RAISE;
+        ENDIF
+    ENDFUNC
+
+    FUNC bool numbers(string request, INOUT num fields{*})
+        VAR num from := 3;
+        VAR num upto;
+        FOR i FROM 1 TO 9 DO
+            upto := StrFind(request, from, " ");
+            IF NOT StrToVal(StrPart(request, from, upto - from), fields{i}) THEN
+                RETURN FALSE;
+            ENDIF
+            from := upto + 1;
+            IF i < 9 AND from > StrLen(request) THEN
+                RETURN FALSE;
+            ENDIF
+        ENDFOR
+        RETURN from > StrLen(request);
+    ENDFUNC
+
+    PROC answer(string text)
+        SocketSend client \Str:=text + "#";
+    ENDPROC
+ENDMODULE
