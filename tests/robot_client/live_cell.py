@@ -210,7 +210,7 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None):
     for section, values in (overrides or {}).items():
         sections[section] = {**sections.get(section, {}), **values}
     cell = Bench(board, cabinet, egm, gripper, wsg, service, load_settings(None, sections))
-    egm.on_cycle.append(lambda now_s: cell.trace.append((now_s, cabinet.arm.target, cabinet.arm.pose)))
+    egm.on_cycle.append(lambda: cell.trace.append((time.monotonic(), cabinet.arm.target, cabinet.arm.pose)))
     try:
         yield cell
     finally:
