@@ -11,13 +11,14 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 from urllib.parse import parse_qsl
 
-from fastapi import FastAPI, Request, Response
+from fastapi import FastAPI, Request, Response, WebSocket
 from starlette.middleware.base import BaseHTTPMiddleware
 
 from simulation.emulators import abb_rws_states as states
 from simulation.emulators.abb_cabinet import Cabinet, RefusedError
 from simulation.emulators.abb_frames import CellFrames
 from simulation.emulators.abb_rws_format import JSON_TYPE, XHTML_TYPE, Digest, State, as_json, as_xhtml, error_body
+from simulation.emulators.abb_rws_subscriptions import add_subscriptions
 from simulation.emulators.faults import FaultBoard, take
 
 MAX_SESSIONS = 70
@@ -44,8 +45,12 @@ def _refusal(request: Request, status: int, code: int, text: str) -> Response:
     return Response(error_body(code, text, wants_json=wants_json), status, media_type=media)
 
 
+async def _fields(request: Request) -> list[tuple[str, str]]:
+    return parse_qsl((await request.body())[:65536].decode("utf-8", "replace"), keep_blank_values=True)
+
+
 async def _form(request: Request) -> dict[str, str]:
-    return dict(parse_qsl((await request.body())[:65536].decode("utf-8", "replace"), keep_blank_values=True))
+    return dict(await _fields(request))
 
 
 class Gate:
@@ -60,6 +65,10 @@ class Gate:
     def authorised(self, cookie: str | None, header: str | None, method: str) -> bool:
         """True for a live session's cookie or a right digest."""
         return (cookie is not None and cookie in self._sessions) or self._digest.accepts(header, method)
+
+    def admits(self, socket: WebSocket) -> bool:
+        """The same for a WebSocket."""
+        return self.authorised(socket.cookies.get("ABBCX"), socket.headers.get("authorization"), "GET")
 
     def session(self, cookie: str | None) -> str | None:
         """The caller's session, a new one if it has none; None if the controller has too many."""
@@ -105,6 +114,7 @@ def create_app(cabinet: Cabinet, frames: CellFrames, gate: Gate) -> FastAPI:
     _add_symbols(app, cabinet)
     _add_motion_and_signals(app, cabinet, frames)
     _add_users_and_log(app, cabinet)
+    add_subscriptions(app, cabinet, _fields, gate.admits)
 
     async def refused(request: Request, error: Exception) -> Response:
         code = error.code if isinstance(error, RefusedError) else _BAD_ARGUMENT

@@ -1,9 +1,13 @@
 """Robot Web Services of the emulated controller, over HTTP."""
 
+import subprocess
+import sys
 import time
 
 import httpx
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from tests.simulation.bench import bench
 
@@ -153,3 +157,42 @@ def test_an_ignored_stop_keeps_running(cell, rws):
     assert post(rws, "/rw/rapid/execution", "stop").status_code == 204
     time.sleep(0.3)
     assert field(rws, "/rw/rapid/execution", "ctrlexecstate") == "running"
+
+
+def test_a_subscription_tells_changes_over_a_websocket(cell, rws):
+    form = {"resources": ["1", "2"], "1": "/rw/panel/opmode", "1-p": "1", "2": "/rw/elog/0", "2-p": "0"}
+    made = rws.post("/subscription", data=form)
+    assert made.status_code == 201
+    headers = {"Cookie": f"ABBCX={rws.cookies['ABBCX']}"}
+    with connect(made.headers["location"], subprotocols=["robapi2_subscription"], additional_headers=headers) as socket:
+        cell.faults(robot={"mode": "MANR"})
+        assert '<a href="/rw/panel/opmode" rel="self"/><span class="opmode">MANR<' in socket.recv(timeout=3.0)
+    cell.call(cell.cell.board.clear)
+
+
+def test_a_subscription_of_nothing_or_of_a_stranger_is_refused(cell, rws):
+    assert rws.post("/subscription", data={}).status_code == 400
+    assert rws.post("/subscription", data={"resources": "1", "1": "/rw/none"}).status_code == 404
+    made = rws.post("/subscription", data={"resources": "1", "1": "/rw/panel/opmode"})
+    with pytest.raises(InvalidStatus):
+        connect(made.headers["location"])
+
+
+def test_the_stock_rws_client_subscribes(cell):
+    """In its own process: its generated EGM messages clash with ours."""
+    script = (
+        "import sys, time; from abb_robot_client.rws import *\n"
+        "r = RWS(sys.argv[1]); seen = []\n"
+        "kinds = [SubscriptionResourceType.ControllerState, SubscriptionResourceType.ExecutionState]\n"
+        "asked = [SubscriptionResourceRequest(k, SubscriptionResourcePriority.Medium) for k in kinds]\n"
+        "s = r.subscribe(asked, seen.append); time.sleep(0.5)\n"
+        "r.set_controller_state('motoron'); time.sleep(0.8); r.start(); time.sleep(0.8)\n"
+        "s.close(); print([type(e).__name__ + ':' + str(e[0]) for e in seen])\n"
+    )
+    cell.call(cell.cell.cabinet.request_stop)
+    cell.call(cell.cell.cabinet.request_motors, False)
+    done = subprocess.run(
+        [sys.executable, "-c", script, cell.told["rws_url"]], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert "ControllerState:motoron" in done.stdout, done.stderr
+    assert "RAPIDExecutionState:running" in done.stdout
