@@ -142,7 +142,7 @@ class CameraEmulator:
         await writer.drain()
 
     async def _stream(self, writer: asyncio.StreamWriter) -> None:
-        sent = -1
+        sent = self.published  # a stream begins with the next frame, never with an old one
         while not (self._stopped or self.faults.disconnect):
             if await self._newer_than(sent) and self._newest is not None:
                 sent = self.published
