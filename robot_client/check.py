@@ -74,6 +74,9 @@ async def _robot(settings: Settings) -> list[Finding]:
 
 async def _guidance(settings: Settings) -> list[Finding]:
     egm = settings.egm
+    if settings.robot.link == "socket":
+        where = f"{settings.socket.host}:{settings.socket.motion_port} and :{settings.socket.guard_port}"
+        return [(True, f"RAPID sockets at {where}, not opened: opening them is the program's start")]
     with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
         try:
             probe.bind((egm.bind, egm.port))

@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 from robot_client.drivers.abb_egm import EgmArm
 from robot_client.drivers.abb_rws import RwsClient
+from robot_client.drivers.abb_socket import SocketArm
 from robot_client.drivers.dry_run import DryArm, DryGripper, DryService
 from robot_client.drivers.wsg50 import Wsg50
 from robot_client.geometry import WorkPose
@@ -45,14 +46,18 @@ def make_plan(
     )
 
 
-def live_arm(settings: Settings) -> EgmArm:
-    """The arm over EGM and RWS; guidance is only given to the host that RWS names."""
+def live_arm(settings: Settings) -> Arm:
+    """The arm over EGM or RAPID sockets, and RWS; guidance is only given to the host that RWS names."""
+    frame = settings.work_object.frame()
+    if settings.robot.link == "socket":  # its RAPID task restarts itself after a lost connection
+        rws = RwsClient(settings.rws.model_copy(update={"cycle": "forever"}))
+        return SocketArm(settings.socket, settings.limits, settings.ramps, frame, rws)
     rws = RwsClient(settings.rws)
     egm = settings.egm
     host = urlsplit(settings.rws.url).hostname
     if egm.robot_host is None and host is not None and host.replace(".", "").isdigit():
         egm = egm.model_copy(update={"robot_host": host})
-    return EgmArm(egm, settings.limits, settings.ramps, settings.work_object.frame(), rws)
+    return EgmArm(egm, settings.limits, settings.ramps, frame, rws)
 
 
 def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:

@@ -4,12 +4,13 @@ import json
 import os
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, SecretStr, ValidationError
 
 from robot_client.drivers.abb_egm import EgmSettings
 from robot_client.drivers.abb_rws import RwsSettings
+from robot_client.drivers.abb_socket import SocketSettings
 from robot_client.drivers.wsg50 import WsgSettings
 from robot_client.geometry import IDENTITY, TOOL_DOWN, CellFrame, Quaternion, Vector, normalised
 from robot_client.insertion_state import Timeouts
@@ -49,9 +50,17 @@ class Task(Contract):
     max_no_decisions: int = Field(default=2, ge=0, le=15)
 
 
+class Robot(Contract):
+    """Which way the arm is driven: over EGM, or by our RAPID socket modules on a controller without that option."""
+
+    link: Literal["egm", "socket"] = "egm"
+
+
 class Settings(Contract):
     """Everything; each section has the defaults of its module."""
 
+    robot: Robot = Robot()
+    socket: SocketSettings = SocketSettings()
     service: ServiceSettings = ServiceSettings()
     rws: RwsSettings = RwsSettings()
     egm: EgmSettings = EgmSettings()
@@ -80,6 +89,7 @@ def load_settings(path: Path | None, overrides: dict[str, dict[str, Any]] | None
             data[section] = {**data.get(section, {}), **given}
     try:
         settings = Settings.model_validate_json(json.dumps(data))
+        settings.work_object.frame()
     except (ValidationError, ValueError, TypeError) as error:
         raise SettingsError(f"{path or 'configuration'}: {_first(error)}") from None
     password = os.environ.get(PASSWORD_VARIABLE)

@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import urlsplit
 
 import httpx
@@ -21,7 +21,6 @@ _JSON = {"json": "1"}
 _START = {
     "regain": "continue",
     "execmode": "continue",
-    "cycle": "asis",
     "condition": "none",
     "stopatbp": "disabled",
     "alltaskbytsp": "true",
@@ -44,6 +43,7 @@ class RwsSettings(Contract):
     stop_timeout_s: float = Field(default=3.0, gt=0)
     poll_s: float = Field(default=0.05, gt=0)
     switch_motors_on: bool = True
+    cycle: Literal["asis", "once", "forever"] = "asis"
 
 
 class ControllerStatus(Contract):
@@ -103,7 +103,7 @@ class RwsClient:
         if status.execution == "running":
             raise RwsError("the RAPID program runs already; stop it, so that guidance starts from a known state")
         self.started = True  # from here on the program is ours to stop, whatever the answer
-        await self._post("/rw/rapid/execution", "start", _START)
+        await self._post("/rw/rapid/execution", "start", {**_START, "cycle": self.settings.cycle})
         await self._until("/rw/rapid/execution", "ctrlexecstate", "running", self.settings.start_timeout_s)
 
     async def stop_program(self) -> str:

@@ -1,0 +1,160 @@
+"""What is not ready before the start is named, nothing moves, and a program that is not ours is never stopped."""
+
+import asyncio
+
+import pytest
+
+from robot_client.drivers.abb_rws import RwsClient, RwsError
+from robot_client.ports import DriverError
+from service.contract import wire
+from tests.robot_client.live_cell import bench
+
+QUICK = {
+    "rws": {"request_timeout_s": 0.5, "motors_timeout_s": 0.4, "start_timeout_s": 0.4, "stop_timeout_s": 0.5},
+    "egm": {"ready_timeout_s": 0.5},
+    "gripper": {"reply_timeout_s": 0.4},
+}
+
+
+def board(**changes):
+    return lambda cell: cell.board.update(changes)
+
+
+def _answer(make):
+    def prepare(cell):
+        cell.service.on_message = lambda message: [make(message)] if isinstance(message, wire.ClientHello) else None
+
+    return prepare
+
+
+def _running(cell):
+    cell.board.update({})
+    cell.cabinet.state = "motoron"
+    cell.cabinet.running = True
+
+
+def _no_part(cell):
+    cell.gripper._part.present = False
+
+
+def _hello(**changes):
+    limits = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
+    values = {"models": (), "cameras": (), "controller": "belief", "limits": limits, **changes}
+    return lambda message: wire.ServiceHello(insertion_id=message.insertion_id, **values)
+
+
+LOST = wire.CameraEntry(finger="right", source="x", state="lost")
+CASES = {
+    "manual mode": (board(robot={"mode": "MANR"}), {}, "operating mode is MANR"),
+    "protective stop": (board(robot={"protective_stop": True}), {}, "guardstop"),
+    "emergency stop": (board(robot={"emergency_stop": True}), {}, "emergencystop"),
+    "motors refused": (board(robot={"motors_off": True}), {}, "contactor"),
+    "program runs already": (_running, {}, "runs already"),
+    "rws down": (None, {"rws": {"url": "http://127.0.0.1:9"}}, "ConnectError"),
+    "rws wrong password": (None, {"rws": {"password": "guess"}}, "HTTP 401"),
+    "rws late": (board(rws={"delay_ms": 3000.0}), {}, "Timeout"),
+    "rws garbage": (board(rws={"garbage_next": 50}), {}, "answer without"),
+    "rws refuses": (board(rws={"refuse_next": 50}), {}, "HTTP 503"),
+    "rws reset": (board(rws={"reset_next": 50}), {}, "GET /rw/panel/opmode"),
+    "egm silent": (board(egm={"silent": True}), {}, "no datagram came"),
+    "egm garbage": (board(egm={"garbage_next": 100000}), {}, "EGM not ready"),
+    "gripper down": (None, {"gripper": {"port": 9}}, "cannot connect"),
+    "gripper silent": (board(wsg={"silent": True}), {}, "no reply in time"),
+    "gripper wrong crc": (board(wsg={"wrong_crc_next": 100000}), {}, "no reply in time"),
+    "gripper fast stop latched": (lambda cell: cell.gripper.fast_stop(), {}, "acknowledge"),
+    "service down": (None, {"service": {"url": "ws://127.0.0.1:9"}}, "cannot connect"),
+}
+PHASES = {
+    "gripper not homed": (board(gripper={"not_homed": True}), False, "not homed"),
+    "no part": (_no_part, False, "grasp"),
+    "service lost a camera": (_answer(_hello(cameras=(LOST,))), True, "camera of finger right is lost"),
+    "service of another protocol": (_answer(_hello(protocol=9)), True, "protocol 9"),
+}
+
+
+def _still(cell, motion=None):
+    assert len({pose.position_mm for _, _, pose in cell.trace}) == 1, "the arm moved"
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_device_that_is_not_ready_is_named_and_nothing_moves(name):
+    prepare, overrides, expect = CASES[name]
+    merged = {key: {**QUICK.get(key, {}), **overrides.get(key, {})} for key in {*QUICK, *overrides}}
+
+    async def story():
+        async with bench(overrides=merged) as cell:
+            if prepare:
+                prepare(cell)
+            with pytest.raises(DriverError, match=expect):
+                await cell.insert()
+            _still(cell)
+            assert cell.cabinet.running == (name == "program runs already"), "only our own program is stopped"
+
+    asyncio.run(asyncio.wait_for(story(), 20.0))
+
+
+@pytest.mark.parametrize("name", PHASES)
+def test_an_insertion_that_cannot_begin_says_why_and_moves_nothing(name):
+    prepare, holding, expect = PHASES[name]
+
+    async def story():
+        async with bench(overrides=QUICK, holding=holding) as cell:
+            prepare(cell)
+            state = await cell.insert()
+            assert expect in state.reason
+            assert state.attempt == 0
+            _still(cell)
+
+    asyncio.run(asyncio.wait_for(story(), 20.0))
+
+
+def test_a_stop_that_the_controller_ignores_is_reported_as_not_confirmed():
+    async def story():
+        async with bench(overrides=QUICK) as cell:
+            client = RwsClient(cell.settings.rws)
+            cell.board.update({"rws": {"stop_ignored": True}})
+            await client.start_program()
+            said = await client.stop_program()
+            await client.close()
+            return said
+
+    assert "NOT CONFIRMED" in asyncio.run(story())
+
+
+def test_a_stop_survives_refusals_and_cut_connections():
+    async def story():
+        async with bench(overrides={"rws": {"stop_timeout_s": 3.0, "request_timeout_s": 0.5}}) as cell:
+            client = RwsClient(cell.settings.rws)
+            await client.start_program()
+            cell.board.update({"rws": {"refuse_next": 2, "reset_next": 1, "garbage_next": 1}})
+            said = await client.stop_program()
+            assert not cell.cabinet.running
+            await client.close()
+            return said
+
+    assert "confirms" in asyncio.run(story())
+
+
+@pytest.mark.parametrize("url", ["ftp://x", "no url", "http://"])
+def test_an_rws_url_that_is_none_is_refused(url):
+    async def make():
+        async with bench(overrides={"rws": {"url": url}}) as cell:
+            RwsClient(cell.settings.rws)
+
+    with pytest.raises(DriverError, match="rws url"):
+        asyncio.run(make())
+
+
+def test_a_foreign_host_is_not_guided():
+    async def story():
+        async with bench(overrides={**QUICK, "egm": {"robot_host": "127.0.0.9", "ready_timeout_s": 0.5}}) as cell:
+            with pytest.raises(DriverError, match="no datagram"):
+                await cell.insert()
+            assert cell.egm.counters.received == 0
+            _still(cell)
+
+    asyncio.run(story())
+
+
+def test_an_rws_error_is_a_driver_error():
+    assert issubclass(RwsError, DriverError)
