@@ -198,13 +198,15 @@ def fill_gaps(xy: FloatArray, found: BoolArray) -> tuple[FloatArray, FloatArray]
     return filled, basis.astype(np.float32)
 
 
-def rectifying_homography(lattice: Lattice, width_px: int, height_px: int) -> NDArray[np.float64] | None:
+def rectifying_homography(
+    lattice: Lattice, width_px: int, height_px: int, pitch_px: float | None = None
+) -> NDArray[np.float64] | None:
     """Homography [3, 3] that maps the lattice's image to a regular grid centred in ``width_px`` x ``height_px``.
 
-    None if the nodes do not determine one. The pitch is the largest that leaves half a pitch of margin.
+    None if the nodes do not determine one. The pitch is, unless given, the largest that leaves half a pitch of margin.
     """
     rows, cols = lattice.found.shape
-    pitch = min(width_px / cols, height_px / rows)
+    pitch = min(width_px / cols, height_px / rows) if pitch_px is None else pitch_px
     ideal = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1) * pitch
     ideal += np.array([(width_px - 1) / 2, (height_px - 1) / 2])
     matrix, _ = cv2.findHomography(
