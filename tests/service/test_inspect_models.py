@@ -1,0 +1,20 @@
+"""`python -m service models` says in one line why the service would refuse a folder."""
+
+from service.__main__ import main
+from tests.docs.commands import ROOT
+
+
+def test_a_folder_without_models_is_one_line_and_exit_2(tmp_path, capsys):
+    assert main(["models", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "no *.onnx model" in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_the_released_models_are_described(capsys):
+    if not list((ROOT / "models").glob("*.onnx")):  # a checkout in which none is released yet
+        return
+    assert main(["models", str(ROOT / "models")]) == 0
+    out = capsys.readouterr().out
+    assert out.count(", decides") in {1, 2}
+    assert "sha256" in out
