@@ -117,4 +117,4 @@ def test_the_robot_configuration_in_the_first_hour_is_accepted(tmp_path: Path):
     (tmp_path / "cell.toml").write_text(text)
     settings = load_settings(tmp_path / "cell.toml")
     assert settings.limits.max_attempts == 3
-    assert settings.work_object.origin_mm[0] == 612.4
+    assert settings.task.gap_width_mm == 56.0
