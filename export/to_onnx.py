@@ -18,20 +18,28 @@ from service.contract import Calibration, ContractError, FrameSpec, ModelCard
 from training.checkpoint import Checkpoint
 from training.config import FRAMES_PER_DECISION
 from training.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
+from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import SequenceForm, StepForm
 from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
 
 OPSET = 20
 TOLERANCE = 1e-5
-Role = Literal["direction", "magnitude"]
+Role = Literal["direction", "magnitude", "joint"]
 Form = Literal["sequence", "step"]
-ROLES: tuple[Role, Role] = ("direction", "magnitude")
+ROLES: tuple[Role, ...] = ("direction", "magnitude", "joint")
 FORMS: tuple[Form, Form] = ("sequence", "step")
-OUTPUTS: dict[Role, list[str]] = {"direction": ["logits"], "magnitude": ["error", "log_sigma"]}
+OUTPUTS: dict[Role, list[str]] = {
+    "direction": ["logits"],
+    "magnitude": ["error", "log_sigma"],
+    "joint": ["log_density"],
+}
 
 
 def export_checkpoint(path: Path, out: Path) -> list[Path]:
-    """Write ``<out>/<role>.<form>.onnx`` for both roles and forms; raise ContractError if any parity fails."""
+    """Write ``<role>.<form>.onnx`` of every role and form; raise ContractError if any parity fails.
+
+    The pair goes to ``out``, the joint density to ``out/joint``: a service loads one folder and decides with it.
+    """
     checkpoint = Checkpoint.load(path)
     network = checkpoint.build()
     out.mkdir(parents=True, exist_ok=True)
@@ -42,12 +50,15 @@ def export_checkpoint(path: Path, out: Path) -> list[Path]:
                 file = Path(scratch) / f"{role}.{form}.onnx"
                 _export(network, checkpoint, role, form, file)
                 written.append(file)
-        return [file.replace(out / file.name) for file in written]
+        (out / "joint").mkdir(exist_ok=True)
+        homes = [out / "joint" if file.name.startswith("joint") else out for file in written]
+        return [file.replace(home / file.name) for file, home in zip(written, homes, strict=True)]
 
 
 def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> ModelCard:
     """The card of one file; its validation figures are those of the validation split, all objects."""
-    scales = checkpoint.scales
+    joint = role == "joint"
+    scales = checkpoint.joint_scales if joint else checkpoint.scales
     return ModelCard(
         name=f"{checkpoint.name}-{role}",
         role=role,
@@ -60,12 +71,14 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         threshold_theta_deg=THRESHOLD_THETA_DEG,
         gap_width_input=network.uses_gap_width,
         has_sigma=role == "magnitude",
+        grid_x_mm=GRID_X_MM if joint else (),
+        grid_theta_deg=GRID_THETA_DEG if joint else (),
         calibration=Calibration(
             temperature=scales.temperature, sigma_scale_x=scales.sigma_x, sigma_scale_theta=scales.sigma_theta
         ),
         training_data_sha256=checkpoint.training_data_sha256,
         git_commit=checkpoint.git_commit,
-        validation=checkpoint.figures.get("validation/all", {}),
+        validation=checkpoint.figures.get("joint/validation/all" if joint else "validation/all", {}),
         verified_on_cpu=cpu_name(),
     )
 
@@ -111,7 +124,7 @@ def _check_parity(wrapped: nn.Module, example: dict[str, torch.Tensor], file: Pa
         expected = wrapped(**example)
     got = session(file).run(None, {name: value.numpy() for name, value in example.items()})
     for tensor, array in zip(expected, got, strict=True):
-        gap = float(np.abs(tensor.numpy() - array).max())
+        gap = float(np.abs(tensor.numpy() - array).max() / max(1.0, np.abs(array).max()))
         if not gap <= TOLERANCE:
             raise ContractError(f"{file.name}: torch and onnxruntime differ by {gap:.2e}, expected at most {TOLERANCE}")
 

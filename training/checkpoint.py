@@ -27,6 +27,7 @@ class Checkpoint:
     network: NetworkConfig
     weights: dict[str, Tensor]
     scales: Scales
+    joint_scales: Scales
     figures: dict[str, dict[str, float]]
     training_data_sha256: str
     git_commit: str
@@ -38,6 +39,7 @@ class Checkpoint:
             "name": self.name,
             "network": self.network.model_dump(),
             "scales": asdict(self.scales),
+            "joint_scales": asdict(self.joint_scales),
             "figures": self.figures,
             "training_data_sha256": self.training_data_sha256,
             "git_commit": self.git_commit,
@@ -56,7 +58,8 @@ class Checkpoint:
             if about.pop("format") != _FORMAT:
                 raise ContractError(f"checkpoint {path} has another format, expected {_FORMAT}")
             about["network"] = NetworkConfig.model_validate(about["network"])
-            about["scales"] = Scales(**about["scales"])
+            for name in ("scales", "joint_scales"):
+                about[name] = Scales(**about[name])
             return cls(weights=stored["weights"], **about)
         except ContractError:
             raise

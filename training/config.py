@@ -52,6 +52,7 @@ class LossConfig(Contract):
 
     class_weight_power: float = Field(default=0.0, ge=0, le=1)
     magnitude: float = Field(default=0.5, ge=0)
+    density: float = Field(default=0.5, ge=0)
     field: float = Field(default=0.5, ge=0)
 
 

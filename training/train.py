@@ -6,7 +6,8 @@
 """
 
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +20,16 @@ from service.contract import ContractError
 from training.batches import Batch, decisions, epoch, frame_pairs
 from training.checkpoint import Checkpoint, git_commit
 from training.config import RunConfig
-from training.dataset import Source, Trials, load_trials
-from training.evaluate import Predictions, by_object, calibrate, cross_calibrated, figures, rescaled
+from training.dataset import SPLITS, Source, Trials, load_trials
+from training.evaluate import Predictions, Scales, by_object, calibrate, cross_calibrated, figures, rescaled
 from training.fit import Log, Stage, fit
+from training.joint import density_temperature, from_density
 from training.labels import CLASSES, class_of
 from training.networks import build
 from training.networks.compact import CompactNetwork
 
 EVALUATION_BATCH = 32
+MOST_SCORED = 2000
 
 
 @dataclass
@@ -39,21 +42,20 @@ class Trainer:
     class_weights: Tensor
     front_error: Tensor
 
-    def decide(self, fields: Tensor, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-        """Logits, error and log sigma from normalised fields."""
-        state = self.network.read_fields(fields, batch.gap_width_mm)
-        return self.network.logits(state), *self.network.error(state)
-
     def normalised(self, batch: Batch) -> Tensor:
         """True field changes in the network's units."""
         return batch.fields * self.network.field_scale[:, None, None]
 
     def decision_loss(self, fields: Tensor, batch: Batch) -> Tensor:
-        """Cross entropy of the class and Gaussian negative log likelihood of the error."""
-        logits, error, log_sigma = self.decide(fields, batch)
-        direction = functional.cross_entropy(logits, batch.label, self.class_weights)
+        """Cross entropy of the class, and negative log likelihood of the error under one Gaussian and the mixture."""
+        network, weight = self.network, self.config.loss
+        state = network.read_fields(fields, batch.gap_width_mm)
+        direction = functional.cross_entropy(network.logits(state), batch.label, self.class_weights)
+        error, log_sigma = network.error(state)
         z = (error - batch.error) * torch.exp(-log_sigma)
-        return direction + self.config.loss.magnitude * (0.5 * z.square() + log_sigma).mean()
+        magnitude = (0.5 * z.square() + log_sigma).mean()
+        density = network.density.negative_log_likelihood(state, batch.error).mean()
+        return direction + weight.magnitude * magnitude + weight.density * density
 
     def front_loss(self, pair: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         """Mean square error of the field change, in normalised units."""
@@ -82,19 +84,32 @@ class Trainer:
     def _scaled(self, change: Tensor) -> Tensor:
         return change * self.network.field_scale[:, None, None]
 
-    def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
-        """What the network says of trials, unaugmented; from pictures or from true fields."""
-        said: list[list[NDArray[np.float64]]] = [[], [], []]
+    def states(self, chosen: NDArray[np.int64], *, pictures: bool) -> Tensor:
+        """Decision states [N, state_size] of trials, unaugmented; from pictures or from true fields."""
+        states = []
         self.network.eval()
         with torch.inference_mode():
             for start in range(0, len(chosen), EVALUATION_BATCH):
                 batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
                 fields = self.normalised(batch) if batch.pooled is None else self.network.read_pooled(batch.pooled)
-                for rows, value in zip(said, self.decide(fields, batch), strict=True):
-                    rows.append(value.double().numpy())
-        logits, error, log_sigma = (np.concatenate(rows) for rows in said)
+                states.append(self.network.read_fields(fields, batch.gap_width_mm))
+        return torch.cat(states)
+
+    def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
+        """What the pair says of trials."""
+        state = self.states(chosen, pictures=pictures)
+        with torch.inference_mode():
+            said = (self.network.logits(state), *self.network.error(state))
+        logits, error, log_sigma = (value.double().numpy() for value in said)
         truth = self.trials.error[chosen].astype(np.float64)
         return Predictions(logits, error, log_sigma, truth, self.trials.objects[chosen])
+
+    def predict_density(self, chosen: NDArray[np.int64], *, pictures: bool) -> NDArray[np.float64]:
+        """Log density on the joint grid [N, 41, 40]."""
+        state = self.states(chosen, pictures=pictures)
+        with torch.inference_mode():
+            density: NDArray[np.float64] = self.network.log_density(state).double().numpy()
+        return density
 
     def score(self, chosen: NDArray[np.int64], *, pictures: bool) -> dict[str, float]:
         """Validation scalars; ``score`` is the loss without class weights."""
@@ -214,25 +229,55 @@ def _run(trainer: Trainer, stage: Stage, folder: Path, log: Log) -> dict[str, fl
 
 def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     """Calibrate on validation, score every split on pictures where there are any, save."""
-    trials = trainer.trials
-    pictures = len(trials.of("validation", rendered=True)) > 0
-    scales = calibrate(trainer.predict(trials.of("validation", rendered=pictures), pictures=pictures))
-    tables: dict[str, dict[str, float]] = {}
-    for split in ("train", "validation", "test"):
-        chosen = trials.of(split, rendered=pictures)[:2000]
-        if len(chosen):
-            said = trainer.predict(chosen, pictures=pictures)
-            fair = cross_calibrated(said, trials.groups[chosen]) if split == "validation" else rescaled(said, scales)
-            tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    pictures = len(trainer.trials.of("validation", rendered=True)) > 0
+    scales, tables = _scored(trainer, pictures=pictures)
+    joint_scales, joint_tables = _scored_joint(trainer, pictures=pictures)
     checkpoint = Checkpoint(
         name=trainer.config.name,
         network=trainer.config.network,
         weights={name: value.detach().clone() for name, value in trainer.network.state_dict().items()},
         scales=scales,
-        figures=tables,
-        training_data_sha256=trials.sha256,
+        joint_scales=joint_scales,
+        figures=tables | {f"joint/{name}": row for name, row in joint_tables.items()},
+        training_data_sha256=trainer.trials.sha256,
         git_commit=git_commit(),
     )
     checkpoint.save(folder / "checkpoint.pt")
-    (folder / "figures.json").write_text(json.dumps(tables, indent=1))
+    (folder / "figures.json").write_text(json.dumps(checkpoint.figures, indent=1))
     return checkpoint
+
+
+def _scored(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict[str, float]]]:
+    """Calibration of the pair and its figures by split and object; validation is cross-calibrated."""
+    trials = trainer.trials
+    scales = calibrate(trainer.predict(trials.of("validation", rendered=pictures), pictures=pictures))
+    tables: dict[str, dict[str, float]] = {}
+    for split, chosen in _samples(trials, pictures=pictures):
+        said = trainer.predict(chosen, pictures=pictures)
+        fair = cross_calibrated(said, trials.groups[chosen]) if split == "validation" else rescaled(said, scales)
+        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    return scales, tables
+
+
+def _scored_joint(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict[str, float]]]:
+    """The same for the joint density; its temperature is fitted on all of validation."""
+    trials = trainer.trials
+    held = trials.of("validation", rendered=pictures)
+    density = trainer.predict_density(held, pictures=pictures)
+    temperature = density_temperature(density, trials.error[held])
+    said = from_density(density, temperature, trials.error[held], trials.objects[held])
+    scales = replace(calibrate(said), temperature=temperature)
+    tables: dict[str, dict[str, float]] = {}
+    for split, chosen in _samples(trials, pictures=pictures):
+        density = trainer.predict_density(chosen, pictures=pictures)
+        said = from_density(density, temperature, trials.error[chosen], trials.objects[chosen])
+        fair = rescaled(said, replace(scales, temperature=1.0))
+        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    return scales, tables
+
+
+def _samples(trials: Trials, *, pictures: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    for split in SPLITS:
+        chosen = trials.of(split, rendered=pictures)[:MOST_SCORED]
+        if len(chosen):
+            yield split, chosen

@@ -17,6 +17,7 @@ def models(tmp_path_factory):
     settings = NetworkConfig(front_width=8, trunk_width=8, feature_size=16, state_size=16)
     weights = build(settings, len(CLASSES)).state_dict()
     figures = {"validation/all": {"accuracy": 0.5}}
-    Checkpoint("tiny", settings, weights, Scales(1.5, 1.1, 0.9), figures, "0" * 64, "abc").save(folder / "c.pt")
+    scales = Scales(1.5, 1.1, 0.9)
+    Checkpoint("tiny", settings, weights, scales, Scales(), figures, "0" * 64, "abc").save(folder / "c.pt")
     export_checkpoint(folder / "c.pt", folder)
     return folder

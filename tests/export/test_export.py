@@ -21,6 +21,12 @@ def test_released_models_verify(models):
     assert sum("=" in line for line in lines) == 2
 
 
+def test_the_joint_density_verifies_in_a_folder_of_its_own(models):
+    assert sum("=" in line for line in verify(models / "joint")) == 1
+    card = open_model(models / "joint" / "joint.step.onnx").card
+    assert (len(card.grid_x_mm), len(card.grid_theta_deg)) == (41, 40)
+
+
 def test_the_graphs_weigh_little(models):
     assert all(file.stat().st_size < 4e6 for file in models.glob("*.onnx"))
 

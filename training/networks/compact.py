@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from training.config import NetworkConfig
+from training.networks.density import MixtureDensity
 from training.networks.preprocessing import BLOCK_MEAN, CHANNELS, IntegerPooling
 
 FIELD_CHANNELS = 3
@@ -89,6 +90,7 @@ class CompactNetwork(nn.Module):
         self.trunk = Trunk(settings)
         self.direction = nn.Linear(settings.state_size, classes)
         self.magnitude = nn.Linear(settings.state_size, 4)
+        self.density = MixtureDensity(settings.state_size)
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
@@ -112,6 +114,10 @@ class CompactNetwork(nn.Module):
         out: Tensor = self.magnitude(state)
         log_sigma = LOG_SIGMA_SPAN * torch.tanh(out[:, 2:] / LOG_SIGMA_SPAN)
         return out[:, :2] * ERROR_SCALE, log_sigma + 1.0
+
+    def log_density(self, state: Tensor) -> Tensor:
+        """Log density of the position error on the joint grid [B, 41, 40]."""
+        return self.density.on_grid(state)
 
     def read_fields(self, fields: Tensor, gap_width_mm: Tensor) -> Tensor:
         """Decision state after normalised field changes [B, T, 2, 3, 20, 21]."""

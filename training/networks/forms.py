@@ -34,15 +34,21 @@ class Recurrent(Protocol):
         """Position error and log sigma of a state."""
         ...
 
+    def log_density(self, state: Tensor) -> Tensor:
+        """Log density of the position error on a grid."""
+        ...
+
 
 class _Form(nn.Module):
-    def __init__(self, network: Recurrent, role: Literal["direction", "magnitude"]) -> None:
+    def __init__(self, network: Recurrent, role: Literal["direction", "magnitude", "joint"]) -> None:
         super().__init__()
         self.network = network
         self.role = role
 
     def decide(self, state: Tensor) -> tuple[Tensor, ...]:
         """Outputs of this role."""
+        if self.role == "joint":
+            return (self.network.log_density(state),)
         return (self.network.logits(state),) if self.role == "direction" else self.network.error(state)
 
 
