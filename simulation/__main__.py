@@ -14,6 +14,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),
     "collect": ("simulation.collect:main", "poke on all cores and keep the collisions as a dataset"),
     "view": ("simulation.view:main", "trials of a dataset as pictures"),
+    "export-dataset": ("simulation.export_dataset:main", "trials as a LeRobot v3.0 dataset or as MCAP files"),
     "accuracy": ("simulation.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
 }
 
@@ -21,7 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 def usage() -> str:
     """One line a command."""
     lines = ["usage: python -m simulation COMMAND [--help]", ""]
-    return "\n".join(lines + [f"  {name:<10} {text}" for name, (_, text) in COMMANDS.items()])
+    return "\n".join(lines + [f"  {name:<14} {text}" for name, (_, text) in COMMANDS.items()])
 
 
 def main(arguments: list[str]) -> int:
