@@ -51,6 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(usage())
         return 0 if arguments else EXIT_BAD_INPUT
     name, *rest = arguments
+    for pool in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(pool, "1")  # small matrices in several threads of our own; pools only spin
     if name not in COMMANDS:
         print(f"service: unknown command {name!r}, expected one of {', '.join(COMMANDS)}", file=sys.stderr)
         return EXIT_BAD_INPUT

@@ -18,10 +18,10 @@ SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7
 SURE_INSERT = 0.95  # probability of insertion at zero error
 CREEP_X_MM, CREEP_THETA_DEG = 0.3, 0.5  # standard deviation of in-hand creep an attempt
 # Both networks see the same images, so their errors are correlated: each gets less than its full weight.
-DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.6, 0.8
-OUTLIER_SHARE = 0.03
+DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.3, 0.9
+OUTLIER_SHARE = 0.05
 DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
-INCONSISTENT_BELOW = 0.01
+INCONSISTENT_BELOW = 0.12  # Bayes factor of all that was learnt against knowing nothing
 RANGE = 15.0  # of the errors the networks were trained on (mm and deg)
 _CANDIDATES = 4
 
@@ -89,9 +89,9 @@ class BeliefGrid:
         """Multiply in a failed attempt and its evidence; False if they contradict, and the belief starts from it."""
         self.absorb_failure()
         likelihood = self.likelihood(evidence)
-        agreement = float((self.probability * likelihood).sum() / likelihood.max())
-        if agreement < INCONSISTENT_BELOW:
-            wide = self._prior + 1e-3 * self._prior.max()
+        wide = self._prior + 1e-3 * self._prior.max()
+        expected = float((self.probability * likelihood).sum())
+        if expected < INCONSISTENT_BELOW * float((wide * likelihood).sum()):
             self._normalise(wide * likelihood)
             return False
         self._normalise(self.probability * likelihood)
@@ -129,13 +129,15 @@ class BeliefGrid:
                 (self.current_x_mm, self.current_theta_deg), evidence.error, sigma, strict=True
             )
         ]
-        return np.asarray((1 - OUTLIER_SHARE) * np.outer(*peaks) + OUTLIER_SHARE, np.float64)
+        # An outlier may be anywhere in the range: its density is the Gaussian's total mass spread over it.
+        anywhere = 2 * np.pi * sigma[0] * sigma[1] / (2 * RANGE) ** 2
+        return np.asarray((1 - OUTLIER_SHARE) * np.outer(*peaks) + OUTLIER_SHARE * anywhere, np.float64)
 
     def _density_likelihood(self, density: Density) -> Floats:
         peak = np.exp(density.log_density - density.log_density.max())
         along_x = np.stack([np.interp(self.current_x_mm, density.x_mm, column) for column in peak.T], axis=1)
         both = np.stack([np.interp(self.current_theta_deg, density.theta_deg, row) for row in along_x])
-        return np.asarray((1 - OUTLIER_SHARE) * both + OUTLIER_SHARE, np.float64)
+        return np.asarray((1 - OUTLIER_SHARE) * both + OUTLIER_SHARE * both.mean(), np.float64)
 
     def best_move(self) -> tuple[tuple[float, float], float]:
         """The move ((mm, deg), probability that the next attempt inserts) with the fewest expected trials.

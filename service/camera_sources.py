@@ -219,6 +219,6 @@ def open_source(url: str, *, frame_rate_hz: float = 30.0) -> Source:
     if url == "push:":
         return PushSource()
     path = Path(url.removeprefix("file:"))
-    if url.startswith("file:") or path.exists():
+    if url.startswith("file:") or (url and path.exists()):
         return RecordingSource(path)
     raise CameraError(f"camera {url!r}: expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:")

@@ -30,7 +30,7 @@ ServiceMessage = (
     | wire.ServiceHeartbeat
 )
 Replies = list[ServiceMessage]
-DEFAULT_LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=300.0)
+DEFAULT_LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
 
 
 def no_cameras() -> tuple[CameraEntry, ...]:

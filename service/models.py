@@ -104,7 +104,6 @@ def load_model(path: Path) -> LoadedModel:
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.log_severity_level = 4
-    options.add_session_config_entry("session.set_denormal_as_zero", "1")
     content = path.read_bytes()
     try:
         session = ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])

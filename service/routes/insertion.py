@@ -56,11 +56,12 @@ class Connection:
 
 
 def router(station: Station, access: Access) -> APIRouter:
-    """Routes ``/v1/insertion`` and, for clients that name no path, ``/``."""
+    """Route ``/v1/insertions/ws``, also as ``/v1/insertion`` and, for clients that name no path, ``/``."""
     routes = APIRouter()
 
     @routes.websocket("/")
     @routes.websocket("/v1/insertion")
+    @routes.websocket("/v1/insertions/ws")
     async def insertion(socket: WebSocket) -> None:
         if not await access.admit(socket, "watch"):
             return

@@ -1,0 +1,126 @@
+import itertools
+import threading
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.camera_sources import MjpegSource, PushSource, RecordingSource, open_source, told_stamp_ns
+from service.cameras import Camera, CameraError, CameraFrame, Pairer, now_ns
+from service.contract import Finger, TactileFrame
+from tests.service.mjpeg import FakeFinger
+
+BLACK = np.zeros((4, 4, 3), np.uint8)
+
+
+def frame(finger: Finger, seq: int, stamp_ms: float) -> TactileFrame:
+    return TactileFrame(finger, seq, int(stamp_ms * 1e6), BLACK)
+
+
+@given(phase=st.floats(0, 33), jitter=st.lists(st.floats(-4, 4), min_size=80, max_size=80))
+def test_frames_pair_once_with_bounded_skew_whatever_the_phase(phase: float, jitter: list[float]) -> None:
+    pairer = Pairer()
+    frames = [frame("left", i, 100 + 33.3 * i + jitter[i]) for i in range(40)]
+    frames += [frame("right", i, 100 + 33.3 * i + phase + jitter[40 + i]) for i in range(40)]
+    pairs = [p for f in sorted(frames, key=lambda f: f.captured_ns) if (p := pairer.add(f))]
+    used = [f.seq for p in pairs for f in (p.left,)]
+    assert len(used) == len(set(used))
+    assert len(pairs) >= 36
+    assert all(abs(p.left.captured_ns - p.right.captured_ns) <= 0.7 * 33.3e6 for p in pairs)
+
+
+def test_a_silent_finger_pairs_with_nothing() -> None:
+    pairer = Pairer()
+    assert all(pairer.add(frame("left", i, 33.3 * i)) is None for i in range(10))
+    assert pairer.dropped_n == 9
+
+
+def collect(camera_url: str, seconds: float) -> tuple[list[CameraFrame], list[str]]:
+    frames: list[CameraFrame] = []
+    faults: list[str] = []
+    camera = Camera("left", open_source(camera_url), frames.append, lambda _, code, __: faults.append(code))
+    camera.start()
+    time.sleep(seconds)
+    camera.stop()
+    return frames, faults
+
+
+def test_mjpeg_frames_are_stamped_counted_and_keep_their_jpeg() -> None:
+    finger = FakeFinger("left", 30)
+    frames, faults = collect(finger.url, 1.0)
+    finger.close()
+    assert len(frames) >= 5
+    assert [f.frame.seq for f in frames] == list(range(len(frames)))
+    assert all(a.frame.captured_ns < b.frame.captured_ns for a, b in itertools.pairwise(frames))
+    assert all(f.jpeg is not None and f.frame.pixels.shape == (320, 427, 3) for f in frames)
+    assert faults == []
+
+
+def test_a_camera_that_is_not_there_is_one_fault() -> None:
+    frames, faults = collect("http://127.0.0.1:9/none", 0.8)
+    assert (frames, faults) == ([], ["camera_lost"])
+
+
+def test_a_changed_size_is_a_fault() -> None:
+    finger = FakeFinger("left", 30)
+    faults: list[str] = []
+    camera = Camera("left", MjpegSource(finger.url), lambda _: None, lambda *fault: faults.append(fault[2]))
+    camera.start()
+    while camera.latest is None:
+        time.sleep(0.01)
+    finger.size = (640, 480)
+    deadline = time.monotonic() + 10
+    while not faults and time.monotonic() < deadline:
+        time.sleep(0.01)
+    camera.stop()
+    finger.close()
+    assert faults == ["left frames changed from 427 x 320 to 640 x 480"]
+
+
+def test_a_silent_camera_is_stalled() -> None:
+    source = PushSource()
+    faults: list[str] = []
+    camera = Camera("left", source, lambda _: None, lambda *fault: faults.append(fault[1]))
+    camera.start()
+    source.push(frame("left", 0, 0))
+    while camera.latest is None:
+        time.sleep(0.01)
+    camera.check_stall(now_ns())
+    assert camera.state == "live"
+    camera.check_stall(now_ns() + 600_000_000)
+    camera.check_stall(now_ns() + 900_000_000)
+    camera.stop()
+    assert (camera.state, faults) == ("stalled", ["camera_stalled"])
+
+
+def test_a_stamp_of_this_machines_clock_is_believed_and_no_other() -> None:
+    now = 5_000_000_000_000
+    assert told_stamp_ns(b"X-Timestamp: 4999.980000000\r\n", now) == 4_999_980_000_000
+    assert told_stamp_ns(b"X-Timestamp: 1700000000.5\r\n", now) == now
+    assert told_stamp_ns(b"X-Timestamp: 4000.5\r\n", now) == now
+    assert told_stamp_ns(b"Content-Length: 3\r\n", now) == now
+
+
+def test_a_recording_plays_and_an_absent_one_says_so(tmp_path: Path) -> None:
+    for index in range(3):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((8, 9, 3), index, np.uint8))
+    stop = threading.Event()
+    source = RecordingSource(tmp_path, 200.0)
+    levels = []
+    for capture in source.frames(stop):
+        levels.append(int(capture.pixels[0, 0, 0]))
+        if len(levels) == 4:
+            stop.set()
+    assert levels == [0, 1, 2, 0]
+    with pytest.raises(CameraError, match="does not exist"):
+        RecordingSource(tmp_path / "none")
+
+
+@pytest.mark.parametrize("url", ["ftp://x", "left", "http://", ""])
+def test_an_unknown_camera_is_named_with_the_accepted_forms(url: str) -> None:
+    with pytest.raises(CameraError):
+        open_source(url)

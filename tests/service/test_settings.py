@@ -1,0 +1,87 @@
+import socket
+from pathlib import Path
+
+import pytest
+
+from service import __main__ as entry
+from service.settings import SettingsError, read_settings
+from tests.service import drawn
+from tests.service.mjpeg import FakeFinger
+
+CAMERAS = ["--camera-left", "push:", "--camera-right", "push:"]
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "Traceback" not in error
+    return error
+
+
+def test_a_public_address_needs_a_token() -> None:
+    with pytest.raises(SettingsError, match="--token-drive"):
+        read_settings([*CAMERAS, "--host", "0.0.0.0"])
+    assert read_settings([*CAMERAS, "--host", "0.0.0.0", "--token-drive", "secret"]).host == "0.0.0.0"
+
+
+def test_the_command_line_wins_over_environment_over_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text('port = 1\ncontroller = "heuristic"\nmax_dx_mm = 5.0\n')
+    monkeypatch.setenv("TACTILE_MAX_DX_MM", "6")
+    monkeypatch.setenv("TACTILE_PORT", "2")
+    told = read_settings([*CAMERAS, "--config", str(config), "--port", "3"])
+    assert (told.port, told.max_dx_mm, told.controller) == (3, 6.0, "heuristic")
+
+
+def test_secrets_do_not_show() -> None:
+    assert "hush" not in repr(read_settings([*CAMERAS, "--token-drive", "hush"]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--camera-left", "push:"], "--camera-right: Field required"),
+        ([*CAMERAS, "--controller", "magic"], "--controller"),
+        ([*CAMERAS, "--bort", "1"], "--bort"),
+        ([*CAMERAS, "--models", "nowhere", "--port", "0"], "no *.onnx model in nowhere"),
+        ([*CAMERAS, "--config", "none.toml"], "--config none.toml"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(
+    arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert entry.main(["run", *arguments]) == 2
+    assert expected in one_line(capsys)
+
+
+def test_a_busy_port_is_one_line_and_exit_2(models_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        assert entry.main(["run", *CAMERAS, "--models", str(models_folder), "--port", port]) == 2
+    assert "pass another --port" in one_line(capsys)
+
+
+def test_a_wrong_frame_size_is_one_line_and_exit_2(
+    tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fingers = FakeFinger("left"), FakeFinger("right")
+    drawn.calibration().save(tmp_path / "calibration.toml")
+    fingers[0].size = (640, 480)
+    try:
+        places = ["--models", str(models_folder), "--recordings", str(tmp_path / "r"), "--port", "0"]
+        cameras = ["--camera-left", fingers[0].url, "--camera-right", fingers[1].url]
+        code = entry.main(["run", *places, *cameras, "--calibration", str(tmp_path / "calibration.toml")])
+    finally:
+        for finger in fingers:
+            finger.close()
+    assert code == 2
+    assert "left camera delivers 640 x 480 frames, expected 327 x 320 or 427 x 320" in one_line(capsys)
+
+
+def test_a_broken_calibration_is_one_line_and_exit_2(
+    tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "c.toml").write_text("nonsense")
+    arguments = [*CAMERAS, "--models", str(models_folder), "--port", "0", "--calibration", str(tmp_path / "c.toml")]
+    assert entry.main(["run", *arguments]) == 2
+    assert "c.toml" in one_line(capsys)
