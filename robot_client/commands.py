@@ -13,6 +13,7 @@ from robot_client.drivers.abb_rws import RwsClient
 from robot_client.drivers.abb_socket import SocketArm
 from robot_client.drivers.dry_run import DryArm, DryGripper, DryService
 from robot_client.drivers.wsg50 import Wsg50
+from robot_client.drivers.wsg50_gcl import GclGripper
 from robot_client.geometry import WorkPose
 from robot_client.insertion_state import Phase, Plan
 from robot_client.ports import Arm, DecisionService, Gripper
@@ -62,7 +63,10 @@ def live_arm(settings: Settings) -> Arm:
 
 def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:
     """Drivers of the real protocols."""
-    return live_arm(settings), Wsg50(settings.gripper), ServiceLink(settings.service, plan.insertion_id)
+    gripper: Gripper = Wsg50(settings.gripper)
+    if settings.gripper.protocol == "text":
+        gripper = GclGripper(settings.gripper)
+    return live_arm(settings), gripper, ServiceLink(settings.service, plan.insertion_id)
 
 
 def dry_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:

@@ -31,6 +31,7 @@ class GripperError(DriverError):
 class WsgSettings(Contract):
     """Where the gripper is and how it grasps. Ranges are checked against the gripper's own limits (0x53)."""
 
+    protocol: Literal["binary", "text"] = "binary"
     host: str = "192.168.1.20"
     port: int = Field(default=wsg50.TCP_PORT, ge=0, le=65535)
     grasp_width_mm: float = 40.0
