@@ -149,7 +149,11 @@ class EgmArm:
                     newest = datagram
                     self._watch.datagrams += 1
         if newest is not None:
-            self._on_datagram(newest, time.monotonic())
+            try:
+                self._on_datagram(newest, time.monotonic())
+            except Exception as error:  # a defect of ours must not leave the arm moving on old orders
+                self._fail("internal", f"{type(error).__name__}: {error}")
+                raise
             self._worst_reply_us = max(self._worst_reply_us, (time.perf_counter_ns() - received_ns) / 1e3)
 
     def _is_robot(self, address: tuple[str, int]) -> bool:
