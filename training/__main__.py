@@ -37,6 +37,18 @@ def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
     print_table(Checkpoint.load(checkpoint).figures)
 
 
+def report(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs")) -> None:
+    """Write the training report of a finished run: tables, confusion matrix, calibration curve.
+
+    Args:
+        run: folder of the run, such as runs/compact.
+        out: folder of training.md and training.png.
+    """
+    from training.report import write_report
+
+    print(write_report(run, out))
+
+
 def print_table(figures: dict[str, dict[str, float]]) -> None:
     """One line an object and split."""
     names = "trials accuracy chance ece wrong_side_x mae_x_mm mae_theta_deg rmse_x_mm rmse_theta_deg"
@@ -49,7 +61,9 @@ def print_table(figures: dict[str, dict[str, float]]) -> None:
 def main() -> None:
     """Command line entry."""
     try:
-        tyro.extras.subcommand_cli_from_dict({"train": train, "show": show}, prog="python -m training")
+        tyro.extras.subcommand_cli_from_dict(
+            {"train": train, "show": show, "report": report}, prog="python -m training"
+        )
     except ContractError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
