@@ -14,6 +14,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),
     "collect": ("simulation.collect:main", "poke on all cores and keep the collisions as a dataset"),
     "view": ("simulation.view:main", "trials of a dataset as pictures"),
+    "plate": ("simulation.plate:main", "what the simulated sensor sees, object by object, as one picture"),
     "export-dataset": ("simulation.export_dataset:main", "trials as a LeRobot v3.0 dataset or as MCAP files"),
     "accuracy": ("simulation.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
 }

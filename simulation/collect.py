@@ -23,8 +23,8 @@ import tyro
 
 from service.contract import FINGERS
 from simulation.appearance import Appearance
-from simulation.dataset import DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, split_of, write_shard
-from simulation.manifest import shard_file_name
+from simulation.dataset import DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, encode_shard, split_of
+from simulation.manifest import shard_file_name, write_durably
 from simulation.probe import Cell, PhysicsError, Probe, descend
 from simulation.progress import progress
 from simulation.scene import Scene, load_scene
@@ -181,6 +181,13 @@ def make_shard(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> Shard
 
     Raises DatasetError if the scene hardly ever collides.
     """
+    entry, data = shard_of(plan, on_trial)
+    write_durably(plan.folder / plan.file_name, data)
+    return entry
+
+
+def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[ShardEntry, bytes]:
+    """As :func:`make_shard`, but the bytes are handed back: for workers on other machines."""
     base = load_scene(plan.scene_name)
     kept: list[Trial] = []
     outcomes: Counter[str] = Counter()
@@ -197,7 +204,7 @@ def make_shard(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> Shard
             raise DatasetError(
                 f"scene {plan.scene_name}: nothing to collect, {dict(outcomes)} in {outcomes.total()} pokes"
             )
-    return write_shard(plan.folder, plan.file_name, kept, dict(outcomes))
+    return encode_shard(plan.file_name, kept, dict(outcomes))
 
 
 _counter: Any = None
@@ -255,6 +262,27 @@ def collect(writer: DatasetWriter, plans: Sequence[Plan], workers: int) -> None:
             raise
 
 
+def collect_on_ray(writer: DatasetWriter, plans: Sequence[Plan], address: str) -> None:
+    """As :func:`collect`, on the Ray cluster at ``address`` ("local" starts one here); shards come back as bytes."""
+    try:
+        import ray
+    except ImportError as error:
+        raise DatasetError('--ray needs Ray: pip install "tactile-insertion[simulation,ray]"') from error
+    ray.init(address=None if address == "local" else address, log_to_driver=False, include_dashboard=False)
+    try:
+        remote = ray.remote(num_cpus=1, max_retries=3)(shard_of)
+        waiting = [remote.remote(plan) for plan in plans]
+        with progress("shards", len(plans)) as show:
+            while waiting:
+                (finished, *_), waiting = ray.wait(waiting, num_returns=1)
+                entry, data = ray.get(finished)
+                write_durably(writer.path / entry.name, data)
+                writer.commit(entry)
+                show(len(plans) - len(waiting))
+    finally:
+        ray.shutdown()
+
+
 @dataclass(frozen=True, slots=True)
 class Options:
     """Collect pokes that collided, with their labels, as Parquet shards. Run it again to resume or to add more."""
@@ -273,6 +301,8 @@ class Options:
     """Collisions in a shard: what a kill can cost each worker."""
     held_out_share: float = 0.12
     """Share of re-fixtures drawn from held-out ranges (the test split)."""
+    ray: str = ""
+    """Address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)."""
 
 
 def asked_manifest(options: Options) -> Manifest:
@@ -298,7 +328,10 @@ def main(arguments: Sequence[str]) -> int:
         manifest = writer.manifest
         size, seed, share = manifest.trials_per_shard, manifest.seed, manifest.held_out_share
         plans = [Plan(options.out, scene, shard, size, seed, share) for scene, shard in manifest.missing_shards()]
-        collect(writer, plans, options.workers or os.cpu_count() or 1)
+        if options.ray:
+            collect_on_ray(writer, plans, options.ray)
+        else:
+            collect(writer, plans, options.workers or os.cpu_count() or 1)
         writer.finish()
     print(f"{writer.manifest.trials} collisions in {len(writer.manifest.shards)} shards under {options.out}")
     return 0

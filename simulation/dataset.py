@@ -63,8 +63,10 @@ class DatasetWriter:
         self.close()
 
     def write_shard(self, name: str, trials: Sequence[Trial]) -> ShardEntry:
-        """Write one shard durably, without listing it yet; safe to call from worker processes."""
-        return write_shard(self.path, name, trials)
+        """Write one shard durably, without listing it yet."""
+        entry, data = encode_shard(name, trials)
+        write_durably(self.path / name, data)
+        return entry
 
     def commit(self, entry: ShardEntry) -> None:
         """List a shard that is on disk. A name is listed once."""
@@ -107,10 +109,10 @@ def _locked(path: Path) -> BinaryIO:
     return lock
 
 
-def write_shard(
-    folder: Path, name: str, trials: Sequence[Trial], outcomes: Mapping[str, int] | None = None
-) -> ShardEntry:
-    """Check and write trials as ``folder/name`` (temp file, fsync, rename); the entry to list it with."""
+def encode_shard(
+    name: str, trials: Sequence[Trial], outcomes: Mapping[str, int] | None = None
+) -> tuple[ShardEntry, bytes]:
+    """Check trials and encode them as the shard ``name``: the entry to list it with and the file's bytes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -120,9 +122,9 @@ def write_shard(
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, row_group_size=_ROWS_PER_GROUP, compression="zstd", use_dictionary=["appearances"])
     data = sink.getvalue().to_pybytes()
-    write_durably(folder / name, data)
     object_name = trials[0].object_name if trials else ""
-    return ShardEntry.of(name, data, trials=len(trials), object_name=object_name, outcomes=dict(outcomes or {}))
+    entry = ShardEntry.of(name, data, trials=len(trials), object_name=object_name, outcomes=dict(outcomes or {}))
+    return entry, data
 
 
 class Dataset:

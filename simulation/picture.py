@@ -48,7 +48,8 @@ def draw(
     upper, lower = parts
     left, right, facts = upper.subplots(1, 3, width_ratios=(1, 1, 0.95))
     for finger, axes in enumerate((left, right)):
-        _imprint(axes, frames[-1, finger], finger, motion_px, valid)
+        moved = None if motion_px is None else motion_px[finger]
+        imprint(axes, frames[-1, finger], _FINGER_NAMES[finger], moved, None if valid is None else valid[finger])
     _facts(facts, decision or {})
     _differences(lower, frames)
     if decision and "title" in decision:
@@ -73,19 +74,19 @@ def save(
     return path
 
 
-def _imprint(
+def imprint(
     axes: Any,
     frame: NDArray[np.uint8],
-    finger: int,
-    motion_px: NDArray[np.floating] | None,
-    valid: NDArray[np.bool_] | None,
+    caption: str,
+    motion_px: NDArray[np.floating] | None = None,
+    valid: NDArray[np.bool_] | None = None,
 ) -> None:
+    """One rectified frame [H, W, 3] on ``axes`` with the dots' motion [rows, cols, 2] in px as arrows."""
     axes.imshow(frame[..., ::-1])
     axes.set_axis_off()
-    caption = _FINGER_NAMES[finger]
     if motion_px is not None:
-        rest, motion = tx.marker_rest_px(), np.asarray(motion_px[finger], float)
-        shown = np.isfinite(motion).all(-1) & (True if valid is None else valid[finger])
+        rest, motion = tx.marker_rest_px(), np.asarray(motion_px, float)
+        shown = np.isfinite(motion).all(-1) & (True if valid is None else valid)
         start, step = rest[shown], motion[shown] * ARROW_SCALE
         style = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "color": "yellow"}
         axes.quiver(start[:, 0], start[:, 1], step[:, 0], step[:, 1], **style)

@@ -78,6 +78,15 @@ def test_number_of_processes_does_not_change_the_data(made: Path, tmp_path: Path
     assert digests(tmp_path) == digests(made)
 
 
+@pytest.mark.slow
+def test_a_ray_cluster_makes_the_same_data(made: Path, tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    command = [*COLLECT, "--out", str(tmp_path), "--trials-per-object", "6", "--ray", "local"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert digests(tmp_path) == digests(made)
+    assert read_manifest(tmp_path) == read_manifest(made)
+
+
 def alive(process_group: int) -> bool:
     try:
         os.killpg(process_group, 0)
