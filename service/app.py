@@ -7,7 +7,7 @@ from fastapi.responses import JSONResponse
 
 from service.contract import ContractError
 from service.metrics import Metrics
-from service.routes import health, insertion
+from service.routes import api, health, insertion, live, oip
 from service.routes.access import Access
 from service.station import Station
 
@@ -19,6 +19,10 @@ def create_app(station: Station) -> FastAPI:
     app.state.station = station
     app.include_router(health.router(station, Metrics(station)))
     app.include_router(insertion.router(station, access))
+    app.include_router(live.router(station, access))
+    app.include_router(api.router(station, access))
+    app.include_router(oip.router(station, access))
+    app.mount("/dashboard", live.static_files())
 
     @app.exception_handler(ContractError)
     async def refused(_: Request, error: ContractError) -> JSONResponse:

@@ -188,6 +188,20 @@ class Station:
         ages = [(now_ns() - frame.frame.captured_ns) / 1e6 for frame in latest if frame]
         return max(ages) if len(ages) == len(latest) else None
 
+    def reload_models(self) -> None:
+        """Load the models folder again and swap it in between insertions; on any fault the old models stay.
+
+        Raises ContractError with what was wrong, or if an insertion is under way.
+        """
+        fresh = load_models(self.settings.models)
+        if fresh.card.frame != self.models.card.frame:
+            raise ContractError(
+                f"new models expect {fresh.card.frame.shape}, the service runs {self.models.card.frame.shape}"
+            )
+        if self.active is not None:
+            raise ContractError("an insertion is under way; load models between insertions")
+        self.models = fresh
+
     # ---- insertions ------------------------------------------------------------------------------------------------
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:

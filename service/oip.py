@@ -1,0 +1,168 @@
+"""The Open Inference Protocol's tensors: JSON or binary in, JSON or binary out.
+
+A binary body is the JSON request, whose length ``Inference-Header-Content-Length`` gives, followed by the raw
+little-endian row-major tensors in the order of the JSON.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from service.contract import ContractError
+from service.models import Array, LoadedModel
+
+DATATYPES: dict[str, Any] = {
+    "BOOL": np.bool_,
+    "UINT8": np.uint8,
+    "INT8": np.int8,
+    "INT16": np.int16,
+    "INT32": np.int32,
+    "INT64": np.int64,
+    "FP16": np.float16,
+    "FP32": np.float32,
+    "FP64": np.float64,
+}
+_ORT_NAMES = {"tensor(float)": "FP32", "tensor(uint8)": "UINT8", "tensor(int64)": "INT64", "tensor(double)": "FP64"}
+MAX_ELEMENTS = 1 << 27
+
+
+class TensorError(ContractError):
+    """A request is not what the protocol or the model expects."""
+
+
+@dataclass(frozen=True, slots=True)
+class InferRequest:
+    """A parsed request; ``binary`` says for each wanted output whether it goes out in binary."""
+
+    id: str | None
+    inputs: dict[str, Array]
+    binary: dict[str, bool]
+
+
+def metadata(model: LoadedModel) -> dict[str, Any]:
+    """Names, types and shapes of a model's inputs and outputs; the batch is -1."""
+
+    def tensor(entry: Any) -> dict[str, Any]:
+        shape = [size if isinstance(size, int) else -1 for size in entry.shape]
+        return {"name": entry.name, "datatype": _ORT_NAMES.get(entry.type, "FP32"), "shape": shape}
+
+    return {
+        "inputs": [tensor(entry) for entry in model.session.get_inputs()],
+        "outputs": [tensor(entry) for entry in model.session.get_outputs()],
+    }
+
+
+def parse_request(body: bytes, header_length: str | None, model: LoadedModel) -> InferRequest:
+    """Read an infer request; raise TensorError naming what is wrong."""
+    if header_length is not None and not (header_length.isdigit() and int(header_length) <= len(body)):
+        raise TensorError(f"Inference-Header-Content-Length {header_length!r}, expected a length within the body")
+    split = len(body) if header_length is None else int(header_length)
+    try:
+        request = json.loads(body[:split])
+    except (ValueError, RecursionError) as error:
+        raise TensorError(f"request is no JSON: {error}") from error
+    if not isinstance(request, dict) or not isinstance(request.get("inputs"), list):
+        raise TensorError("request needs a list of inputs")
+    known = metadata(model)
+    inputs = _inputs(request["inputs"], memoryview(body)[split:], {e["name"]: e for e in known["inputs"]})
+    names = [entry["name"] for entry in known["outputs"]]
+    return InferRequest(_id(request), inputs, _wanted(request, names))
+
+
+def _id(request: Mapping[str, Any]) -> str | None:
+    value = request.get("id")
+    return None if value is None else str(value)
+
+
+def _parameters(entry: Any) -> Mapping[str, Any]:
+    value = entry.get("parameters") if isinstance(entry, dict) else None
+    return value if isinstance(value, dict) else {}
+
+
+def _inputs(entries: list[Any], binary: memoryview, known: Mapping[str, Any]) -> dict[str, Array]:
+    found: dict[str, Array] = {}
+    at = 0
+    for entry in entries:
+        name = entry.get("name") if isinstance(entry, dict) else None
+        if not isinstance(name, str) or name not in known or name in found:
+            raise TensorError(f"input {name!r}, expected each of {sorted(known)} once")
+        size = _parameters(entry).get("binary_data_size")
+        raw = None
+        if size is not None:
+            if not isinstance(size, int) or size < 0 or at + size > len(binary):
+                raise TensorError(f"input {name}: binary_data_size {size}, {len(binary) - at} bytes are left")
+            raw, at = binary[at : at + size], at + size
+        found[name] = _tensor(entry, raw, known[name])
+    if set(found) != set(known):
+        raise TensorError(f"inputs {sorted(found)}, expected {sorted(known)}")
+    if at != len(binary):
+        raise TensorError(f"{len(binary) - at} bytes follow the last tensor")
+    return found
+
+
+def _tensor(entry: Mapping[str, Any], raw: memoryview | None, known: Mapping[str, Any]) -> Array:
+    name, datatype, shape = entry["name"], entry.get("datatype"), entry.get("shape")
+    if datatype != known["datatype"]:
+        raise TensorError(f"input {name} is {datatype}, expected {known['datatype']}")
+    fits = isinstance(shape, list) and len(shape) == len(known["shape"]) and all(type(n) is int for n in shape)
+    if not fits or any(n < 1 or (k >= 0 and n != k) for n, k in zip(shape or [], known["shape"], strict=False)):
+        raise TensorError(f"input {name} has shape {shape}, expected {known['shape']}")
+    assert isinstance(shape, list)
+    count = int(np.prod(shape, dtype=object))
+    dtype = np.dtype(DATATYPES[known["datatype"]])
+    if count > MAX_ELEMENTS:
+        raise TensorError(f"input {name} has {count} elements, expected at most {MAX_ELEMENTS}")
+    try:
+        if raw is not None:
+            if len(raw) != count * dtype.itemsize:
+                raise TensorError(f"input {name} has {len(raw)} bytes, expected {count * dtype.itemsize}")
+            return np.frombuffer(raw, dtype).reshape(shape)
+        values = np.asarray(entry.get("data"), np.float64)
+        if dtype.kind in "iu" and not ((values >= np.iinfo(dtype).min) & (values <= np.iinfo(dtype).max)).all():
+            raise TensorError(f"input {name} has values outside {known['datatype']}")
+        return values.astype(dtype).reshape(shape)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TensorError(f"input {name}: {error}") from error
+
+
+def _wanted(request: Mapping[str, Any], names: list[str]) -> dict[str, bool]:
+    everything = bool(_parameters(request).get("binary_data_output", False))
+    outputs = request.get("outputs")
+    if not outputs:
+        return dict.fromkeys(names, everything)
+    wanted: dict[str, bool] = {}
+    for entry in outputs if isinstance(outputs, list) else [outputs]:
+        name = entry.get("name") if isinstance(entry, dict) else None
+        if name not in names:
+            raise TensorError(f"output {name!r}, expected one of {names}")
+        wanted[str(name)] = bool(_parameters(entry).get("binary_data", everything))
+    return wanted
+
+
+def encode_response(
+    model_name: str, request: InferRequest, outputs: Mapping[str, Array]
+) -> tuple[bytes, dict[str, str]]:
+    """Body and headers of an infer response."""
+    described: list[dict[str, Any]] = []
+    tail: list[bytes] = []
+    by_dtype = {np.dtype(value): key for key, value in DATATYPES.items()}
+    for name, binary in request.binary.items():
+        values = np.ascontiguousarray(outputs[name])
+        entry: dict[str, Any] = {"name": name, "datatype": by_dtype[values.dtype], "shape": list(values.shape)}
+        if binary:
+            tail.append(values.tobytes())
+            entry["parameters"] = {"binary_data_size": len(tail[-1])}
+        else:
+            entry["data"] = [value if np.isfinite(value) else None for value in values.ravel().tolist()]
+        described.append(entry)
+    answer: dict[str, Any] = {"model_name": model_name, "model_version": "1", "outputs": described}
+    if request.id is not None:
+        answer["id"] = request.id
+    head = json.dumps(answer).encode()
+    if not tail:
+        return head, {"Content-Type": "application/json"}
+    headers = {"Content-Type": "application/octet-stream", "Inference-Header-Content-Length": str(len(head))}
+    return head + b"".join(tail), headers

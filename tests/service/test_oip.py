@@ -1,0 +1,115 @@
+import gzip
+import json
+
+import httpx
+import numpy as np
+import pytest
+import tritonclient.http as triton
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.service.conftest import LiveService
+
+MODEL = "direction.step"
+SHAPE = [1, 2, 320, 327, 3]
+
+
+def inputs(binary: bool) -> list[triton.InferInput]:
+    rng = np.random.default_rng(0)
+    arrays = {
+        "frame": rng.integers(0, 255, SHAPE, np.uint8),
+        "reference": rng.integers(0, 255, SHAPE, np.uint8),
+        "state": np.ones((1, 6), np.float32),
+    }
+    types = {"frame": "UINT8", "reference": "UINT8", "state": "FP32"}
+    made = []
+    for name, values in arrays.items():
+        entry = triton.InferInput(name, list(values.shape), types[name])
+        entry.set_data_from_numpy(values, binary_data=binary)
+        made.append(entry)
+    return made
+
+
+def expected(live: LiveService) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    frame, reference = rng.integers(0, 255, SHAPE, np.uint8), rng.integers(0, 255, SHAPE, np.uint8)
+    step = live.station.models.role("direction")
+    assert step is not None
+    return step.model.run({"frame": frame, "reference": reference, "state": np.ones((1, 6), np.float32)})
+
+
+@pytest.fixture(scope="module")
+def client(live: LiveService):
+    with triton.InferenceServerClient(f"127.0.0.1:{live.port}", network_timeout=60.0) as made:
+        yield made
+
+
+@pytest.mark.parametrize("packing", [None, "gzip", "deflate"])
+@pytest.mark.parametrize("binary", [True, False])
+def test_a_stock_client_gets_what_the_session_computes(
+    live: LiveService, client: triton.InferenceServerClient, binary: bool, packing: str | None
+) -> None:
+    answer = client.infer(
+        MODEL,
+        inputs(binary),
+        outputs=[triton.InferRequestedOutput("logits", binary_data=binary)],
+        request_compression_algorithm=packing,
+        response_compression_algorithm=packing,
+        request_id="seven",
+    )
+    assert answer.get_response()["id"] == "seven"
+    np.testing.assert_allclose(answer.as_numpy("logits"), expected(live)["logits"], rtol=1e-6)
+
+
+def test_a_stock_client_finds_every_endpoint(client: triton.InferenceServerClient) -> None:
+    assert client.is_server_live()
+    assert client.is_server_ready()
+    assert client.is_model_ready(MODEL)
+    assert client.is_model_ready(MODEL, "1")
+    assert not client.is_model_ready("none")
+    assert "binary_tensor_data" in client.get_server_metadata()["extensions"]
+    assert client.get_model_metadata(MODEL)["inputs"][0]["shape"] == [-1, *SHAPE[1:]]
+    assert client.get_model_config(MODEL)["name"] == MODEL
+    assert client.get_model_repository_index()[0]["state"] == "READY"
+    assert client.get_inference_statistics()["model_stats"]
+    assert client.get_inference_statistics(MODEL)["model_stats"][0]["name"] == MODEL
+    client.load_model(MODEL)
+    with pytest.raises(triton.InferenceServerException, match="not unloaded"):
+        client.unload_model(MODEL)
+    with pytest.raises(triton.InferenceServerException, match="unknown model none"):
+        client.infer("none", inputs(binary=True))
+
+
+def test_a_wrong_tensor_is_an_error_that_says_so(live: LiveService) -> None:
+    path = live.url(f"/v2/models/{MODEL}/infer")
+    body = {"inputs": [{"name": "state", "datatype": "FP32", "shape": [1, 7], "data": [0] * 7}]}
+    answer = httpx.post(path, json=body)
+    assert answer.status_code == 400
+    assert "shape [1, 7], expected [-1, 6]" in answer.json()["error"]
+
+
+junk = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=8),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(
+            st.sampled_from(
+                ["name", "inputs", "datatype", "shape", "data", "parameters", "binary_data_size", "outputs"]
+            ),
+            inner | st.sampled_from(["state", "frame", "FP32", "UINT8"]),
+            max_size=5,
+        )
+    ),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(request=junk | st.fixed_dictionaries({"inputs": st.lists(junk, max_size=3)}), tail=st.binary(max_size=40))
+def test_no_body_makes_the_server_fail(live: LiveService, request: object, tail: bytes) -> None:
+    head = json.dumps(request).encode()
+    for headers in ({}, {"Inference-Header-Content-Length": str(len(head))}, {"Content-Encoding": "gzip"}):
+        content = gzip.compress(head + tail) if headers.get("Content-Encoding") else head + tail
+        answer = httpx.post(live.url(f"/v2/models/{MODEL}/infer"), content=content, headers=headers)
+        assert answer.status_code == 400
+        assert answer.json()["error"]
