@@ -1,7 +1,10 @@
 """Datasets: what is listed is whole, what is read is what was written, what is broken is named and left alone."""
 
+import hashlib
 import json
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +45,16 @@ def test_frames_are_the_same_every_time(folder: Path) -> None:
     assert np.array_equal(second.frames(13, 16, 1)[0], frames[1])
     copied: Dataset = pickle.loads(pickle.dumps(first))
     assert np.array_equal(copied.frames(13, count=2), frames)
+
+
+def test_another_process_draws_the_same_bits(folder: Path) -> None:
+    code = (
+        "import hashlib, sys; from simulation.dataset import Dataset;"
+        "print(hashlib.sha256(Dataset(sys.argv[1]).frames(13, count=2).tobytes()).hexdigest())"
+    )
+    command = [sys.executable, "-c", code, str(folder)]
+    other = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+    assert other == hashlib.sha256(Dataset(folder).frames(13, count=2).tobytes()).hexdigest()
 
 
 def test_noise_can_be_scaled_on_reading(folder: Path) -> None:
