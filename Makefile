@@ -68,7 +68,7 @@ evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an obj
 
 CELL ?= cell-a
 ENV_FILE ?= docker/$(CELL).env
-COMPOSE ?= $(if $(shell command -v docker),docker compose,$(OPS_VENV)/bin/podman-compose)
+COMPOSE ?= $(if $(shell docker compose version 2>/dev/null),docker compose,$(OPS_VENV)/bin/podman-compose)
 COMPOSE_FILE_ARGS = --project-name $(CELL) --file docker/compose.yaml
 
 $(OPS_VENV)/ready: requirements/ops.txt
