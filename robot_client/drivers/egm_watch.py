@@ -7,6 +7,7 @@ from robot_client.codecs.egm import RobotState
 from robot_client.silence import Silence
 
 _BAD_IN_A_ROW = 25
+_DRIFT = 2e-4  # two quartz clocks may drift apart this fast without a datagram being late
 
 
 class StreamFault(Exception):  # noqa: N818 it reports the stream's state, the driver turns it into a Failure event
@@ -57,7 +58,8 @@ class EgmWatch:
         self.silence.heard(now_s)
         self._sequence, self._robot_ms, self._newest_s, self._bad_in_a_row = state.sequence, state.time_ms, now_s, 0
         lag_s = now_s - state.time_ms / 1e3
-        self._least_lag_s = lag_s if self._least_lag_s is None else min(self._least_lag_s, lag_s)
+        drifted_s = lag_s if self._least_lag_s is None else self._least_lag_s + _DRIFT * elapsed_s
+        self._least_lag_s = min(drifted_s, lag_s)
         self._age_s = lag_s - self._least_lag_s
         self.worst_age_s = max(self.worst_age_s, self._age_s)
         return elapsed_s
