@@ -7,6 +7,7 @@ Exit 0 if every insertion succeeded, 1 if one did not, 2 on wrong input.
 import json
 import sys
 import time
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -70,8 +71,8 @@ class Start:
 
 
 def draw_start(scene: Scene, seed: int) -> tuple[float, float]:
-    """A start error within the scene's ranges that collides."""
-    rng = np.random.default_rng([seed, 0x57A7])
+    """A start error within the scene's ranges that collides; every scene has its own sequence."""
+    rng = np.random.default_rng([seed, zlib.crc32(scene.name.encode())])
     while True:
         x_mm = float(rng.uniform(-scene.x_range_mm, scene.x_range_mm))
         theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))

@@ -1,6 +1,7 @@
 """What a run says at its end: from the client's episode log, the cell's truth and the service's recording."""
 
 import json
+import textwrap
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -167,7 +168,7 @@ def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | Non
     number = int(attempts[-1].stem.split("_")[1])
     decision: picture.Decision = {
         "title": f"{result.object_name}: attempt {number} of {result.attempts}, simulated",
-        "notes": (said.get("reason", ""), said.get("detail", "")),
+        "notes": textwrap.wrap(f"{said.get('reason', '')} {said.get('detail', '')}", 40),
     }
     estimate = said.get("estimate")
     if estimate is not None:
