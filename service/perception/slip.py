@@ -33,6 +33,10 @@ class SlipSettings:
 
     ``max_shift_pitch`` and ``max_angle_deg`` are the safety rule: a patch carried further than this must stop the arm
     even if no node has slipped.
+
+    A patch that slides straight leaves no node behind: its motion, which followed the fingers, just stands still. That
+    is slip if within ``stall_s`` it goes on by less than ``stall_share`` of its fastest such stretch and was carried
+    by ``stall_pitch``, which takes about half of the friction that a grasp can bear. It holds while the arm descends.
     """
 
     slip_pitch: float = 0.10
@@ -51,6 +55,9 @@ class SlipSettings:
     max_shift_pitch: float = 2.0
     max_angle_deg: float = 15.0
     lost_after_s: float = 0.2
+    stall_s: float = 0.08
+    stall_share: float = 0.15
+    stall_pitch: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +115,8 @@ class SlipDetector:
         self._weight = np.zeros(shape)  # elastic share of each node, by least squares
         self._slipped = np.zeros(shape, np.bool_)
         self._motion: Motion | None = None
+        self._way: list[tuple[int, float]] = []  # capture stamp and how far the patch was carried, px
+        self._fastest = 0.0
         self._seen_ns = field.captured_ns
         if self._reference is None:
             self._last = self._plain("unknown", field, f"no reference: {field.reason or field.status}")
@@ -223,11 +232,14 @@ class SlipDetector:
         far = float(np.hypot(*shift)) > limits.max_shift_pitch * pitch
         turned = abs(motion.angle_rad) > np.deg2rad(limits.max_angle_deg)
         share = slipping.sum() / max(known, 1)
+        stalled = self._stalls(field, float(np.hypot(*shift)), pitch)
         state: FingerState = "contact"
         reason = f"the patch moved {np.hypot(*shift):.1f} px and turned {np.rad2deg(motion.angle_rad):.1f} deg"
         if score >= 1:
             state = "gross_slip" if share > limits.gross_share else "incipient_slip"
             reason = f"{slipping.sum()} of {known} nodes left the object's motion"
+        elif stalled:
+            state, reason = "gross_slip", f"the patch stopped after {np.hypot(*shift):.1f} px: the object slides"
         elif motion.scale < 1 - limits.release_scale:
             state, reason = "release", f"markers contracted by {100 * (1 - motion.scale):.1f} %"
         return SlipState(
@@ -243,6 +255,19 @@ class SlipDetector:
             captured_ns=field.captured_ns,
             reason=reason + ("; beyond the limit of motion" if far or turned else ""),
         )
+
+    def _stalls(self, field: MarkerField, carried: float, pitch: float) -> bool:
+        """Whether the patch, carried along so far, has come to a stop."""
+        limits = self.settings
+        self._way.append((field.captured_ns, carried))
+        begin_ns = field.captured_ns - int(limits.stall_s * 1e9)
+        older = [k for k, (stamp_ns, _) in enumerate(self._way) if stamp_ns <= begin_ns]
+        if not older:
+            return False
+        del self._way[: older[-1]]
+        gone = carried - self._way[0][1]
+        self._fastest = max(self._fastest, gone)
+        return carried > limits.stall_pitch * pitch and gone < limits.stall_share * self._fastest
 
     def _plain(self, state: FingerState, field: MarkerField, reason: str) -> SlipState:
         nobody = np.zeros(field.valid.shape, np.bool_)

@@ -54,6 +54,28 @@ def test_noise_at_rest_is_hold():
     assert {state.state for state in judge(fields)} == {"hold"}
 
 
+def straight_slide(seconds_still):
+    """A whole patch carried up, most of it lagging a little, that then stands still in its fingers."""
+    rest = field_from_gel(np.zeros((20, 21, 3), np.float32), 0, marker_pitch_mm=1.05).rest_px
+    lag = np.linspace(0.0, 1.0, rest.shape[0])[:, None]
+    fields = []
+    for k in range(10 + int(seconds_still / (FRAME_NS / 1e9))):
+        carried = min(4.5 * k, 13.5)
+        kept_back = lag * max(0.0, carried - 9.0) * 0.6
+        displacement = np.zeros_like(rest)
+        displacement[..., 1] = -(carried - kept_back)
+        everywhere = np.ones(rest.shape[:2], bool)
+        fields.append(MarkerField(rest, displacement, everywhere, None, 15.0, k * FRAME_NS))
+    return fields
+
+
+def test_a_patch_that_slides_straight_is_slip_once_it_stands_still():
+    states = judge(straight_slide(0.3))
+    assert not states[0].slip
+    assert states[-1].state == "gross_slip"
+    assert "slides" in states[-1].reason or "left" in states[-1].reason
+
+
 def test_too_large_a_motion_stops_without_slip():
     fields, _ = patch_fields(rigid((0, 4.0), 0.0), frames=12)
     states = judge(fields)
