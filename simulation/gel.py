@@ -10,54 +10,33 @@ traction.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from simulation.linear import Vector
+from simulation.records import NODE, Records
 
 FAR_MM = 1e3
+SLIP_MARGIN = 1e-7
 
 
-class Pads(NamedTuple):
-    """Both pads' nodes: place (x, side, z) [n, 3], crown recess [n], profile [5], then area, kn, kt, friction."""
-
-    node: Array
-    crown_mm: Array
-    profile: Array
-    area_mm2: float
-    kn: float
-    kt: float
-    friction: float
-
-
-def make_pads(
-    profile: Array,
-    rows: int,
-    columns: int,
-    height_mm: float,
-    width_mm: float,
-    crown_mm: float,
-    kt: float,
-    normal_ratio: float,
-    friction: float,
-) -> Pads:
-    """Lay out nodes [2 * rows * columns]; finger 0 (side +1) sees u = +x, finger 1 (side -1) u = -x, both v = -z."""
+def make_nodes(rows: int, columns: int, height_mm: float, width_mm: float, crown_mm: float) -> Records:
+    """Nodes [2 * rows * columns] of both pads, v then u; finger 0 (side +1) sees u = +x, finger 1 -x, both v = -z."""
     u = (np.arange(columns) + 0.5) * width_mm / columns - 0.5 * width_mm
     v = (np.arange(rows) + 0.5) * height_mm / rows - 0.5 * height_mm
-    vv, uu = np.meshgrid(v, u, indexing="ij")
-    one = [np.stack([side * uu.ravel(), np.full(uu.size, side), -vv.ravel()], axis=1) for side in (1.0, -1.0)]
-    reach = (uu / (0.5 * width_mm)) ** 2 + (vv / (0.5 * height_mm)) ** 2
-    crown = np.tile(0.5 * crown_mm * reach.ravel(), 2)
-    area = width_mm * height_mm / (rows * columns)
-    return Pads(np.ascontiguousarray(np.concatenate(one)), crown, profile, area, kt * normal_ratio, kt, friction)
+    vv, uu = (grid.ravel() for grid in np.meshgrid(v, u, indexing="ij"))
+    nodes = np.zeros(2 * uu.size, dtype=NODE)
+    nodes["side"] = np.repeat([1.0, -1.0], uu.size)
+    nodes["x"], nodes["z"] = nodes["side"] * np.tile(uu, 2), -np.tile(vv, 2)
+    reach = (nodes["x"] / (0.5 * width_mm)) ** 2 + (nodes["z"] / (0.5 * height_mm)) ** 2
+    nodes["crown"] = 0.5 * crown_mm * reach
+    return nodes
 
 
 @njit(cache=True)
-def surface(profile: Array, x: float) -> tuple[float, float]:
+def surface(profile: Any, x: float) -> tuple[float, float]:
     """Height and slope of the held surface at x, mm; -FAR_MM where there is none."""
     beyond = abs(x) - profile[1]
     if beyond <= 0.0:
@@ -73,143 +52,166 @@ def surface(profile: Array, x: float) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def indentation(pads: Pads, j: int, opening: float, turn: Array, place: Array) -> tuple[float, float]:
-    """Indentation of node j, mm, and the held surface's slope there, for the object's pose in hand."""
-    side = pads.node[j, 1]
-    dx = pads.node[j, 0] - place[0]
-    dy = 0.5 * side * opening - place[1]
-    dz = pads.node[j, 2] - place[2]
+def indentation(constants: Any, node: Any, trial: Any) -> tuple[float, float]:
+    """Indentation at a node, mm, and the held surface's slope there, for the object's trial pose in hand."""
+    turn, place = trial.turn, trial.place
+    dx, dy, dz = node.x - place[0], 0.5 * node.side * trial.opening - place[1], node.z - place[2]
     local_x = turn[0, 0] * dx + turn[1, 0] * dy + turn[2, 0] * dz
     local_y = turn[0, 1] * dx + turn[1, 1] * dy + turn[2, 1] * dz
-    height, slope = surface(pads.profile, local_x)
-    return height - side * local_y - pads.crown_mm[j], slope
+    height, slope = surface(constants.profile, local_x)
+    return height - node.side * local_y - node.crown, slope
 
 
 @njit(cache=True)
-def pressures(pads: Pads, opening: float, turn: Array, place: Array, out: Array) -> None:
-    """Pressure at every node, N/mm2, into out [n]."""
-    for j in range(out.shape[0]):
-        depth, _ = indentation(pads, j, opening, turn, place)
-        out[j] = pads.kn * depth if depth > 0.0 else 0.0
+def material(node: Any, trial: Any) -> Vector:
+    """Where the object's material that was at a node when the load step began is now, mm, hand frame."""
+    x, y, z = node.x, 0.5 * node.side * trial.opening, node.z
+    turn, step = trial.step_turn, trial.step
+    return (
+        turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + step[0],
+        turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + step[1],
+        turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + step[2],
+    )
 
 
 @njit(cache=True)
-def energy(
-    pads: Pads, opening: float, turn: Array, place: Array, step_turn: Array, step: Array, stretch: Array, limit: Array
-) -> float:
-    """Potential of both pads, N mm. step_turn, step: motion since the load step began.
+def renew_limits(constants: Any, nodes: Any, trial: Any, blend: float) -> None:
+    """Pressure at every node for the trial pose, and friction limits moved towards it by blend (1: all the way)."""
+    for j in range(nodes.shape[0]):
+        node = nodes[j]
+        depth, _ = indentation(constants, node, trial)
+        fresh = constants.kn * depth if depth > 0.0 else 0.0
+        node.limit += blend * (constants.friction * fresh - node.limit)
 
-    Limit [n]: traction bound, N/mm2.
-    """
+
+@njit(cache=True)
+def energy(constants: Any, nodes: Any, trial: Any) -> float:
+    """Potential of both pads, N mm, friction limits held."""
     total = 0.0
-    for j in range(limit.shape[0]):
-        depth, _ = indentation(pads, j, opening, turn, place)
+    for j in range(nodes.shape[0]):
+        node = nodes[j]
+        depth, _ = indentation(constants, node, trial)
         if depth > 0.0:
-            total += 0.5 * pads.kn * depth * depth
-        if limit[j] > 0.0:
-            x, y, z = pads.node[j, 0], 0.5 * pads.node[j, 1] * opening, pads.node[j, 2]
-            sx = stretch[j, 0] + step_turn[0, 0] * x + step_turn[0, 1] * y + step_turn[0, 2] * z + step[0] - x
-            sz = stretch[j, 1] + step_turn[2, 0] * x + step_turn[2, 1] * y + step_turn[2, 2] * z + step[2] - z
+            total += 0.5 * constants.kn * depth * depth
+        if node.limit > 0.0:
+            px, _, pz = material(node, trial)
+            sx, sz = node.sx + px - node.x, node.sz + pz - node.z
             size = math.sqrt(sx * sx + sz * sz)
-            bound = limit[j] / pads.kt
-            total += 0.5 * pads.kt * size * size if size <= bound else limit[j] * (size - 0.5 * bound)
-    return total * pads.area_mm2
+            bound = node.limit / constants.kt
+            total += 0.5 * constants.kt * size * size if size <= bound else node.limit * (size - 0.5 * bound)
+    return float(total * constants.area)
 
 
 @njit(cache=True)
-def _add_row(grad: Array, hess: Array, row: Array, force: float, stiffness: float) -> None:
+def _add_normal(node: Any, trial: Any, slope: float, k: float, depth: float, row: Any) -> None:
+    """A node's normal spring k (N/mm) into gradient and lower Hessian; row [6] gets its line over the twist."""
+    x, y, z = node.x, 0.5 * node.side * trial.opening, node.z
+    turn, grad, hess = trial.turn, trial.grad, trial.hess
+    for a in range(3):
+        row[a] = node.side * turn[a, 1] - slope * turn[a, 0]
+    row[3] = y * row[2] - z * row[1]
+    row[4] = z * row[0] - x * row[2]
+    row[5] = x * row[1] - y * row[0]
     for a in range(6):
-        grad[a] += force * row[a]
-        scaled = stiffness * row[a]
+        grad[a] += k * depth * row[a]
+        scaled = k * row[a]
         for b in range(a + 1):
             hess[a, b] += scaled * row[b]
 
 
 @njit(cache=True)
-def assemble(
-    pads: Pads,
-    opening: float,
-    turn: Array,
-    place: Array,
-    step_turn: Array,
-    step: Array,
-    stretch: Array,
-    limit: Array,
-    grad: Array,
-    hess: Array,
-) -> None:
-    """Add gradient [>= 6] and lower half of the Hessian of `energy` for a twist about the TCP (mm, rad)."""
-    row = np.empty(6)
-    g, h = np.zeros(6), np.zeros((6, 6))
-    for j in range(limit.shape[0]):
-        side = pads.node[j, 1]
-        x, y, z = pads.node[j, 0], 0.5 * side * opening, pads.node[j, 2]
-        depth, slope = indentation(pads, j, opening, turn, place)
-        if depth > 0.0:
-            for a in range(3):
-                row[a] = side * turn[a, 1] - slope * turn[a, 0]
-            row[3] = y * row[2] - z * row[1]
-            row[4] = z * row[0] - x * row[2]
-            row[5] = x * row[1] - y * row[0]
-            _add_row(g, h, row, pads.kn * depth, pads.kn)
-        if limit[j] > 0.0:
-            px = step_turn[0, 0] * x + step_turn[0, 1] * y + step_turn[0, 2] * z + step[0]
-            py = step_turn[1, 0] * x + step_turn[1, 1] * y + step_turn[1, 2] * z + step[1]
-            pz = step_turn[2, 0] * x + step_turn[2, 1] * y + step_turn[2, 2] * z + step[2]
-            sx, sz = stretch[j, 0] + px - x, stretch[j, 1] + pz - z
-            size = math.sqrt(sx * sx + sz * sz)
-            kxx, kzz, kxz, share = pads.kt, pads.kt, 0.0, 1.0
-            if size * pads.kt > limit[j]:
-                share = limit[j] / (pads.kt * size)
-                ux, uz = sx / size, sz / size
-                kxx, kzz, kxz = pads.kt * share * uz * uz, pads.kt * share * ux * ux, -pads.kt * share * ux * uz
-            fx, fz = pads.kt * share * sx, pads.kt * share * sz
-            # rows of the twist: x: (1, 0, 0, 0, pz, -py); z: (0, 0, 1, py, -px, 0)
-            g[0] += fx
-            g[2] += fz
-            g[3] += fz * py
-            g[4] += fx * pz - fz * px
-            g[5] -= fx * py
-            mx, mz = kxx * pz - kxz * px, kxz * pz - kzz * px
-            h[0, 0] += kxx
-            h[2, 0] += kxz
-            h[2, 2] += kzz
-            h[3, 0] += kxz * py
-            h[3, 2] += kzz * py
-            h[3, 3] += kzz * py * py
-            h[4, 0] += mx
-            h[4, 2] += mz
-            h[4, 3] += mz * py
-            h[4, 4] += mx * pz - mz * px
-            h[5, 0] -= kxx * py
-            h[5, 2] -= kxz * py
-            h[5, 3] -= kxz * py * py
-            h[5, 4] -= mx * py
-            h[5, 5] += kxx * py * py
-    for a in range(6):
-        grad[a] += pads.area_mm2 * g[a]
-        for b in range(a + 1):
-            hess[a, b] += pads.area_mm2 * h[a, b]
+def _add_shear(hess: Any, kxx: float, kzz: float, kxz: float, px: float, py: float, pz: float) -> None:
+    """Tangential stiffness at a point into the lower Hessian: lines x (1 0 0 0 pz -py) and z (0 0 1 py -px 0)."""
+    mx, mz = kxx * pz - kxz * px, kxz * pz - kzz * px
+    hess[0, 0] += kxx
+    hess[2, 0] += kxz
+    hess[2, 2] += kzz
+    hess[3, 0] += kxz * py
+    hess[3, 2] += kzz * py
+    hess[3, 3] += kzz * py * py
+    hess[4, 0] += mx
+    hess[4, 2] += mz
+    hess[4, 3] += mz * py
+    hess[4, 4] += mx * pz - mz * px
+    hess[5, 0] -= kxx * py
+    hess[5, 2] -= kxz * py
+    hess[5, 3] -= kxz * py * py
+    hess[5, 4] -= mx * py
+    hess[5, 5] += kxx * py * py
 
 
 @njit(cache=True)
-def settle(
-    pads: Pads, opening: float, step_turn: Array, step: Array, limit: Array, stretch: Array, slipped: Ints
-) -> int:
-    """Return-map the stretches in place at the end of a load step; gives the number of slipping nodes."""
-    slipping = 0
-    for j in range(limit.shape[0]):
-        x, y, z = pads.node[j, 0], 0.5 * pads.node[j, 1] * opening, pads.node[j, 2]
-        sx = stretch[j, 0] + step_turn[0, 0] * x + step_turn[0, 1] * y + step_turn[0, 2] * z + step[0] - x
-        sz = stretch[j, 1] + step_turn[2, 0] * x + step_turn[2, 1] * y + step_turn[2, 2] * z + step[2] - z
+def _add_friction(constants: Any, node: Any, trial: Any, depth: float, coupled: bool, row: Any) -> None:
+    """A node's bristle into gradient, lower Hessian and, where it slips under a following limit, skew."""
+    grad, area = trial.grad, constants.area
+    px, py, pz = material(node, trial)
+    sx, sz = node.sx + px - node.x, node.sz + pz - node.z
+    size = math.sqrt(sx * sx + sz * sz)
+    slips = size * constants.kt > node.limit
+    if slips:
+        k, ux, uz = area * node.limit / size, sx / size, sz / size
+        _add_shear(trial.hess, k * uz * uz, k * ux * ux, -k * ux * uz, px, py, pz)
+    else:
+        k = area * constants.kt
+        _add_shear(trial.hess, k, k, 0.0, px, py, pz)
+    fx, fz = k * sx, k * sz
+    mx, my, mz = fz * py, fx * pz - fz * px, -fx * py
+    grad[0] += fx
+    grad[2] += fz
+    grad[3] += mx
+    grad[4] += my
+    grad[5] += mz
+    if slips and coupled:
+        skew = trial.skew
+        for b in range(6):
+            follow = row[b] / depth
+            skew[0, b] += fx * follow
+            skew[2, b] += fz * follow
+            skew[3, b] += mx * follow
+            skew[4, b] += my * follow
+            skew[5, b] += mz * follow
+
+
+@njit(cache=True)
+def assemble(constants: Any, nodes: Any, trial: Any, coupled: bool) -> None:
+    """Add gradient and lower Hessian of `energy` to the trial's, for a twist about the TCP.
+
+    coupled: limits follow the pressures (and are overwritten); their derivative, not symmetric, is added to skew.
+    """
+    row = np.empty(6)
+    k = constants.kn * constants.area
+    for j in range(nodes.shape[0]):
+        node = nodes[j]
+        depth, slope = indentation(constants, node, trial)
+        if depth > 0.0:
+            _add_normal(node, trial, slope, k, depth, row)
+        if coupled:
+            node.limit = constants.friction * constants.kn * max(depth, 0.0)
+        if node.limit > 0.0:
+            _add_friction(constants, node, trial, depth, coupled, row)
+
+
+@njit(cache=True)
+def settle(constants: Any, nodes: Any, trial: Any) -> tuple[int, float]:
+    """Return-map the stretches at the end of a load step.
+
+    Number of slipping nodes and the worst cone violation, N/mm2.
+    """
+    slipping, worst = 0, 0.0
+    for j in range(nodes.shape[0]):
+        node = nodes[j]
+        px, _, pz = material(node, trial)
+        sx, sz = node.sx + px - node.x, node.sz + pz - node.z
         size = math.sqrt(sx * sx + sz * sz)
-        bound = limit[j] / pads.kt
-        share = 1.0
-        slipped[j] = 0
+        bound = node.limit / constants.kt
+        share, node.slipped = 1.0, 0.0
         if size > bound:
             share = bound / size
-            if bound > 0.0 and size > bound * (1.0 + 1e-7):
-                slipped[j] = 1
+            if bound > 0.0 and size > bound * (1.0 + SLIP_MARGIN):
+                node.slipped = 1.0
                 slipping += 1
-        stretch[j, 0], stretch[j, 1] = sx * share, sz * share
-    return slipping
+        node.sx, node.sz = sx * share, sz * share
+        depth, _ = indentation(constants, node, trial)
+        node.pressure = constants.kn * max(depth, 0.0)
+        worst = max(worst, constants.kt * size * share - constants.friction * node.pressure)
+    return slipping, worst

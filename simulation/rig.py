@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation import contact, gel, mechanics
+from simulation import contact, gel, mechanics, records
 from simulation.effects import Active, active_effects
-from simulation.linear import apply, mat, rotation
+from simulation.linear import rotation_into
 from simulation.readout import Readout
 from simulation.scene import Scene
 
@@ -51,6 +52,35 @@ class CellState:
     residual_n: float
 
 
+def scene_constants(scene: Scene, active: Active) -> records.Records:
+    """Constants record [1] of a scene, effects that are off left out."""
+    body, blocks, pads, pitch = scene.object, scene.blocks, scene.gel, scene.marker_pitch_mm
+    area = scene.camera.marker_rows * scene.camera.marker_columns * pitch**2 / (pads.node_rows * pads.node_columns)
+    shear = pads.shear_modulus_n_per_mm2 / pads.thickness_mm
+    values: dict[str, Any] = {
+        "area": area,
+        "kn": shear * pads.normal_ratio,
+        "kt": shear,
+        "friction": pads.friction,
+        "profile": body.held_profile,
+        "bottom": -scene.grasp.height_mm,
+        "weight": body.mass_kg * GRAVITY_N_PER_KG if active.gravity else 0.0,
+        "mass_height": body.centre_of_mass_height_mm - scene.grasp.height_mm,
+        "contact_k": blocks.stiffness_n_per_mm,
+        "ratio": TANGENTIAL_RATIO,
+        "edge_friction": blocks.friction if active.edge_friction else 0.0,
+        "block_size": (blocks.size_x_mm, blocks.size_y_mm, blocks.height_mm),
+        "block_weight": blocks.mass_kg * GRAVITY_N_PER_KG,
+        "base_k": BASE_K,
+        "table_friction": blocks.table_friction,
+        "unknowns": 18 if active.free_blocks else 6,
+    }
+    out = np.zeros(1, dtype=records.CONSTANTS)
+    for name, value in values.items():
+        out[name][0] = value
+    return out
+
+
 class Cell:
     """A scene with its state.
 
@@ -61,95 +91,70 @@ class Cell:
         self.scene = scene
         self.rng = np.random.default_rng(seed)
         self.active: Active = active_effects(scene)
-        self.foot = scene.object.footprint_mm
+        self.foot = np.ascontiguousarray(scene.object.footprint_mm)
         self.readout = Readout(scene, coupled=self.active.gel_coupling)
-        pitch = scene.marker_pitch_mm
-        self.pads = gel.make_pads(
-            scene.object.held_profile,
-            scene.gel.node_rows,
-            scene.gel.node_columns,
-            scene.camera.marker_rows * pitch,
-            scene.camera.marker_columns * pitch,
-            scene.gel.crown_mm,
-            scene.gel.shear_modulus_n_per_mm2 / scene.gel.thickness_mm,
-            scene.gel.normal_ratio,
-            scene.gel.friction,
-        )
-        self.body = self._body()
-        self.rows = contact.make_rows(self.foot.shape[0], 18 if self.active.free_blocks else 6)
+        self.constants = scene_constants(scene, self.active)
+        pitch, camera = scene.marker_pitch_mm, scene.camera
+        height, width = camera.marker_rows * pitch, camera.marker_columns * pitch
+        self.nodes = gel.make_nodes(scene.gel.node_rows, scene.gel.node_columns, height, width, scene.gel.crown_mm)
+        vertices = len(self.foot)
+        self.base_slot = records.slot_count(vertices)
+        self.slots = np.zeros(self.base_slot + 8, dtype=records.SLOT)
+        self.rows = np.zeros(records.row_count(vertices), dtype=records.ROW)
+        self.trials = np.zeros(2, dtype=records.TRIAL)
+        self.record = np.zeros(1, dtype=records.STATE)
+        self.state: Any = self.record[0]
+        self.corner = np.empty((vertices, 3))
         self.pose = np.zeros(4)
-        self.newton_iterations = 0
-        self.load_steps = 0
+        self.newton_iterations = self.load_steps = self.convex_steps = 0
+        self.direct = True
         self.reset_blocks()
         self.regrasp(0.0, 0.0)
-
-    def _body(self) -> mechanics.Body:
-        body, blocks = self.scene.object, self.scene.blocks
-        weight = body.mass_kg * GRAVITY_N_PER_KG if self.active.gravity else 0.0
-        return mechanics.Body(
-            foot=self.foot,
-            bottom=-self.scene.grasp.height_mm,
-            weight=weight,
-            mass_height=body.centre_of_mass_height_mm - self.scene.grasp.height_mm,
-            contact_k=blocks.stiffness_n_per_mm,
-            contact_kt=TANGENTIAL_RATIO * blocks.stiffness_n_per_mm,
-            friction=blocks.friction if self.active.edge_friction else 0.0,
-            free=int(self.active.free_blocks),
-            block_size=np.array([blocks.size_x_mm, blocks.size_y_mm, blocks.height_mm]),
-            block_weight=blocks.mass_kg * GRAVITY_N_PER_KG,
-            base_k=BASE_K,
-            table_friction=blocks.table_friction,
-        )
 
     def reset_blocks(self) -> None:
         """Put both blocks back where the scene has them."""
         half = 0.5 * self.scene.blocks.gap_mm
-        sink = self.body.block_weight / (4.0 * BASE_K) if self.active.free_blocks else 0.0
-        self.block_turn = np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])])
-        self.block = np.array([[half, 0.0, -sink], [-half, 0.0, -sink]])
+        weight = float(self.constants["block_weight"][0])
+        sink = weight / (4.0 * BASE_K) if self.active.free_blocks else 0.0
+        self.state["block_turn"][:] = np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])])
+        self.state["block"][:] = [[half, 0.0, -sink], [-half, 0.0, -sink]]
+        self.slots["force"][self.base_slot :] = 0.25 * weight if self.active.free_blocks else 0.0
+        self.slots["slide"][self.base_slot :] = 0.0
 
     def regrasp(self, x_mm: float, theta_deg: float) -> CellState:
         """Fixture: object centred in hand up to the pre-tilt spread, error (x_mm, theta_deg), approach height."""
-        nodes, slots = self.pads.node.shape[0], 2 * (2 + 2 * self.foot.shape[0]) + 8
+        if not (math.isfinite(x_mm) and math.isfinite(theta_deg)):
+            raise ValueError(f"regrasp: expected finite numbers, got {x_mm}, {theta_deg}")
         spread = self.scene.grasp
         tilt = np.radians(self.rng.normal(0.0, 1.0, 2) * (spread.pre_tilt_spread_deg, spread.pre_yaw_spread_deg))
-        force = np.zeros(slots)
-        if self.active.free_blocks:
-            force[-8:] = 0.25 * self.body.block_weight
-        self.state = mechanics.State(
-            turn=rotation(np.array([0.0, tilt[0], tilt[1]])),
-            place=np.zeros(3),
-            stretch=np.zeros((nodes, 2)),
-            slipped=np.zeros(nodes, dtype=np.int64),
-            pressure=np.zeros(nodes),
-            slide=np.zeros((slots, 2)),
-            force=force,
-            mode=np.zeros(2, dtype=np.int64),
-            block_turn=self.block_turn,
-            block=self.block,
-            wrench=np.zeros(6),
-            report=np.zeros(5),
-        )
+        rotation_into(self.state["turn"], 0.0, tilt[0], tilt[1])
+        self.state["place"][:] = 0.0
+        self.state["mode"][:] = contact.TOP
+        self.slots[: self.base_slot] = 0
+        for name in ("sx", "sz", "slipped"):
+            self.nodes[name] = 0.0
         self.grasp_lost = False
-        self.pose = np.array([0.0, 0.0, self.scene.grasp.height_mm + 10.0 * APPROACH_MM, 0.0])
+        self.pose = np.array([0.0, 0.0, spread.height_mm + 10.0 * APPROACH_MM, 0.0])
         self._close()
         self._advance(self.pose)
-        # place the hand so that the object's error is the one asked for, and its lowest point at approach height
-        theta = self._object_error()[1]
+        # place the hand so that the object's error is the one asked for
+        x, theta = self._object_error()
         self.pose[3] += math.radians(theta_deg - theta)
-        self.pose[0] += x_mm - self._object_error()[0]
-        self.pose[2] += APPROACH_MM - (self.pose[2] - self.scene.grasp.height_mm)
+        x, theta = self._object_error()
+        self.pose[0] += x_mm - x
+        self.pose[2] = APPROACH_MM + spread.height_mm
         return self.look()
 
     def _close(self) -> None:
         """Close the fingers to the grip force: bisection on the opening, the object held still."""
-        crest = 2.0 * float(self.pads.profile[0])
+        crest = 2.0 * float(self.constants["profile"][0, 0])
         wide, tight = crest + 8.0, crest - 1.9 * self.scene.gel.thickness_mm
-        fresh = np.empty_like(self.state.pressure)
+        area = float(self.constants["area"][0])
 
         def grip(opening: float) -> float:
-            gel.pressures(self.pads, opening, self.state.turn, self.state.place, fresh)
-            return 0.5 * float(fresh.sum()) * self.pads.area_mm2
+            self.state["opening"] = opening
+            mechanics.grip_pressures(self.constants, self.record, self.trials, self.nodes)
+            return 0.5 * float(self.nodes["pressure"].sum()) * area
 
         if grip(tight) < self.scene.grasp.force_n:
             raise PhysicsError(
@@ -158,9 +163,7 @@ class Cell:
         for _ in range(60):
             middle = 0.5 * (wide + tight)
             wide, tight = (wide, middle) if grip(middle) > self.scene.grasp.force_n else (middle, tight)
-        self.opening = tight
-        grip(self.opening)
-        self.state.pressure[:] = fresh
+        grip(tight)
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
         """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium was found."""
@@ -170,7 +173,7 @@ class Cell:
         if self.grasp_lost:
             self.pose = target
             return self.look()
-        self.state.slipped[:] = 0
+        self.nodes["slipped"] = 0.0
         start, reach = self.pose.copy(), self._free_share(target)
         if reach > 0.0:
             self.pose = start + reach * (target - start)
@@ -187,7 +190,7 @@ class Cell:
 
     def _free_share(self, target: Array) -> float:
         """Share of a move in which nothing touches, so that the held object just rides along."""
-        if np.any(self.state.force[:-8] > 0.0):
+        if np.any(self.slots["force"][: self.base_slot] > 0.0):
             return 0.0
         now, then = self._lowest(self.pose), self._lowest(target)
         if now > 1e-3 and then > 1e-3:
@@ -196,16 +199,28 @@ class Cell:
         return max(0.0, (now - 0.01) / (now - then)) if vertical and now > then and now > 0.01 else 0.0
 
     def _lowest(self, pose: Array) -> float:
-        bottom = np.column_stack([self.foot, np.full(len(self.foot), self.body.bottom)])
-        heights = bottom @ self.state.turn[2] + self.state.place[2] + pose[2]
-        return float(heights.min() - max(0.0, float(self.block[:, 2].max())))
+        bottom = np.column_stack([self.foot, np.full(len(self.foot), self.constants["bottom"][0])])
+        heights = bottom @ self.state["turn"][2] + self.state["place"][2] + pose[2]
+        return float(heights.min() - max(0.0, float(self.state["block"][:, 2].max())))
 
     def _advance(self, target: Array, depth: int = 0) -> None:
         status = mechanics.advance(
-            self.pads, self.body, self.opening, self.state, self.rows, self.pose, target, self.scene.numerics.residual_n
+            self.constants,
+            self.record,
+            self.trials,
+            self.rows,
+            self.slots,
+            self.nodes,
+            self.foot,
+            self.corner,
+            self.pose,
+            target,
+            self.scene.numerics.residual_n,
+            self.direct,
         )
         self.load_steps += 1
-        self.newton_iterations += int(self.state.report[1])
+        self.newton_iterations += int(self.state["report"][1])
+        self.convex_steps += int(self.state["report"][2] > 0)
         if status == mechanics.STALLED and depth < MAX_HALVINGS:
             middle = 0.5 * (self.pose + target)
             self._advance(middle, depth + 1)
@@ -214,13 +229,13 @@ class Cell:
         if status == mechanics.STALLED:
             raise PhysicsError(
                 f"scene {self.scene.name!r}: no equilibrium within {self.scene.numerics.residual_n} N at TCP "
-                f"{np.round(target[:3], 3).tolist()} mm (residual {self.state.report[0]:.2e} N)"
+                f"{np.round(target[:3], 3).tolist()} mm (residual {self.state['report'][0]:.2e} N)"
             )
         self.pose = target
         grips = self._grips()
         if (
             status == mechanics.LOST
-            or np.abs(self.state.place).max() > LOST_MM
+            or np.abs(self.state["place"]).max() > LOST_MM
             or grips.min() < LOST_GRIP * grips.max()
         ):
             self.grasp_lost = True
@@ -230,43 +245,44 @@ class Cell:
         return self.grasp_lost
 
     def _grips(self) -> Array:
-        return np.asarray(self.state.pressure.reshape(2, -1).sum(axis=1) * self.pads.area_mm2)
+        return np.asarray(self.nodes["pressure"].reshape(2, -1).sum(axis=1) * self.constants["area"][0])
 
     def _world(self) -> tuple[Array, Array]:
-        hand = rotation(np.array([0.0, 0.0, self.pose[3]]))
-        return mat(hand, self.state.turn), apply(hand, self.state.place) + self.pose[:3]
+        hand = np.empty((3, 3))
+        rotation_into(hand, 0.0, 0.0, self.pose[3])
+        return hand @ self.state["turn"], hand @ self.state["place"] + self.pose[:3]
 
     def _object_error(self) -> tuple[float, float]:
         turn, place = self._world()
-        bottom = place + turn[:, 2] * self.body.bottom
+        bottom = place + turn[:, 2] * float(self.constants["bottom"][0])
         return float(bottom[0]), math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
 
     def look(self) -> CellState:
         """The state now, without moving."""
         turn, place = self._world()
-        bottom = float(np.min(self.foot @ turn[2, :2]) + turn[2, 2] * self.body.bottom + place[2])
-        touching = (self.state.pressure > 0.0).reshape(2, -1).sum(axis=1)
-        slipped = self.state.slipped.reshape(2, -1).sum(axis=1)
+        bottom = float(np.min(self.foot @ turn[2, :2]) + turn[2, 2] * float(self.constants["bottom"][0]) + place[2])
+        touching = (self.nodes["pressure"] > 0.0).reshape(2, -1).sum(axis=1)
+        slipped = self.nodes["slipped"].reshape(2, -1).sum(axis=1)
         return CellState(
-            gel=self.readout(self.state.stretch, self.state.pressure),
+            gel=self.readout(np.stack([self.nodes["sx"], self.nodes["sz"]], axis=1), self.nodes["pressure"]),
             slipping_share=slipped / np.maximum(touching, 1),
-            wrench_n_nmm=self.state.wrench.copy(),
-            in_hand=np.concatenate([self.state.place, _rotation_vector(self.state.turn)]),
+            wrench_n_nmm=self.state["wrench"].copy(),
+            in_hand=np.concatenate([self.state["place"], _rotation_vector(self.state["turn"])]),
             object_error=self._object_error(),
             bottom_z_mm=bottom,
             block_motion=self._block_motion(),
-            in_contact=bool(np.any(self.state.force[:-8] > 0.0)),
+            in_contact=bool(np.any(self.slots["force"][: self.base_slot] > 0.0)),
             inserted=bool(bottom < -15.0) and not self.grasp_lost,
             grasp_lost=self.grasp_lost,
-            residual_n=float(self.state.report[0]),
+            residual_n=float(self.state["report"][0]),
         )
 
     def _block_motion(self) -> Array:
         half = 0.5 * self.scene.blocks.gap_mm
         out = np.zeros((2, 4))
         for b, sign in enumerate((1.0, -1.0)):
-            turn = self.block_turn[b] * np.array([sign, sign, 1.0])
-            out[b, :2] = self.block[b, :2] - (sign * half, 0.0)
+            turn = self.state["block_turn"][b] * np.array([sign, sign, 1.0])
+            out[b, :2] = self.state["block"][b, :2] - (sign * half, 0.0)
             out[b, 2] = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
             out[b, 3] = math.degrees(math.atan2(math.hypot(turn[2, 0], turn[2, 1]), turn[2, 2]))
         return out
