@@ -35,7 +35,7 @@ class _Lens:
     """What depends on the camera alone, once per renderer."""
 
     homography: NDArray[np.float64]
-    map_to_rest: Floats  # [320, 427, 2] rectified px of each raw pixel, in texture coordinates
+    map_to_rest: Floats  # [320, 427, 2] where each raw pixel lies in the textures, gel at rest
     coarse_index: Floats  # [64, 86, 2] position of every fifth raw pixel in the refined marker lattice
 
 
@@ -69,10 +69,10 @@ class Renderer:
         if previous is not None and (look.motion_blur_share > 0 or look.rolling_share > 0):
             smear = self._motion_since(gel, _checked(previous), rest_index)
             where += smear * (look.rolling_share * _EARLINESS)
-        albedo = np.asarray(_remap(self._albedo, where), np.float32)
+        albedo = _remap(self._albedo, where)
         if smear is not None and look.motion_blur_share > 0:
             earlier = _remap(self._albedo, where + np.float32(look.motion_blur_share) * smear)
-            albedo = np.asarray(cv2.addWeighted(albedo, 0.5, earlier, 0.5, 0, dtype=cv2.CV_32F), np.float32)
+            albedo = np.asarray(cv2.addWeighted(albedo, 0.5, earlier, 0.5, 0), np.float32)
         return self._shaded(albedo, self._bumps(where, touched), gains, frame_seed)
 
     def rectified(
@@ -103,16 +103,15 @@ class Renderer:
     def _motion_since(self, gel: Floats, previous: Floats, rest_index: Floats) -> Floats:
         """Motion from ``previous`` to ``gel`` of what each raw pixel sees, [320, 427, 2], rectified px."""
         change = _refined((gel[..., :2] - previous[..., :2]) * np.float32(1 / self.appearance.mm_per_px))
-        return _to_raw(np.ascontiguousarray(_remap(change, rest_index)[..., :2]), cv2.INTER_LINEAR)
+        return _to_raw(np.ascontiguousarray(_remap(change, rest_index)[..., :2]))
 
     def _bumps(self, where: Floats, touched: Floats) -> Floats | None:
         """The held surface's texture [320, 427] as a share of the light, or None where it has none."""
         gain = self.appearance.object_texture_gain
         if gain == 0 or not touched.any():
             return None
-        seen = np.asarray(_remap(self._relief, where), np.float32)
-        seen -= 128
-        seen *= _to_raw(touched * np.float32(gain / 127), cv2.INTER_LINEAR)
+        seen = _remap(self._relief, where)
+        seen *= _to_raw(touched * np.float32(gain))
         return seen
 
     def _shaded(self, albedo: Floats, bumps: Floats | None, gains: Floats, frame_seed: int) -> Image:
@@ -120,7 +119,7 @@ class Renderer:
         noise, sigma = _noise(frame_seed), self.appearance.noise_sigma_grey
         channels = []
         for channel, sign in enumerate((0.2, -0.8, 1.0)):  # a bump is lit red on one side and shaded green there
-            level = _to_raw(gains[channel], cv2.INTER_LINEAR)
+            level = _to_raw(gains[channel])
             if bumps is not None:
                 cv2.scaleAdd(bumps, sign, level, dst=level)
             level *= self._light[channel]
@@ -176,8 +175,11 @@ def _gains(felt: Floats, shading_gain: float) -> tuple[Floats, Floats]:
     return gains, np.clip(height / _CONTACT_SHARE, 0, 1).astype(np.float32)
 
 
-def _to_raw(coarse: Floats, interpolation: int) -> Floats:
-    """Every-fifth-pixel field [64, 86, ...] to all raw pixels [320, 427, ...]; a view into something wider."""
+def _to_raw(coarse: Floats, interpolation: int = cv2.INTER_LINEAR) -> Floats:
+    """Every-fifth-pixel field [64, 86, ...] to all raw pixels [320, 427, ...]; a view into something wider.
+
+    Cubic for the gel's motion (a third less error than linear), linear for light; the lens is mapped pixel by pixel.
+    """
     full = cv2.resize(coarse, None, fx=_COARSE_PX, fy=_COARSE_PX, interpolation=interpolation)
     return np.asarray(full, np.float32)[: tx.RAW_HEIGHT_PX, : tx.RAW_WIDTH_PX]
 
@@ -210,22 +212,20 @@ def _lens(look: Appearance) -> _Lens:
     return _Lens(np.asarray(homography, np.float64), full + tx.MARGIN_PX, index.astype(np.float32))
 
 
-def _textures(look: Appearance, rng: np.random.Generator) -> tuple[Image, Image]:
-    """Uint8 [H, W] each, at rest: albedo (160 is plain cloth) and relief of the held surface (128 is flat)."""
+def _textures(look: Appearance, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Float32 [H, W] each, at rest: albedo (1 is plain cloth) and relief of the held surface (-1..1)."""
     fabric = tx.cloth(rng, look.cloth_period_px, look.cloth_contrast, look.worn)
-    albedo = 160 * fabric * (1 - look.dot_darkness * tx.dot_cover(rng, look.missing_dots_share))
-    bumps = 128 + 127 * tx.relief(rng, look.object_texture, look.object_texture_period_px)
-    return _quantised(albedo, look.defocus_px), _quantised(bumps, look.defocus_px)
+    albedo = fabric * (1 - look.dot_darkness * tx.dot_cover(rng, look.missing_dots_share))
+    bumps = tx.relief(rng, look.object_texture, look.object_texture_period_px)
+    return _defocused(np.clip(albedo, 0, 1.6), look.defocus_px), _defocused(bumps, look.defocus_px)
 
 
-def _quantised(texture: Floats, blur_px: float) -> Image:
-    if blur_px > 0:
-        texture = np.asarray(cv2.GaussianBlur(texture, (0, 0), blur_px), np.float32)
-    return np.clip(np.rint(texture), 0, 255).astype(np.uint8)
+def _defocused(texture: Floats, blur_px: float) -> Floats:
+    return np.asarray(cv2.GaussianBlur(texture, (0, 0), blur_px) if blur_px > 0 else texture, np.float32)
 
 
 def _illumination(look: Appearance, lens: _Lens, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Light on the gel [3, 320, 427] (grey levels per level of albedo) and what surrounds the gel [3, 320, 427].
+    """Light on the gel [3, 320, 427] (grey levels per unit of albedo) and what surrounds the gel [3, 320, 427].
 
     GelSlim: green from LEDs at the lower corners, an olive-red cast towards the upper left and centre, brightest
     along the lower edge; beside the gel dark housing, a cable and reflections.
@@ -241,7 +241,7 @@ def _illumination(look: Appearance, lens: _Lens, rng: np.random.Generator) -> tu
     green = 0.30 + 0.46 * corners + 0.22 * edge + 0.16 * cast
     red = 0.20 + 0.06 * corners + 0.20 * edge + 0.34 * cast
     blue = 0.17 + 0.16 * corners + 0.20 * edge + 0.05 * cast
-    light = (np.stack([blue, green, red], -1) + look.ambient) * look.light_bgr * (look.exposure * 255 / 160)
+    light = (np.stack([blue, green, red], -1) + look.ambient) * look.light_bgr * (look.exposure * 255)
     margin = np.minimum(np.minimum(u, 1 - u) * tx.RECTIFIED_WIDTH_PX, np.minimum(v, 1 - v) * tx.RECTIFIED_HEIGHT_PX)
     gel = np.clip(margin / 6 + 1.5, 0, 1)[..., None]
     return _planes(light * gel), _planes(_housing(rng, look.exposure) * (1 - gel))
