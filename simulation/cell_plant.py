@@ -18,11 +18,16 @@ from simulation.probe import Cell
 from simulation.scene import Scene, load_scene
 
 Image = NDArray[np.uint8]
+LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; a solve that polishes to 1e-7 N may miss a camera tick
 
 
 def load(options: CellOptions) -> Scene:
     """The scene of the options, blocks free unless they are bolted down; raises SceneError."""
-    changes = {"blocks__free": not options.fixed_blocks, "camera__fps": options.fps}
+    changes = {
+        "blocks__free": not options.fixed_blocks,
+        "camera__fps": options.fps,
+        "numerics__residual_n": LIVE_RESIDUAL_N,
+    }
     return load_scene(options.object, **changes)
 
 
