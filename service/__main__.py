@@ -23,7 +23,6 @@ COMMANDS = {
     "replay": Command("service.replay", "run perception over a clip, or re-decide a recorded insertion (.mcap)"),
     "calibrate": Command("service.calibrate", "fit the rectification of a camera from frames of a resting gel"),
     "models": Command("service.inspect_models", "check a folder of models and print their cards"),
-    "soak": Command("service.soak", "run insertions against a running service while breaking things"),
 }
 EXIT_BAD_INPUT = 2
 

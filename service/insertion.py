@@ -6,7 +6,7 @@ from typing import Any
 
 from service.attempt import Attempt, WorkResult
 from service.cameras import CameraFrame, now_ns
-from service.contract import FramePair, wire
+from service.contract import Finger, FramePair, wire
 from service.insertion_session import InsertionSession, Replies, ServiceMessage
 from service.recording import Recorder
 
@@ -27,7 +27,7 @@ class Insertion:
     publish: Callable[[str, Any], None]
     heard_ns: int = field(default_factory=now_ns)
     closing: bool = False
-    answers: list[ServiceMessage] = field(default_factory=list)
+    recorded_seq: dict[Finger, int] = field(default_factory=dict)
 
     @property
     def wants_frames(self) -> bool:
@@ -45,19 +45,26 @@ class Insertion:
 
     def prime(self, frame: CameraFrame) -> None:
         """Show the trackers a first frame."""
-        if self.recorder:
-            self.recorder.frame(frame)
+        self._record(frame)
         self._call({"call": "prime", "finger": frame.frame.finger, "seq": frame.frame.seq}, now_ns())
         self.session.prime(frame.frame)
+
+    def _record(self, frame: CameraFrame) -> None:
+        """Record a frame once; a pair may hold one that came before the attempt or was dropped from the queue."""
+        finger, seq = frame.frame.finger, frame.frame.seq
+        if self.recorder and seq > self.recorded_seq.get(finger, -1):
+            self.recorded_seq[finger] = seq
+            self.recorder.frame(frame)
 
     def frame(self, frame: CameraFrame, pair: FramePair | None) -> None:
         """A camera frame, and the pair it completes, if any."""
         now = now_ns()
-        if self.recorder:
-            self.recorder.frame(frame)
+        self._record(frame)
         self._call({"call": "frame", "finger": frame.frame.finger, "seq": frame.frame.seq}, now)
         self._emit(self.session.on_frame(frame.frame, now), now)
         if pair is not None:
+            for half in (pair.left, pair.right):
+                self._record(CameraFrame(half, None))
             now = now_ns()
             self._call({"call": "pair", "left": pair.left.seq, "right": pair.right.seq}, now)
             self._emit(self.session.on_pair(pair, now), now)
@@ -79,6 +86,7 @@ class Insertion:
     def camera_fault(self, code: str, detail: str) -> None:
         """A camera went bad in the middle of an insertion."""
         now = now_ns()
+        self._call({"call": "camera_fault", "code": code, "detail": detail}, now)
         self._emit(self.session.on_camera_fault(code, detail), now)
 
     def attempt_decided(self, attempt: Attempt) -> None:

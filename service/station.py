@@ -147,7 +147,7 @@ class Station:
     def _next_frame(self) -> None:
         while len(self._frames) > BACKLOG_FRAMES:
             self._frames.popleft()
-            self.counters.frames_dropped_n += 1
+            self.counters.frames_dropped_n += bool(self.active and self.active.wants_frames)
         if not self._frames:
             return
         frame, pair = self._frames.popleft()

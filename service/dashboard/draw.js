@@ -9,8 +9,7 @@ export function drawFinger(canvas, image, content) {
     if (!valid[i]) continue;
     const x = rest[2 * i] * scale, y = rest[2 * i + 1] * scale;
     line(pen, x, y, x + 4 * moved[2 * i] * scale, y + 4 * moved[2 * i + 1] * scale, "#ffe14d", 2);
-    const slip = Math.hypot(residual[2 * i], residual[2 * i + 1]);
-    if (slip > 0.7) line(pen, x, y, x + 4 * residual[2 * i] * scale, y + 4 * residual[2 * i + 1] * scale, "#ff4d4d", 4);
+    if (content.slipping[i]) line(pen, x, y, x + 4 * residual[2 * i] * scale, y + 4 * residual[2 * i + 1] * scale, "#ff4d4d", 4);
   }
 }
 

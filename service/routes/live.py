@@ -48,13 +48,22 @@ def picture(frame: CameraFrame | None, observation: Observation | None) -> dict[
             "moved": field.displacement_px.ravel().round(2).tolist(),
             "residual": observation.slip.residual_px.ravel().round(2).tolist(),
             "valid": field.valid.ravel().tolist(),
+            "slipping": observation.slip.slipping.ravel().tolist(),
         }
     if frame is None:
         return None
     height, width = frame.frame.pixels.shape[:2]
     jpeg = frame.jpeg or cv2.imencode(".jpg", frame.frame.pixels)[1].tobytes()
     empty: list[float] = []
-    nothing = {"rest": empty, "moved": empty, "residual": empty, "valid": empty, "state": "watching", "score": 0.0}
+    nothing = {
+        "rest": empty,
+        "moved": empty,
+        "residual": empty,
+        "slipping": empty,
+        "valid": empty,
+        "state": "watching",
+        "score": 0.0,
+    }
     return {"finger": frame.frame.finger, "width": width, "height": height, "jpeg": _jpeg(jpeg)} | nothing
 
 
