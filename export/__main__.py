@@ -34,6 +34,31 @@ def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models")) -> No
     print("\n".join(check(folder)))
 
 
+def quantize(
+    folder: Annotated[Path, tyro.conf.Positional] = Path("models"),
+    out: Path = Path("runs/int8"),
+    data: Path = Path("data/probes"),
+    decisions: int = 200,
+) -> None:
+    """Make the int8 twins of the released pair and say how many robot commands they would change.
+
+    Args:
+        folder: folder of the released fp32 pair.
+        out: folder of the int8 pair.
+        data: collected dataset; 16 decisions calibrate, the rest are compared.
+        decisions: how many decisions to read.
+    """
+    from export.quantize import agreement
+    from export.quantize import quantize as shrink
+    from export.verify import open_model
+    from training.dataset import read_decisions
+
+    frames = read_decisions(str(data), decisions)
+    names = ("direction.step.onnx", "magnitude.step.onnx")
+    pairs = [(open_model(folder / name), open_model(shrink(folder / name, out / name, frames[:16]))) for name in names]
+    print(agreement(pairs[0], pairs[1], frames[16:]))
+
+
 def benchmark(
     models: Annotated[list[Path], tyro.conf.Positional] = [],  # noqa: B006 - tyro copies it
     seconds: float = 2.0,
@@ -56,7 +81,12 @@ def benchmark(
 def main() -> None:
     """Command line entry."""
     try:
-        commands: dict[str, Callable[..., None]] = {"onnx": onnx, "verify": verify, "benchmark": benchmark}
+        commands: dict[str, Callable[..., None]] = {
+            "onnx": onnx,
+            "verify": verify,
+            "quantize": quantize,
+            "benchmark": benchmark,
+        }
         tyro.extras.subcommand_cli_from_dict(commands, prog="python -m export")
     except ContractError as error:
         print(f"error: {error}", file=sys.stderr)
