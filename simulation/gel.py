@@ -203,7 +203,9 @@ def settle(constants: Any, nodes: Any, trial: Any) -> tuple[int, float]:
         px, _, pz = material(node, trial)
         sx, sz = node.sx + px - node.x, node.sz + pz - node.z
         size = math.sqrt(sx * sx + sz * sz)
-        bound = node.limit / constants.kt
+        depth, _ = indentation(constants, node, trial)
+        node.pressure = constants.kn * max(depth, 0.0)
+        bound = min(node.limit, constants.friction * node.pressure) / constants.kt
         share, node.slipped = 1.0, 0.0
         if size > bound:
             share = bound / size
@@ -211,7 +213,5 @@ def settle(constants: Any, nodes: Any, trial: Any) -> tuple[int, float]:
                 node.slipped = 1.0
                 slipping += 1
         node.sx, node.sz = sx * share, sz * share
-        depth, _ = indentation(constants, node, trial)
-        node.pressure = constants.kn * max(depth, 0.0)
         worst = max(worst, constants.kt * size * share - constants.friction * node.pressure)
     return slipping, worst

@@ -17,7 +17,7 @@ from numba import njit
 from simulation import contact, equilibrium, gel
 from simulation.linear import cholesky_solve, lu_solve
 
-SETTLED, LAGGED, STALLED, LOST = 0, 1, 2, 3
+SETTLED, STALLED, LOST = 0, 1, 2
 MAX_DIRECT, MAX_CONVEX, FREEZE_CONVEX, MAX_INNER = 20, 40, 30, 60
 FAR_IN_HAND_MM = 30.0
 
@@ -168,13 +168,13 @@ def _convex(
     tol: float,
 ) -> tuple[float, int, int]:
     """Lagged friction; gives the residual, N, all iterations (-1: the object left the hand) and the rounds."""
-    count, goal, value = 0, 1e-3, math.inf
+    count, goal, value, exact = 0, 1e-3, math.inf, False
     contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
     for outer in range(MAX_CONVEX):
         for inner in range(MAX_INNER):
             value = _forces(constants, trial, rows, nodes, False)
             if inner == 0 and outer > 0:
-                if value <= tol:
+                if value <= tol and (exact or outer > FREEZE_CONVEX):
                     return value, count, outer
                 goal = max(0.5 * tol, min(1e-3, 0.01 * value))
             if value <= goal:
@@ -187,7 +187,8 @@ def _convex(
         if not value <= goal:
             return value, count, outer
         if outer < FREEZE_CONVEX:
-            gel.renew_limits(constants, nodes, trial, 1.0 if outer < 12 else 0.5)
+            exact = outer < 12 or value <= 1e3 * tol
+            gel.renew_limits(constants, nodes, trial, 1.0 if exact else 0.5)
             contact.refresh(constants, state, trial, rows, slots, foot, corner, False)
     return value, count, MAX_CONVEX
 
@@ -238,11 +239,11 @@ def advance(
         state.report[0] = value
         if count < 0:
             return LOST
-        if not value <= tol:
+        if not value <= tol or rounds > FREEZE_CONVEX:
             return STALLED
     _finish(constants, state, trial, rows, slots, nodes)
     state.report[0], state.report[1], state.report[2] = value, tries, rounds
-    return LAGGED if rounds > FREEZE_CONVEX else SETTLED
+    return SETTLED
 
 
 @njit(cache=True)

@@ -1,0 +1,147 @@
+"""What the solver promises: residuals, friction cones, memory, determinism, and typed failures."""
+
+import hashlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from simulation.probe import Cell, PhysicsError, run_probe
+from simulation.scene import BUILT_IN, SceneError, load_scene
+
+CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+
+
+def hard_probe(rng: np.random.Generator) -> str:
+    """One random hard descent; gives its outcome. Asserts everything the issue promises of it."""
+    name = BUILT_IN[int(rng.integers(len(BUILT_IN)))]
+    try:
+        scene = load_scene(
+            name,
+            gel__friction=float(rng.choice([0.0, 0.2, 0.8, 2.0])),
+            blocks__friction=float(rng.choice([0.0, 0.25, 1.0])),
+            blocks__stiffness_n_per_mm=float(10.0 ** rng.uniform(1.0, 4.0)),
+            blocks__free=bool(rng.random() < 0.5),
+            grasp__force_n=float(rng.uniform(1.0, 60.0)),
+            numerics__load_step_mm=float(rng.choice([0.05, 0.17, 0.5])),
+        )
+        cell = Cell(scene, int(rng.integers(1 << 30)))
+        span = scene.x_range_mm
+        cell.regrasp(float(rng.uniform(-span, span)), float(rng.uniform(-15, 15)))
+        x, y, z, yaw = cell.pose
+        for depth in (5.05, 5.6, 6.5, 5.2):
+            state = cell.move_to(x, y, z - depth, float(np.degrees(yaw)))
+            if state.grasp_lost:
+                return "grasp_lost"
+            assert np.all(np.isfinite(state.gel))
+            assert state.residual_n <= 1e-6
+            assert cell.state["report"][4] <= 1e-9
+    except (PhysicsError, SceneError):
+        return "refused"
+    return "solved"
+
+
+def test_random_hard_probes_solve_or_fail_by_name() -> None:
+    rng = np.random.default_rng(11)
+    outcomes = [hard_probe(rng) for _ in range(40)]
+    assert outcomes.count("solved") > 20
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+def test_ten_thousand_hard_probes_solve_or_fail_by_name() -> None:
+    rng = np.random.default_rng(12)
+    for _ in range(10_000):
+        hard_probe(rng)
+
+
+@pytest.mark.parametrize("name", ["rectangle", "circle", "ellipse"])
+def test_the_convex_and_the_coupled_solver_find_one_equilibrium(name: str) -> None:
+    ends = []
+    for direct in (True, False):
+        cell = Cell(load_scene(name, **CLEAN))
+        cell.direct = direct
+        cell.regrasp(8.0, 5.0)
+        ends.append(cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.2, 5.0))
+    np.testing.assert_allclose(ends[0].wrench_n_nmm, ends[1].wrench_n_nmm, atol=0.03)
+    np.testing.assert_allclose(ends[0].in_hand, ends[1].in_hand, atol=2e-4)
+
+
+@pytest.mark.parametrize("name", ["rectangle", "hexagon"])
+def test_halving_the_load_step_barely_moves_the_object(name: str) -> None:
+    ends = []
+    for step in (0.17, 0.01):
+        cell = Cell(load_scene(name, numerics__load_step_mm=step, **CLEAN))
+        cell.regrasp(8.0, 0.0)
+        ends.append(cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.2, 0.0).in_hand)
+    assert 1e3 * np.linalg.norm((ends[0] - ends[1])[:3]) < 5.0
+    assert np.degrees(np.linalg.norm((ends[0] - ends[1])[3:])) < 0.01
+
+
+def test_a_held_load_does_not_drift() -> None:
+    cell = Cell(load_scene("rectangle"))
+    cell.regrasp(9.0, 4.0)
+    x, y, z, yaw = cell.pose
+    first = cell.move_to(x, y, z - 6.2, float(np.degrees(yaw)))
+    for _ in range(30):
+        cell._advance(cell.pose)
+    last = cell.look()
+    assert last.wrench_n_nmm[2] == pytest.approx(first.wrench_n_nmm[2], rel=1e-4)
+
+
+def test_drift_in_the_hand_is_remembered_after_the_load_is_gone() -> None:
+    cell = Cell(load_scene("rectangle", **CLEAN))
+    cell.regrasp(9.0, 0.0)
+    x, y, z, yaw = cell.pose
+    cell.move_to(x, y, z - 7.5, float(np.degrees(yaw)))
+    back = cell.move_to(x, y, z, float(np.degrees(yaw)))
+    assert not back.in_contact
+    assert np.abs(back.wrench_n_nmm).max() < 1e-3
+    assert np.degrees(abs(back.in_hand[4])) > 0.3
+
+
+def test_without_friction_a_load_pushes_the_object_out_of_the_hand_or_up() -> None:
+    found = run_probe(load_scene("rectangle", gel__friction=0.05, effects__gravity="off"), 8.0, 0.0)
+    assert found.wrench[:, 2].max() < 2.0 * 0.05 * 20.0 * 1.1
+
+
+def test_free_blocks_move_only_when_pushed_hard_enough() -> None:
+    light = Cell(load_scene("circle", blocks__free=True, blocks__table_friction=0.02, **CLEAN))
+    heavy = Cell(load_scene("circle", blocks__free=True, blocks__mass_kg=20.0, **CLEAN))
+    for cell, moved in ((light, True), (heavy, False)):
+        cell.regrasp(6.0, 0.0)
+        cell.move_to(6.0, 0.0, cell.pose[2] - 7.0, 0.0)
+        assert (np.abs(cell.look().block_motion[:, 0]).max() > 0.05) == moved
+
+
+def test_partial_slip_under_a_curved_object_follows_winkler() -> None:
+    """Cylinder on a Winkler pad: it sticks where kt s < mu p, which for a parabola is |x| < c."""
+    cell = Cell(load_scene("circle", gel__crown_mm=0.0, gel__node_columns=84, effects__gravity="off", **CLEAN))
+    cell.regrasp(0.0, 0.0)
+    before = cell.nodes["pressure"].copy()
+    shift = 0.3
+    constants, nodes = cell.constants[0], cell.nodes
+    slips = (before > 0) & (constants["friction"] * before < constants["kt"] * shift)
+    share = slips.sum() / (before > 0).sum()
+    a = np.abs(nodes["x"][before > 0]).max()
+    top = before.max()
+    c = a * np.sqrt(1.0 - constants["kt"] * shift / (constants["friction"] * top))
+    assert share == pytest.approx(1.0 - c / a, abs=0.05)
+
+
+def fingerprint() -> str:
+    """Hash of one probe's bits."""
+    found = run_probe(load_scene("hexagon"), 7.0, -4.0, seed=3)
+    return hashlib.sha256(found.gel.tobytes() + found.wrench.tobytes()).hexdigest()
+
+
+def test_another_process_gets_the_same_bits() -> None:
+    code = "from tests.simulation.test_mechanics import fingerprint; print(fingerprint())"
+    other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert other.stdout.strip() == fingerprint()
+
+
+def test_a_grip_that_squeezes_the_gel_through_is_refused() -> None:
+    with pytest.raises(PhysicsError, match=r"grasp\.force_n"):
+        Cell(load_scene("ellipse", grasp__force_n=120.0, gel__thickness_mm=0.5))
