@@ -160,11 +160,8 @@ FAST = (
     ("egm silent", Phase.DESCENDING),
     ("emergency stop", Phase.DESCENDING),
     ("part lost", Phase.DESCENDING),
-    ("gripper reset", Phase.RETRACTING),
     ("service mute", Phase.DESCENDING),
     ("correction nan", Phase.DECIDING),
-    ("service closes", Phase.ARMING),
-    ("operator interrupts", Phase.CORRECTING),
 )
 
 
