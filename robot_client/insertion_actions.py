@@ -34,7 +34,7 @@ def go(state: State, phase: Phase, path: tuple[WorkPose, ...], motion: Motion, a
         duration_s = plan.ramps.duration_s(state.pose, path[0], motion)
     except ValueError as error:
         return fail(state, "limits", "target", str(error))
-    deadline_s = at_s + 1.5 * duration_s + plan.timeouts.motion_s
+    deadline_s = at_s + 3.0 * duration_s + plan.timeouts.motion_s
     state = replace(state, phase=phase, path=path[1:], deadline_s=deadline_s)
     return state, (Move(target=path[0], motion=motion),)
 

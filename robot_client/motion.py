@@ -9,7 +9,7 @@ from service.contract.frames import Contract
 
 CYCLE_S = 0.004
 MISSED_CYCLES = 3
-_RESUME_S = 0.1  # after a gap the way is taken up again with this ramp
+_RESUME_S = 0.05  # after a gap the way is taken up again with this ramp
 _SETTLE_MM = 0.03
 _SETTLE_DEG = 0.03
 _STILL_MM = 0.015  # within a window this small for _SETTLE_S: standing still
@@ -95,12 +95,12 @@ class MotionGuide:
     def advance(self, elapsed_s: float) -> WorkPose:
         """Target after ``elapsed_s``; raises LimitError (target unchanged) if it may not be sent.
 
-        Over a gap of more than MISSED_CYCLES the target takes one cycle's way at most, then gains speed on a ramp.
+        Over a gap of more than MISSED_CYCLES the target takes their way at most, then gains speed on a ramp.
         """
         if self._profile is None or elapsed_s <= 0.0:
             return self.target
         if elapsed_s > (MISSED_CYCLES + 0.5) * CYCLE_S:
-            self._rate = min(self._rate, CYCLE_S / elapsed_s)
+            self._rate = min(self._rate, MISSED_CYCLES * CYCLE_S / elapsed_s)
             self._walked_s += elapsed_s * self._rate
         else:
             self._walked_s += elapsed_s * self._rate
