@@ -140,7 +140,8 @@ def insert(report: Report, loop: Loop, what: str, tries: int = 3) -> bool:
     """An insertion that must end with 0 and with the object in the gap, on one of a few tries; every try is told."""
     started = time.monotonic()
     told = []
-    for _ in range(tries):
+    for attempt in range(tries):
+        time.sleep(10.0 * attempt)  # an overloaded machine makes it hold, rightly; give that time to pass
         with loop.client() as client:
             output = client.communicate(timeout=300)[0]
         inserted = dict_of(loop.truth().get("object")).get("inserted") is True
