@@ -10,7 +10,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all check collect train export evaluate requirements clean
+.PHONY: help run test test-all check accuracy collect train export evaluate requirements clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -59,6 +59,9 @@ COUNT ?= 30
 
 collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; goes on after an interruption
 	$(BIN)/python -m simulation collect --trials-per-object $(TRIALS) --out $(PROBES)
+
+accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png
+	$(BIN)/python -m simulation accuracy
 
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours
 	$(RUN) -m simulation evaluate --out $(EVALUATION) --count $(COUNT)

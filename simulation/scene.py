@@ -84,7 +84,7 @@ class Gel(Part):
     A bristle's stiffness per area is G / thickness along the pad, normal_ratio times that into it.
     """
 
-    tier: Literal["bristle", "layer"] = "bristle"
+    tier: Literal["bristle"] = "bristle"
     thickness_mm: float = Field(default=2.5, ge=0.3, le=10.0)
     shear_modulus_n_per_mm2: float = Field(default=0.1, ge=0.005, le=5.0)
     normal_ratio: float = Field(default=3.0, ge=0.5, le=50.0)
@@ -137,7 +137,6 @@ class Effects(Part):
     """`auto` follows the predicate in `simulation.effects`; `on` and `off` force it."""
 
     gravity: Switch = "auto"
-    inertia: Switch = "auto"
     edge_friction: Switch = "auto"
     free_blocks: Switch = "auto"
     gel_wear: Switch = "auto"
@@ -221,14 +220,9 @@ class Scene(Part):
             "camera.light": draw(0.85, 1.15, 0.15),
             "gel.wear": draw(0.1, 0.4, 0.1),
         }
-        if self.object.shape == "hexagon":
-            changes["object.size_y_mm"] = size_x
-        if (
-            self.object.held_shape is None
-            and self.object.shape == "ellipse"
-            and self.object.size_x_mm == self.object.size_y_mm
-        ):
-            changes["object.size_y_mm"] = size_x
+        body = self.object
+        if body.shape == "hexagon" or (body.shape == "ellipse" and body.size_x_mm == body.size_y_mm):
+            changes["object.size_y_mm"] = size_x  # what is regular or round stays so
         return self.varied(changes)
 
 

@@ -3,9 +3,45 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from simulation.probe import run_probe
-from simulation.scene import load_scene
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import FINGERS
+from simulation.appearance import Appearance
+from simulation.imprint import Renderer
+from simulation.probe import Probe, run_probe
+from simulation.scene import Scene, load_scene
+
+
+def pictures(scene: Scene, probe: Probe, seed: int) -> list[NDArray[np.uint8]]:
+    """Rectified frames of both fingers side by side, uint8 [320, 654, 3] BGR, one a kept frame."""
+    eyes = [Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS]
+    out = []
+    for i, gel in enumerate(probe.gel.astype(np.float32)):
+        previous = probe.gel[max(i - 1, 0)].astype(np.float32)
+        pair = [eye.rectified(gel[k], 2 * i + k, previous[k]) for k, eye in enumerate(eyes)]
+        out.append(np.concatenate(pair, axis=1))
+    return out
+
+
+def save(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
+    """The last frame as .png, or all of them as .mp4. Raises ValueError for another ending or where writing fails."""
+    if path.suffix == ".png":
+        if not cv2.imwrite(str(path), frames[-1]):
+            raise ValueError(f"--save: {path} cannot be written")
+        return
+    if path.suffix != ".mp4":
+        raise ValueError(f"--save: expected a name ending in .png or .mp4, got {path}")
+    height, width = frames[0].shape[:2]
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
+    if not video.isOpened():
+        raise ValueError(f"--save: {path} cannot be written")
+    for frame in frames:
+        video.write(frame)
+    video.release()
 
 
 def main(arguments: list[str]) -> int:
@@ -15,8 +51,10 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--x-mm", type=float, default=8.0, help="position error across the gap (default 8)")
     parser.add_argument("--theta-deg", type=float, default=5.0, help="yaw error (default 5)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--save", type=Path, help="both fingers' frames: last one as .png or all as .mp4")
     given = parser.parse_args(arguments)
-    probe = run_probe(load_scene(given.scene), given.x_mm, given.theta_deg, seed=given.seed)
+    scene = load_scene(given.scene)
+    probe = run_probe(scene, given.x_mm, given.theta_deg, seed=given.seed)
     print(
         f"outcome {probe.outcome}; "
         f"onset frame {probe.onset_frame}, slip {probe.true_slip_frame}, stop {probe.stop_frame}"
@@ -26,4 +64,7 @@ def main(arguments: list[str]) -> int:
         shear = float(abs(probe.gel[i, ..., :2] - probe.gel[0, ..., :2]).max())
         tilt = 57.29578 * float((probe.in_hand[i, 3:5] ** 2).sum()) ** 0.5
         print(f"{i:5d}  {depth:8.2f}  {probe.wrench[i, 2]:7.2f}  {tilt:8.2f}  {shear:8.3f}")
+    if given.save is not None:
+        save(pictures(scene, probe, given.seed), given.save, scene.camera.fps)
+        print(f"saved {given.save}")
     return 0
