@@ -10,13 +10,14 @@ from dataclasses import asdict, dataclass
 from simulation.emulators.abb_cabinet import Cabinet
 
 _DESCENT_MM_S = -1.0
+_REST_MM_S = 0.1  # what a lag still has to go at this speed is a few micrometres
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
     """One end of a downward motion."""
 
-    frozen_ns: int  # the last target that differed from the one before reached the controller
+    frozen_ns: int  # the last target that was lower than the one before reached the controller
     rest_ns: int
     z_frozen_mm: float
     z_rest_mm: float
@@ -44,12 +45,12 @@ class StopWatch:
 
     def __call__(self) -> None:
         arm = self._cabinet.arm
-        if arm.target != self._target:
-            self._target = arm.target
+        target, self._target = self._target, arm.target
+        if arm.target.position_mm[2] < target.position_mm[2]:  # lowered further: not frozen yet
             self._frozen_ns, self._z_frozen_mm = time.monotonic_ns(), arm.pose.position_mm[2]
         if arm.velocity_mm_s[2] < _DESCENT_MM_S:
             self._descending = True
-        elif self._descending and abs(arm.velocity_mm_s[2]) < 0.05:
+        elif self._descending and arm.velocity_mm_s[2] > -_REST_MM_S:
             self._descending = False
             stop = Stop(self._frozen_ns, time.monotonic_ns(), self._z_frozen_mm, arm.pose.position_mm[2])
             self.stops.append(stop)
