@@ -6,6 +6,7 @@ response is the maximum-likelihood position under white noise; a paraboloid over
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -13,10 +14,18 @@ from numpy.typing import NDArray
 
 from service.perception.field import FloatArray
 
-_OFFSETS = np.array([(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
-_PARABOLOID = np.linalg.pinv(
-    np.array([(1, dx, dy, dx * dx, dx * dy, dy * dy) for dx, dy in _OFFSETS.tolist()], np.float64)
-).astype(np.float32)
+Kernel = Literal["gauss", "box"]
+
+
+def _paraboloid(side: int) -> tuple[NDArray[np.intp], FloatArray]:
+    """Pixel offsets [side^2, 2] of a window and the least-squares operator [6, side^2] of a paraboloid over them."""
+    reach = range(-(side // 2), side // 2 + 1)
+    offsets = np.array([(dx, dy) for dy in reach for dx in reach], np.intp)
+    terms = np.array([(1, dx, dy, dx * dx, dx * dy, dy * dy) for dx, dy in offsets.tolist()], np.float64)
+    return offsets, np.linalg.pinv(terms).astype(np.float32)
+
+
+_WINDOWS = {side: _paraboloid(side) for side in (3, 5)}
 SIGMA_PER_DIAMETER = 0.32  # flat optimum between 0.26 and 0.4 for a disk seen through a lens of 0.35 px
 
 
@@ -30,11 +39,17 @@ class Candidates:
 
 @dataclass(frozen=True, slots=True)
 class MarkerDetector:
-    """Finds markers of ``diameter_px`` on a grid of about ``pitch_px``; ``shrink`` reduces the image first."""
+    """Finds markers of ``diameter_px`` on a grid of about ``pitch_px``.
+
+    ``shrink`` reduces the image first; ``kernel`` "box" replaces the Gaussian by a mean (cheaper, coarser);
+    ``window`` is the side of the paraboloid in pixels.
+    """
 
     diameter_px: float
     pitch_px: float
     shrink: int = 1
+    kernel: Kernel = "gauss"
+    window: Literal[3, 5] = 3
 
     def response(self, image: NDArray[np.uint8]) -> FloatArray:
         """Matched-filter response float32 [height / shrink, width / shrink], grey levels, positive on dark markers."""
@@ -46,9 +61,13 @@ class MarkerDetector:
             )
         sigma = SIGMA_PER_DIAMETER * self.diameter_px / self.shrink
         cell = 2 * round(self.pitch_px / self.shrink / 2) + 1
-        taps = 2 * int(np.ceil(2.5 * sigma)) + 1
-        kernel = cv2.getGaussianKernel(taps, sigma, cv2.CV_32F)
-        peak = cv2.sepFilter2D(grey, cv2.CV_32F, kernel, kernel)
+        if self.kernel == "box":
+            side = 2 * round(sigma) + 1
+            peak = cv2.boxFilter(grey, cv2.CV_32F, (side, side))
+        else:
+            taps = 2 * int(np.ceil(2.5 * sigma)) + 1
+            weights = cv2.getGaussianKernel(taps, sigma, cv2.CV_32F)
+            peak = cv2.sepFilter2D(grey, cv2.CV_32F, weights, weights)
         around = cv2.boxFilter(grey, cv2.CV_32F, (cell, cell))
         return np.asarray(cv2.subtract(around, peak), np.float32)
 
@@ -58,8 +77,9 @@ class MarkerDetector:
         reach = max(1, round(0.3 * self.pitch_px / self.shrink))
         tallest = cv2.dilate(response, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
         peaks = (response >= tallest) & (response > threshold)
-        peaks[[0, -1]] = False
-        peaks[:, [0, -1]] = False
+        rim = self.window // 2
+        peaks[:rim] = peaks[-rim:] = False
+        peaks[:, :rim] = peaks[:, -rim:] = False
         flat = np.flatnonzero(peaks)
         strength = response.ravel()[flat]
         flat = flat[np.argsort(-strength, kind="stable")]
@@ -67,8 +87,9 @@ class MarkerDetector:
 
     def _refine(self, response: FloatArray, flat: NDArray[np.intp]) -> Candidates:
         width = response.shape[1]
-        values = response.ravel()[flat[:, None] + _OFFSETS[:, 1] * width + _OFFSETS[:, 0]]
-        _, gx, gy, xx, xy, yy = (values @ _PARABOLOID.T).T
+        offsets, operator = _WINDOWS[self.window]
+        values = response.ravel()[flat[:, None] + offsets[:, 1] * width + offsets[:, 0]]
+        _, gx, gy, xx, xy, yy = (values @ operator.T).T
         determinant = 4 * xx * yy - xy * xy
         sound = determinant > 1e-9
         safe = np.where(sound, determinant, 1)
@@ -77,4 +98,4 @@ class MarkerDetector:
         centre = np.stack([flat % width, flat // width], 1) + shift
         # With INTER_AREA the centre of small pixel i is that of the block of `shrink` pixels it averages.
         full = (centre + 0.5) * self.shrink - 0.5
-        return Candidates(full.astype(np.float32), values[:, 4])
+        return Candidates(full.astype(np.float32), values[:, self.window**2 // 2])

@@ -1,11 +1,12 @@
 """The marker tracker: rectified frames in, a grid-indexed marker field out."""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.detect import Candidates, MarkerDetector
+from service.perception.detect import Candidates, Kernel, MarkerDetector
 from service.perception.field import FloatArray, MarkerField, TrackStatus, empty_field
 from service.perception.lattice import Lattice, find_lattice
 from service.perception.matching import Match, View, match, reindex
@@ -17,12 +18,15 @@ _CALM = 1.2  # misfit a node above the running level at which the grid is matche
 class TrackerSettings:
     """What the tracker may spend.
 
-    ``shrink`` halves (or more) the image before detection; None chooses by marker size. ``recover`` allows the
-    topology match on suspicion. ``threshold`` is the weakest spot, as a share of the typical marker's strength.
+    ``shrink`` halves (or more) the image before detection; None chooses by marker size. ``kernel`` and ``window`` are
+    those of :class:`MarkerDetector`. ``recover`` allows the topology match on suspicion. ``threshold`` is the weakest
+    spot, as a share of the typical marker's strength.
     """
 
     shrink: int | None = None
     recover: bool = True
+    kernel: Kernel = "gauss"
+    window: Literal[3, 5] = 3
     threshold: float = 0.3
     lost_share: float = 0.2
     partial_share: float = 0.6
@@ -83,7 +87,9 @@ class MarkerTracker:
             return False
         shrink = self.settings.shrink or max(1, int(lattice.diameter_px / 6))
         self._lattice = lattice
-        self._detector = MarkerDetector(lattice.diameter_px, lattice.pitch_px, shrink)
+        self._detector = MarkerDetector(
+            lattice.diameter_px, lattice.pitch_px, shrink, self.settings.kernel, self.settings.window
+        )
         self._shape = image.shape
         self._xy = lattice.xy_px
         self._velocity = np.zeros_like(self._xy)
