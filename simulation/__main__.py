@@ -16,6 +16,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "view": ("simulation.view:main", "trials of a dataset as pictures"),
     "plate": ("simulation.plate:main", "what the simulated sensor sees, object by object, as one picture"),
     "export-dataset": ("simulation.export_dataset:main", "trials as a LeRobot v3.0 dataset or as MCAP files"),
+    "slip-report": ("simulation.evaluate_slip:main", "how well slip is seen and what seeing costs: table, JSON, plot"),
     "accuracy": ("simulation.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
 }
 

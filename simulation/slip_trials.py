@@ -27,8 +27,11 @@ DEPTH_MM = 25.0
 
 @dataclass(frozen=True, slots=True)
 class SlipTrial:
-    """One descent at the camera's rate. ``gel`` float32 [frames, 2, 20, 21, 3], ``share`` [frames]: true slipping share
-    of the worse pad; ``onset_frame`` and ``slip_frame`` are -1 where they never came. Frame 0 is the reference."""
+    """One descent at the camera's rate; frame 0 is the reference.
+
+    ``gel`` float32 [frames, 2, 20, 21, 3], ``share`` [frames]: true slipping share of the worse pad; ``onset_frame``
+    and ``slip_frame`` are -1 where they never came.
+    """
 
     name: str
     held_out: bool

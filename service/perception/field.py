@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,6 +67,15 @@ def field_from_gel(
     displacement = np.where(valid[..., None], state[..., :2], 0.0) * np.float32(pitch_px / marker_pitch_mm)
     contact: BoolArray = valid & (state[..., 2] > contact_pressure_n_per_mm2)
     return MarkerField(rest, displacement.astype(np.float32), valid, contact, pitch_px, captured_ns)
+
+
+def neighbour_mean(values: FloatArray, valid: BoolArray) -> FloatArray:
+    """Mean over the up to eight valid neighbours of each node, 0 where it has none; ``values`` [rows, cols, 2]."""
+    weight = valid.astype(np.float32)
+    stack = np.dstack([values * weight[..., None], weight])
+    around = cv2.boxFilter(stack, cv2.CV_32F, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT) - stack
+    count = np.rint(around[..., 2:])
+    return np.asarray(np.where(count > 0, around[..., :2] / np.maximum(count, 1), 0), np.float32)
 
 
 def neighbour_median(values: FloatArray, valid: BoolArray) -> tuple[FloatArray, NDArray[np.intp]]:

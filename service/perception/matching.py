@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.field import BoolArray, FloatArray, neighbour_median
+from service.perception.field import BoolArray, FloatArray, neighbour_mean, neighbour_median
 from service.perception.lattice import fill_gaps, flood, lattice_basis
 
 _SEARCH = 0.46  # pitch; the spot that belongs to a node lies within this of its prediction
@@ -100,9 +100,8 @@ def judge(
     torn = valid & (around >= 3) & (np.square(displacement - typical).sum(-1) > (_TEAR * pitch) ** 2)
     valid = valid & ~torn
     step = xy - previous
-    smooth, around = neighbour_median(step, valid)
-    known = around > 0
-    guess = np.where(known[..., None], previous + smooth, previous)
+    smooth = neighbour_mean(step, valid)
+    guess = previous + smooth
     xy = np.where(valid[..., None], xy, guess).astype(np.float32)
     scatter = np.square(step - smooth).sum(-1) / (_FINGERPRINT * pitch) ** 2
     in_view = view.sees(xy)

@@ -1,0 +1,263 @@
+"""`python -m simulation slip-report`: how well slip is seen, and what seeing costs, on trials whose truth is known.
+
+Writes JSON, a picture and a table. A trial is right if slip is announced from the moment a tenth of the nodes slip to
+three frames after a quarter does (slip trials), or never (others). Earlier is a false alarm, later or never a miss.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import FINGERS
+from service.perception.field import MarkerField, field_from_gel
+from service.perception.markers import MarkerTracker, TrackerSettings
+from service.perception.onset import OnsetDetector
+from service.perception.slip import SlipDetector
+from simulation.imprint import Appearance, Renderer
+from simulation.slip_baselines import LucasKanade, NearestBlob, rule_2019
+from simulation.slip_trials import NO_SLIP_SHARE, SlipTrial, draw_trials
+from simulation.texture import MARKER_PITCH_PX, marker_rest_px
+
+LATE_N = 3
+Image = NDArray[np.uint8]
+
+
+class Tracker(Protocol):
+    """What the report compares."""
+
+    def update(self, image: Image, captured_ns: int) -> MarkerField:
+        """One rectified frame in, the marker field out."""
+
+
+TRACKERS: dict[str, Callable[[], Tracker]] = {
+    "half resolution": lambda: MarkerTracker(TrackerSettings(shrink=2)),
+    "box filters": lambda: MarkerTracker(TrackerSettings(kernel="box")),
+    "standard": MarkerTracker,
+    "wide paraboloid": lambda: MarkerTracker(TrackerSettings(window=5)),
+    "no topology": lambda: MarkerTracker(TrackerSettings(recover=False)),
+    "nearest blob (baseline)": NearestBlob,
+    "Lucas-Kanade 15/2 (baseline)": lambda: LucasKanade(15, 2),
+    "Lucas-Kanade 21/3 (baseline)": lambda: LucasKanade(21, 3),
+}
+
+
+def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float, float]:
+    """Share and its 95 % Wilson interval; (nan, 0, 1) of nothing."""
+    if count == 0:
+        return math.nan, 0.0, 1.0
+    p = hits / count
+    centre = (p + z * z / (2 * count)) / (1 + z * z / count)
+    half = z / (1 + z * z / count) * math.sqrt(p * (1 - p) / count + z * z / (4 * count * count))
+    return p, max(0.0, centre - half), min(1.0, centre + half)
+
+
+@dataclass(slots=True)
+class Tally:
+    """Verdicts of one way of seeing, over trials."""
+
+    right: int = 0
+    missed: int = 0
+    false: int = 0
+    trials: int = 0
+    delays: list[int] = field(default_factory=list)
+    onsets: list[int] = field(default_factory=list)
+    frame_ms: list[float] = field(default_factory=list)
+
+    def judge(self, trial: SlipTrial, alarm: int | None) -> None:
+        """Count one trial; trials between slip and none are left out."""
+        if trial.label == "between":
+            return
+        self.trials += 1
+        begun = np.flatnonzero(trial.share >= NO_SLIP_SHARE)
+        if alarm is not None and (begun.size == 0 or alarm < begun[0]):
+            self.false += 1
+        elif trial.slip_frame >= 0 and (alarm is None or alarm > trial.slip_frame + LATE_N):
+            self.missed += 1
+        else:
+            self.right += 1
+        if trial.slip_frame >= 0 and alarm is not None:
+            self.delays.append(alarm - trial.slip_frame)
+
+    def summary(self) -> dict[str, Any]:
+        """Plain numbers, shares with their Wilson intervals."""
+        delays = np.array(self.delays or [0])
+        return {
+            "trials": self.trials,
+            "accuracy": wilson(self.right, self.trials),
+            "misses": wilson(self.missed, self.trials),
+            "false": wilson(self.false, self.trials),
+            "delay_frames": {
+                "median": float(np.median(delays)),
+                "p5": float(np.percentile(delays, 5)),
+                "p95": float(np.percentile(delays, 95)),
+                "within_one": float((np.abs(delays) <= 1).mean()),
+            },
+            "onset_error_frames": {"exact": float(np.mean(np.array(self.onsets or [0]) == 0)), "n": len(self.onsets)},
+            "cpu_ms_per_frame": float(np.median(self.frame_ms)) if self.frame_ms else None,
+        }
+
+
+def pictures(trial: SlipTrial) -> list[list[Image]]:
+    """Rectified frames of a trial, [finger][frame]."""
+    drawn = []
+    for finger, name in enumerate(FINGERS):
+        renderer = Renderer(Appearance.draw(trial.scene, name, trial.seed))
+        drawn.append([renderer.rectified(gel[finger], trial.seed + k) for k, gel in enumerate(trial.gel)])
+    return drawn
+
+
+def see(
+    trial: SlipTrial, images: list[list[Image]], make: Callable[[], Tracker], tally: Tally
+) -> list[list[MarkerField]]:
+    """Marker fields of both fingers by one tracker; the CPU time of each frame after the first goes to the tally."""
+    fields = []
+    stamp_ns = round(1e9 / trial.scene.camera.fps)
+    for frames in images:
+        tracker, seen = make(), []
+        for k, image in enumerate(frames):
+            begun = time.process_time()
+            seen.append(tracker.update(image, k * stamp_ns))
+            if k:
+                tally.frame_ms.append(1e3 * (time.process_time() - begun))
+        fields.append(seen)
+    return fields
+
+
+def true_fields(trial: SlipTrial) -> list[list[MarkerField]]:
+    """The fields a perfect tracker would give."""
+    pitch_mm, step = trial.scene.marker_pitch_mm, round(1e9 / trial.scene.camera.fps)
+    return [
+        [field_from_gel(gel[finger], k * step, marker_pitch_mm=pitch_mm) for k, gel in enumerate(trial.gel)]
+        for finger in range(2)
+    ]
+
+
+def alarm_of(fields: Iterable[Sequence[MarkerField]]) -> int | None:
+    """First frame at which either finger announces slip."""
+    firsts = []
+    for sequence in fields:
+        detector = SlipDetector()
+        detector.rearm(sequence[0])
+        firsts += [k for k, seen in enumerate(sequence) if k and detector.update(seen).slip][:1]
+    return min(firsts, default=None)
+
+
+def alarm_2019(fields: Iterable[Sequence[MarkerField]]) -> int | None:
+    """The same by the rule of 2019."""
+    firsts = []
+    for sequence in fields:
+        firsts += [k for k, seen in enumerate(sequence) if seen.usable and rule_2019(seen, sequence[0])][:1]
+    return min(firsts, default=None)
+
+
+def onset_of(fields: Iterable[Sequence[MarkerField]]) -> int | None:
+    """First frame at which either finger shows motion."""
+    found = []
+    for sequence in fields:
+        detector = OnsetDetector()
+        detector.rearm(sequence[0])
+        found += [onset.index + 1 for onset in map(detector.update, sequence[1:]) if onset][:1]
+    return min(found, default=None)
+
+
+def displacement_error_px(trial: SlipTrial, fields: Sequence[Sequence[MarkerField]]) -> NDArray[np.float64]:
+    """Errors [n, 2] of the displacement since frame 0, at every tracked marker of every later frame."""
+    errors = []
+    scale = MARKER_PITCH_PX / trial.scene.marker_pitch_mm
+    for finger, sequence in enumerate(fields):
+        rest = sequence[0].rest_px
+        if rest.size == 0:
+            continue
+        nearest = np.rint((rest - marker_rest_px()[0, 0]) / MARKER_PITCH_PX).astype(int)
+        column, row = np.clip(nearest[..., 0], 0, 20), np.clip(nearest[..., 1], 0, 19)
+        for k, seen in enumerate(sequence[1:], 1):
+            truth = scale * (trial.gel[k, finger, ..., :2] - trial.gel[0, finger, ..., :2])[row, column]
+            off = seen.displacement_px - sequence[0].displacement_px - truth
+            errors.append(off[seen.valid & sequence[0].valid])
+    return np.concatenate(errors) if errors else np.zeros((0, 2))
+
+
+def accuracy_at_noise(make: Callable[[], Tracker], trials: Sequence[SlipTrial], noise: float) -> dict[str, float]:
+    """Displacement RMS (per axis, px) and share of wrong identities at a camera noise in grey levels."""
+    errors = []
+    for trial in trials:
+        noisy = SlipTrial(**{**_shallow(trial), "scene": trial.scene.varied({"camera.noise_grey": noise})})
+        errors.append(displacement_error_px(noisy, see(noisy, pictures(noisy), make, Tally())))
+    off = np.concatenate(errors)
+    wrong = np.linalg.norm(off, axis=1) > 0.25 * MARKER_PITCH_PX
+    rms = float(np.sqrt(np.square(off[~wrong]).mean())) if (~wrong).any() else math.nan
+    return {"rms_px": rms, "wrong_share": float(wrong.mean())}
+
+
+def _shallow(trial: SlipTrial) -> dict[str, Any]:
+    return {name: getattr(trial, name) for name in SlipTrial.__slots__}
+
+
+def evaluate(count: int, tradeoff: int, seed: int, fps: int, watch: Callable[[], None]) -> dict[str, Any]:
+    """Run everything: ``count`` trials by the standard tracker and on true fields, ``tradeoff`` by every tracker."""
+    tallies = {name: Tally() for name in ("images", "true fields", "held out, images", "2019 rule")}
+    objects: dict[str, Tally] = {}
+    trackers = {name: Tally() for name in TRACKERS}
+    kept: list[SlipTrial] = []
+    for index, trial in enumerate(draw_trials(count, seed, fps)):
+        images = pictures(trial)
+        fields = see(trial, images, MarkerTracker, tallies["images"])
+        alarm, onset = alarm_of(fields), onset_of(fields)
+        for tally in (tallies["images"], objects.setdefault(trial.name, Tally())):
+            tally.judge(trial, alarm)
+            if trial.onset_frame >= 0 and onset is not None:
+                tally.onsets.append(onset - trial.onset_frame)
+        if trial.held_out:
+            tallies["held out, images"].judge(trial, alarm)
+        tallies["true fields"].judge(trial, alarm_of(true_fields(trial)))
+        tallies["2019 rule"].judge(trial, alarm_2019(fields))
+        if index % max(1, count // tradeoff) == 0:
+            for name, make in TRACKERS.items():
+                trackers[name].judge(trial, alarm_of(see(trial, images, make, trackers[name])))
+            if trial.label == "slip" and len(kept) < 6:
+                kept.append(trial)
+        watch()
+    table = {name: trackers[name].summary() for name in TRACKERS}
+    for name, make in TRACKERS.items():
+        for noise in (2.0, 6.0):
+            table[name][f"noise_{noise:.0f}"] = accuracy_at_noise(make, kept, noise)
+    return {
+        "settings": asdict(TrackerSettings()) | {"seed": seed, "fps": fps, "late_frames": LATE_N},
+        "slip": {name: tally.summary() for name, tally in tallies.items()},
+        "objects": {name: tally.summary() for name, tally in sorted(objects.items())},
+        "trackers": table,
+    }
+
+
+def main(arguments: list[str]) -> int:
+    """Evaluate, then write the JSON, the picture and the table."""
+    parser = argparse.ArgumentParser(prog="python -m simulation slip-report", description=__doc__)
+    parser.add_argument("--trials", type=int, default=320, help="trials in all (%(default)s)")
+    parser.add_argument("--tradeoff", type=int, default=80, help="of these, seen by every tracker (%(default)s)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--fps", type=int, choices=(30, 60, 90), default=30)
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder for slip_report.* (%(default)s)")
+    given = parser.parse_args(arguments)
+    if given.trials < 1 or given.tradeoff < 1:
+        raise ValueError(f"--trials {given.trials} --tradeoff {given.tradeoff}: expected at least 1")
+    from rich.progress import Progress
+
+    from simulation.slip_report import write
+
+    with Progress() as progress:
+        task = progress.add_task("trials", total=given.trials)
+        result = evaluate(given.trials, given.tradeoff, given.seed, given.fps, lambda: progress.advance(task))
+    given.out.mkdir(parents=True, exist_ok=True)
+    (given.out / "slip_report.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    print(write(result, given.out))
+    return 0
