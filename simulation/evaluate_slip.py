@@ -2,6 +2,8 @@
 
 Writes JSON, a picture and a table. A trial is right if slip is announced from the moment a tenth of the nodes slip to
 three frames after a quarter does (slip trials), or never (others). Earlier is a false alarm, later or never a miss.
+The detector's stall rule presumes a moving arm, so alarms count while the arm moves; "arm also standing still" is
+judged without that rule over the whole of every trial.
 """
 
 from __future__ import annotations
@@ -22,13 +24,14 @@ from service.contract import FINGERS
 from service.perception.field import MarkerField, field_from_gel
 from service.perception.markers import MarkerTracker, TrackerSettings
 from service.perception.onset import OnsetDetector
-from service.perception.slip import SlipDetector
+from service.perception.slip import SlipDetector, SlipSettings
 from simulation.imprint import Appearance, Renderer
 from simulation.slip_baselines import LucasKanade, NearestBlob, rule_2019
 from simulation.slip_trials import NO_SLIP_SHARE, SlipTrial, draw_trials
 from simulation.texture import MARKER_PITCH_PX, marker_rest_px
 
 LATE_N = 3
+STANDING = "images, arm also standing still"
 Image = NDArray[np.uint8]
 
 
@@ -73,10 +76,12 @@ class Tally:
     onsets: list[int] = field(default_factory=list)
     frame_ms: list[float] = field(default_factory=list)
 
-    def judge(self, trial: SlipTrial, alarm: int | None) -> None:
-        """Count one trial; trials between slip and none are left out."""
+    def judge(self, trial: SlipTrial, alarm: int | None, *, standing: bool = False) -> None:
+        """Count one trial; trials between slip and none are left out, and so are alarms of a standing arm."""
         if trial.label == "between":
             return
+        if alarm is not None and alarm >= trial.still_frame and not standing:
+            alarm = None
         self.trials += 1
         begun = np.flatnonzero(trial.share >= NO_SLIP_SHARE)
         if alarm is not None and (begun.size == 0 or alarm < begun[0]):
@@ -142,11 +147,11 @@ def true_fields(trial: SlipTrial) -> list[list[MarkerField]]:
     ]
 
 
-def alarm_of(fields: Iterable[Sequence[MarkerField]]) -> int | None:
+def alarm_of(fields: Iterable[Sequence[MarkerField]], settings: SlipSettings | None = None) -> int | None:
     """First frame at which either finger announces slip."""
     firsts = []
     for sequence in fields:
-        detector = SlipDetector()
+        detector = SlipDetector(settings)
         detector.rearm(sequence[0])
         firsts += [k for k, seen in enumerate(sequence) if k and detector.update(seen).slip][:1]
     return min(firsts, default=None)
@@ -205,7 +210,7 @@ def _shallow(trial: SlipTrial) -> dict[str, Any]:
 
 def evaluate(count: int, tradeoff: int, seed: int, fps: int, watch: Callable[[], None]) -> dict[str, Any]:
     """Run everything: ``count`` trials by the standard tracker and on true fields, ``tradeoff`` by every tracker."""
-    tallies = {name: Tally() for name in ("images", "true fields", "held out, images", "2019 rule")}
+    tallies = {name: Tally() for name in ("images", "held out, images", STANDING, "true fields", "2019 rule")}
     objects: dict[str, Tally] = {}
     trackers = {name: Tally() for name in TRACKERS}
     kept: list[SlipTrial] = []
@@ -219,6 +224,8 @@ def evaluate(count: int, tradeoff: int, seed: int, fps: int, watch: Callable[[],
                 tally.onsets.append(onset - trial.onset_frame)
         if trial.held_out:
             tallies["held out, images"].judge(trial, alarm)
+        without_stall = alarm_of(fields, SlipSettings(stall_pitch=math.inf))
+        tallies[STANDING].judge(trial, without_stall, standing=True)
         tallies["true fields"].judge(trial, alarm_of(true_fields(trial)))
         tallies["2019 rule"].judge(trial, alarm_2019(fields))
         if index % max(1, count // tradeoff) == 0:

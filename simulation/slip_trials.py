@@ -30,7 +30,7 @@ class SlipTrial:
     """One descent at the camera's rate; frame 0 is the reference.
 
     ``gel`` float32 [frames, 2, 20, 21, 3], ``share`` [frames]: true slipping share of the worse pad; ``onset_frame``
-    and ``slip_frame`` are -1 where they never came.
+    and ``slip_frame`` are -1 where they never came. From ``still_frame`` on the arm stands still.
     """
 
     name: str
@@ -42,6 +42,7 @@ class SlipTrial:
     share: NDArray[np.float64]
     onset_frame: int
     slip_frame: int
+    still_frame: int
 
     @property
     def label(self) -> Label:
@@ -74,9 +75,11 @@ def _trial(name: str, kind: Kind, rng: np.random.Generator, held_out: bool, seed
     gel, share = _descend(cell, scene.speed_mm_s / fps, float(rng.random()), scene.numerics.slip_share)
     moved = np.abs(gel[..., :2] - gel[0, ..., :2]).max((1, 2, 3, 4)) > ONSET_MM
     onset = int(moved.argmax()) if moved.any() else -1
+    still = len(gel)
     if kind == "hold" and onset >= 0:
         calm = np.flatnonzero((share < 0.7 * NO_SLIP_SHARE) & (np.arange(len(share)) >= onset))
         last = int(rng.integers(onset, calm[-1] + 1)) if calm.size else onset
+        still = last + 1
         # The arm stands still: quasi-statics change nothing more.
         gel = np.concatenate([gel[: last + 1], np.repeat(gel[last : last + 1], STILL_N, 0)])
         share = np.concatenate([share[: last + 1], np.zeros(STILL_N)])
@@ -93,6 +96,7 @@ def _trial(name: str, kind: Kind, rng: np.random.Generator, held_out: bool, seed
         share,
         onset - begin if onset >= 0 else -1,
         int(slips.argmax()) if slips.any() else -1,
+        still - begin,
     )
 
 

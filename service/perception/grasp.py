@@ -5,6 +5,7 @@ follow each other, and it may begin in the middle. The watch arms once the marke
 again after a slip, a release or a loss of sight, once they rest again.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +26,8 @@ class GraspWatch:
     """Turns the fields of one finger into states, arming the slip detector whenever the grasp has settled."""
 
     def __init__(self, slip: SlipSettings | None = None, settings: GraspSettings | None = None) -> None:
-        self.detector = SlipDetector(slip)
+        # Nothing says when the arm moves, so a patch that stops may just as well have been put down.
+        self.detector = SlipDetector(slip or SlipSettings(stall_pitch=math.inf))
         self.settings = settings or GraspSettings()
         self._anchor: MarkerField | None = None
         self._free = False

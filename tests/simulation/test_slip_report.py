@@ -1,0 +1,57 @@
+"""The slip report's own arithmetic, and one small run of all of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from simulation.__main__ import main
+from simulation.evaluate_slip import Tally, alarm_of, true_fields, wilson
+from simulation.slip_trials import draw_trials
+
+
+def test_wilson_matches_the_textbook():
+    share, low, high = wilson(86, 100)
+    assert (round(share, 2), round(low, 3), round(high, 3)) == (0.86, 0.779, 0.915)
+    assert wilson(0, 0)[1:] == (0.0, 1.0)
+
+
+def test_trials_know_their_truth_and_repeat():
+    trials = list(draw_trials(8, 3, 30))
+    again = list(draw_trials(8, 3, 30))
+    for trial, other in zip(trials, again, strict=True):
+        assert np.array_equal(trial.gel, other.gel)
+        assert (trial.label == "slip") == (trial.slip_frame >= 0)
+        assert np.isfinite(trial.gel).all()
+        if trial.kind != "slip":
+            assert trial.label != "slip"
+
+
+def test_a_late_and_an_early_alarm_are_not_right():
+    trial = next(trial for trial in draw_trials(16, 3, 30) if trial.label == "slip")
+    tally = Tally()
+    tally.judge(trial, 1)
+    tally.judge(trial, None)
+    tally.judge(trial, trial.slip_frame)
+    assert (tally.false, tally.missed, tally.right) == (1, 1, 1)
+
+
+def test_slip_is_seen_on_true_fields_of_every_object():
+    tally = Tally()
+    for trial in draw_trials(24, 5, 30):
+        tally.judge(trial, alarm_of(true_fields(trial)))
+    assert tally.right >= tally.trials - 1
+
+
+def test_bad_counts_are_refused(capsys):
+    assert main(["slip-report", "--trials", "0"]) == 2
+    assert "expected at least 1" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_report_is_written(tmp_path):
+    assert main(["slip-report", "--trials", "8", "--tradeoff", "2", "--out", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "slip_report.json").read_text())
+    assert len(result["trackers"]) >= 5
+    assert (tmp_path / "slip_report.png").stat().st_size > 10_000
+    assert "| standard |" in (tmp_path / "slip_report.md").read_text()
