@@ -1,0 +1,99 @@
+"""What no lab sees twice: every case ends in a typed result with finite numbers, never in an exception."""
+
+import numpy as np
+import pytest
+
+from service.perception.grasp import GraspWatch
+from service.perception.markers import MarkerTracker
+from service.perception.onset import OnsetDetector
+from service.perception.slip import SlipDetector
+from tests.service.perception.synthetic import FRAME_NS, draw, grid, twist
+
+REST = grid()
+
+
+def merged(points):
+    """Two neighbours at a time pushed onto each other in a corner of the grid."""
+    moved = points.copy()
+    moved[4:10, 4:10:2] = moved[4:10, 5:11:2]
+    return moved
+
+
+def image_of(case, rng):
+    if case == "black":
+        return np.zeros((320, 327, 3), np.uint8)
+    if case == "white":
+        return np.full((320, 327, 3), 255, np.uint8)
+    if case == "noise":
+        return rng.integers(0, 256, (320, 327, 3), dtype=np.uint8)
+    if case == "saturated":
+        return np.clip(draw(REST, rng).astype(int) * 3, 0, 255).astype(np.uint8)
+    if case == "half covered":
+        image = draw(REST, rng)
+        image[:, 160:] = 30
+        return image
+    points = {
+        "twist 45": twist(REST, 45),
+        "twist 90": twist(REST, 90),
+        "jump 1.6 pitch": REST + 24,
+        "merged": merged(REST),
+    }
+    points |= {"line": REST[:1], "three": REST[0, :3], "none": REST[:0], "scattered": rng.uniform(10, 310, (400, 2))}
+    return draw(points[case], rng)
+
+
+CASES = ["black", "white", "noise", "saturated", "half covered", "twist 45", "twist 90", "jump 1.6 pitch", "merged"]
+CASES += ["line", "three", "none", "scattered"]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_any_frame_gives_a_typed_and_finite_result_and_the_grid_comes_back(case):
+    rng = np.random.default_rng(11)
+    tracker, slip, onset, watch = MarkerTracker(), SlipDetector(), OnsetDetector(), GraspWatch()
+    first = tracker.update(draw(REST, rng), 0)
+    slip.rearm(first)
+    onset.rearm(first)
+    images = [image_of(case, rng), image_of(case, rng), None, draw(REST, rng), draw(REST, rng)]
+    for k, image in enumerate(images, 1):
+        field = tracker.update(image, k * FRAME_NS)
+        state = slip.update(field)
+        onset.update(field)
+        watch.update(field)
+        assert np.isfinite(field.displacement_px).all()
+        assert np.isfinite(state.residual_px).all()
+        assert np.isfinite([state.score, state.angle_rad, state.scale, *state.shift_px]).all()
+    error = np.linalg.norm(field.displacement_px, axis=-1)
+    assert field.status == "tracking"
+    assert (field.valid & (error < 1.0)).mean() > 0.97
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_any_first_frame_is_survived(case):
+    rng = np.random.default_rng(12)
+    tracker, slip = MarkerTracker(), SlipDetector()
+    for k in range(3):
+        field = tracker.update(image_of(case, rng), k * FRAME_NS)
+        assert np.isfinite(field.displacement_px).all()
+        assert slip.rearm(field).state in {"hold", "unknown"}
+        assert np.isfinite(slip.update(field).score)
+
+
+def test_dropped_frames_lose_no_marker():
+    rng = np.random.default_rng(13)
+    tracker = MarkerTracker()
+    for k in (0, 1, 5, 6, 12):  # up to five frames missing while the patch goes on by 2.5 px a frame
+        truth = REST + np.array([0.0, 2.5 * k]) * np.exp(-np.square(REST - 160).sum(-1) / 2 / 70**2)[..., None]
+        field = tracker.update(draw(truth, rng), k * FRAME_NS)
+        error = np.linalg.norm(field.rest_px + field.displacement_px - truth, axis=-1)
+        assert (field.valid & (error < 3)).mean() > 0.99
+
+
+def test_clock_jumps_are_no_evidence():
+    rng = np.random.default_rng(14)
+    tracker, slip = MarkerTracker(), SlipDetector()
+    slip.rearm(tracker.update(draw(REST, rng), 10 * FRAME_NS))
+    for stamp in (9 * FRAME_NS, 10 * FRAME_NS, -(2**62)):
+        field = tracker.update(draw(twist(REST, 3), rng), stamp)
+        assert field.status == "duplicate"
+        assert slip.update(field).state == "hold"
+    assert tracker.update(draw(REST, rng), 2**62).status == "tracking"
