@@ -16,7 +16,6 @@ def session(file: Path, threads: int = 1, *, spinning: bool = False, profile: bo
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "1" if spinning else "0")
-    options.add_session_config_entry("session.set_denormal_as_zero", "1")
     options.log_severity_level = 3
     if profile:
         options.enable_profiling = True
