@@ -103,8 +103,9 @@ class MotionGuide:
             self._rate = min(self._rate, MISSED_CYCLES * CYCLE_S / elapsed_s)
             self._walked_s += elapsed_s * self._rate
         else:
-            self._walked_s += elapsed_s * self._rate
-            self._rate = min(1.0, self._rate + elapsed_s / _RESUME_S)
+            # The speed grows during the step, not after it: else a long step before a short one is a jolt.
+            before, self._rate = self._rate, min(1.0, self._rate + elapsed_s / _RESUME_S)
+            self._walked_s += elapsed_s * (before + self._rate) / 2.0
         share = self._profile.position(self._walked_s) / self._profile.length if self._profile.length > 0 else 1.0
         target = self._end if share >= 1.0 else self._start.towards(self._end, share)
         self.target = self._guard.check(target, elapsed_s, self._motion)

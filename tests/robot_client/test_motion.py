@@ -4,7 +4,7 @@ import itertools
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robot_client.geometry import TOOL_DOWN, CellFrame, WorkPose, multiply, normalised, yaw_quaternion
@@ -86,6 +86,7 @@ def test_over_a_gap_in_the_stream_the_target_takes_three_cycles_of_way_and_then_
 
 
 @given(st.lists(st.sampled_from([0, 1, 2, 3, 4, 5, 8, 13, 14, 15, 40, 500]), min_size=5, max_size=60), INSIDE, INSIDE)
+@example([40, 2, 13, 14, 1], pose(z=5.0), pose(z=5.0, yaw=8.0))
 def test_no_rhythm_of_the_stream_makes_a_move_unlawful_or_endless(rhythm_ms, start, end):
     guide = MotionGuide(Limits(), Ramps(), start)
     guide.move(end, "travel")
