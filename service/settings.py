@@ -54,7 +54,7 @@ class Settings(BaseSettings):
     max_skew_ms: float | None = Field(None, gt=0, description="largest skew of a pair; default 0.6 frame periods")
     max_dx_mm: float = Field(15.0, gt=0, le=50, description="largest correction across the gap ever sent")
     max_dtheta_deg: float = Field(15.0, gt=0, le=45, description="largest yaw correction ever sent")
-    max_frame_age_ms: float = Field(500.0, gt=0, description="an older newest frame during a descent is a fault")
+    max_frame_age_ms: float = Field(150.0, gt=0, description="an older newest frame during a descent is a fault")
     client_timeout_s: float = Field(10.0, gt=0, description="a silent driving client is given up after this")
     camera_wait_s: float = Field(10.0, ge=0, description="how long start-up waits for each camera's first frame")
     token_drive: SecretStr | None = Field(None, description="bearer token of clients that drive (they may also watch)")

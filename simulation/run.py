@@ -26,6 +26,7 @@ from simulation.scene import Scene, load_scene
 TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 CELL_READY_S = 300.0  # the first start on a machine compiles the physics
 SERVICE_READY_S = 90.0
+FRAME_AGE_MS = 500.0  # the simulated cell computes its frames on the same cores and may pause; a real camera must not
 
 
 class RunError(ValueError):
@@ -115,7 +116,7 @@ def _start_service(told: dict[str, Any], options: RunOptions, folder: Path) -> C
         *("--models", str(options.models), "--calibration", told["calibration"], "--port", "0"),
         *("--camera-left", told["cameras"]["left"], "--camera-right", told["cameras"]["right"]),
         *("--recordings", str(folder / "recordings"), "--controller", options.controller),
-        *("--frame-rate-hz", str(options.fps)),
+        *("--frame-rate-hz", str(options.fps), "--max-frame-age-ms", str(FRAME_AGE_MS)),
     ]
     return Child("service", "service", ["run", *arguments], folder / "service.log")
 
