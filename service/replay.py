@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS, Finger
-from service.perception.annotate import annotate, timeline
 from service.perception.grasp import GraspWatch
 from service.perception.markers import MarkerTracker
 from service.perception.rectify import Calibration, Rectifier
 from service.perception.slip import SlipState
+from service.replay_picture import ReplayPicture
 
 VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
@@ -46,12 +46,12 @@ def parse(arguments: Sequence[str]) -> ReplayOptions:
     """The options of ``python -m service replay``."""
     parser = argparse.ArgumentParser(
         prog="python -m service replay",
-        description="Run marker tracking and slip detection over a recording and print what happened when.",
+        description="Run marker tracking and slip detection over a recording, print what happened when, and draw it.",
         epilog="example: python -m service replay clip.avi --fps 30 --plot --out runs/replay",
     )
     parser.add_argument("path", type=Path, help="a video, a folder of frames (png, jpg), or a folder of videos")
-    parser.add_argument("--plot", action="store_true", help="write an annotated video and a timeline into --out")
-    parser.add_argument("--out", type=Path, default=Path("runs/replay"), help="folder for --plot (%(default)s)")
+    parser.add_argument("--plot", action="store_true", help="write the annotated video too")
+    parser.add_argument("--out", type=Path, default=Path("runs/replay"), help="folder for the pictures (%(default)s)")
     parser.add_argument(
         "--crop", type=int, nargs=4, metavar=("LEFT", "TOP", "WIDTH", "HEIGHT"), help="where the gel is, in pixels"
     )
@@ -122,7 +122,8 @@ def replay(path: Path, options: ReplayOptions) -> list[SlipState]:
     states: list[SlipState] = []
     tracks: Counter[str] = Counter()
     spent_s, last = 0.0, ""
-    sink = _Sink(path, options) if options.plot else None
+    base = options.out / f"{path.parent.name}_{path.stem}"
+    picture = ReplayPicture(base, options.fps or 15.0, video=options.plot)
     print(f"{path}")
     for stamp_ns, frame in read_clip(path, options.fps):
         image = rectifier.apply(frame) if rectifier else _cropped(frame, options.crop, path)
@@ -135,14 +136,12 @@ def replay(path: Path, options: ReplayOptions) -> list[SlipState]:
         if state.state != last:
             print(f"  {stamp_ns * 1e-9:8.2f} s  {state.state:<15} score {state.score:5.2f}  {state.reason}")
             last = state.state
-        if sink:
-            sink.write(annotate(image, field, state, stamp_ns * 1e-9))
+        picture.see(image, field, state)
     grid = tracker.grid_shape
     found = f"grid of {grid[0]} rows x {grid[1]} columns" if grid else "no marker grid"
     summary = ", ".join(f"{count} {status}" for status, count in tracks.items())
     print(f"  {found}; {summary}; {1e3 * spent_s / len(states):.2f} ms CPU a frame")
-    if sink:
-        sink.close(states)
+    print(f"  wrote {' and '.join(map(str, picture.close(states)))}")
     return states
 
 
@@ -153,29 +152,3 @@ def _cropped(frame: NDArray[np.uint8], crop: tuple[int, int, int, int] | None, p
     if min(left, top) < 0 or min(width, height) < 1 or left + width > frame.shape[1] or top + height > frame.shape[0]:
         raise ReplayError(f"--crop {crop} leaves the {frame.shape[1]} x {frame.shape[0]} frames of {path}")
     return np.ascontiguousarray(frame[top : top + height, left : left + width])
-
-
-class _Sink:
-    """Writes the annotated video as it comes and the timeline at the end."""
-
-    def __init__(self, path: Path, options: ReplayOptions) -> None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        self._base = options.out / f"{path.parent.name}_{path.stem}"
-        self._rate = options.fps or 15.0
-        self._writer: cv2.VideoWriter | None = None
-
-    def write(self, picture: NDArray[np.uint8]) -> None:
-        if self._writer is None:
-            size = (picture.shape[1], picture.shape[0])
-            codec = cv2.VideoWriter.fourcc(*"MJPG")
-            self._writer = cv2.VideoWriter(str(self._base.with_suffix(".avi")), codec, self._rate, size)
-            if not self._writer.isOpened():
-                raise ReplayError(f"cannot write {self._base.with_suffix('.avi')}")
-        self._writer.write(picture)
-
-    def close(self, states: Sequence[SlipState]) -> None:
-        if self._writer is not None:
-            self._writer.release()
-        picture = timeline([state.captured_ns * 1e-9 for state in states], states)
-        cv2.imwrite(str(self._base.with_suffix(".png")), picture)
-        print(f"  wrote {self._base.with_suffix('.avi')} and {self._base.with_suffix('.png')}")
