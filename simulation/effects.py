@@ -63,6 +63,8 @@ def _gel_wear(scene: Scene) -> tuple[bool, str]:
 
 
 def _gel_coupling(scene: Scene) -> tuple[bool, str]:
+    if scene.gel.tier == "layer":
+        return False, "the layer tier couples by itself"
     reach = 0.5 * scene.gel.thickness_mm
     return (
         reach > 0.3 * scene.marker_pitch_mm,

@@ -25,11 +25,13 @@ class Probe:
     """Result of one descent; frames are those kept, frame indices count within them, -1 is "never".
 
     gel: float16 [frames, 2, 20, 21, 3] = du mm, dv mm (finger frame), pressure N/mm2. depth_mm [frames]: approach z
-    minus z. wrench: [frames, 6] N, N mm on the object at the TCP, hand frame. in_hand: [frames, 6] mm, rad.
+    minus z. slipping: bool [frames, 2, 20, 21], where the gel slid on the object at each marker. wrench: [frames, 6]
+    N, N mm on the object at the TCP, hand frame. in_hand: [frames, 6] mm, rad.
     error_before: (x mm, theta deg) of the object when the descent began.
     """
 
     gel: NDArray[np.float16]
+    slipping: NDArray[np.bool_]
     depth_mm: NDArray[np.float64]
     wrench: NDArray[np.float64]
     in_hand: NDArray[np.float64]
@@ -78,12 +80,16 @@ def run_probe(
     """Regrasp at the error given, descend until slip, a full insertion or the force limit, and keep the last frames.
 
     The stop takes effect stop_delay_frames after the frame that shows slip, plus overtravel_mm. Frames are then taken
-    while the arm stands still until the decision's 8 frames from the onset are complete. Raises PhysicsError where no
-    equilibrium is found and ValueError for arguments that make no sense.
+    while the arm stands still until the decision's 8 frames from the onset are complete.
+
+    Given a Cell instead of a Scene, its compiled state is used again: the blocks are put back and the object is held
+    afresh, as with a new one; only the draw of the grasp's pre-tilt goes on from where the cell's stream stands. For
+    pokes that leave blocks and object as they are, use `descend`. Raises PhysicsError where no equilibrium is found
+    and ValueError for arguments that make no sense.
     """
     cell = scene if isinstance(scene, Cell) else Cell(scene, seed)
-    if not isinstance(scene, Cell) or cell.grasp_lost:
-        cell.grasp_lost = False
+    if isinstance(scene, Cell):
+        cell.reset_blocks()
     cell.regrasp(x_mm, theta_deg)
     return descend(
         cell,
@@ -182,6 +188,7 @@ def _keep(
 
     return Probe(
         gel=np.stack([state.gel for state in states]).astype(np.float16),
+        slipping=np.stack([state.slipping for state in states]),
         depth_mm=np.array([record.depth_mm[i] for i in index]),
         wrench=np.stack([state.wrench_n_nmm for state in states]),
         in_hand=np.stack([state.in_hand for state in states]),

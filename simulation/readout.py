@@ -33,6 +33,10 @@ def _blend(targets: Array, nodes: Array, sigma_mm: float) -> Array:
     return np.asarray(linear / np.sum(linear, axis=1, keepdims=True))
 
 
+def _nearest(targets: Array, nodes: Array) -> NDArray[np.intp]:
+    return np.asarray(np.argmin(np.abs(targets[:, None] - nodes[None, :]), axis=1))
+
+
 class Readout:
     """Gel fields of a scene: call with stretch [n, 2] mm and pressure [n]; gives float32 [2, 20, 21, 3]."""
 
@@ -50,6 +54,11 @@ class Readout:
         self.sharp_v, self.sharp_u = _blend(v, node_v, 0.0), _blend(u, node_u, 0.0)
         self.bulge = BULGE * gel.thickness_mm**2 / gel.shear_modulus_n_per_mm2 if coupled else 0.0
         self.pitch = pitch
+        self._nearest = np.ix_(np.arange(2), _nearest(v, node_v), _nearest(u, node_u))
+
+    def at_markers(self, values: Array) -> Array:
+        """Values [n] at the nodes, taken from the node next to each marker: [2, 20, 21]."""
+        return values.reshape(2, self.rows, self.columns)[self._nearest]
 
     def __call__(self, stretch: Array, pressure: Array) -> NDArray[np.float32]:
         out = np.empty((2, self.along_v.shape[0], self.along_u.shape[0], 3), dtype=np.float32)

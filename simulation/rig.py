@@ -6,79 +6,30 @@ Frames and signs are the work-object frame's; angles at the interface in deg.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation import contact, gel, mechanics, records
+from simulation import contact, gel, mechanics, pads, records
+from simulation.cell_state import CellState, block_motion, rotation_vector
+from simulation.constants import BASE_K, scene_constants
 from simulation.effects import Active, active_effects
 from simulation.linear import rotation_into
 from simulation.readout import Readout
 from simulation.scene import Scene
 
+__all__ = ["Cell", "CellState", "PhysicsError"]
+
 Array = NDArray[np.float64]
 
-GRAVITY_N_PER_KG = 9.81
 APPROACH_MM = 5.0
-TANGENTIAL_RATIO = 0.5  # block contact: tangential over normal stiffness
-BASE_K = 2000.0  # a block's base corner on the table, N/mm
 LOST_MM, LOST_GRIP = 12.0, 0.1
 MAX_HALVINGS = 6
 
 
 class PhysicsError(RuntimeError):
     """The equilibrium could not be found; the text says where. The cell's state is the last one that was found."""
-
-
-@dataclass(frozen=True, slots=True)
-class CellState:
-    """One moment.
-
-    Gel: float32 [2, 20, 21, 3] = du mm, dv mm (finger frame), pressure N/mm2, at marker rest positions.
-    """
-
-    gel: NDArray[np.float32]
-    slipping_share: Array
-    wrench_n_nmm: Array
-    in_hand: Array
-    object_error: tuple[float, float]
-    bottom_z_mm: float
-    block_motion: Array
-    in_contact: bool
-    inserted: bool
-    grasp_lost: bool
-    residual_n: float
-
-
-def scene_constants(scene: Scene, active: Active) -> records.Records:
-    """Constants record [1] of a scene, effects that are off left out."""
-    body, blocks, pads, pitch = scene.object, scene.blocks, scene.gel, scene.marker_pitch_mm
-    area = scene.camera.marker_rows * scene.camera.marker_columns * pitch**2 / (pads.node_rows * pads.node_columns)
-    shear = pads.shear_modulus_n_per_mm2 / pads.thickness_mm
-    values: dict[str, Any] = {
-        "area": area,
-        "kn": shear * pads.normal_ratio,
-        "kt": shear,
-        "friction": pads.friction,
-        "profile": body.held_profile,
-        "bottom": -scene.grasp.height_mm,
-        "weight": body.mass_kg * GRAVITY_N_PER_KG if active.gravity else 0.0,
-        "mass_height": body.centre_of_mass_height_mm - scene.grasp.height_mm,
-        "contact_k": blocks.stiffness_n_per_mm,
-        "ratio": TANGENTIAL_RATIO,
-        "edge_friction": blocks.friction if active.edge_friction else 0.0,
-        "block_size": (blocks.size_x_mm, blocks.size_y_mm, blocks.height_mm),
-        "block_weight": blocks.mass_kg * GRAVITY_N_PER_KG,
-        "base_k": BASE_K,
-        "table_friction": blocks.table_friction,
-        "unknowns": 18 if active.free_blocks else 6,
-    }
-    out = np.zeros(1, dtype=records.CONSTANTS)
-    for name, value in values.items():
-        out[name][0] = value
-    return out
 
 
 class Cell:
@@ -97,6 +48,7 @@ class Cell:
         pitch, camera = scene.marker_pitch_mm, scene.camera
         height, width = camera.marker_rows * pitch, camera.marker_columns * pitch
         self.nodes = gel.make_nodes(scene.gel.node_rows, scene.gel.node_columns, height, width, scene.gel.crown_mm)
+        self.layer = pads.pads_of(scene, self.nodes, self.constants)
         vertices = len(self.foot)
         self.base_slot = records.slot_count(vertices)
         self.slots = np.zeros(self.base_slot + 8, dtype=records.SLOT)
@@ -135,7 +87,10 @@ class Cell:
             self.nodes[name] = 0.0
         self.grasp_lost = False
         self.pose = np.array([0.0, 0.0, spread.height_mm + 10.0 * APPROACH_MM, 0.0])
-        self._close()
+        if self.layer is None:
+            self._close()
+        elif not self.layer.close(self._close):
+            raise PhysicsError(f"scene {self.scene.name!r}: the pads do not settle while the fingers close")
         self._advance(self.pose)
         # place the hand so that the object's error is the one asked for
         x, theta = self._object_error()
@@ -203,8 +158,8 @@ class Cell:
         heights = bottom @ self.state["turn"][2] + self.state["place"][2] + pose[2]
         return float(heights.min() - max(0.0, float(self.state["block"][:, 2].max())))
 
-    def _advance(self, target: Array, depth: int = 0) -> None:
-        status = mechanics.advance(
+    def _solve(self, target: Array) -> int:
+        status: int = mechanics.advance(
             self.constants,
             self.record,
             self.trials,
@@ -218,6 +173,13 @@ class Cell:
             self.scene.numerics.residual_n,
             self.direct,
         )
+        return status
+
+    def _advance(self, target: Array, depth: int = 0) -> None:
+        if self.layer is None:
+            status = self._solve(target)
+        else:
+            status = self.layer.advance((self.record, self.slots), lambda: self._solve(target))
         self.load_steps += 1
         self.newton_iterations += int(self.state["report"][1])
         self.convex_steps += int(self.state["report"][2] > 0)
@@ -264,32 +226,21 @@ class Cell:
         touching = (self.nodes["pressure"] > 0.0).reshape(2, -1).sum(axis=1)
         slipped = self.nodes["slipped"].reshape(2, -1).sum(axis=1)
         return CellState(
-            gel=self.readout(np.stack([self.nodes["sx"], self.nodes["sz"]], axis=1), self.nodes["pressure"]),
+            gel=self.readout(self._stretch(), self.nodes["pressure"]),
+            slipping=self.readout.at_markers(self.nodes["slipped"]) > 0.0,
             slipping_share=slipped / np.maximum(touching, 1),
             wrench_n_nmm=self.state["wrench"].copy(),
-            in_hand=np.concatenate([self.state["place"], _rotation_vector(self.state["turn"])]),
+            in_hand=np.concatenate([self.state["place"], rotation_vector(self.state["turn"])]),
             object_error=self._object_error(),
             bottom_z_mm=bottom,
-            block_motion=self._block_motion(),
+            block_motion=block_motion(self.state, 0.5 * self.scene.blocks.gap_mm),
             in_contact=bool(np.any(self.slots["force"][: self.base_slot] > 0.0)),
             inserted=bool(bottom < -15.0) and not self.grasp_lost,
             grasp_lost=self.grasp_lost,
             residual_n=float(self.state["report"][0]),
         )
 
-    def _block_motion(self) -> Array:
-        half = 0.5 * self.scene.blocks.gap_mm
-        out = np.zeros((2, 4))
-        for b, sign in enumerate((1.0, -1.0)):
-            turn = self.state["block_turn"][b] * np.array([sign, sign, 1.0])
-            out[b, :2] = self.state["block"][b, :2] - (sign * half, 0.0)
-            out[b, 2] = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
-            out[b, 3] = math.degrees(math.atan2(math.hypot(turn[2, 0], turn[2, 1]), turn[2, 2]))
-        return out
-
-
-def _rotation_vector(turn: Array) -> Array:
-    """Rotation vector [3] in rad of a rotation matrix with a small angle (under 90 deg)."""
-    axis = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    sine = float(np.linalg.norm(axis))
-    return np.asarray(axis * (math.asin(min(1.0, sine)) / sine if sine > 1e-12 else 1.0))
+    def _stretch(self) -> Array:
+        if self.layer is not None:
+            return self.layer.stretch
+        return np.stack([self.nodes["sx"], self.nodes["sz"]], axis=1)

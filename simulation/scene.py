@@ -84,7 +84,7 @@ class Gel(Part):
     A bristle's stiffness per area is G / thickness along the pad, normal_ratio times that into it.
     """
 
-    tier: Literal["bristle"] = "bristle"
+    tier: Literal["bristle", "layer"] = "bristle"
     thickness_mm: float = Field(default=2.5, ge=0.3, le=10.0)
     shear_modulus_n_per_mm2: float = Field(default=0.1, ge=0.005, le=5.0)
     normal_ratio: float = Field(default=3.0, ge=0.5, le=50.0)
@@ -171,6 +171,10 @@ class Scene(Part):
             raise ValueError("object.corner_radius_mm: must be at most half of the smaller size")
         if self.gel.crown_mm > 0.5 * self.gel.thickness_mm:
             raise ValueError("gel.crown_mm: must be at most half of gel.thickness_mm")
+        if self.gel.tier == "layer" and self.gel.normal_ratio < 2.0:
+            raise ValueError("gel.normal_ratio: must be at least 2 in the layer tier, where rubber pushes sideways too")
+        if self.gel.tier == "layer" and self.effects.gel_coupling == "on":
+            raise ValueError("effects.gel_coupling: the layer tier couples by itself; expected 'auto' or 'off'")
         if body.held_profile[1] + body.held_profile[2] < 3.0:
             raise ValueError("object.held_size_x_mm: the held section must be at least 6 mm wide")
         return self

@@ -115,6 +115,28 @@ def test_free_blocks_move_only_when_pushed_hard_enough() -> None:
         assert (np.abs(cell.look().block_motion[:, 0]).max() > 0.05) == moved
 
 
+def test_a_cell_probed_again_starts_with_its_blocks_in_place() -> None:
+    scene = load_scene("circle", blocks__free=True, blocks__table_friction=0.02, blocks__mass_kg=0.2, **CLEAN)
+    cell = Cell(scene)
+    first = run_probe(cell, 7.0, 0.0)
+    assert np.abs(first.block_motion[:, 0]).max() > 0.05
+    again = run_probe(cell, 7.0, 0.0)
+    np.testing.assert_array_equal(again.gel, first.gel)
+    np.testing.assert_array_equal(again.block_motion, first.block_motion)
+
+
+@pytest.mark.parametrize("tier", ["bristle", "layer"])
+def test_a_probe_says_of_every_marker_whether_it_slips(tier: str) -> None:
+    found = run_probe(load_scene("rectangle", gel__tier=tier, **CLEAN), 9.0, 0.0)
+    share = found.slipping.mean(axis=(2, 3))
+    assert found.slipping.shape == found.gel.shape[:-1]
+    assert not found.slipping[: found.onset_frame].any()
+    assert share[found.true_slip_frame].max() >= 0.25
+    assert share[found.true_slip_frame - 1].max() < 0.25
+    pressed = found.gel[found.true_slip_frame, ..., 2] > 0
+    assert not np.any(found.slipping[found.true_slip_frame] & ~pressed)
+
+
 def test_partial_slip_under_a_curved_object_follows_winkler() -> None:
     """Cylinder on a Winkler pad: it sticks where kt s < mu p, which for a parabola is |x| < c."""
     cell = Cell(load_scene("circle", gel__crown_mm=0.0, gel__node_columns=84, effects__gravity="off", **CLEAN))
