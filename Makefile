@@ -92,8 +92,8 @@ up-sim: $(OPS_VENV)/ready ## start the simulated cell and the service in contain
 down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings stay
 	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim --profile monitoring down
 
-verify-images: $(OPS_VENV)/ready $(RUN_VENV)/ready ## build the images, run the loop in them, kill the service in mid-insertion, print sizes and times
-	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) docker/verify_images.py --outside $(CURDIR)/$(RUN)
+verify-images: $(OPS_VENV)/ready bundle ## build images and bundle, run the loop in them, kill the service in mid-insertion, print sizes and times
+	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) docker/verify_images.py --outside $(CURDIR)/$(RUN) --bundle "$$(ls $(CURDIR)/dist/*.tar)"
 
 lint-ops: $(OPS_VENV)/ready ## check Dockerfiles, alert rules (needs promtool) and manifests
 	$(OPS_VENV)/bin/hadolint docker/*.Dockerfile

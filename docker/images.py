@@ -22,7 +22,7 @@ IMAGES = {
     "robot_client": "localhost/tactile-insertion-robot-client:dev",
     "simulation": "localhost/tactile-insertion-simulation:dev",
 }
-NEEDED = ("podman", "buildah", "runc")
+NEEDED = ("podman", "buildah", "runc", "catatonit")
 PACKAGES = "python3,python3-pip,python3-venv,ca-certificates"
 CONTAINERS_CONF = """[containers]
 default_ulimits = ["nofile=20000:20000", "nproc=1024:1024"]
@@ -59,7 +59,9 @@ def prepare_engine(environment: MutableMapping[str, str]) -> None:
     """Check the tools and give podman a configuration that needs neither systemd nor a bridge."""
     missing = [tool for tool in NEEDED if shutil.which(tool) is None]
     if missing:
-        raise VerificationError(f"{', '.join(missing)} not found: apt-get install podman buildah runc mmdebstrap")
+        raise VerificationError(
+            f"{', '.join(missing)} not found: apt-get install podman buildah runc catatonit mmdebstrap"
+        )
     CACHE.mkdir(parents=True, exist_ok=True)
     if "CONTAINERS_CONF" not in environment:
         (CACHE / "containers.conf").write_text(CONTAINERS_CONF)

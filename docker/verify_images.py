@@ -2,7 +2,8 @@
 
 Checks, each of which must hold: no torch, no compiler and no root in any image; the root filesystem is read-only; the
 loop inserts an object; SIGKILL of the service in mid-insertion stops the arm, the service comes back ready by itself
-and the next insertion succeeds; SIGTERM drains within the grace period; the service is within its size and idle budget.
+and the next insertion succeeds; SIGTERM drains within the grace period; the service is within its size and idle budget;
+the live profile and the Kubernetes manifest become ready, and the bundle installs without network.
 Ports are free ones, so that a running cell on this machine is not disturbed.
 """
 
@@ -18,6 +19,7 @@ from pathlib import Path
 
 from images import IMAGES, ROOT, VerificationError, build_all, call, prepare_engine, say
 from sim_loop import Loop, free_ports, waited
+from verify_deployments import check_bundle, check_live, check_pod
 
 SERVICE_MB, IDLE_RSS_MB, IDLE_CPU_SHARE = 450.0, 300.0, 0.05
 FORBIDDEN = {
@@ -203,7 +205,7 @@ def check_drain(report: Report, loop: Loop) -> None:
     report.add("SIGTERM: drained", f"exit {code} after {time.monotonic() - started:.1f} s", code == "0")
 
 
-def verify(*, keep: bool, outside: str | None) -> bool:
+def verify(*, keep: bool, outside: str | None, bundle: Path | None) -> bool:
     """Everything, in order; True if all held."""
     report, started = Report(), time.monotonic()
     prepare_engine(os.environ)
@@ -227,6 +229,10 @@ def verify(*, keep: bool, outside: str | None) -> bool:
         loop.up(X_MM="6", THETA_DEG="3")
         break_and_recover(report, loop)
         check_drain(report, loop)
+        check_live(report.add, loop)
+        check_pod(report.add, loop)
+        if bundle is not None:
+            check_bundle(report.add, bundle)
         if outside is not None:
             check_decision_time(report, outside)
     finally:
@@ -242,9 +248,10 @@ def main() -> int:
     parser.add_argument(
         "--outside", metavar="PYTHON", help="also time decisions with this interpreter, against the container"
     )
+    parser.add_argument("--bundle", type=Path, metavar="TAR", help="also install this bundle without network")
     options = parser.parse_args()
     try:
-        return 0 if verify(keep=options.keep, outside=options.outside) else 1
+        return 0 if verify(keep=options.keep, outside=options.outside, bundle=options.bundle) else 1
     except (VerificationError, subprocess.TimeoutExpired, OSError) as error:
         print(f"verify-images: {error}", file=sys.stderr)
         return 2
