@@ -28,6 +28,8 @@ from simulation.emulators.net import HttpServer, bind_tcp, bind_udp, free_port, 
 from simulation.emulators.wsg50 import Wsg50Emulator
 from simulation.emulators.wsg50_gripper import Gripper
 
+# A busy machine may stop this process, emulators included, for long: who tests a time sets it.
+_RWS_TIMES = ("request_timeout_s", "motors_timeout_s", "start_timeout_s", "stop_timeout_s")
 CONTACT_MM, CLEARANCE_MM, CLEARANCE_DEG = 6.0, 2.5, 3.5
 LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
 
@@ -201,10 +203,10 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None):
     server = await serve(service.handle, "127.0.0.1", 0, compression=None)
     service_port = server.sockets[0].getsockname()[1]
     sections = {
-        "service": {"url": f"ws://127.0.0.1:{service_port}"},
-        "rws": {"url": f"http://127.0.0.1:{rws.port}", "poll_s": 0.01},
-        "egm": {"port": guide_port, "bind": "127.0.0.1", "ready_timeout_s": 3.0},
-        "gripper": {"host": "127.0.0.1", "port": wsg_port, "grasp_speed_mm_s": 150.0},
+        "service": {"url": f"ws://127.0.0.1:{service_port}", "connect_timeout_s": 20.0},
+        "rws": {"url": f"http://127.0.0.1:{rws.port}", "poll_s": 0.01, **dict.fromkeys(_RWS_TIMES, 20.0)},
+        "egm": {"port": guide_port, "bind": "127.0.0.1", "ready_timeout_s": 20.0, "max_age_s": 2.0},
+        "gripper": {"host": "127.0.0.1", "port": wsg_port, "grasp_speed_mm_s": 150.0, "reply_timeout_s": 20.0},
         "task": {"expected_depth_mm": 12.0, "depth_tolerance_mm": 0.5},
     }
     for section, values in (overrides or {}).items():

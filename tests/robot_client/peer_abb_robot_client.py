@@ -25,7 +25,7 @@ assert good
 assert state.motors_on
 position, orientation = state.cartesian
 target = np.array(position) + np.array([0.0, 0.0, 2.0])
-sent, until = 0, time.monotonic() + 3.0
+sent, until = 0, time.monotonic() + 30.0
 while time.monotonic() < until:
     good, state = egm.receive_from_robot(timeout=0.1)
     if good:

@@ -15,7 +15,7 @@ with EGM(port=port) as egm:
     position = np.array([start.pos.x, start.pos.y, start.pos.z])
     orientation = np.array([start.orient.u0, start.orient.u1, start.orient.u2, start.orient.u3])
     target = position + np.array([0.0, 0.0, 2.0])
-    here, sent, until = position, 0, time.monotonic() + 3.0
+    here, sent, until = position, 0, time.monotonic() + 30.0
     while time.monotonic() < until:
         good, state, _ = egm.receive_latest(timeout=0.1)
         if good:

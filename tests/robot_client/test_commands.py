@@ -162,7 +162,12 @@ def test_jog_goes_up_over_and_down(capsys):
 def test_jog_fails_safe_when_the_robot_stops(capsys):
     async def story():
         async with bench() as cell:
-            asyncio.get_running_loop().call_later(0.6, cell.board.update, {"robot": {"protective_stop": True}})
+
+            def stop_on_the_way():
+                if cell.cabinet.arm.pose.position_mm[2] > 45.0:
+                    cell.board.update({"robot": {"protective_stop": True}})
+
+            cell.egm.on_cycle.append(stop_on_the_way)
             await _jog(cell.settings, WorkPose(x_mm=-30.0, y_mm=0.0, z_mm=100.0, yaw_deg=0.0))
 
     with pytest.raises(DriverError, match="motors are off"):

@@ -203,6 +203,7 @@ class Injector:
 async def break_it(name, phase, folder):
     fault = FAULTS[name]
     overrides = {"timeouts": {"arming_s": 1.0, "deciding_s": 1.5, "motion_s": 3.0}, "rws": {"stop_timeout_s": 0.5}}
+    overrides["egm"] = {"max_age_s": 0.25}
     log = folder / f"{name}-{phase}.jsonl".replace(" ", "_")
     async with bench(overrides=overrides) as cell:
         cell.service.delays_s = {"arm": 0.3, "stopped": 0.3}
@@ -215,13 +216,13 @@ async def break_it(name, phase, folder):
         return fault, injector, state, cell, log
 
 
-def judge(name, phase, fault, injector, state, cell, log):
+def judge(name, phase, fault, injector, state, cell, log, *, slack):
     label = f"{name} while {phase}"
     assert injector.injected_s, f"{label}: never injected, ended {state.phase} {state.reason}"
     assert state.phase is Phase.FAILED, f"{label}: ended {state.phase}"
     assert fault.expect in state.reason, f"{label}: reason {state.reason}"
     took_s = injector.held_s - injector.injected_s
-    bound_s = fault.bound_s + injector.lost_s + (STOP_S if name == "part lost" else 0.0)
+    bound_s = slack * (fault.bound_s + injector.lost_s + (STOP_S if name == "part lost" else 0.0))
     assert took_s <= bound_s, f"{label}: held after {took_s * 1e3:.0f} ms, bound {bound_s * 1e3:.0f} ms"
     settle_s = injector.held_s + 0.03
     targets = {pose.position_mm for now, pose, _ in cell.trace if now > settle_s}
@@ -236,7 +237,7 @@ def judge(name, phase, fault, injector, state, cell, log):
     return took_s
 
 
-async def break_all(cases, folder, together):
+async def break_all(cases, folder, together, *, slack=1.0):
     gate = asyncio.Semaphore(together)
     took = {}
 
@@ -247,7 +248,7 @@ async def break_all(cases, folder, together):
                 fault, injector, state, *_ = result
                 if injector.injected_s and (fault.expect in state.reason or injector.stalled_s < 0.1):
                     break
-            took[name, phase] = judge(name, phase, *result)
+            took[name, phase] = judge(name, phase, *result, slack=slack)
 
     results = await asyncio.gather(*(one(*case) for case in cases), return_exceptions=True)
     failures = [result for result in results if isinstance(result, BaseException)]
@@ -255,8 +256,9 @@ async def break_all(cases, folder, together):
     return took
 
 
-def test_faults_end_in_a_hold_within_their_bound(tmp_path):
-    asyncio.run(break_all(FAST, tmp_path, together=3))
+def test_faults_end_in_a_hold_and_say_why(tmp_path):
+    """The times themselves are judged in the slow test below; here a busy machine may take ten times as long."""
+    asyncio.run(break_all(FAST, tmp_path, together=5, slack=10.0))
 
 
 @pytest.mark.slow

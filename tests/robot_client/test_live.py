@@ -3,7 +3,6 @@
 import asyncio
 import itertools
 import json
-import time
 
 import pytest
 
@@ -25,7 +24,7 @@ async def _insert(tmp_path=None, lag_ms=20.0, **options):
         return cell, state
 
 
-@pytest.fixture(scope="module", params=[20.0, 50.0], ids="lag {:g} ms".format)
+@pytest.fixture(scope="module", params=[20.0, pytest.param(50.0, marks=pytest.mark.slow)], ids="lag {:g} ms".format)
 def inserted(request, tmp_path_factory):
     """One insertion by the real protocols, for each lag of the arm: the cell after it, the final state, its log."""
     folder = tmp_path_factory.mktemp("episode")
@@ -52,16 +51,28 @@ def test_the_log_holds_the_attempts_and_replays(inserted):
     assert [row["attempt"] for row in end["rows"]] == [1, 2]
 
 
-def test_slip_freezes_the_target_on_the_wire_within_a_frame_and_overtravel_is_lag_times_speed(inserted):
+def _lowered(cell):
+    """When, in s, the controller took a target lower than the one before."""
+    return [t1 for (_, a, _), (t1, b, _) in itertools.pairwise(cell.trace) if b.position_mm[2] < a.position_mm[2]]
+
+
+def test_slip_freezes_the_target_at_once_and_overtravel_is_lag_times_speed(inserted):
+    """Counted in cycles of 4 ms, whatever the machine: what was on its way when the slip message came, and no more."""
+    cell, _, log, lag_ms = inserted
+    events = [json.loads(line).get("event", {}) for line in log.read_text().splitlines()]
+    told_s = next(event["at_s"] for event in events if event.get("message", {}).get("type") == "slip")
+    stood_s = next(event["at_s"] for event in events if event.get("kind") == "standstill")
+    assert sum(told_s < now < stood_s for now in _lowered(cell)) <= 2
+    assert cell.report.rows[0].overtravel_mm < lag_ms * 0.01 + 0.35
+
+
+@pytest.mark.slow
+def test_slip_freezes_the_target_on_the_wire_within_a_frame(inserted):
     cell, _, _, lag_ms = inserted
     (slip_ns,) = cell.service.slips_ns
-    downs = [t1 for (_, a, _), (t1, b, _) in itertools.pairwise(cell.trace) if b.position_mm[2] < a.position_mm[2]]
-    last_change_s = max(now for now in downs if abs(now - slip_ns / 1e9) < 0.5)
-    late_ms = (last_change_s - slip_ns / 1e9) * 1e3
-    row = cell.report.rows[0]
-    print(f"lag {lag_ms:g} ms: last new target {late_ms:.1f} ms after the slip message, {row.overtravel_mm:.3f} mm on")
+    late_ms = (max(now for now in _lowered(cell) if abs(now - slip_ns / 1e9) < 0.5) - slip_ns / 1e9) * 1e3
+    print(f"lag {lag_ms:g} ms: last lowered target {late_ms:.1f} ms after the slip message")
     assert late_ms < 33.3
-    assert row.overtravel_mm < lag_ms * 0.01 + 0.35
 
 
 def test_the_arm_never_leaves_the_vertical_below_the_approach_height(inserted):
@@ -109,13 +120,10 @@ def test_an_interrupt_holds_the_arm_and_stops_the_program():
                     break
             await asyncio.sleep(0.3)
             task.cancel()
-            begun = time.monotonic()
-            state = await task
-            return cell, state, time.monotonic() - begun
+            return cell, await task
 
-    cell, state, took_s = run(story())
+    cell, state = run(story())
     assert state.phase is Phase.FAILED
     assert "operator" in state.reason
     assert cell.cabinet.arm.at_rest
     assert not cell.cabinet.running
-    assert took_s < 2.0

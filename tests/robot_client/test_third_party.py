@@ -53,7 +53,7 @@ def test_abbrobotegm_guides_what_our_rws_client_started():
         async with bench() as cell:
             before = cell.cabinet.arm.pose.position_mm[2]
             process = await _start("peer_abb_robot_egm.py", cell.settings.egm.port)
-            await asyncio.wait_for(process.stdout.readline(), 20.0)
+            await asyncio.wait_for(process.stdout.readline(), 60.0)
             client = RwsClient(cell.settings.rws)
             await client.start_program()
             out = await _finish(process)

@@ -44,7 +44,7 @@ async def connected(**options):
     peer = TextGripper(**options)
     server = await asyncio.start_server(peer.handle, "127.0.0.1", 0)
     port = server.sockets[0].getsockname()[1]
-    gripper = GclGripper(WsgSettings(host="127.0.0.1", port=port, silence_s=0.3))
+    gripper = GclGripper(WsgSettings(host="127.0.0.1", port=port, silence_s=0.3, reply_timeout_s=20.0))
     events = asyncio.Queue()
     try:
         await gripper.start(events.put_nowait)
@@ -59,7 +59,7 @@ def first_event(act, **options):
     async def story():
         async with connected(**options) as (peer, gripper, events):
             act(peer, gripper)
-            return await asyncio.wait_for(events.get(), 5.0), peer
+            return await asyncio.wait_for(events.get(), 30.0), peer
 
     return asyncio.run(story())
 

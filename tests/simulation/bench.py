@@ -95,7 +95,7 @@ class Bench:
         return LiveCell(options, plant(self.physics), bind_all(options))
 
     def run(self, coroutine):
-        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(10.0)
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(60.0)
 
     def call(self, function, *args):
         """Run a plain function on the cell's loop."""
@@ -104,7 +104,7 @@ class Bench:
     def faults(self, **sections):
         self.call(self.cell.board.update, sections)
 
-    def wait(self, condition: Callable[[], bool], timeout_s: float = 3.0) -> None:
+    def wait(self, condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
         """Wait until a condition on the cell holds."""
         end = time.monotonic() + timeout_s
         while not self.call(condition):
@@ -139,7 +139,7 @@ class WsgClient:
 
     def __init__(self, address: str) -> None:
         host, port = address.split(":")
-        self.sock = socket.create_connection((host, int(port)), timeout=3.0)
+        self.sock = socket.create_connection((host, int(port)), timeout=30.0)
         self.parser = StreamParser()
         self.waiting: list[Reply] = []
 

@@ -7,6 +7,7 @@ import time
 import pytest
 
 from robot_client.codecs import egm
+from simulation.emulators.abb_egm import CYCLE_S
 from simulation.emulators.net import free_port
 from tests.simulation.bench import bench, forever
 
@@ -17,7 +18,7 @@ class Guide:
     def __init__(self, port):
         self.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.sock.bind(("127.0.0.1", port))
-        self.sock.settimeout(2.0)
+        self.sock.settimeout(20.0)
         self.robot = None
         self.count = 0
 
@@ -32,9 +33,8 @@ class Guide:
     def descend(self, speed_mm_s, seconds):
         """Follow the stream with a falling target; the last target sent."""
         start = self.state().feedback
-        begin = time.monotonic()
-        while (gone := time.monotonic() - begin) < seconds:
-            pose = egm.Pose(start.x_mm, start.y_mm, start.z_mm - speed_mm_s * gone, *start.quaternion)
+        for k in range(round(seconds / CYCLE_S)):  # by the robot's cycles, whatever the machine does
+            pose = egm.Pose(start.x_mm, start.y_mm, start.z_mm - speed_mm_s * k * CYCLE_S, *start.quaternion)
             self.send(pose)
             self.state()
         return pose
@@ -45,7 +45,7 @@ class Guide:
             while True:
                 self.sock.recv(4096)
         except BlockingIOError:
-            self.sock.settimeout(2.0)
+            self.sock.settimeout(20.0)
 
 
 @pytest.fixture(scope="module")
@@ -71,16 +71,15 @@ def up(made):
 
 
 def test_the_robot_speaks_first_at_250_hz_and_fills_its_state(up):
-    _, guide = up
+    cell, guide = up
     first = guide.state()
-    begin = time.monotonic()
     states = [guide.state() for _ in range(100)]
-    assert 0.36 < time.monotonic() - begin < 3.0
     assert states[-1].sequence == first.sequence + 100
     assert first.moving_allowed
     assert len(first.joints_deg) == 6
     assert first.feedback.x_mm == pytest.approx(8.0, abs=1e-6)
-    assert states[-1].time_ms > first.time_ms
+    lost_ms = cell.cell.egm.counters.lost_cycles * 1000 * CYCLE_S
+    assert 400 <= states[-1].time_ms - first.time_ms <= 400 + lost_ms, "a cycle is 4 ms of the controller's clock"
 
 
 def test_the_arm_follows_the_guide_and_holds_the_last_target(up):
@@ -107,9 +106,9 @@ def test_overtravel_after_a_stop_is_the_lag(up):
 def test_silence_of_the_guide_ends_the_run_and_holds(up):
     cell, guide = up
     guide.descend(10.0, 0.2)
-    silent = time.monotonic()
-    cell.wait(lambda: not cell.cell.cabinet.running, 3.0)
-    assert 0.8 < time.monotonic() - silent < 1.6
+    silent_s = cell.cell.egm.controller_s
+    cell.wait(lambda: not cell.cell.cabinet.running, 30.0)
+    assert cell.cell.egm.controller_s - silent_s > 0.9
     z = cell.cell.cabinet.arm.pose.position_mm[2]
     time.sleep(0.2)
     assert cell.cell.cabinet.arm.pose.position_mm[2] == z
@@ -152,7 +151,7 @@ def test_a_safety_stop_ends_motion_and_says_so_before_the_stream_ends(up, fault,
     guide.sock.settimeout(0.3)
     with pytest.raises(TimeoutError):
         forever(lambda: seen.append(guide.state()))
-    guide.sock.settimeout(2.0)
+    guide.sock.settimeout(20.0)
     assert not seen[-1].moving_allowed
     assert not seen[-1].motors_on
     assert cell.cell.cabinet.arm.at_rest
@@ -170,7 +169,7 @@ def test_a_silent_stream_and_a_frozen_stream_can_be_told_apart(up):
     guide.sock.settimeout(0.2)
     with pytest.raises(TimeoutError):
         guide.state()
-    guide.sock.settimeout(2.0)
+    guide.sock.settimeout(20.0)
 
 
 def test_dropped_garbled_and_delayed_datagrams_can_be_had(up):
