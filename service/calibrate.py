@@ -75,7 +75,7 @@ def still_image(url: str, frames: int) -> NDArray[np.uint8]:
     timer.start()
     began = time.monotonic()
     try:
-        seen = [capture.pixels for capture in islice(open_source(url).frames(stop), max(frames, 1))]
+        seen = [capture.image() for capture in islice(open_source(url).frames(stop), max(frames, 1))]
     except OSError as error:
         raise CameraError(f"camera {url}: {error}") from error
     finally:

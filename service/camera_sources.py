@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.cameras import CameraError, Capture, Source, decode_jpeg, now_ns
+from service.cameras import CameraError, Capture, Source, now_ns
 from service.contract import TactileFrame
 
 CONNECT_TIMEOUT_S = 1.0
@@ -22,7 +22,6 @@ MAX_JPEG_BYTES = 4 << 20
 _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
 _STAMP = re.compile(rb"(?im)^x-timestamp:\s*(\d+)\.(\d{1,9})\s*$")
 _SAME_CLOCK_NS = 1_000_000_000
-_MAX_BROKEN_PARTS = 10
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 
 
@@ -57,7 +56,7 @@ class MjpegSource:
 
     def _parse(self, response: http.client.HTTPResponse, boundary: bytes, stop: threading.Event) -> Iterator[Capture]:
         buffer = bytearray()
-        stamp_ns, broken = now_ns(), 0
+        stamp_ns = now_ns()
         while not stop.is_set():
             header_end = buffer.find(b"\r\n\r\n")
             if header_end < 0:
@@ -72,13 +71,7 @@ class MjpegSource:
             jpeg = self._body(response, buffer, int(length[1]) if length else None, boundary)
             if jpeg is None:
                 return
-            try:
-                yield Capture(stamp_ns, decode_jpeg(jpeg), jpeg)
-                broken = 0
-            except CameraError:
-                broken += 1
-                if broken >= _MAX_BROKEN_PARTS:
-                    raise
+            yield Capture(stamp_ns, None, jpeg)
             stamp_ns = now_ns()
 
     def _body(

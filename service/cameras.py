@@ -20,6 +20,8 @@ from service.contract.wire import CameraEntry
 
 RETRY_S = 0.25  # a returned camera is found within 1 s
 STALL_S = 0.5  # no frame for this long is a stall
+GLANCE_EVERY = 4  # of a camera that nobody attends to, one frame in so many is decoded; the others only prove it lives
+MAX_BROKEN = 10  # JPEGs in a row that do not decode, before the camera is given up and opened anew
 State = Literal["live", "stalled", "lost", "starting"]
 
 
@@ -29,11 +31,15 @@ class CameraError(ContractError):
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """What a source yields: monotonic stamp, pixels uint8 [h, w, 3] BGR, and the JPEG they came in, if any."""
+    """What a source yields: monotonic stamp, pixels uint8 [h, w, 3] BGR or the JPEG that still holds them."""
 
     captured_ns: int
-    pixels: NDArray[np.uint8]
-    jpeg: bytes | None = None
+    pixels: NDArray[np.uint8] | None
+    jpeg: bytes = b""
+
+    def image(self) -> NDArray[np.uint8]:
+        """The pixels, decoded if they have to be; raises CameraError if the JPEG is broken."""
+        return decode_jpeg(self.jpeg) if self.pixels is None else self.pixels
 
 
 class Source(Protocol):
@@ -66,7 +72,8 @@ class Camera:
     """One finger's camera: a thread that captures, stamps, counts, notices stalls and size changes, and reconnects.
 
     ``on_frame`` is called in the capture thread for each frame, ``on_fault(finger, code, detail)`` once for each change
-    into a bad state; codes are camera_lost, camera_stalled, camera_size.
+    into a bad state; codes are camera_lost, camera_stalled, camera_size. While ``attended`` says no, most JPEGs are
+    counted but not decoded: that is three quarters of what an idle service would spend.
     """
 
     def __init__(
@@ -75,15 +82,18 @@ class Camera:
         source: Source,
         on_frame: Callable[[CameraFrame], None],
         on_fault: Callable[[Finger, str, str], None],
+        attended: Callable[[], bool] = lambda: True,
     ) -> None:
         self.finger = finger
         self.source = source
         self.state: State = "starting"
         self.latest: CameraFrame | None = None
+        self.newest_ns: int | None = None
         self.frames_n = self.repeated_n = self.faults_n = 0
+        self._broken_n = self._unseen_n = 0
         self.shape: tuple[int, ...] | None = None
         self.last_fault = ""
-        self._on_frame, self._on_fault = on_frame, on_fault
+        self._on_frame, self._on_fault, self._attended = on_frame, on_fault, attended
         self._stamps: deque[int] = deque(maxlen=31)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"camera-{finger}", daemon=True)
@@ -115,8 +125,7 @@ class Camera:
 
     def check_stall(self, now_ns: int) -> None:
         """Called a few times a second by whoever owns the camera: a live camera without frames becomes stalled."""
-        latest = self.latest
-        if self.state == "live" and latest and now_ns - latest.frame.captured_ns > STALL_S * 1e9:
+        if self.state == "live" and self.newest_ns and now_ns - self.newest_ns > STALL_S * 1e9:
             self._fault("stalled", "camera_stalled", f"no frame for {STALL_S:g} s from {self.source.name}")
 
     def _run(self) -> None:
@@ -132,21 +141,48 @@ class Camera:
                 self._stop.wait(RETRY_S)
 
     def _publish(self, capture: Capture) -> None:
-        latest = self.latest.frame if self.latest else None
-        if latest is not None and capture.captured_ns <= latest.captured_ns:
+        if self.newest_ns is not None and capture.captured_ns <= self.newest_ns:
             self.repeated_n += 1
             return
-        if self.shape is not None and capture.pixels.shape != self.shape:
-            was, self.shape = self.shape, capture.pixels.shape
+        if capture.pixels is None and self._may_skip():
+            self._unseen_n += 1
+            self._count(capture.captured_ns)
+            return
+        pixels = self._decoded(capture)
+        if pixels is None:
+            return
+        self._unseen_n = 0
+        if self.shape is not None and pixels.shape != self.shape:
+            was, self.shape = self.shape, pixels.shape
             self._fault("lost", "camera_size", f"{self.finger} frames changed from {_size(was)} to {_size(self.shape)}")
-        self.shape = capture.pixels.shape
-        seq = latest.seq + 1 if latest else 0
-        frame = CameraFrame(TactileFrame(self.finger, seq, capture.captured_ns, capture.pixels), capture.jpeg)
+        self.shape = pixels.shape
+        seq = self.latest.frame.seq + 1 if self.latest else 0
+        frame = CameraFrame(TactileFrame(self.finger, seq, capture.captured_ns, pixels), capture.jpeg or None)
         self.latest = frame
-        self.frames_n += 1
-        self._stamps.append(capture.captured_ns)
-        self.state = "live"
+        self._count(capture.captured_ns)
         self._on_frame(frame)
+
+    def _may_skip(self) -> bool:
+        return self.state == "live" and self._unseen_n < GLANCE_EVERY - 1 and not self._attended()
+
+    def _count(self, captured_ns: int) -> None:
+        self.newest_ns = captured_ns
+        self.frames_n += 1
+        self._stamps.append(captured_ns)
+        self.state = "live"
+
+    def _decoded(self, capture: Capture) -> NDArray[np.uint8] | None:
+        """The pixels, or None for a broken JPEG; raises CameraError at MAX_BROKEN in a row."""
+        try:
+            pixels = capture.image()
+        except CameraError:
+            self._broken_n += 1
+            if self._broken_n >= MAX_BROKEN:
+                self._broken_n = 0
+                raise
+            return None
+        self._broken_n = 0
+        return pixels
 
     def _fault(self, state: State, code: str, detail: str) -> None:
         changed = self.state != state or code == "camera_size"

@@ -5,7 +5,7 @@ from typing import Any
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
-from service.cameras import CameraFrame, now_ns
+from service.cameras import now_ns
 from service.contract import Finger, wire
 from service.observation import Observation
 from service.station import Station
@@ -36,21 +36,24 @@ class Metrics:
         dropped.set_function(lambda: station.counters.frames_dropped_n)
         unpaired.set_function(lambda: station.pairer.dropped_n)
         ready.set_function(lambda: float(station.ready))
+        self._counted: dict[Finger, int] = {}
         station.hub.subscribe(self._heard)
 
     def _age_s(self, finger: Finger) -> float:
-        latest = self._station.cameras[finger].latest
-        return float("nan") if latest is None else (now_ns() - latest.frame.captured_ns) * 1e-9
+        newest_ns = self._station.cameras[finger].newest_ns
+        return float("nan") if newest_ns is None else (now_ns() - newest_ns) * 1e-9
 
     def exposition(self) -> tuple[bytes, str]:
         """The text Prometheus scrapes, and its content type."""
+        for finger, camera in self._station.cameras.items():
+            counted = self._counted.get(finger, 0)
+            self._counted[finger] = camera.frames_n
+            self._frames.labels(finger).inc(self._counted[finger] - counted)
         return generate_latest(self.registry), CONTENT_TYPE_LATEST
 
     def _heard(self, kind: str, content: Any) -> None:
         self._count(kind, content)
         match content:
-            case CameraFrame():
-                self._frames.labels(content.frame.finger).inc()
             case Observation():
                 for stage, cost_ms in content.cost_ms.items():
                     self._stages.labels(stage).observe(cost_ms / 1e3)

@@ -54,10 +54,12 @@ class Station:
                 open_source(urls[finger], frame_rate_hz=settings.frame_rate_hz),
                 self._on_camera_frame,
                 self._on_camera_fault,
+                self._attends,
             )
             for finger in FINGERS
         }
         self.active: Insertion | None = None
+        self.viewers_n = 0
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._worker = ModelsWorker(lambda result: self.post(lambda: self._on_result(result)))
@@ -138,9 +140,14 @@ class Station:
 
     # ---- cameras ---------------------------------------------------------------------------------------------------
 
+    def _attends(self) -> bool:
+        return self.active is not None or self.viewers_n > 0
+
     def _on_camera_frame(self, frame: CameraFrame) -> None:
-        pair = self.pairer.add(frame.frame)
         self.hub.frame(frame)
+        if self.active is None:
+            return
+        pair = self.pairer.add(frame.frame)
         self._frames.append((frame, pair))
         self.post(self._next_frame)
 
@@ -184,9 +191,9 @@ class Station:
 
     def frame_age_ms(self) -> float | None:
         """Age of the newest frame of the finger that is further behind, None before the first."""
-        latest = [camera.latest for camera in self.cameras.values()]
-        ages = [(now_ns() - frame.frame.captured_ns) / 1e6 for frame in latest if frame]
-        return max(ages) if len(ages) == len(latest) else None
+        newest = [camera.newest_ns for camera in self.cameras.values()]
+        ages = [(now_ns() - stamp_ns) / 1e6 for stamp_ns in newest if stamp_ns is not None]
+        return max(ages) if len(ages) == len(newest) else None
 
     def reload_models(self) -> None:
         """Load the models folder again and swap it in between insertions; on any fault the old models stay.

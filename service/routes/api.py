@@ -150,16 +150,20 @@ def router(station: Station, access: Access) -> APIRouter:  # noqa: C901 - one t
 
 async def _parts(station: Station, finger: Finger) -> AsyncIterator[bytes]:
     shown = -1
-    while True:
-        frame = station.hub.frames.get(finger)
-        if frame is not None and frame.frame.captured_ns != shown:
-            shown = frame.frame.captured_ns
-            jpeg = frame.jpeg
-            if jpeg is None:
-                jpeg = await asyncio.to_thread(_encode, frame.frame.pixels)
-            head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-            yield head.encode() + jpeg + b"\r\n"
-        await asyncio.sleep(STREAM_PERIOD_S)
+    station.viewers_n += 1
+    try:
+        while True:
+            frame = station.hub.frames.get(finger)
+            if frame is not None and frame.frame.captured_ns != shown:
+                shown = frame.frame.captured_ns
+                jpeg = frame.jpeg
+                if jpeg is None:
+                    jpeg = await asyncio.to_thread(_encode, frame.frame.pixels)
+                head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                yield head.encode() + jpeg + b"\r\n"
+            await asyncio.sleep(STREAM_PERIOD_S)
+    finally:
+        station.viewers_n -= 1
 
 
 def _encode(pixels: Any) -> bytes:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.camera_sources import MjpegSource, PushSource, RecordingSource, open_source, told_stamp_ns
-from service.cameras import Camera, CameraError, CameraFrame, Pairer, now_ns
+from service.cameras import Camera, CameraError, CameraFrame, Capture, Pairer, now_ns
 from service.contract import Finger, TactileFrame
 from tests.service.mjpeg import FakeFinger
 
@@ -63,6 +63,31 @@ def test_mjpeg_frames_are_stamped_counted_and_keep_their_jpeg() -> None:
 def test_a_camera_that_is_not_there_is_one_fault() -> None:
     frames, faults = collect("http://127.0.0.1:9/none", 0.8)
     assert (frames, faults) == ([], ["camera_lost"])
+
+
+def test_an_unattended_camera_is_counted_in_full_and_decoded_now_and_then() -> None:
+    jpeg = cv2.imencode(".jpg", np.zeros((8, 9, 3), np.uint8))[1].tobytes()
+    seen: list[CameraFrame] = []
+    attended = False
+    camera = Camera("left", PushSource(), seen.append, lambda *_: None, lambda: attended)
+    for stamp_ns in range(1, 41):
+        camera._publish(Capture(stamp_ns, None, jpeg))
+    assert (camera.frames_n, camera.newest_ns, camera.state) == (40, 40, "live")
+    assert len(seen) == 10
+    attended = True
+    for stamp_ns in range(41, 51):
+        camera._publish(Capture(stamp_ns, None, jpeg))
+    assert [frame.frame.captured_ns for frame in seen[10:]] == list(range(41, 51))
+    assert [frame.frame.seq for frame in seen] == list(range(20))
+
+
+def test_a_few_broken_pictures_are_left_out_and_ten_in_a_row_are_a_lost_camera() -> None:
+    camera = Camera("left", PushSource(), lambda _: None, lambda *_: None)
+    for stamp_ns in range(9):
+        camera._publish(Capture(stamp_ns, None, b"no picture"))
+    assert camera.latest is None
+    with pytest.raises(CameraError, match="10 bytes are not a JPEG"):
+        camera._publish(Capture(9, None, b"no picture"))
 
 
 def test_a_changed_size_is_a_fault() -> None:
