@@ -113,4 +113,5 @@ def optics_of(scene: Scene) -> dict[str, Any]:
         "object_texture_period_px": period,
         "object_texture_gain": gain if active.object_texture else 0.0,
         "motion_blur_share": camera.exposure_ms * camera.fps / 1000 if active.motion_blur else 0.0,
+        "rolling_share": camera.readout_ms * camera.fps / 1000 if active.rolling_shutter else 0.0,
     }

@@ -50,6 +50,7 @@ class Plant(NamedTuple):
     part_width_mm: float
     gap_width_mm: float
     save_calibration: Callable[[Path], None]
+    dropped_share: float = 0.0  # of the camera frames, as the scene has it
 
 
 class Sockets(NamedTuple):
@@ -108,7 +109,7 @@ class LiveCell:
         self.part = HeldPart(self.world, plant.part_width_mm, self._pose, at_start)
         self.gripper = Gripper(self.part, self.board, holding=held)
         self.wsg = Wsg50Emulator(self.gripper, self.board)
-        self.cameras = {finger: CameraEmulator(finger, self.board) for finger in FINGERS}
+        self.cameras = {finger: CameraEmulator(finger, self.board, plant.dropped_share) for finger in FINGERS}
         self.admin = HttpServer(create_admin(self, self.board), self.sockets.admin)
         self.feeds: list[CameraFeed] = []
         self._loop: asyncio.AbstractEventLoop | None = None

@@ -12,6 +12,7 @@ from simulation.cell import Plant
 from simulation.cell_cameras import Draw
 from simulation.cell_options import CellOptions
 from simulation.cell_world import Gel
+from simulation.effects import dropped_share
 from simulation.emulators.abb_motion import Pose, tool_down
 from simulation.imprint import Appearance, Renderer
 from simulation.probe import Cell
@@ -61,6 +62,7 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         part_width_mm=scene.object.held_size_y_mm or scene.object.size_y_mm,
         gap_width_mm=scene.blocks.gap_mm,
         save_calibration=save_calibration,
+        dropped_share=dropped_share(scene),
     )
 
 

@@ -75,7 +75,7 @@ class Fixture:
 
 def scene_sha256(scene: Scene) -> str:
     """SHA-256 of everything a scene says."""
-    return hashlib.sha256(scene.model_dump_json().encode()).hexdigest()
+    return hashlib.sha256(scene.identity_json().encode()).hexdigest()
 
 
 def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.random.Generator]:

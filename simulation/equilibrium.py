@@ -12,7 +12,7 @@ from typing import Any
 from numba import njit
 
 from simulation import contact
-from simulation.linear import apply, product_into, rotation_into, turn_in_place
+from simulation.linear import apply, apply_t, product_into, rotation_into, turn_in_place
 
 ARM_MM = 10.0  # turns a torque residual into a force
 
@@ -137,23 +137,70 @@ def rows_assemble(constants: Any, trial: Any, rows: Any, coupled: bool) -> None:
 
 
 @njit(cache=True)
-def weights(constants: Any, trial: Any) -> float:
-    """Potential of gravity, N mm; adds its gradient."""
+def _inertia(constants: Any, trial: Any) -> float:
+    """Potential of an implicit Euler step, m / (2 dt^2) |centre - coast|^2, N mm; adds gradient and lower Hessian."""
+    grad, hess, turn, height, k = trial.grad, trial.hess, trial.turn, constants.mass_height, constants.inertia
+    c = (
+        trial.place[0] + turn[0, 2] * height,
+        trial.place[1] + turn[1, 2] * height,
+        trial.place[2] + turn[2, 2] * height,
+    )
+    x, y, z = apply(trial.hand, c[0], c[1], c[2])
+    tcp, coast = trial.tcp, trial.coast
+    x, y, z = apply_t(trial.hand, x + tcp[0] - coast[0], y + tcp[1] - coast[1], z + tcp[2] - coast[2])
+    grad[0] += k * x
+    grad[1] += k * y
+    grad[2] += k * z
+    grad[3] += k * (c[1] * z - c[2] * y)
+    grad[4] += k * (c[2] * x - c[0] * z)
+    grad[5] += k * (c[0] * y - c[1] * x)
+    square = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
+    for a in range(3):
+        hess[a, a] += k
+        hess[3 + a, 3 + a] += k * square
+        for b in range(a + 1):
+            hess[3 + a, 3 + b] -= k * c[a] * c[b]
+        one, two = (a + 1) % 3, (a + 2) % 3
+        hess[3 + one, two] -= k * c[a]
+        hess[3 + two, one] += k * c[a]
+    return float(0.5 * k * (x * x + y * y + z * z))
+
+
+@njit(cache=True)
+def _gravity(constants: Any, trial: Any) -> float:
+    """Potential of the held object's weight, N mm; adds its gradient."""
     grad, turn, height, weight = trial.grad, trial.turn, constants.mass_height, constants.weight
     grad[2] += weight
     grad[3] += (turn[1, 2] * height + trial.place[1]) * weight
     grad[4] -= (turn[0, 2] * height + trial.place[0]) * weight
-    total = weight * (turn[2, 2] * height + trial.place[2])
+    return float(weight * (turn[2, 2] * height + trial.place[2]))
+
+
+@njit(cache=True)
+def _block_weights(constants: Any, trial: Any) -> float:
+    """Potential of the free blocks' weights, N mm; adds its gradient."""
+    grad, size, weight, total = trial.grad, constants.block_size, constants.block_weight, 0.0
+    for b in range(2):
+        x, y, z = apply(trial.block_turn[b], 0.5 * size[0], 0.0, -0.5 * size[2])
+        at = 6 + 6 * b
+        grad[at + 2] += weight
+        grad[at + 3] += y * weight
+        grad[at + 4] -= x * weight
+        total += weight * (z + trial.block[b, 2])
+    return total
+
+
+@njit(cache=True)
+def masses(constants: Any, trial: Any) -> float:
+    """Potential of gravity and inertia, N mm, where the scene calls for them; adds gradient and lower Hessian."""
+    total = 0.0
+    if constants.weight > 0.0:
+        total += _gravity(constants, trial)
+    if constants.inertia > 0.0:
+        total += _inertia(constants, trial)
     if constants.unknowns > 6:
-        size, weight = constants.block_size, constants.block_weight
-        for b in range(2):
-            x, y, z = apply(trial.block_turn[b], 0.5 * size[0], 0.0, -0.5 * size[2])
-            at = 6 + 6 * b
-            grad[at + 2] += weight
-            grad[at + 3] += y * weight
-            grad[at + 4] -= x * weight
-            total += weight * (z + trial.block[b, 2])
-    return float(total)
+        total += _block_weights(constants, trial)
+    return total
 
 
 @njit(cache=True)

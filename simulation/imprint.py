@@ -73,7 +73,8 @@ class Renderer:
         if smear is not None and look.motion_blur_share > 0:
             earlier = _remap(self._albedo, where + np.float32(look.motion_blur_share) * smear)
             albedo = np.asarray(cv2.addWeighted(albedo, 0.5, earlier, 0.5, 0), np.float32)
-        return self._shaded(albedo, self._bumps(where, touched), gains, frame_seed)
+        bumps = self._bumps(where, touched) if look.object_texture_gain != 0 and touched.any() else None
+        return self._shaded(albedo, bumps, gains, frame_seed)
 
     def rectified(
         self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None
@@ -105,18 +106,16 @@ class Renderer:
         change = _refined((gel[..., :2] - previous[..., :2]) * np.float32(1 / self.appearance.mm_per_px))
         return _to_raw(np.ascontiguousarray(_remap(change, rest_index)[..., :2]))
 
-    def _bumps(self, where: Floats, touched: Floats) -> Floats | None:
-        """The held surface's texture [320, 427] as a share of the light, or None where it has none."""
-        gain = self.appearance.object_texture_gain
-        if gain == 0 or not touched.any():
-            return None
+    def _bumps(self, where: Floats, touched: Floats) -> Floats:
+        """The held surface's texture [320, 427] as a share of the light."""
         seen = _remap(self._relief, where)
-        seen *= _to_raw(touched * np.float32(gain))
+        seen *= _to_raw(touched * np.float32(self.appearance.object_texture_gain))
         return seen
 
     def _shaded(self, albedo: Floats, bumps: Floats | None, gains: Floats, frame_seed: int) -> Image:
         """Uint8 [320, 427, 3]: light times albedo times slope shading, plus what is not gel, plus noise."""
-        noise, sigma = _noise(frame_seed), self.appearance.noise_sigma_grey
+        sigma = self.appearance.noise_sigma_grey
+        noise = _noise(frame_seed) if sigma > 0 else None
         channels = []
         for channel, sign in enumerate((0.2, -0.8, 1.0)):  # a bump is lit red on one side and shaded green there
             level = _to_raw(gains[channel])
@@ -124,7 +123,7 @@ class Renderer:
                 cv2.scaleAdd(bumps, sign, level, dst=level)
             level *= self._light[channel]
             level *= albedo
-            if sigma > 0:
+            if noise is not None:
                 level = np.asarray(cv2.scaleAdd(noise[channel], sigma, level), np.float32)
             channels.append(cv2.add(level, self._surround[channel], dtype=cv2.CV_8U))  # rounds and saturates
         return np.asarray(cv2.merge(channels), np.uint8)

@@ -32,7 +32,7 @@ def _forces(constants: Any, trial: Any, rows: Any, nodes: Any, coupled: bool) ->
             trial.hess[a, b] = trial.skew[a, b] = 0.0
     gel.assemble(constants, nodes, trial, coupled)
     equilibrium.rows_assemble(constants, trial, rows, coupled)
-    equilibrium.weights(constants, trial)
+    equilibrium.masses(constants, trial)
     return float(equilibrium.residual(trial, n))
 
 
@@ -132,7 +132,7 @@ def _convex_step(trial: Any, n: int) -> float:
 @njit(cache=True)
 def _potential(constants: Any, trial: Any, rows: Any, nodes: Any) -> float:
     total = gel.energy(constants, nodes, trial) + equilibrium.rows_energy(constants, trial, rows)
-    return float(total + equilibrium.weights(constants, trial))
+    return float(total + equilibrium.masses(constants, trial))
 
 
 @njit(cache=True)
@@ -200,7 +200,7 @@ def _finish(constants: Any, state: Any, trial: Any, rows: Any, slots: Any, nodes
     for a in range(n):
         trial.grad[a] = 0.0
     equilibrium.rows_assemble(constants, trial, rows, False)
-    equilibrium.weights(constants, trial)
+    equilibrium.masses(constants, trial)
     for a in range(6):
         state.wrench[a] = -trial.grad[a]
     state.report[3], state.report[4] = gel.settle(constants, nodes, trial)

@@ -132,6 +132,8 @@ def descend(
             f"probe: expected frames > {DECISION_FRAMES}, fps and speed > 0, delay and overtravel >= 0, got "
             f"{frames}, {rate}, {speed}, {stop_delay_frames}, {overtravel_mm}"
         )
+    if cell.coasting is not None:
+        cell.coasting.speed_mm_s = speed
     start = cell.pose.copy()
     first = cell.look()
     record = _Recorder(first)
@@ -158,13 +160,8 @@ def descend(
             break
     stop = len(record.states) - 1
     while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
-        record.add(_still(record.states[-1]), record.depth_mm[-1])
+        record.add(cell.wait(1.0 / rate) if cell.coasting else record.states[-1], record.depth_mm[-1])
     return _keep(record, frames, slip, stop, outcome, x_mm, theta_deg)  # type: ignore[arg-type]
-
-
-def _still(state: CellState) -> CellState:
-    """The same moment again: quasi-statics forget nothing and creep nowhere while the arm stands still."""
-    return state
 
 
 def _keep(

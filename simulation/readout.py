@@ -71,9 +71,14 @@ class Readout:
             dv = self.along_v @ (-stretch[part, 1].reshape(grid)) @ self.along_u.T
             field = pressure[part].reshape(grid)
             if self.bulge > 0.0:
-                soft = self.along_v @ field @ self.along_u.T
-                slope_v, slope_u = np.gradient(soft, self.pitch)
-                du, dv = du - self.bulge * slope_u, dv - self.bulge * slope_v
+                push_u, push_v = self._bulged(field)
+                du, dv = du - push_u, dv - push_v
             out[finger, ..., 0], out[finger, ..., 1] = du, dv
             out[finger, ..., 2] = self.sharp_v @ field @ self.sharp_u.T
         return out
+
+    def _bulged(self, field: Array) -> tuple[Array, Array]:
+        """How far a pad's pressure [rows, columns] drives the markers up its slope, mm [20, 21] along u and v."""
+        soft = self.along_v @ field @ self.along_u.T
+        slope_v, slope_u = np.gradient(soft, self.pitch)
+        return np.asarray(self.bulge * slope_u), np.asarray(self.bulge * slope_v)

@@ -30,6 +30,7 @@ CONSTANTS = np.dtype(
         ("block_weight", "f8"),
         ("base_k", "f8"),  # a block's base corner on the table, N/mm
         ("table_friction", "f8"),
+        ("inertia", "f8"),  # mass over the step's time squared, N/mm; 0: no inertia
         ("unknowns", "i8"),
     ],
     align=True,
@@ -69,6 +70,7 @@ TRIAL = np.dtype(
         ("start", "f8", (3,)),
         ("world_turn", "f8", (3, 3)),  # object in the world now
         ("world", "f8", (3,)),
+        ("coast", "f8", (3,)),  # where the centre of mass would be without forces, world
         ("spin", "f8", (3, 3)),  # scratch
         ("opening", "f8"),
         ("grad", "f8", (N,)),

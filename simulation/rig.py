@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from simulation import contact, gel, mechanics, pads, records
 from simulation.cell_state import CellState, block_motion, rotation_vector
+from simulation.coasting import coasting_of
 from simulation.constants import BASE_K, scene_constants
 from simulation.effects import Active, active_effects
 from simulation.linear import rotation_into
@@ -49,6 +50,7 @@ class Cell:
         height, width = camera.marker_rows * pitch, camera.marker_columns * pitch
         self.nodes = gel.make_nodes(scene.gel.node_rows, scene.gel.node_columns, height, width, scene.gel.crown_mm)
         self.layer = pads.pads_of(scene, self.nodes, self.constants)
+        self.coasting = coasting_of(scene) if self.active.inertia else None
         vertices = len(self.foot)
         self.base_slot = records.slot_count(vertices)
         self.slots = np.zeros(self.base_slot + 8, dtype=records.SLOT)
@@ -86,6 +88,8 @@ class Cell:
         for name in ("sx", "sz", "slipped"):
             self.nodes[name] = 0.0
         self.grasp_lost = False
+        if self.coasting is not None:
+            self.coasting.velocity[:] = 0.0
         self.pose = np.array([0.0, 0.0, spread.height_mm + 10.0 * APPROACH_MM, 0.0])
         if self.layer is None:
             self._close()
@@ -132,6 +136,8 @@ class Cell:
         start, reach = self.pose.copy(), self._free_share(target)
         if reach > 0.0:
             self.pose = start + reach * (target - start)
+            if self.coasting is not None:
+                self.coasting.ride(target[:3] - start[:3])
         rest = target - self.pose
         length = max(float(np.max(np.abs(rest[:3]))), 40.0 * abs(float(rest[3])))
         if reach < 1.0 and length > 0.0:
@@ -141,6 +147,14 @@ class Cell:
                 if self.lost():
                     break
         self.pose = target
+        return self.look()
+
+    def wait(self, duration_s: float) -> CellState:
+        """Stand still: nothing changes but for inertia, which swings on. Raises PhysicsError as `move_to` does."""
+        if self.coasting is not None and not self.grasp_lost:
+            self.nodes["slipped"] = 0.0
+            for dt_s in self.coasting.ticks(duration_s):
+                self._advance(self.pose, dt_s=dt_s)
         return self.look()
 
     def _free_share(self, target: Array) -> float:
@@ -175,18 +189,25 @@ class Cell:
         )
         return status
 
-    def _advance(self, target: Array, depth: int = 0) -> None:
+    def _step(self, target: Array) -> int:
         if self.layer is None:
-            status = self._solve(target)
+            return self._solve(target)
+        return self.layer.advance((self.record, self.slots), lambda: self._solve(target))
+
+    def _advance(self, target: Array, depth: int = 0, dt_s: float | None = None) -> None:
+        if self.coasting is None:
+            status = self._step(target)
         else:
-            status = self.layer.advance((self.record, self.slots), lambda: self._solve(target))
+            dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
+            status = self.coasting.step(self.constants, self.trials, self._centre(), dt_s, lambda: self._step(target))
         self.load_steps += 1
         self.newton_iterations += int(self.state["report"][1])
         self.convex_steps += int(self.state["report"][2] > 0)
         if status == mechanics.STALLED and depth < MAX_HALVINGS:
             middle = 0.5 * (self.pose + target)
-            self._advance(middle, depth + 1)
-            self._advance(target, depth + 1)
+            half_s = None if dt_s is None else 0.5 * dt_s
+            self._advance(middle, depth + 1, half_s)
+            self._advance(target, depth + 1, half_s)
             return
         if status == mechanics.STALLED:
             raise PhysicsError(
@@ -194,6 +215,8 @@ class Cell:
                 f"{np.round(target[:3], 3).tolist()} mm (residual {self.state['report'][0]:.2e} N)"
             )
         self.pose = target
+        if self.coasting is not None:
+            self.coasting.arrive(self._centre())
         grips = self._grips()
         if (
             status == mechanics.LOST
@@ -213,6 +236,10 @@ class Cell:
         hand = np.empty((3, 3))
         rotation_into(hand, 0.0, 0.0, self.pose[3])
         return hand @ self.state["turn"], hand @ self.state["place"] + self.pose[:3]
+
+    def _centre(self) -> Array:
+        turn, place = self._world()
+        return np.asarray(place + turn[:, 2] * float(self.constants["mass_height"][0]))
 
     def _object_error(self) -> tuple[float, float]:
         turn, place = self._world()

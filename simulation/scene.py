@@ -21,6 +21,7 @@ from simulation import shapes
 
 SCENES = Path(__file__).parent / "scenes"
 BUILT_IN = ("rectangle", "circle", "ellipse", "hexagon", "white_box", "vitamin", "can", "mustard")
+YOUNGER_KEYS = (("camera", "readout_ms"), ("effects", "inertia"), ("effects", "rolling_shutter"))
 Switch = Literal["auto", "on", "off"]
 
 
@@ -121,6 +122,7 @@ class Camera(Part):
     noise_grey: float = Field(default=2.0, ge=0.0, le=30.0)
     exposure: float = Field(default=1.0, ge=0.3, le=3.0)
     exposure_ms: float = Field(default=8.0, ge=0.1, le=33.0)
+    readout_ms: float = Field(default=0.0, ge=0.0, le=33.0)
     light: float = Field(default=1.0, ge=0.2, le=3.0)
     dropped_share: float = Field(default=0.0, ge=0.0, le=0.5)
 
@@ -137,12 +139,14 @@ class Effects(Part):
     """`auto` follows the predicate in `simulation.effects`; `on` and `off` force it."""
 
     gravity: Switch = "auto"
+    inertia: Switch = "auto"
     edge_friction: Switch = "auto"
     free_blocks: Switch = "auto"
     gel_wear: Switch = "auto"
     gel_coupling: Switch = "auto"
     object_texture: Switch = "auto"
     motion_blur: Switch = "auto"
+    rolling_shutter: Switch = "auto"
     camera_noise: Switch = "auto"
     dropped_frames: Switch = "auto"
 
@@ -188,6 +192,17 @@ class Scene(Part):
     def marker_pitch_mm(self) -> float:
         """Distance of neighbouring markers on the gel, mm."""
         return self.camera.marker_pitch_px * self.camera.mm_per_px
+
+    def identity_json(self) -> str:
+        """Everything the scene says, as one line of JSON: what data sets know it by.
+
+        A key younger than the first data sets counts only where it is set, so that they keep their scenes.
+        """
+        unset: dict[str, set[str]] = {}
+        for part, key in YOUNGER_KEYS:
+            if getattr(getattr(self, part), key) == getattr(type(getattr(self, part))(), key):
+                unset.setdefault(part, set()).add(key)
+        return self.model_dump_json(exclude=unset)
 
     def fits(self, x_mm: float, theta_deg: float) -> bool:
         """Whether a vertical descent from this error inserts without touching (paper_facts' criterion)."""

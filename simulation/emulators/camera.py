@@ -55,10 +55,14 @@ class Shot:
 
 
 class CameraEmulator:
-    """HTTP server of one camera; ``publish`` is called on its event loop with each new shot."""
+    """HTTP server of one camera; ``publish`` is called on its event loop with each new shot.
 
-    def __init__(self, finger: str, board: FaultBoard) -> None:
+    ``dropped_share`` of the frames never arrive, by the scene; the fault board can ask for more.
+    """
+
+    def __init__(self, finger: str, board: FaultBoard, dropped_share: float = 0.0) -> None:
         self.finger = finger
+        self._dropped_share = dropped_share
         self.published = 0
         self._board = board
         self._newest: Shot | None = None
@@ -97,7 +101,7 @@ class CameraEmulator:
     async def publish(self, shot: Shot) -> None:
         """Make a shot the newest one and wake the streams."""
         faults = self.faults
-        if faults.stall or self._random.random() < faults.drop_share:
+        if faults.stall or self._random.random() < max(faults.drop_share, self._dropped_share):
             return
         if faults.duplicate and self._newest is not None:
             shot = self._newest
