@@ -26,6 +26,22 @@ def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = Non
     print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
 
 
+def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
+    """Train the paper's own recipe (two AlexNet-LSTM networks), the baseline; started again, it goes on.
+
+    Args:
+        config: the recipe's TOML file, see training/configs/alexnet_lstm.toml.
+        data: dataset folder, instead of the one the config names.
+    """
+    from training.recipe import RecipeConfig, train_recipe
+
+    loaded = RecipeConfig.load(config)
+    if data is not None:
+        loaded = loaded.model_copy(update={"data": str(data)})
+    print_table(train_recipe(loaded).figures)
+    print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
+
+
 def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
     """Print the figures that a checkpoint carries.
 
@@ -62,7 +78,7 @@ def main() -> None:
     """Command line entry."""
     try:
         tyro.extras.subcommand_cli_from_dict(
-            {"train": train, "show": show, "report": report}, prog="python -m training"
+            {"train": train, "recipe": recipe, "show": show, "report": report}, prog="python -m training"
         )
     except ContractError as error:
         print(f"error: {error}", file=sys.stderr)

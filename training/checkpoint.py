@@ -14,7 +14,7 @@ from service.contract import ContractError
 from training.config import NetworkConfig
 from training.evaluate import Scales
 from training.labels import CLASSES
-from training.networks import build
+from training.networks import build_any
 
 _FORMAT = 1
 
@@ -74,7 +74,7 @@ class Checkpoint:
 
     def build(self, expected: NetworkConfig | None = None) -> Any:
         """The network with its weights, in evaluation mode; raise ContractError if they do not fit ``expected``."""
-        network = build(expected or self.network, len(CLASSES))
+        network = build_any(expected or self.network, len(CLASSES))
         try:
             network.load_state_dict(self.weights)
         except RuntimeError as error:

@@ -105,8 +105,7 @@ def load_trials(config: DataConfig, source: Source | None = None) -> Trials:
     source = open_source(config.path) if source is None else source
     digest = data_sha256(source)
     folder = Path(config.cache) / digest[:16]
-    folder.mkdir(parents=True, exist_ok=True)
-    table = _load_table(source, folder, min(len(source), config.max_trials))
+    table = load_table(source, folder, min(len(source), config.max_trials))
     picture, pooled = _load_pictures(source, table, config)
     return Trials(
         error=table["error"],
@@ -133,7 +132,9 @@ def _window_start(trial: Any, index: int) -> int:
     return start
 
 
-def _load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[Any]]:
+def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[Any]]:
+    """Labels, windows and fields of the first ``count`` trials that collided, cached in ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"table-{_FORMAT}-{count}.npz"
     if path.exists():
         with np.load(path) as stored:

@@ -22,7 +22,7 @@ class Recurrent(Protocol):
         """Features of a frame pair against its reference."""
         ...
 
-    def advance(self, features: Tensor, gap_width_mm: Tensor, state: Tensor) -> Tensor:
+    def advance(self, features: Tensor, gap_width_mm: Tensor | None, state: Tensor) -> Tensor:
         """One recurrent step."""
         ...
 
@@ -55,7 +55,9 @@ class _Form(nn.Module):
 class StepForm(_Form):
     """(frame, reference, state, gap_width_mm) -> (outputs..., next_state)."""
 
-    def forward(self, frame: Tensor, reference: Tensor, state: Tensor, gap_width_mm: Tensor) -> tuple[Tensor, ...]:
+    def forward(
+        self, frame: Tensor, reference: Tensor, state: Tensor, gap_width_mm: Tensor | None = None
+    ) -> tuple[Tensor, ...]:
         """One step; ``state`` [B, state_size], zeros at first."""
         following = self.network.advance(self.network.features(frame, reference), gap_width_mm, state)
         return (*self.decide(following), following)
@@ -64,7 +66,7 @@ class StepForm(_Form):
 class SequenceForm(_Form):
     """(frames, gap_width_mm) -> outputs; ``frames`` uint8 [B, 8, 2, H, W, 3], the first one is the reference."""
 
-    def forward(self, frames: Tensor, gap_width_mm: Tensor) -> tuple[Tensor, ...]:
+    def forward(self, frames: Tensor, gap_width_mm: Tensor | None = None) -> tuple[Tensor, ...]:
         """A whole decision."""
         state = torch.zeros(frames.shape[0], self.network.state_size)
         reference = frames[:, 0]
