@@ -19,14 +19,12 @@ from training.checkpoint import Checkpoint
 from training.config import FRAMES_PER_DECISION
 from training.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
-from training.networks.forms import SequenceForm, StepForm
+from training.networks.forms import Role, SequenceForm, StepForm
 from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
 
 OPSET = 20
 TOLERANCE = 1e-5
-Role = Literal["direction", "magnitude", "joint"]
 Form = Literal["sequence", "step"]
-ROLES: tuple[Role, ...] = ("direction", "magnitude", "joint")
 FORMS: tuple[Form, Form] = ("sequence", "step")
 OUTPUTS: dict[Role, list[str]] = {
     "direction": ["logits"],
@@ -45,12 +43,13 @@ def export_checkpoint(path: Path, out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     written = []
     with tempfile.TemporaryDirectory(dir=out) as scratch:
-        for role in ROLES:
+        for role in network.roles:
             for form in FORMS:
                 file = Path(scratch) / f"{role}.{form}.onnx"
-                _export(network, checkpoint, role, form, file)
+                _export(network.of(role), checkpoint, role, form, file)
                 written.append(file)
-        (out / "joint").mkdir(exist_ok=True)
+        if "joint" in network.roles:
+            (out / "joint").mkdir(exist_ok=True)
         homes = [out / "joint" if file.name.startswith("joint") else out for file in written]
         return [file.replace(home / file.name) for file, home in zip(written, homes, strict=True)]
 

@@ -4,20 +4,19 @@ Layers carry torchvision's names (``features.0``, ``classifier.1``, ...), so tha
 """
 
 from pathlib import Path
-from typing import Literal
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from service.contract import ContractError
+from training.networks.forms import Role
 from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
 
 INPUT_PX = 224
 FEATURES, HIDDEN, LSTM = 9216, 4096, 170
 MARGIN_PX = (WIDTH_PX - HEIGHT_PX) // 2
 IMAGENET_SPREAD = 0.226
-Role = Literal["direction", "magnitude"]
 
 
 def convolutions() -> nn.Sequential:
@@ -125,7 +124,7 @@ class AlexNetPair(nn.Module):
         self.magnitude = AlexNetLstm(2)
 
     def of(self, role: Role) -> AlexNetLstm:
-        """The network of one role."""
+        """The network of one role; the paper has no joint density."""
         return self.direction if role == "direction" else self.magnitude
 
 

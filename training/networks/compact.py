@@ -6,11 +6,14 @@ pressure) on the 20 x 21 lattice: one output cell a marker cell, trained against
 every trial without drawing a picture; both are tuned together on pictures at the end.
 """
 
+from typing import Self
+
 import torch
 from torch import Tensor, nn
 
 from training.config import NetworkConfig
 from training.networks.density import MixtureDensity
+from training.networks.forms import Role
 from training.networks.preprocessing import BLOCK_MEAN, CHANNELS, IntegerPooling
 
 FIELD_CHANNELS = 3
@@ -81,6 +84,7 @@ class CompactNetwork(nn.Module):
 
     field_scale: Tensor
     uses_gap_width = True
+    roles: tuple[Role, ...] = ("direction", "magnitude", "joint")
 
     def __init__(self, settings: NetworkConfig, classes: int) -> None:
         super().__init__()
@@ -92,6 +96,10 @@ class CompactNetwork(nn.Module):
         self.magnitude = nn.Linear(settings.state_size, 4)
         self.density = MixtureDensity(settings.state_size)
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
+
+    def of(self, _role: Role) -> Self:
+        """The network of one role: this one, roles share all but the head."""
+        return self
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
         """Frames uint8 [B, 2, 320, 327, 3] -> features of the pair."""

@@ -11,6 +11,8 @@ from torch import Tensor, nn
 
 from training.config import FRAMES_PER_DECISION
 
+Role = Literal["direction", "magnitude", "joint"]
+
 
 class Recurrent(Protocol):
     """What an exportable network offers; ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3]."""
@@ -40,7 +42,7 @@ class Recurrent(Protocol):
 
 
 class _Form(nn.Module):
-    def __init__(self, network: Recurrent, role: Literal["direction", "magnitude", "joint"]) -> None:
+    def __init__(self, network: Recurrent, role: Role) -> None:
         super().__init__()
         self.network = network
         self.role = role
