@@ -1,4 +1,4 @@
-"""Train and evaluate networks: ``python -m training train configs/compact.toml``."""
+"""Train and evaluate networks: ``python -m training train training/configs/compact.toml``."""
 
 import sys
 from pathlib import Path
@@ -13,7 +13,7 @@ def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = Non
     """Train one run from its TOML file; started again, it goes on where it stopped.
 
     Args:
-        config: the run's TOML file, see configs/.
+        config: the run's TOML file, see training/configs/.
         data: dataset folder, instead of the one the config names.
     """
     from training.config import RunConfig
@@ -33,7 +33,8 @@ def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = No
         config: the recipe's TOML file, see training/configs/alexnet_lstm.toml.
         data: dataset folder, instead of the one the config names.
     """
-    from training.recipe import RecipeConfig, train_recipe
+    from training.recipe import train_recipe
+    from training.recipe_data import RecipeConfig
 
     loaded = RecipeConfig.load(config)
     if data is not None:

@@ -137,6 +137,8 @@ class Trainer:
 
 def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
     """Run all stages, resuming where a killed run stopped, and save ``<runs>/<name>/checkpoint.pt``."""
+    if config.network.kind != "compact":
+        raise ContractError(f"network.kind is {config.network.kind}, which `python -m training recipe` trains")
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     folder = config.folder

@@ -7,7 +7,8 @@ from training.checkpoint import Checkpoint
 from training.config import StageConfig
 from training.networks.alexnet import AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 from training.networks.forms import SequenceForm, StepForm
-from training.recipe import RecipeConfig, train_recipe
+from training.recipe import train_recipe
+from training.recipe_data import RecipeConfig
 
 TORCHVISION = {
     "features.0": (64, 3, 11, 11),

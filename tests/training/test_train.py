@@ -100,6 +100,11 @@ def test_a_bad_config_is_named(tmp_path, text, message):
         RunConfig.load(path)
 
 
+def test_the_papers_network_is_not_trained_as_ours(config, source):
+    with pytest.raises(ContractError, match="training recipe"):
+        train(config.model_copy(update={"network": NetworkConfig(kind="alexnet_lstm")}), source)
+
+
 def test_a_dataset_without_collisions_is_refused(config):
     source = SyntheticSource(10)
     for trial in source.trials:
