@@ -10,7 +10,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all check accuracy collect train export evaluate requirements clean
+.PHONY: help run test test-all check accuracy slip-report collect train export evaluate requirements clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -62,6 +62,9 @@ collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; 
 
 accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png
 	$(BIN)/python -m simulation accuracy
+
+slip-report: $(RUN_VENV)/ready ## how well slip is seen and what seeing costs: docs/slip_report.md (REAL=folder judges recordings too)
+	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
 
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours
 	$(RUN) -m simulation evaluate --out $(EVALUATION) --count $(COUNT)

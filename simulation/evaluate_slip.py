@@ -3,7 +3,7 @@
 Writes JSON, a picture and a table. A trial is right if slip is announced from the moment a tenth of the nodes slip to
 three frames after a quarter does (slip trials), or never (others). Earlier is a false alarm, later or never a miss.
 The detector's stall rule presumes a moving arm, so alarms count while the arm moves; "arm also standing still" is
-judged without that rule over the whole of every trial.
+judged without that rule over the whole of every trial. With `--real` recordings of a real sensor are judged too.
 """
 
 from __future__ import annotations
@@ -254,17 +254,31 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--fps", type=int, choices=(30, 60, 90), default=30)
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder for slip_report.* (%(default)s)")
+    parser.add_argument("--real", type=Path, help="folder of the real recordings; their last result stays without it")
+    parser.add_argument("--keep-trials", action="store_true", help="run no trials, keep those of OUT/slip_report.json")
     given = parser.parse_args(arguments)
     if given.trials < 1 or given.tradeoff < 1:
         raise ValueError(f"--trials {given.trials} --tradeoff {given.tradeoff}: expected at least 1")
     from rich.progress import Progress
 
+    from simulation import slip_real
     from simulation.slip_report import write
 
+    path = given.out / "slip_report.json"
+    before: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    if given.keep_trials and not before:
+        raise ValueError(f"--keep-trials: there is no {path} to keep them from")
+    result, real = before, before.get("real")
     with Progress() as progress:
-        task = progress.add_task("trials", total=given.trials)
-        result = evaluate(given.trials, given.tradeoff, given.seed, given.fps, lambda: progress.advance(task))
+        if given.real is not None:
+            folders = len(list((given.real / "gelsight_mini_slip").glob("*_*")))
+            clips = progress.add_task("recordings", total=folders)
+            real = slip_real.evaluate(given.real, lambda: progress.advance(clips))
+        if not given.keep_trials:
+            task = progress.add_task("trials", total=given.trials)
+            result = evaluate(given.trials, given.tradeoff, given.seed, given.fps, lambda: progress.advance(task))
+    result["real"] = real
     given.out.mkdir(parents=True, exist_ok=True)
-    (given.out / "slip_report.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(write(result, given.out))
     return 0

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
+
+from simulation.slip_real_report import real_table
 
 
 def _share(value: tuple[float, float, float] | list[float]) -> str:
@@ -33,16 +36,30 @@ def table(result: dict[str, Any]) -> str:
     lines += [
         "## What accuracy costs in time",
         "",
-        "| tracker | CPU ms a frame | RMS px, noise 2 | RMS px, noise 6 | wrong markers, % | slip right |",
+        "| tracker | CPU ms a frame | RMS px, noise 2: vector (per axis) | noise 6 | wrong markers, % | slip right |",
         "|---|---|---|---|---|---|",
     ]
     for name, s in result["trackers"].items():
         two, six = s["noise_2"], s["noise_6"]
         wrong = 100 * max(two["wrong_share"], six["wrong_share"])
-        numbers = f"{s['cpu_ms_per_frame']:.2f} | {two['rms_px']:.3f} | {six['rms_px']:.3f} | {wrong:.2f}"
+        numbers = f"{s['cpu_ms_per_frame']:.2f} | {_rms(two['rms_px'])} | {_rms(six['rms_px'])} | {wrong:.2f}"
         lines.append(f"| {name} | {numbers} | {_share(s['accuracy'])} |")
-    lines += ["", "RMS is per axis over markers within a quarter pitch of the truth. ![trade-off](slip_report.png)", ""]
+    lines += [
+        "",
+        "RMS of the displacement over markers within a quarter pitch of the truth: length of the error vector,",
+        "in brackets the error of one axis (smaller by the root of two). Noise in grey levels; the picture shows",
+        "one axis.",
+        "",
+        "![trade-off](slip_report.png)",
+        "",
+    ]
+    if result.get("real"):
+        lines += real_table(result["real"])
     return "\n".join(lines)
+
+
+def _rms(per_axis_px: float) -> str:
+    return f"{math.sqrt(2) * per_axis_px:.3f} ({per_axis_px:.3f})"
 
 
 def write(result: dict[str, Any], folder: Path) -> str:

@@ -12,6 +12,7 @@ from service.perception.lattice import Lattice, find_lattice
 from service.perception.matching import Match, View, match, reindex
 
 _CALM = 1.2  # misfit a node above the running level at which the grid is matched again by topology
+_SETTLED = 0.6  # and above that level from which on a placement is looked for further away
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +139,7 @@ class MarkerTracker:
             elapsed_s = min((captured_ns - self._last_ns) * 1e-9, 0.1)
             moving = match(self._xy + self._velocity * np.float32(elapsed_s), rest, points, pitch, view, self._xy)
             best = min(best, moving, key=lambda rival: rival.misfit)
-        return reindex(points, rest, pitch, view, self._xy, best)
+        return reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)
 
     def _remember(self, best: Match, spots: Candidates, captured_ns: int) -> None:
         if self._last_ns is not None:

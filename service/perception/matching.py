@@ -16,6 +16,9 @@ _SEARCH = 0.46  # pitch; the spot that belongs to a node lies within this of its
 _TEAR = 0.5  # pitch; a node that moved this much otherwise than its neighbours is a wrong match
 _FINGERPRINT = 0.03  # pitch; scatter of a right match about its neighbours
 _CAP = 25.0  # cost of a node without a spot, or of one five sigma off
+_STEPS = [np.array([col, row]) for row in range(-3, 4) for col in range(-3, 4)]
+_NEAR = [step for step in _STEPS if np.abs(step).max() <= 2]
+_FAR = [step for step in _STEPS if np.abs(step).max() == 3]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,14 +128,14 @@ def _affine(rest: FloatArray, xy: FloatArray, valid: BoolArray) -> FloatArray:
 
 
 def reindex(
-    points: FloatArray, rest: FloatArray, pitch: float, view: View, previous: FloatArray, prior: Match
+    points: FloatArray, rest: FloatArray, pitch: float, view: View, previous: FloatArray, prior: Match, calm: float
 ) -> Match:
     """Match by topology alone: link the spots to a grid, then find by which whole steps it lies over the old one.
 
-    Survives jumps beyond half a pitch, fast twists and bumps whose middle moved by nearly a pitch. Returns the best of
-    this and ``prior``. ``previous`` [rows, cols, 2] decides between placements that fit equally: the least motion wins.
+    Survives jumps of up to three pitches, fast twists and bumps whose middle moved by nearly a pitch. Returns the best
+    of this and ``prior``. ``previous`` [rows, cols, 2] decides between placements that fit equally: the least motion
+    wins. A misfit below ``calm`` is that of a right match: one step off leaves a border row without spots.
     """
-    rows, cols = rest.shape[:2]
     like = np.stack([np.diff(previous, axis=1).mean((0, 1)), np.diff(previous, axis=0).mean((0, 1))])
     basis = lattice_basis(points, like)
     if basis is None:
@@ -141,24 +144,26 @@ def reindex(
     index, reached = flood(points, basis, seed)
     if reached.sum() < 9:
         return prior
-    cells = index[reached]
-    spot_of = np.flatnonzero(reached)
-    # The grid cell of the seed under least motion; its neighbours up to two steps off are the rivals.
+
+    def place(spot: NDArray[np.intp]) -> Match:
+        return judge(spot, rest, points, pitch, view, previous)
+
+    # The grid cell of the seed under least motion; placements up to two steps off are the rivals. Where none of them
+    # fits a grid that is there almost whole, it has jumped by three.
     apart = np.square(previous.reshape(-1, 2) - points[seed]).sum(-1)
-    row0, col0 = divmod(int(apart.argmin()), cols)
+    row0, col0 = divmod(int(apart.argmin()), rest.shape[1])
+    cells = index[reached] + np.array([col0, row0])
+    spot_of = np.flatnonzero(reached)
     best, best_score = prior, prior.misfit + _motion(prior, previous, pitch)
-    for d_row in range(-2, 3):
-        for d_col in range(-2, 3):
-            at = cells + np.array([col0 + d_col, row0 + d_row])
-            fits = (at >= 0).all(1) & (at[:, 0] < cols) & (at[:, 1] < rows)
-            if fits.sum() < 9:
-                continue
-            spot = np.full((rows, cols), -1, np.intp)
-            spot[at[fits, 1], at[fits, 0]] = spot_of[fits]
-            rival = judge(spot, rest, points, pitch, view, previous)
-            score = rival.misfit + _motion(rival, previous, pitch)
-            if score < best_score - 0.05:
+    for steps in (_NEAR, _FAR):
+        for step in steps:
+            spot = _placed(cells + step, spot_of, rest.shape[:2])
+            rival = None if spot is None else place(spot)
+            score = np.inf if rival is None else rival.misfit + _motion(rival, previous, pitch)
+            if rival is not None and score < best_score - 0.05:
                 best, best_score = rival, score
+        if best.misfit < calm or reached.sum() < 0.6 * rest[..., 0].size:
+            break
     if best is prior:
         return prior
     # The flood stops at gaps; what lies beyond is found where a smooth surface through the rest puts it.
@@ -167,7 +172,17 @@ def reindex(
     return full if full.valid.sum() > best.valid.sum() else best
 
 
+def _placed(cells: NDArray[np.intp], spot_of: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp] | None:
+    """Spots laid on the grid [rows, cols] at ``cells`` (column, row), -1 elsewhere; None if fewer than nine fit."""
+    fits = (cells >= 0).all(1) & (cells[:, 0] < shape[1]) & (cells[:, 1] < shape[0])
+    if fits.sum() < 9:
+        return None
+    spot = np.full(shape, -1, np.intp)
+    spot[cells[fits, 1], cells[fits, 0]] = spot_of[fits]
+    return spot
+
+
 def _motion(candidate: Match, previous: FloatArray, pitch: float) -> float:
-    """A weak preference for little motion: one point a pitch, of the 25 that a missing marker costs."""
+    """A weak preference for little motion: half a point a pitch, of the 25 that a missing marker costs."""
     moved = np.linalg.norm(candidate.xy_px - previous, axis=-1)
-    return float(moved[candidate.valid].mean() / pitch) if candidate.valid.any() else _CAP
+    return float(0.5 * moved[candidate.valid].mean() / pitch) if candidate.valid.any() else _CAP

@@ -106,6 +106,11 @@ class SlipDetector:
         """True once a reference is held."""
         return self._reference is not None
 
+    @property
+    def reference(self) -> MarkerField | None:
+        """The field that motion is measured from."""
+        return self._reference
+
     def rearm(self, field: MarkerField) -> SlipState:
         """Take ``field`` as the reference of a firm grasp. A field without evidence disarms instead."""
         self._reference = field if field.usable and field.valid.sum() >= 4 else None

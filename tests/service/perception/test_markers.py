@@ -2,7 +2,16 @@ import numpy as np
 import pytest
 
 from service.perception.markers import MarkerTracker
+from service.perception.slip import SlipDetector
 from tests.service.perception.synthetic import FRAME_NS, draw, grid, twist
+
+SENSORS = [
+    (7, 9, 320, 240, 34.0, 14.0),
+    (11, 16, 384, 278, 23.5, 9.0),
+    (20, 21, 327, 320, 15.0, 5.0),
+    (14, 18, 640, 480, 33.0, 11.0),
+    (20, 21, 640, 480, 22.0, 8.0),
+]
 
 
 def follow(tracker, images, start=0):
@@ -45,12 +54,15 @@ def shifted(points, u, v):
         lambda p: shifted(p, 0, 13.5),
         lambda p: shifted(p, 9.5, -9.5),
         lambda p: p + np.array([13.5, 0]) * np.exp(-np.square(p - 160).sum(-1) / 2 / 50**2)[..., None],
+        lambda p: shifted(p, 45, 0),  # exactly three pitches: only the border tells
+        lambda p: shifted(p, 0, -45),
+        lambda p: shifted(p, 30, 45),
         lambda p: twist(p, 20),
         lambda p: twist(p, 35),
     ],
 )
 @pytest.mark.parametrize("noise", [2.0, 6.0])
-def test_markers_keep_their_identity_over_a_jump_of_nearly_a_pitch(jump, noise):
+def test_markers_keep_their_identity_over_a_jump(jump, noise):
     rng = np.random.default_rng(2)
     rest = grid()
     tracker = MarkerTracker()
@@ -61,26 +73,20 @@ def test_markers_keep_their_identity_over_a_jump_of_nearly_a_pitch(jump, noise):
     assert identity(field, truth) >= 0.99
 
 
-def test_a_twist_of_sixty_degrees_is_followed():
+@pytest.mark.parametrize("step_deg", [5.0, -5.0, 3.0])
+def test_a_twist_of_sixty_degrees_is_followed_and_is_not_slip(step_deg):
     rng = np.random.default_rng(3)
     rest = grid()
-    tracker = MarkerTracker()
-    for k in range(13):
-        truth = twist(rest, 5.0 * k)
+    tracker, slip = MarkerTracker(), SlipDetector()
+    for k in range(round(60 / abs(step_deg)) + 1):
+        truth = twist(rest, step_deg * k)
         field = tracker.update(draw(truth, rng), k * FRAME_NS)
         assert identity(field, truth) >= 0.98
+        state = slip.update(field) if k else slip.rearm(field)
+        assert not state.slip, f"{step_deg * k} deg: {state.reason}"
 
 
-@pytest.mark.parametrize(
-    ("rows", "cols", "width", "height", "pitch", "diameter"),
-    [
-        (7, 9, 320, 240, 34.0, 14.0),
-        (11, 16, 384, 278, 23.5, 9.0),
-        (20, 21, 327, 320, 15.0, 5.0),
-        (14, 18, 640, 480, 33.0, 11.0),
-        (20, 21, 640, 480, 22.0, 8.0),
-    ],
-)
+@pytest.mark.parametrize(("rows", "cols", "width", "height", "pitch", "diameter"), SENSORS)
 def test_the_grid_is_found_by_itself(rows, cols, width, height, pitch, diameter):
     rng = np.random.default_rng(4)
     points = grid(rows, cols, pitch, width, height)
@@ -89,6 +95,31 @@ def test_the_grid_is_found_by_itself(rows, cols, width, height, pitch, diameter)
     assert tracker.grid_shape == (rows, cols)
     assert field.pitch_px == pytest.approx(pitch, rel=0.02)
     assert identity(field, points, width, height) == 1.0
+
+
+def slid(points, k, pitch, hold_pitch):
+    """A patch of sticking nodes carried down by 0.1 pitch a frame; its outer third lets go at ``hold_pitch``."""
+    middle, half = points.mean((0, 1)), 0.42 * np.ptp(points, axis=(0, 1))
+    rho = np.linalg.norm((points - middle) / half, axis=-1)
+    way = 0.1 * pitch * k
+    limit = np.where(rho < 0.65, np.inf, hold_pitch * pitch)
+    carried = np.where(rho < 1, np.minimum(way, limit), 0.5 * way * np.exp(-3 * (rho - 1)))
+    return points + np.stack([np.zeros_like(carried), carried], -1)
+
+
+@pytest.mark.parametrize(("rows", "cols", "width", "height", "pitch", "diameter"), SENSORS)
+def test_slip_is_seen_at_every_size_and_grid_and_sticking_is_not_slip(rows, cols, width, height, pitch, diameter):
+    rng = np.random.default_rng(14)
+    points = grid(rows, cols, pitch, width, height)
+    for hold_pitch, expected in ((0.6, True), (np.inf, False)):
+        tracker, slip, seen = MarkerTracker(), SlipDetector(), None
+        for k in range(12):
+            image = draw(slid(points, k, pitch, hold_pitch), rng, width, height, diameter)
+            field = tracker.update(image, k * FRAME_NS)
+            state = slip.update(field) if k else slip.rearm(field)
+            seen = k if state.slip and seen is None else seen
+        assert (seen is not None) == expected
+        assert not expected or 6 <= seen <= 9, f"let go after frame 6, seen at {seen}"
 
 
 def test_an_exposure_jump_moves_no_marker():

@@ -11,6 +11,7 @@ pytestmark = pytest.mark.real_data
 CONTACT_FREE = [(3, 26), (99, 104), (188, 201), (293, 331), (423, 475), (603, 613), (643, 716)]
 
 
+@pytest.mark.slow
 def test_gelslim3_markers_come_home_after_every_press():
     """At most 1 % of all markers more than a quarter pitch off whenever nothing touches the gel, to the end."""
     folder = real_data("gelslim3_press")
@@ -35,8 +36,12 @@ def test_gelsight_mini_markers_are_found_in_every_clip():
         assert np.mean([field.valid.mean() for field in fields]) > 0.8
 
 
+@pytest.mark.slow
 def test_no_slip_is_announced_while_a_real_object_is_held_and_shaken():
-    """22 finger clips of held objects, from after the grasp to before the release; tuned on these, so a regression."""
+    """22 finger clips of held objects, from after the grasp to before the release; tuned on these, so a regression.
+
+    Judged out of sample by `python -m simulation slip-report --real`.
+    """
     folder = real_data("gelsight_mini_slip")
     alarms, frames = 0, 0
     for clip in sorted(folder.glob("*_hold/camera_*.avi")):
