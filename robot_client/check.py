@@ -9,6 +9,7 @@ from robot_client.codecs import wsg50
 from robot_client.codecs.wsg50 import GraspingState, SystemState
 from robot_client.drivers.abb_rws import RwsClient
 from robot_client.drivers.wsg50 import Wsg50
+from robot_client.drivers.wsg50_gcl import GclGripper
 from robot_client.events import Event, Failure, FromService
 from robot_client.limits import check_pose
 from robot_client.ports import DriverError
@@ -85,7 +86,26 @@ async def _guidance(settings: Settings) -> list[Finding]:
     return [(True, f"UDP {egm.bind}:{egm.port} is free; the controller's UCdevice must send to it")]
 
 
+async def _text_gripper(settings: Settings) -> list[Finding]:
+    """In text mode the gripper sends its state and width, and tells neither homing nor limits."""
+    gripper = GclGripper(settings.gripper)
+    try:
+        await gripper.connect()
+        state, width_mm = gripper.state, gripper.width_mm
+    finally:
+        await gripper.close()
+    assert state is not None
+    fault = state is GraspingState.ERROR
+    return [
+        (not fault, "grasping state ERROR: a fault is latched" if fault else "no fault"),
+        (True, f"grasping state {state.name}, width {width_mm:.1f} mm"),
+        (True, "text mode: homing and the gripper's own limits are not told, look at its web page"),
+    ]
+
+
 async def _gripper(settings: Settings) -> list[Finding]:
+    if settings.gripper.protocol == "text":
+        return await _text_gripper(settings)
     gripper = Wsg50(settings.gripper)
     try:
         await gripper.connect()

@@ -5,6 +5,7 @@ import asyncio
 from robot_client.codecs.wsg50 import HomingDirection
 from robot_client.commands import NOT_A_SAFETY_FUNCTION, live_arm
 from robot_client.drivers.wsg50 import Wsg50
+from robot_client.drivers.wsg50_gcl import GclGripper
 from robot_client.events import Arrived, Event, Failure
 from robot_client.geometry import WorkPose
 from robot_client.limits import check_pose
@@ -59,14 +60,15 @@ def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, l
 
 
 async def _home(settings: Settings, *, acknowledge: bool, direction: HomingDirection) -> int:
-    gripper = Wsg50(settings.gripper)
+    gripper = GclGripper(settings.gripper) if settings.gripper.protocol == "text" else Wsg50(settings.gripper)
     try:
         await gripper.connect()
         if acknowledge:
             await gripper.acknowledge()
             print("gripper: fault acknowledged")
         await gripper.home(direction)
-        print(f"gripper: homed, width {await gripper.width_mm():.1f} mm")
+        width_mm = gripper.width_mm if isinstance(gripper, GclGripper) else await gripper.width_mm()
+        print(f"gripper: homed, width {width_mm:.1f} mm")
     finally:
         await gripper.close()
     return 0

@@ -13,7 +13,7 @@ from collections.abc import Coroutine
 from dataclasses import dataclass, field
 from typing import Any
 
-from robot_client.codecs.wsg50 import GraspingState
+from robot_client.codecs.wsg50 import GraspingState, HomingDirection
 from robot_client.drivers.wsg50 import GripperError, WsgSettings
 from robot_client.events import Failure, Grasped, PartLost
 from robot_client.ports import Post
@@ -65,6 +65,14 @@ class GclGripper:
         self._silence = Silence(self.settings.silence_s, self.settings.silence_s / 4.0)
 
     async def start(self, post: Post) -> None:
+        """Connect, then watch; raises GripperError, also for a latched fault."""
+        await self.connect()
+        if self.state is GraspingState.ERROR:
+            raise GripperError("gripper: grasping state ERROR; find the cause, then `home --live --acknowledge`")
+        self._post = post
+        self._spawn(self._watch())
+
+    async def connect(self) -> None:
         """Connect, have state and width sent by themselves, wait for the first of each; raises GripperError."""
         where = f"{self.settings.host}:{self.settings.port}"
         opening = asyncio.open_connection(self.settings.host, self.settings.port)
@@ -81,10 +89,18 @@ class GclGripper:
             if time.monotonic() > deadline_s:
                 raise GripperError(f"gripper: {where} sends no state; is its text based interface switched on?")
             await asyncio.sleep(0.01)
-        if self.state is GraspingState.ERROR:
-            raise GripperError("gripper: grasping state ERROR; find the cause and acknowledge it in the web page")
-        self._post = post
-        self._spawn(self._watch())
+
+    async def home(self, direction: HomingDirection = HomingDirection.DEFAULT) -> None:
+        """Reference the axis; refuses while something is held, since homing opens the fingers."""
+        if direction is not HomingDirection.DEFAULT:
+            raise GripperError("gripper: text mode knows one homing direction, the gripper's own; leave it out")
+        if self.state is GraspingState.HOLDING:
+            raise GripperError("gripper: holds a part; homing would drop it")
+        await self.call("HOME")
+
+    async def acknowledge(self) -> None:
+        """Clear a latched fault: only ever on an operator's deliberate call."""
+        await self.call("FSACK")
 
     def grasp(self) -> None:
         """Accept a held object as it is; otherwise close on one with the force limit."""
@@ -103,14 +119,14 @@ class GclGripper:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def call(self, name: str, *values: float | str) -> None:
-        """Send and wait for FIN; raises GripperError on ERR or silence."""
+        """Send and wait for FIN (FSACK: for ACK, it knows no other); raises GripperError on ERR or silence."""
         if self._writer is None:
             raise GripperError(f"gripper: {name}: not connected")
         self._writer.write(encode_call(name, *values))
         try:
             while True:
                 answer = await asyncio.wait_for(self._answers.get(), self.settings.motion_timeout_s)
-                if answer == f"FIN {name}":
+                if answer in (f"FIN {name}", "ACK FSACK"):
                     return
                 if answer.startswith("ERR"):
                     raise GripperError(f"gripper: {answer}")
@@ -142,7 +158,7 @@ class GclGripper:
     def _on_line(self, line: str) -> None:
         value = _VALUE.fullmatch(line)
         if value is None:
-            if line.startswith(("FIN ", "ERR ")):
+            if line.startswith(("FIN ", "ERR ")) or line == "ACK FSACK":
                 self._answers.put_nowait(line)
             return
         self._silence.heard(time.monotonic())

@@ -7,16 +7,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_client.check import _gripper
+from robot_client.codecs.wsg50 import HomingDirection
 from robot_client.drivers.wsg50 import GripperError, WsgSettings
 from robot_client.drivers.wsg50_gcl import GclGripper, LineParser, encode_call
 from robot_client.events import Failure, Grasped, PartLost
+from robot_client.jog import _home
+from robot_client.settings import load_settings
 
 
 class TextGripper:
     """A peer that grips what is there."""
 
-    def __init__(self, state=0, part=True):
+    def __init__(self, state=0, part=True, homes=True):
         self.state, self.part, self.calls, self.mute, self.writer = state, part, [], False, None
+        self.homes = homes
 
     async def handle(self, reader, writer):
         self.writer = writer
@@ -26,6 +31,11 @@ class TextGripper:
                 self.calls.append(line)
                 name = line.split("(")[0]
                 writer.write(f"ACK {name}\n".encode())
+                if name == "HOME":
+                    self.state = 0
+                    writer.write(b"FIN HOME\n" if self.homes else b"ERR HOME 29\n")
+                if name == "FSACK":
+                    self.state = 0
                 if name == "GRIP":
                     self.state = 4 if self.part else 2
                     writer.write(b"FIN GRIP\n" if self.part else b"ERR GRIP 18\n")
@@ -98,6 +108,52 @@ def test_no_part_and_a_cut_connection_are_failures():
 def test_a_latched_error_stops_the_start():
     with pytest.raises(GripperError, match="ERROR"):
         first_event(lambda *_: None, state=7)
+
+
+def operate(act, **options):
+    """What ``act(settings)`` gives against a gripper in text mode, and the calls that it saw."""
+
+    async def story():
+        peer = TextGripper(**options)
+        server = await asyncio.start_server(peer.handle, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        gripper = {"protocol": "text", "host": "127.0.0.1", "port": port, "reply_timeout_s": 20.0}
+        try:
+            return await act(load_settings(None, {"gripper": gripper})), peer.calls
+        finally:
+            await asyncio.sleep(0.02)
+            server.close()
+
+    return asyncio.run(story())
+
+
+def homing(acknowledge, direction=HomingDirection.DEFAULT):
+    return lambda settings: _home(settings, acknowledge=acknowledge, direction=direction)
+
+
+def test_home_references_the_gripper_and_acknowledges_only_when_told(capsys):
+    code, calls = operate(homing(acknowledge=False))
+    assert (code, "HOME()" in calls, "FSACK()" in calls) == (0, True, False)
+    _, calls = operate(homing(acknowledge=True), state=7)
+    assert [call for call in calls if call in ("FSACK()", "HOME()")] == ["FSACK()", "HOME()"]
+    assert "homed, width 50.0 mm" in capsys.readouterr().out
+
+
+def test_home_refuses_to_drop_a_part_and_what_text_mode_does_not_know():
+    with pytest.raises(GripperError, match="would drop"):
+        operate(homing(acknowledge=False), state=4)
+    with pytest.raises(GripperError, match="one homing direction"):
+        operate(homing(acknowledge=False, direction=HomingDirection.INWARD))
+    with pytest.raises(GripperError, match="ERR HOME"):
+        operate(homing(acknowledge=False), homes=False)
+
+
+@pytest.mark.parametrize(("state", "good"), [(4, True), (7, False)])
+def test_check_reads_a_gripper_in_text_mode_and_moves_nothing(state, good):
+    findings, calls = operate(_gripper, state=state)
+    assert all(ready for ready, _ in findings) == good
+    assert any("width 50.0 mm" in text for _, text in findings)
+    assert {call.split("(")[0] for call in calls} == {"AUTOSEND", "BYE"}
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
