@@ -22,6 +22,7 @@ from simulation.emulators.abb_cabinet import Cabinet, Delays
 from simulation.emulators.abb_egm import EgmEmulator
 from simulation.emulators.abb_frames import CellFrames
 from simulation.emulators.abb_motion import Follower, MotionLimits, Pose, tool_down
+from simulation.emulators.abb_rapid import RapidServers
 from simulation.emulators.abb_rws import Gate, create_app
 from simulation.emulators.faults import FaultBoard
 from simulation.emulators.net import HttpServer, bind_tcp, bind_udp, free_port, port_of
@@ -167,6 +168,7 @@ class Bench:
     wsg: Wsg50Emulator
     service: TruthfulService
     settings: Settings
+    rapid: RapidServers
     trace: list = field(default_factory=list)
     report: Report | None = None
     runner: Runner | None = None
@@ -181,7 +183,7 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def bench(*, lag_ms=20.0, holding=True, overrides=None):
+async def bench(*, lag_ms=20.0, holding=True, overrides=None, link="egm"):
     board = FaultBoard()
     start = Pose((5.0, 0.0, 40.0), tool_down(0.0))
     delays = Delays(motors_s=0.02, program_start_s=0.02, program_stop_s=0.05)
@@ -197,12 +199,18 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None):
     wsg = Wsg50Emulator(gripper, board)
     service = TruthfulService(cabinet)
     wsg_port = port_of(wsg_socket)
+    rapid = RapidServers(cabinet, silence_s=2.0)
+    await rapid.start(bind_tcp(0, "motion"), bind_tcp(0, "guard"))
+    if link == "socket":
+        egm.on_cycle.append(rapid.cycle)
     await egm.start(bind_udp(0, "EGM"))
     await wsg.start(wsg_socket)
     await rws.start()
     server = await serve(service.handle, "127.0.0.1", 0, compression=None)
     service_port = server.sockets[0].getsockname()[1]
     sections = {
+        "robot": {"link": link},
+        "socket": {"host": "127.0.0.1", "motion_port": rapid.motion_port, "guard_port": rapid.guard_port},
         "service": {"url": f"ws://127.0.0.1:{service_port}", "connect_timeout_s": 20.0},
         "rws": {"url": f"http://127.0.0.1:{rws.port}", "poll_s": 0.01, **dict.fromkeys(_RWS_TIMES, 20.0)},
         "egm": {"port": guide_port, "bind": "127.0.0.1", "ready_timeout_s": 20.0, "max_age_s": 2.0},
@@ -211,12 +219,13 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None):
     }
     for section, values in (overrides or {}).items():
         sections[section] = {**sections.get(section, {}), **values}
-    cell = Bench(board, cabinet, egm, gripper, wsg, service, load_settings(None, sections))
+    cell = Bench(board, cabinet, egm, gripper, wsg, service, load_settings(None, sections), rapid)
     egm.on_cycle.append(lambda: cell.trace.append((time.monotonic(), cabinet.arm.target, cabinet.arm.pose)))
     try:
         yield cell
     finally:
         server.close()
+        await rapid.close()
         await egm.stop()
         await wsg.stop()
         await rws.stop()
