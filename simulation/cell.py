@@ -28,6 +28,7 @@ from simulation.emulators.abb_cabinet import Cabinet
 from simulation.emulators.abb_egm import EgmEmulator
 from simulation.emulators.abb_frames import CellFrames
 from simulation.emulators.abb_motion import Follower, MotionLimits, Pose, tool_down
+from simulation.emulators.abb_rapid import RapidServers
 from simulation.emulators.abb_rws import Gate, create_app
 from simulation.emulators.camera import CameraEmulator
 from simulation.emulators.faults import FaultBoard
@@ -62,6 +63,8 @@ class Sockets(NamedTuple):
     left: socket.socket
     right: socket.socket
     admin: socket.socket
+    rapid_motion: socket.socket
+    rapid_guard: socket.socket
 
 
 def bind_all(options: CellOptions) -> Sockets:
@@ -72,6 +75,8 @@ def bind_all(options: CellOptions) -> Sockets:
         (options.camera_left_port, "the left camera"),
         (options.camera_right_port, "the right camera"),
         (options.admin_port, "the admin server"),
+        (options.rapid_motion_port, "the RAPID motion server"),
+        (options.rapid_guard_port, "the RAPID guard"),
     )
     with contextlib.ExitStack() as taken:
         bound = [taken.enter_context(bind_udp(0, "EGM"))]
@@ -99,7 +104,8 @@ class LiveCell:
         self.guide_port = options.egm_guide_port or free_port(socket.SOCK_DGRAM)
         self.egm = EgmEmulator(self.cabinet, self.frames, self.guide_port, joint_mode=options.egm_joint_mode)
         self.stop_watch = StopWatch(self.cabinet)
-        self.egm.on_cycle += [self.stop_watch, self._set_lag]
+        self.rapid = RapidServers(self.cabinet)
+        self.egm.on_cycle += [self.rapid.cycle, self.stop_watch, self._set_lag]
         self.gate = Gate(self.board, options.rws_user, options.rws_password)
         self.rws = HttpServer(create_app(self.cabinet, self.frames, self.gate), self.sockets.rws)
         self.gate.abort = self.rws.abort
@@ -143,6 +149,7 @@ class LiveCell:
             self.world.on_exposure(feed.expose)
             self.feeds.append(feed)
             await self.cameras[finger].start(self.sockets.left if finger == "left" else self.sockets.right)
+        await self.rapid.start(self.sockets.rapid_motion, self.sockets.rapid_guard)
         await self.egm.start(self.sockets.egm)
         await self.wsg.start(self.sockets.gripper)
         await self.rws.start()
@@ -154,6 +161,7 @@ class LiveCell:
     async def stop(self) -> None:
         """Stop all devices and threads."""
         await asyncio.to_thread(self._stop_threads)
+        await self.rapid.close()
         await self.egm.stop()
         await self.wsg.stop()
         for camera in self.cameras.values():
@@ -183,6 +191,7 @@ class LiveCell:
             "egm_guide_port": self.guide_port,
             "egm_robot_port": ports[0],
             "rws_url": f"http://{HOST}:{ports[1]}",
+            "rapid": {"host": HOST, "motion_port": ports[6], "guard_port": ports[7]},
             "gripper": f"{HOST}:{ports[2]}",
             "cameras": urls,
             "admin_url": f"http://{HOST}:{ports[5]}",

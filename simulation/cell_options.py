@@ -47,6 +47,10 @@ class CellOptions:
     """MJPEG of the right finger."""
     admin_port: int = 0
     """Truth and faults over HTTP."""
+    rapid_motion_port: int = 0
+    """Motion server of the controller without EGM, over TCP."""
+    rapid_guard_port: int = 0
+    """Its guard."""
     egm_joint_mode: bool = False
     """EGM takes joint targets instead of poses."""
     rws_user: str = "Default User"
@@ -61,6 +65,7 @@ class CellOptions:
         for name, (low, high) in _RANGES.items():
             if not low <= getattr(self, name) <= high:
                 raise CellError(f"--{name.replace('_', '-')} {getattr(self, name)}: expected {low:g} to {high:g}")
-        for name in ("egm_guide", "rws", "gripper", "camera_left", "camera_right", "admin"):
+        names = ("egm_guide", "rws", "gripper", "camera_left", "camera_right", "admin", "rapid_motion", "rapid_guard")
+        for name in names:
             if not 0 <= getattr(self, f"{name}_port") <= 65535:
                 raise CellError(f"--{name.replace('_', '-')}-port: expected 0 to 65535")

@@ -57,6 +57,8 @@ class RunOptions:
     """Camera rate: 30, 60 or 90."""
     egm_lag_ms: float = 20.0
     """Lag of the emulated arm."""
+    link: Literal["egm", "socket"] = "egm"
+    """How the client drives the arm: EGM, or the RAPID sockets of a controller without that option."""
     timeout_s: float = 240.0
     """An insertion that takes longer is ended."""
 
@@ -121,10 +123,18 @@ def _start_service(told: dict[str, Any], options: RunOptions, folder: Path) -> C
     return Child("service", "service", ["run", *arguments], folder / "service.log")
 
 
-def _start_client(told: dict[str, Any], url: str, folder: Path) -> Child:
-    approach = told["approach"]
+def _start_client(told: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
+    approach, config = told["approach"], folder / "client.toml"
+    lines = [f'robot = {{ link = "{options.link}" }}', "[socket]"]
+    config.write_text("\n".join([*lines, *(f"{key} = {json.dumps(value)}" for key, value in told["rapid"].items())]))
     arguments = [
-        *("--live", "--service", url.replace("http://", "ws://").rstrip("/") + "/v1/insertion"),
+        *(
+            "--live",
+            "--config",
+            str(config),
+            "--service",
+            url.replace("http://", "ws://").rstrip("/") + "/v1/insertion",
+        ),
         *("--egm-port", str(told["egm_guide_port"]), "--rws-url", told["rws_url"], "--gripper", told["gripper"]),
         *(f"--x-mm={approach['x_mm']:.4f}", f"--theta-deg={approach['yaw_deg']:.4f}"),
         *("--approach-z-mm", f"{approach['z_mm']:.4f}", "--gap-width-mm", f"{told['gap_width_mm']:.3f}"),
@@ -153,7 +163,7 @@ def loop(start: Start, options: RunOptions, folder: Path) -> Iterator[Loop]:
         told = json.loads((folder / "cell" / "cell.json").read_text())
         service = children.enter_context(_start_service(told, options, folder))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        client = children.enter_context(_start_client(told, url, folder))
+        client = children.enter_context(_start_client(told, url, options, folder))
         yield Loop(cell, service, client, told, folder / "episode.jsonl")
 
 
