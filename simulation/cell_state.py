@@ -1,15 +1,30 @@
-"""What a moment of the simulated cell looks like to the outside."""
+"""What a moment of the simulated cell looks like to the outside, and why there may be none."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+Reason = Literal["gel squeezed through", "pads unsettled", "forces unbalanced", "friction unsettled"]
+
+
+class PhysicsError(RuntimeError):
+    """The equilibrium could not be found; the text says where. The cell's state is the last one that was found.
+
+    reason: the grip is more than the gel bears; the layer's pads do not settle; no iteration balances the forces; or
+    they balance, but the friction limits jump from round to round (stick and slip both end in the other).
+    """
+
+    def __init__(self, text: str, reason: Reason) -> None:
+        super().__init__(text)
+        self.reason: Reason = reason
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,7 +101,7 @@ def add(
 
 
 @njit(cache=True)
-def find_top(constants: Any, state: Any, trial: Any, rows: Any, b: int, corner: Any) -> None:
+def find_top(constants: Any, state: Any, trial: Any, rows: Any, slots: Any, b: int, corner: Any) -> None:
     """Contacts of the bottom face with block b's edge and of footprint vertices with its top."""
     n = corner.shape[0]
     first, stiff = b * (2 + 2 * n), constants.contact_k
@@ -116,9 +116,23 @@ def find_top(constants: Any, state: Any, trial: Any, rows: Any, b: int, corner: 
             gap = x0 * nx - (y - corner[k, 1]) * ny + corner[k, 2] * nz
             slot = first if x0 <= 0.0 else first + 1
             add(constants, state, trial, rows, b, EDGE, slot, (0.0, y, 0.0), gap, stiff)
-        if x0 > 0.0:
+        if x0 > slots[first + 2 + k].rim:
             point = (x0, corner[k, 1], corner[k, 2])
             add(constants, state, trial, rows, b, FACE, first + 2 + k, point, corner[k, 2], shared)
+
+
+@njit(cache=True)
+def hold_rim(constants: Any, trial: Any, slots: Any, foot: Any, corner: Any, margin: float) -> None:
+    """Have footprint vertices within margin mm of a block's edge count as they do now; margin 0: as they lie.
+
+    A vertex that crosses the edge brings its share of the load with it at once; where that share pushes it back there
+    is no equilibrium with it and none without.
+    """
+    n = corner.shape[0]
+    for b in range(2):
+        locate(constants, trial, b, foot, corner)
+        for k in range(n):
+            slots[b * (2 + 2 * n) + 2 + k].rim = -margin if corner[k, 0] > 0.0 else margin
 
 
 @njit(cache=True)
@@ -178,7 +192,7 @@ def refresh(
     for b in range(2):
         locate(constants, trial, b, foot, corner)
         if state.mode[b] == TOP:
-            find_top(constants, state, trial, rows, b, corner)
+            find_top(constants, state, trial, rows, slots, b, corner)
         else:
             find_side(constants, state, trial, rows, b, corner)
     if constants.unknowns > 6:

@@ -66,7 +66,7 @@ class LayerPads:
         )
         poisson = layer.poisson_ratio(pads.normal_ratio)
         kernel = layer.bonded_layer(grid, pads.thickness_mm, pads.shear_modulus_n_per_mm2, poisson)
-        self.rounds = 0
+        self.rounds, self.unsettled = 0, False
         self.use(kernel, nodes, constants)
 
     def use(self, kernel: Kernel, nodes: Records, constants: Records) -> None:
@@ -100,7 +100,7 @@ class LayerPads:
 
     def _settle(self, before: Array, solve: Callable[[], int]) -> int:
         """Iterate the anchors around `solve` until they rest; gives its status, or STALLED where they do not."""
-        anchors, mixing = self._anchors, Anderson()
+        anchors, mixing, self.unsettled = self._anchors, Anderson(), False
         for _ in range(MAX_ROUNDS):
             self.rounds += 1
             self._place_anchors(anchors, before)
@@ -114,6 +114,7 @@ class LayerPads:
                 self._anchors, self.surface = fresh, surface
                 return mechanics.SETTLED
             anchors = mixing.next(anchors, fresh)
+        self.unsettled = True
         return mechanics.STALLED
 
     def close(self, grip: Callable[[], None]) -> bool:
@@ -128,7 +129,7 @@ class LayerPads:
         return self._settle(self.surface, solve) == mechanics.SETTLED
 
     def advance(self, memory: tuple[Records, ...], solve: Callable[[], int]) -> int:
-        """One load step; memory: the arrays to put back before each try. Leaves all as it was unless SETTLED."""
+        """One load step; memory: state and slots, put back before each try. Leaves all as it was unless SETTLED."""
         kept, nodes = [part.copy() for part in memory], self._nodes.copy()
 
         def again() -> int:
@@ -138,8 +139,10 @@ class LayerPads:
 
         status = self._settle(self.surface, again)
         if status != mechanics.SETTLED:
+            report = memory[0]["report"].copy()
             for part, old in zip(memory, kept, strict=True):
                 part[:] = old
+            memory[0]["report"] = report
             self._nodes[:] = nodes
         return status
 

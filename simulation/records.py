@@ -98,7 +98,15 @@ NODE = np.dtype(
     align=True,
 )
 
-SLOT = np.dtype([("slide", "f8", (2,)), ("force", "f8")], align=True)
+SLOT = np.dtype(
+    [
+        ("slide", "f8", (2,)),  # stretch of its friction, mm
+        ("force", "f8"),  # N
+        ("guess", "f8"),  # damped rounds: bound so far, N
+        ("rim", "f8"),  # how far over the block's edge a vertex begins to count, mm; 0 but in damped rounds
+    ],
+    align=True,
+)
 
 ROW = np.dtype(
     [

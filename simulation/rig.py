@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation import contact, gel, mechanics, pads, records
-from simulation.cell_state import CellState, block_motion, rotation_vector
+from simulation.cell_state import CellState, PhysicsError, Reason, block_motion, rotation_vector
 from simulation.coasting import coasting_of
 from simulation.constants import BASE_K, scene_constants
 from simulation.effects import Active, active_effects
+from simulation.grasp import close_fingers
 from simulation.linear import rotation_into
 from simulation.readout import Readout
 from simulation.scene import Scene
@@ -27,10 +28,7 @@ Array = NDArray[np.float64]
 APPROACH_MM = 5.0
 LOST_MM, LOST_GRIP = 12.0, 0.1
 MAX_HALVINGS = 6
-
-
-class PhysicsError(RuntimeError):
-    """The equilibrium could not be found; the text says where. The cell's state is the last one that was found."""
+BLENDS = (0.5, 0.2, 0.05)  # dampings to try where no shorter step helps
 
 
 class Cell:
@@ -94,7 +92,8 @@ class Cell:
         if self.layer is None:
             self._close()
         elif not self.layer.close(self._close):
-            raise PhysicsError(f"scene {self.scene.name!r}: the pads do not settle while the fingers close")
+            text = f"scene {self.scene.name!r}: the pads do not settle while the fingers close"
+            raise PhysicsError(text, "pads unsettled")
         self._advance(self.pose)
         # place the hand so that the object's error is the one asked for
         x, theta = self._object_error()
@@ -105,24 +104,7 @@ class Cell:
         return self.look()
 
     def _close(self) -> None:
-        """Close the fingers to the grip force: bisection on the opening, the object held still."""
-        crest = 2.0 * float(self.constants["profile"][0, 0])
-        wide, tight = crest + 8.0, crest - 1.9 * self.scene.gel.thickness_mm
-        area = float(self.constants["area"][0])
-
-        def grip(opening: float) -> float:
-            self.state["opening"] = opening
-            mechanics.grip_pressures(self.constants, self.record, self.trials, self.nodes)
-            return 0.5 * float(self.nodes["pressure"].sum()) * area
-
-        if grip(tight) < self.scene.grasp.force_n:
-            raise PhysicsError(
-                f"grasp.force_n: {self.scene.grasp.force_n} N squeezes the gel through; it bears {grip(tight):.1f} N"
-            )
-        for _ in range(60):
-            middle = 0.5 * (wide + tight)
-            wide, tight = (wide, middle) if grip(middle) > self.scene.grasp.force_n else (middle, tight)
-        grip(tight)
+        close_fingers(self.scene, self.constants, self.record, self.trials, self.nodes)
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
         """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium was found."""
@@ -172,7 +154,7 @@ class Cell:
         heights = bottom @ self.state["turn"][2] + self.state["place"][2] + pose[2]
         return float(heights.min() - max(0.0, float(self.state["block"][:, 2].max())))
 
-    def _solve(self, target: Array) -> int:
+    def _solve(self, target: Array, blend: float) -> int:
         status: int = mechanics.advance(
             self.constants,
             self.record,
@@ -186,34 +168,65 @@ class Cell:
             target,
             self.scene.numerics.residual_n,
             self.direct,
+            blend,
         )
         return status
 
-    def _step(self, target: Array) -> int:
+    def _step(self, target: Array, blend: float) -> int:
         if self.layer is None:
-            return self._solve(target)
-        return self.layer.advance((self.record, self.slots), lambda: self._solve(target))
+            return self._solve(target, blend)
+        return self.layer.advance((self.record, self.slots), lambda: self._solve(target, blend))
 
-    def _advance(self, target: Array, depth: int = 0, dt_s: float | None = None) -> None:
+    def _pass(self, target: Array, dt_s: float | None, blend: float = 1.0) -> int:
+        """One load step as it is, not divided; blend below 1: damp the friction limits where they jump."""
         if self.coasting is None:
-            status = self._step(target)
-        else:
-            dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
-            status = self.coasting.step(self.constants, self.trials, self._centre(), dt_s, lambda: self._step(target))
+            return self._step(target, blend)
+        dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
+        return self.coasting.step(self.constants, self.trials, self._centre(), dt_s, lambda: self._step(target, blend))
+
+    def _advance(self, target: Array, dt_s: float | None = None) -> None:
+        """One load step, divided where it must be. Raises PhysicsError."""
+        try:
+            self._divide(target, 0, dt_s)
+        except PhysicsError:
+            # the object may have nowhere to go but far: leap over what no short step passes
+            status = self._damped(target, dt_s)
+            if status == mechanics.STALLED:
+                raise
+            self._arrive(target, status)
+
+    def _divide(self, target: Array, depth: int, dt_s: float | None) -> None:
+        status = self._pass(target, dt_s)
+        if status == mechanics.STALLED and depth == MAX_HALVINGS:
+            status = self._damped(target, dt_s)
         self.load_steps += 1
         self.newton_iterations += int(self.state["report"][1])
         self.convex_steps += int(self.state["report"][2] > 0)
+        if status == mechanics.STALLED and self._drops():
+            status = mechanics.LOST
         if status == mechanics.STALLED and depth < MAX_HALVINGS:
             middle = 0.5 * (self.pose + target)
             half_s = None if dt_s is None else 0.5 * dt_s
-            self._advance(middle, depth + 1, half_s)
-            self._advance(target, depth + 1, half_s)
+            self._divide(middle, depth + 1, half_s)
+            self._divide(target, depth + 1, half_s)
             return
         if status == mechanics.STALLED:
             raise PhysicsError(
                 f"scene {self.scene.name!r}: no equilibrium within {self.scene.numerics.residual_n} N at TCP "
-                f"{np.round(target[:3], 3).tolist()} mm (residual {self.state['report'][0]:.2e} N)"
+                f"{np.round(target[:3], 3).tolist()} mm (residual {self.state['report'][0]:.2e} N)",
+                self._why(),
             )
+        self._arrive(target, status)
+
+    def _damped(self, target: Array, dt_s: float | None) -> int:
+        for blend in BLENDS:
+            status = self._pass(target, dt_s, blend)
+            if status != mechanics.STALLED:
+                return status
+        return mechanics.STALLED
+
+    def _arrive(self, target: Array, status: int) -> None:
+        """A load step ended at its target, solved or with the object lost."""
         self.pose = target
         if self.coasting is not None:
             self.coasting.arrive(self._centre())
@@ -224,6 +237,16 @@ class Cell:
             or grips.min() < LOST_GRIP * grips.max()
         ):
             self.grasp_lost = True
+
+    def _drops(self) -> bool:
+        """Whether the object weighs more than friction between the pads can carry."""
+        return bool(self.constants["weight"][0] > self.constants["friction"][0] * self._grips().sum())
+
+    def _why(self) -> Reason:
+        """What kept the last load step from an equilibrium."""
+        if self.layer is not None and self.layer.unsettled:
+            return "pads unsettled"
+        return "friction unsettled" if self.state["report"][0] <= 1e-3 else "forces unbalanced"
 
     def lost(self) -> bool:
         """Whether the object has left the grasp."""
