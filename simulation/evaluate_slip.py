@@ -27,6 +27,7 @@ from service.perception.onset import OnsetDetector
 from service.perception.slip import SlipDetector, SlipSettings
 from simulation.imprint import Appearance, Renderer
 from simulation.slip_baselines import LucasKanade, NearestBlob, rule_2019
+from simulation.slip_path import cost_ms
 from simulation.slip_trials import NO_SLIP_SHARE, SlipTrial, draw_trials
 from simulation.texture import MARKER_PITCH_PX, marker_rest_px
 
@@ -239,6 +240,7 @@ def evaluate(count: int, tradeoff: int, seed: int, fps: int, watch: Callable[[],
         for noise in (2.0, 6.0):
             table[name][f"noise_{noise:.0f}"] = accuracy_at_noise(make, kept, noise)
     return {
+        "path_ms": cost_ms(4, seed, fps),
         "settings": asdict(TrackerSettings()) | {"seed": seed, "fps": fps, "late_frames": LATE_N},
         "slip": {name: tally.summary() for name, tally in tallies.items()},
         "objects": {name: tally.summary() for name, tally in sorted(objects.items())},

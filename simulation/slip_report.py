@@ -33,6 +33,10 @@ def table(result: dict[str, Any]) -> str:
         lines.append(f"| {name} | {s['trials']} | {shares} | {span} | {100 * d['within_one']:.0f} |")
     exact = result["slip"]["images"]["onset_error_frames"]
     lines += ["", f"Motion onset from images: exact frame in {100 * exact['exact']:.1f} % of {exact['n']} trials.", ""]
+    if "path_ms" in result:
+        path = result["path_ms"]
+        cost = f"{path['median']:.1f} ms CPU a frame, one thread (95 %: {path['p95']:.1f})"
+        lines += [f"Slip path of a finger (rectify, track, slip, onset): {cost}.", ""]
     lines += [
         "## What accuracy costs in time",
         "",

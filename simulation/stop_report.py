@@ -53,11 +53,12 @@ class StopOptions:
 
 @dataclass(frozen=True, slots=True)
 class Stops:
-    """All stops of one way: ms from the frame to the freeze and to standstill, mm from the slip message to standstill.
+    """All stops of one way, in ms from the frame: message sent, target frozen, standstill; and the overtravel.
 
-    The overtravel is the client's own figure, out of its episode logs.
+    Message and overtravel (mm from the slip message to standstill) are out of the client's episode logs.
     """
 
+    told_ms: NDArray[np.float64]
     frozen_ms: NDArray[np.float64]
     rest_ms: NDArray[np.float64]
     overtravel_mm: NDArray[np.float64]
@@ -70,6 +71,7 @@ def stops_of(results: Sequence[Result], logs: Sequence[Path]) -> Stops:
         last = json.loads(log.read_text(encoding="utf-8").splitlines()[-1])
         rows += last.get("end", {}).get("rows", [])
     return Stops(
+        np.array([row["slip_age_ms"] for row in rows if row["slip_age_ms"] is not None]),
         np.array([value for result in results for value in result.frozen_ms]),
         np.array([value for result in results for value in result.rest_ms]),
         np.array([row["overtravel_mm"] for row in rows if row["overtravel_mm"] is not None]),
@@ -80,7 +82,9 @@ def row(way: Way, stops: Stops, fps: int) -> str:
     """One line of the table; the frame period is the bound of the freeze."""
     name = "EGM" if way.link == "egm" else "RAPID sockets"
     within = f"{(stops.frozen_ms <= 1000.0 / fps).sum()} of {stops.frozen_ms.size}"
-    numbers = [_middle(stops.frozen_ms, 0), within, _middle(stops.rest_ms, 0), _middle(stops.overtravel_mm, 2)]
+    times = (stops.told_ms, stops.frozen_ms, stops.rest_ms)
+    told, frozen, rest = (_middle(values, 0) for values in times)
+    numbers = [told, frozen, within, rest, _middle(stops.overtravel_mm, 2)]
     return f"| {name}, lag {way.lag_ms:g} ms | {' | '.join(numbers)} |"
 
 
@@ -95,13 +99,15 @@ def table(rows: Sequence[str], fps: int) -> str:
         "# How soon the arm stops",
         "",
         "Written by `python -m simulation stop-report`: the whole live loop on one machine, descents at 10 mm/s,",
-        f"emulated arm, cameras at {fps} frames a second. Times count from the capture of the frame that shows slip;",
-        "frozen is the last lowered target at the controller. Overtravel is the client's own figure, from the slip",
-        "message to standstill: about lag times speed. Median, worst in brackets. The reaction time of a controller",
-        f"without EGM is assumed ({1000 * REACTION_S:.0f} ms), not measured.",
+        f"emulated arm, cameras at {fps} frames a second. Times count from the capture of the frame that shows slip,",
+        "so they hold the drawing of that frame too. Told is when the service sends its message, frozen the last",
+        "lowered target at the controller: their difference, the client's share, is one or two cycles of 4 ms.",
+        "Overtravel is the client's own figure, from the slip message to standstill: about lag times speed. Median,",
+        f"worst in brackets. The reaction time of a controller without EGM is assumed ({1000 * REACTION_S:.0f} ms),",
+        "not measured.",
         "",
-        f"| arm | frozen, ms | within a frame ({1000 / fps:.0f} ms) | standstill, ms | overtravel, mm |",
-        "|---|---|---|---|---|",
+        f"| arm | told, ms | frozen, ms | within a frame ({1000 / fps:.0f} ms) | standstill, ms | overtravel, mm |",
+        "|---|---|---|---|---|---|",
     ]
     return "\n".join([*lines, *rows, ""])
 

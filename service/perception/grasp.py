@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.perception.field import MarkerField
-from service.perception.slip import SlipDetector, SlipSettings, SlipState, carried_px
+from service.perception.rigid import carried_px
+from service.perception.slip import SlipDetector, SlipSettings, SlipState
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.perception.field import MarkerField
-from service.perception.slip import carried_px
+from service.perception.rigid import carried_px
 
 
 @dataclass(frozen=True, slots=True)

@@ -129,3 +129,12 @@ def _window_motions(x: Float64, y: Float64, valid: NDArray[np.bool_]) -> tuple[F
     dot = sums[:, 5] - n[:, 0] * (mx * my).sum(1)
     cross = sums[:, 6] - n[:, 0] * (mx[:, 0] * my[:, 1] - mx[:, 1] * my[:, 0])
     return np.asarray(np.arctan2(cross, dot)), np.asarray(my - mx), np.asarray(mx)
+
+
+def carried_px(displacement: Float64, may: NDArray[np.bool_]) -> float:
+    """How far the gel was carried anywhere, in px: the tenth largest 3 x 3 mean of the displacement."""
+    weight = may.astype(np.float64)
+    stack = np.dstack([displacement * weight[..., None], weight])
+    total = cv2.boxFilter(stack, cv2.CV_64F, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    mean = np.hypot(total[..., 0], total[..., 1]) / np.maximum(total[..., 2], 1)
+    return float(np.sort(mean, axis=None)[-min(10, mean.size)])

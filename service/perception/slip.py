@@ -12,11 +12,10 @@ a node that slips follows first and then stops. The score measures that excess l
 from dataclasses import dataclass
 from typing import Literal
 
-import cv2
 import numpy as np
 
 from service.perception.field import BoolArray, FloatArray, MarkerField
-from service.perception.rigid import Float64, Motion, moving_patch, refine
+from service.perception.rigid import Float64, Motion, carried_px, moving_patch, refine
 
 FingerState = Literal[
     "no_contact", "grasping", "hold", "contact", "incipient_slip", "gross_slip", "release", "lost", "unknown"
@@ -123,7 +122,10 @@ class SlipDetector:
         self._way: list[tuple[int, float]] = []  # capture stamp and how far the patch was carried, px
         self._fastest = 0.0
         self._seen_ns = field.captured_ns
-        if self._reference is None:
+        if _touches_nothing(field):
+            self._reference = None
+            self._last = self._plain("no_contact", field, "nothing touches the gel")
+        elif self._reference is None:
             self._last = self._plain("unknown", field, f"no reference: {field.reason or field.status}")
         else:
             self._last = self._plain("hold", field, "reference taken")
@@ -131,7 +133,9 @@ class SlipDetector:
 
     def update(self, field: MarkerField) -> SlipState:
         """Judge one field; never raises for its content."""
-        if self._reference is None or field.valid.shape != self._reference.valid.shape:
+        if self._reference is None and _touches_nothing(field):
+            state = self._plain("no_contact", field, "nothing touches the gel")
+        elif self._reference is None or field.valid.shape != self._reference.valid.shape:
             state = self._plain("unknown", field, "not armed" if self._reference is None else "the grid changed")
         elif field.status == "duplicate" and self._last is not None:
             return self._last
@@ -280,13 +284,9 @@ class SlipDetector:
         return SlipState(state, 0.0, residual, nobody, nobody, (0.0, 0.0), 0.0, 1.0, False, field.captured_ns, reason)
 
 
-def carried_px(displacement: Float64, may: BoolArray) -> float:
-    """How far the gel was carried anywhere, in px: the tenth largest 3 x 3 mean of the displacement."""
-    weight = may.astype(np.float64)
-    stack = np.dstack([displacement * weight[..., None], weight])
-    total = cv2.boxFilter(stack, cv2.CV_64F, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    mean = np.hypot(total[..., 0], total[..., 1]) / np.maximum(total[..., 2], 1)
-    return float(np.sort(mean, axis=None)[-min(10, mean.size)])
+def _touches_nothing(field: MarkerField) -> bool:
+    """True where the contact is known (simulated gels) and empty; from images alone it is not known."""
+    return field.usable and field.contact is not None and not field.contact.any()
 
 
 def _followers(motion: Motion, before: Float64, after: Float64, tolerance: float) -> float:

@@ -164,6 +164,14 @@ def test_true_fields_of_a_simulated_gel_run_without_an_image():
     assert any(slips)
 
 
+def test_a_gel_that_touches_nothing_is_no_contact_and_no_reference():
+    free = field_from_gel(np.zeros((20, 21, 3)), 0, marker_pitch_mm=1.05)
+    detector = SlipDetector()
+    assert detector.update(free).state == "no_contact"
+    assert detector.rearm(free).state == "no_contact"
+    assert not detector.armed
+
+
 def test_losing_the_contact_area_is_release():
     v, u = np.mgrid[0:20, 0:21]
     inside = (abs(u - 10) < 6) & (abs(v - 10) < 6)
