@@ -20,6 +20,7 @@ _COLOURS = {  # BGR
     "lost": (0, 0, 0),
     "unknown": (120, 120, 120),
 }
+_SCORE, _RESIDUAL = (180, 90, 0), (90, 150, 60)
 _SCALE = 2
 _ARROW = 4.0  # arrows are drawn this many times as long as the displacement
 
@@ -50,7 +51,7 @@ def annotate(image: NDArray[np.uint8], field: MarkerField, state: SlipState, tim
 
 
 def timeline(times_s: Sequence[float], states: Sequence[SlipState], width: int = 1200) -> NDArray[np.uint8]:
-    """A picture of slip score (1 is slip) and carried distance over time, with the state as a coloured band."""
+    """A picture of slip score (1 is slip) and residual (px) over time, with the state as a coloured band."""
     height, left, low = 260, 50, 220
     picture = np.full((height, width, 3), 255, np.uint8)
     if not times_s:
@@ -65,10 +66,26 @@ def timeline(times_s: Sequence[float], states: Sequence[SlipState], width: int =
         v = round(low - share / top * 190)
         cv2.line(picture, (left, v), (width - 10, v), (0, 0, 200) if share == 1.0 else (210, 210, 210), 1)
         cv2.putText(picture, f"{share:.1f}", (6, v + 4), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (90, 90, 90), 1, cv2.LINE_AA)
-    curve = np.array([(a, round(low - state.score / top * 190)) for a, state in zip(u, states, strict=True)], np.int32)
-    cv2.polylines(
-        picture, [curve.reshape(-1, 1, 2)], isClosed=False, color=(180, 90, 0), thickness=1, lineType=cv2.LINE_AA
-    )
-    label = f"slip score over {times_s[0]:.1f} .. {times_s[-1]:.1f} s"
-    cv2.putText(picture, label, (left, height - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (60, 60, 60), 1, cv2.LINE_AA)
+    residuals = [residual_px(state) for state in states]
+    most = max(1.0, *residuals)
+    _curve(picture, u, [low - 190 * value / most for value in residuals], _RESIDUAL)
+    _curve(picture, u, [low - 190 * state.score / top for state in states], _SCORE)
+    span_text = f"over {times_s[0]:.1f} .. {times_s[-1]:.1f} s"
+    _label(picture, f"slip score {span_text}", left, height - 6, _SCORE)
+    _label(picture, f"residual, full height {most:.1f} px", left + 300, height - 6, _RESIDUAL)
     return picture
+
+
+def residual_px(state: SlipState) -> float:
+    """The eighth largest deviation of a marker from the object's motion (as the rule of 2019 counts), 0 without one."""
+    off = np.sort(np.linalg.norm(state.residual_px, axis=-1), axis=None)
+    return float(off[-min(8, off.size)]) if off.size else 0.0
+
+
+def _curve(picture: NDArray[np.uint8], u: Sequence[int], v: Sequence[float], colour: tuple[int, int, int]) -> None:
+    points = np.array([(a, round(b)) for a, b in zip(u, v, strict=True)], np.int32).reshape(-1, 1, 2)
+    cv2.polylines(picture, [points], isClosed=False, color=colour, thickness=1, lineType=cv2.LINE_AA)
+
+
+def _label(picture: NDArray[np.uint8], text: str, left: int, low: int, colour: tuple[int, int, int]) -> None:
+    cv2.putText(picture, text, (left, low), cv2.FONT_HERSHEY_SIMPLEX, 0.4, colour, 1, cv2.LINE_AA)
