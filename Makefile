@@ -10,7 +10,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all check accuracy slip-report collect train export evaluate requirements clean
+.PHONY: help run test test-all check hard-cases accuracy slip-report collect train export evaluate requirements clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -59,6 +59,9 @@ COUNT ?= 30
 
 collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; goes on after an interruption
 	$(BIN)/python -m simulation collect --trials-per-object $(TRIALS) --out $(PROBES)
+
+hard-cases: $(VENV)/ready ## every hard case of every room on three seeds: one table, docs/hard_cases.md and .json
+	$(BIN)/python -m tests.hard_cases
 
 accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png
 	$(BIN)/python -m simulation accuracy

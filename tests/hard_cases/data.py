@@ -1,0 +1,332 @@
+"""Hard data: what was cut, doubled, reordered, altered, or comes from elsewhere is named and refused."""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from export.verify import open_model
+from service.contract import ContractError, FrameSpec, ModelCard, TactileFrame
+from service.contract.frames import decode_frame, encode_frame
+from service.contract.wire import parse_client, parse_service
+from service.perception.rectify import Calibration, CalibrationError, CameraCalibration
+from service.recording_reader import Recording, RecordingError
+from service.replay import ReplayError, ReplayOptions, read_clip
+from simulation.dataset import Dataset, DatasetWriter
+from simulation.manifest import MANIFEST, DatasetError
+from simulation.scene import SceneError, load_scene
+from tests.hard_cases.registry import ROOT, case, not_refused
+from tests.simulation.strategies import made_up_manifest, made_up_trial
+from training.checkpoint import Checkpoint
+
+DATASET, MANIFESTS, FRAMES = "simulation/dataset.py", "simulation/manifest.py", "service/contract/frames.py"
+
+
+@lru_cache
+def _dataset() -> Path:
+    """Two committed shards of 12 made-up trials; kept until the process ends."""
+    folder = Path(tempfile.mkdtemp(prefix="hard-cases-"))
+    with DatasetWriter(folder, made_up_manifest()) as writer:
+        for shard in range(2):
+            trials = [made_up_trial(12 * shard + k) for k in range(12)]
+            writer.commit(writer.write_shard(f"rectangle-{shard:05d}.parquet", trials))
+        writer.finish()
+    return folder
+
+
+@contextmanager
+def damaged(change: Callable[[Path], object]) -> Iterator[Path]:
+    """A copy of the dataset after ``change`` was let loose on it."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "probes"
+        shutil.copytree(_dataset(), folder)
+        change(folder)
+        yield folder
+
+
+def _opened(change: Callable[[Path], object], *, verify: bool = False) -> Callable[[], object]:
+    def call() -> object:
+        with damaged(change) as folder:
+            return [Dataset(folder, verify=verify).trial(index) for index in range(24)]
+
+    return call
+
+
+SHARD = "rectangle-00001.parquet"
+
+
+@case(
+    "data",
+    why="a kill or a full disk leaves a file that begins well",
+    holds="a shard cut at any length is named and refused: cuts not refused",
+    guard=(MANIFESTS, "if path.stat().st_size != self.size_bytes:", "if False:"),
+)
+def shards_cut_short(seed: int) -> float:
+    size = (_dataset() / SHARD).stat().st_size
+    cuts = [0, 1, size // 2, size - 1, int(np.random.default_rng(seed).integers(size))]
+    return not_refused(
+        [_opened(lambda f, n=n: (f / SHARD).write_bytes((f / SHARD).read_bytes()[:n])) for n in cuts],
+        DatasetError,
+        "truncated",
+    )
+
+
+@case(
+    "data",
+    why="a flipped bit changes a label and no length",
+    holds="an altered shard fails its hash: flips not refused",
+    guard=(MANIFESTS, "if verify and file_sha256(path) != self.sha256:", "if False:"),
+)
+def shards_with_a_flipped_bit(seed: int) -> float:
+    places = np.random.default_rng(seed).integers(100, (_dataset() / SHARD).stat().st_size - 100, 4)
+
+    def flip(folder: Path, place: int) -> None:
+        data = bytearray((folder / SHARD).read_bytes())
+        data[place] ^= 1
+        (folder / SHARD).write_bytes(bytes(data))
+
+    return not_refused([_opened(lambda f, p=int(p): flip(f, p), verify=True) for p in places], DatasetError, "SHA-256")
+
+
+@case(
+    "data",
+    why="a shard under another's name has the right form and the wrong trials",
+    holds="shards that changed places or are doubled are refused: not refused",
+    guard=(DATASET, 'raise DatasetError(f"shard {entry.name} is already in {self.path / MANIFEST}")', "pass"),
+)
+def shards_reordered_or_doubled(_seed: int) -> float:
+    def swap(folder: Path) -> None:
+        first, second = folder / "rectangle-00000.parquet", folder / SHARD
+        data = first.read_bytes()
+        first.write_bytes(second.read_bytes())
+        second.write_bytes(data)
+
+    def twice() -> None:
+        with damaged(lambda _: None) as folder, DatasetWriter(folder, made_up_manifest()) as writer:
+            writer.commit(writer.manifest.shards[0])
+
+    return not_refused([_opened(swap, verify=True), twice], DatasetError)
+
+
+@case(
+    "data",
+    why="a folder may hold a manifest of another version, half a one, or one that lists what is not there",
+    holds="each is refused by name: not refused",
+    guard=(MANIFESTS, "if not path.is_file():", "if False:"),
+)
+def manifests_that_do_not_fit(_seed: int) -> float:
+    def edit(folder: Path, **changes: object) -> None:
+        path = folder / MANIFEST
+        path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+    changes: list[Callable[[Path], object]] = [
+        lambda f: edit(f, schema_version=99),
+        lambda f: edit(f, stranger=1),
+        lambda f: (f / MANIFEST).write_text("{"),
+        lambda f: (f / MANIFEST).unlink(),
+        lambda f: (f / SHARD).unlink(),
+    ]
+    return not_refused([_opened(change) for change in changes], DatasetError)
+
+
+@case(
+    "data",
+    why="a label that is not a number poisons every average it enters",
+    holds="trials with non-finite labels or states are refused on writing: not refused",
+    guard=(
+        "simulation/trial.py",
+        "if array.shape != shape or not np.isfinite(array).all():",
+        "if array.shape != shape:",
+    ),
+)
+def trials_that_are_no_numbers(_seed: int) -> float:
+    gel = made_up_trial().gel.copy()
+    gel[3, 1, 2, 3, 0] = np.nan
+    changes = [{"x_mm": np.nan}, {"theta_deg": np.inf}, {"gap_width_mm": -np.inf}, {"gel": gel}, {"onset_frame": 25}]
+    return not_refused([lambda c=c: made_up_trial(0, **c).check() for c in changes], DatasetError)
+
+
+@case(
+    "data",
+    why="a binary frame is read by offsets, so a wrong header reads beyond its end or into the wrong shape",
+    holds="cut, lengthened and altered frames are refused: not refused",
+    guard=(FRAMES, "if len(message) != expected:", "if False:"),
+)
+def frames_with_a_wrong_header(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    whole = encode_frame(TactileFrame("left", 1, 2, rng.integers(0, 256, (32, 40, 3), dtype=np.uint8)))
+    spec = FrameSpec(height_px=32, width_px=41)
+    bad = [b"", whole[:10], whole[:-1], whole + b"x", b"TIF2" + whole[4:], whole[:4] + b"\x07" + whole[5:]]
+    calls = [lambda m=m: decode_frame(m) for m in bad]
+    return not_refused([*calls, lambda: decode_frame(whole, spec)], ContractError)
+
+
+@case(
+    "data",
+    why="JSON from the network may be anything",
+    holds="malformed, oversized and foreign messages are refused in one line: not refused",
+    guard=("service/contract/wire.py", "if len(text) > MAX_TEXT_BYTES:", "if False:"),
+)
+def messages_from_elsewhere(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    huge = '{"type":"abort","insertion_id":"a","attempt":1,"reason":"' + "x" * 2_000_000 + '"}'
+    texts = ["", "{", "[]", "null", '{"type":"fly"}', '{"type":"arm"}', huge, rng.bytes(60), b"\xff\xfe" * 20]
+    calls = [lambda t=t, p=p: p(t) for t in texts for p in (parse_client, parse_service)]
+    return not_refused(calls, ContractError)
+
+
+def _with_card(change: Callable[[dict[str, object]], object] | None) -> Callable[[], object]:
+    import onnx
+
+    def call() -> object:
+        with tempfile.TemporaryDirectory() as scratch:
+            model = onnx.load(str(ROOT / "models" / "magnitude.step.onnx"))
+            card = json.loads(model.metadata_props[0].value)
+            if change is None:
+                del model.metadata_props[:]
+            else:
+                change(card)
+                model.metadata_props[0].value = json.dumps(card)
+            path = Path(scratch) / "magnitude.step.onnx"
+            onnx.save(model, str(path))
+            return open_model(path)
+
+    return call
+
+
+@case(
+    "data",
+    why="a model without its card decides with thresholds nobody knows",
+    holds="a missing, foreign, inconsistent or non-finite card is refused: not refused",
+    guard=("service/contract/model_card.py", "if CARD_KEY not in props:", "if False:"),
+)
+def models_with_a_foreign_card(_seed: int) -> float:
+    def put(name: str, value: object) -> Callable[[dict[str, object]], object]:
+        return lambda card: card.update({name: value})
+
+    edits = [
+        None,
+        put("schema_version", 99),
+        put("role", "pilot"),
+        put("stranger", 1),
+        put("threshold_x_mm", float("nan")),
+    ]
+    edits += [put("state_size", 0), put("calibration", {"temperature": -1.0}), put("form", "sequence")]
+    missed = not_refused([_with_card(edit) for edit in edits], ContractError)
+    return missed + not_refused([lambda: ModelCard.from_props({}, "x")], ContractError, "no model card")
+
+
+@case(
+    "data",
+    why="a file that ends early may still parse",
+    holds="truncated and random model, checkpoint and recording files are refused: not refused",
+    guard=("export/runtime.py", "except Exception as error:", "except KeyError as error:"),
+)
+def files_that_end_early(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    whole = (ROOT / "models" / "direction.step.onnx").read_bytes()
+    with tempfile.TemporaryDirectory() as scratch:
+        calls: list[Callable[[], object]] = []
+        for index, content in enumerate((b"", whole[: len(whole) // 2], rng.bytes(5000))):
+            path = Path(scratch) / f"{index}.bin"
+            path.write_bytes(content)
+            calls += [lambda p=path: open_model(p), lambda p=path: Checkpoint.load(p)]
+        missed = not_refused(calls, ContractError)
+        return missed + not_refused([lambda: Recording(Path(scratch) / "2.bin")], RecordingError)
+
+
+@case(
+    "data",
+    why="a homography is nine numbers of which most choices fold, flip or empty the picture",
+    holds="NaN, singular, folding and empty calibrations are refused: not refused",
+    guard=(
+        "service/perception/rectify.py",
+        "if not shared > _MIN_AREA_SHARE * self.raw.width_px * self.raw.height_px:",
+        "if False:",
+    ),
+)
+def calibrations_that_show_nothing(_seed: int) -> float:
+    eye = np.eye(3)
+    far, horizon, nan = eye.copy(), eye.copy(), eye.copy()
+    far[:2, 2] = 1e4
+    horizon[2, 0] = -1 / 150
+    horizon = np.linalg.inv(horizon)
+    nan[1, 1] = np.nan
+    bad = [np.zeros((3, 3)), nan, far, horizon, np.ones((3, 3)), np.eye(2), np.diag([1.0, 1.0, 1e-14])]
+    return not_refused([lambda m=m: CameraCalibration(m) for m in bad], CalibrationError)
+
+
+@case(
+    "data",
+    why="a calibration file is edited by hand",
+    holds="strangers, missing tables and wrong types are refused in one line: not refused",
+    guard=("service/perception/rectify.py", "strangers = set(table) - {", "strangers = set() - {"),
+)
+def calibration_files_edited_by_hand(_seed: int) -> float:
+    with tempfile.TemporaryDirectory() as scratch:
+        good = Path(scratch) / "good.toml"
+        Calibration(CameraCalibration(np.eye(3)), CameraCalibration(np.eye(3))).save(good)
+        text = good.read_text()
+        edits = [
+            "",
+            "schema_version = 1",
+            "x = 1\n" + text,
+            text.replace("homography", "homograph"),
+            text.replace("0.0", "nan", 1),
+        ]
+        edits += [text.replace("schema_version = 1", "schema_version = 2"), text.replace("[left]", "[middle]"), "\x00"]
+        paths = []
+        for index, edit in enumerate(edits):
+            path = Path(scratch) / f"{index}.toml"
+            path.write_text(edit)
+            paths.append(path)
+        return not_refused([lambda p=p: Calibration.load(p) for p in paths], CalibrationError)
+
+
+@case(
+    "data",
+    why="a scene with a negative stiffness or a part wider than its gap has no equilibrium to find",
+    holds="impossible scenes are refused with the key and its range: not refused",
+    guard=("simulation/scene.py", "gap_mm: float = Field(gt=5.0, le=250.0)", "gap_mm: float"),
+)
+def scenes_that_cannot_be(_seed: int) -> float:
+    changes = [
+        {"gel__friction": -0.1},
+        {"gel__friction": float("nan")},
+        {"blocks__gap_mm": -4.0},
+        {"blocks__gap_mm": float("inf")},
+    ]
+    changes += [
+        {"grasp__force_n": 0.0},
+        {"object__mass_kg": -1.0},
+        {"camera__fps": 31},
+        {"numerics__load_step_mm": 0.0},
+    ]
+    missed = not_refused([lambda c=c: load_scene("rectangle", **c) for c in changes], SceneError)
+    return missed + not_refused(
+        [lambda: load_scene("nope"), lambda: load_scene("rectangle", gel__colour="red")], SceneError
+    )
+
+
+@case(
+    "data",
+    why="a clip may be a text file, an empty folder or claim no frame rate",
+    holds="each is refused in one line: not refused",
+    guard=("service/replay.py", "if k == 0:", "if False:"),
+)
+def clips_that_hold_nothing(_seed: int) -> float:
+    with tempfile.TemporaryDirectory() as scratch:
+        text = Path(scratch) / "x.avi"
+        text.write_text("no video")
+        options = ReplayOptions(path=text)
+        calls = [
+            lambda: list(read_clip(text, options.fps)),
+            lambda: list(read_clip(text, 0.0)),
+            lambda: list(read_clip(text, float("nan"))),
+        ]
+        return not_refused(calls, ReplayError)

@@ -1,0 +1,348 @@
+"""Hard inputs to the released networks: nothing to see, too much to see, endless streams, small and huge numbers."""
+
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from export.golden import golden_frames, hard_frames
+from export.verify import Arrays, Model, decide, gap_input, open_model, run_steps
+from service.contract import ContractError
+from service.decision import DecisionRun, Refusal
+from service.models import load_models
+from tests.hard_cases.registry import ROOT, case, non_finite, not_refused
+
+VERIFY, POOLING, FORMS = "export/verify.py", "training/networks/preprocessing.py", "training/networks/forms.py"
+NAMES = ("direction", "magnitude", "joint/joint")
+LARGEST = 1e4
+
+
+@lru_cache
+def released(name: str, form: str = "step", threads: int = 1) -> Model:
+    """A released model, opened once."""
+    return open_model(ROOT / "models" / f"{name}.{form}.onnx", threads)
+
+
+def _gap(one: Arrays, other: Arrays) -> float:
+    return max(float(np.abs(one[n] - other[n]).max() / max(1.0, np.abs(other[n]).max())) for n in one if n in other)
+
+
+def _size(outputs: Arrays) -> float:
+    """Largest output, infinite if one is not finite."""
+    return max(float(np.abs(value).max()) if np.isfinite(value).all() else np.inf for value in outputs.values())
+
+
+def _frames(seed: int) -> NDArray[np.uint8]:
+    card = released("direction").card
+    return golden_frames(card.frame, card.frames_per_decision, seed)
+
+
+def _hard_case(name: str, why: str) -> None:
+    def measure(_seed: int) -> float:
+        worst = 0.0
+        for network in NAMES:
+            model = released(network)
+            frames = hard_frames(model.card.frame, model.card.frames_per_decision)[name]
+            worst = max(worst, _size(decide(model, frames[None])))
+        return worst
+
+    measure.__name__ = "input_" + name.replace(" ", "_")
+    case(
+        "networks",
+        why=why,
+        holds="every output of every released network is finite and bounded: largest",
+        guard=(POOLING, "rows = cut.float().sum(2)"),
+        limit=LARGEST,
+    )(measure)
+
+
+_hard_case("no difference", "the difference to the reference is zero everywhere, and a norm of it would be a divisor")
+_hard_case("single bright pixel", "one pixel of 100,000 carries all of the difference")
+_hard_case("black", "no light at all: every contrast is 0")
+_hard_case("saturated", "every pixel is clipped at 255")
+_hard_case("black and white in turn", "the difference is the largest that uint8 holds, with either sign")
+_hard_case("noise", "nothing like a marker anywhere")
+
+
+@case(
+    "networks",
+    why="uint8 minus uint8 wraps: 0 - 1 is 255",
+    holds="a darker frame reads as the mirror of a brighter one, not as white: outputs that jump",
+    guard=(POOLING, "rows = cut.float().sum(2)"),
+    limit=0.5,
+)
+def differences_of_minus_one(seed: int) -> float:
+    frames = _frames(seed)
+    frames = np.clip(frames, 1, 254)
+    model, worst = released("magnitude"), 0.0
+    still = np.repeat(frames[:1], len(frames), 0)
+    for step in (1, -1):
+        moved = still.copy()
+        moved[1:] = (still[1:].astype(int) + step).astype(np.uint8)
+        said, rest = decide(model, moved[None])["error"], decide(model, still[None])["error"]
+        worst = max(worst, float(np.abs(said - rest).max()) / 10.0)
+    return worst
+
+
+@case(
+    "networks",
+    why="a recurrent state may grow step by step where nobody resets it",
+    holds="after a stream of 10,000 steps state and outputs are finite and bounded: largest",
+    guard=(VERIFY, "def _verify_stream(model: Model, frames: NDArray[np.uint8], steps: int = 500) -> str:"),
+    limit=LARGEST,
+    quick=False,
+)
+def streams_of_ten_thousand_steps(seed: int) -> float:
+    frames = _frames(seed)[None]
+    model = released(NAMES[seed % 3])
+    state, worst = np.zeros((1, model.card.state_size), np.float32), 0.0
+    for step in range(10_000):
+        fed: Arrays = {"frame": frames[:, step % 8], "reference": frames[:, 0], "state": state}
+        outputs = model(fed | gap_input(model.card, 1))
+        state = outputs["next_state"]
+        worst = max(worst, _size(outputs))
+    return worst
+
+
+@case(
+    "networks",
+    why="the state of a step comes from outside the graph and may be anything a float holds",
+    holds="states of +-1e4 give finite, bounded outputs: largest",
+    guard=("training/networks/compact.py", "following: Tensor = self.cell(torch.cat([features, gap], 1), state)"),
+    limit=1e6,
+)
+def states_of_ten_thousand(seed: int) -> float:
+    frames, rng, worst = _frames(seed)[None], np.random.default_rng(seed), 0.0
+    for name in NAMES:
+        model = released(name)
+        state = (rng.choice([-1.0, 1.0], (1, model.card.state_size)) * 1e4).astype(np.float32)
+        fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
+        worst = max(worst, _size(model(fed | gap_input(model.card, 1))))
+    return worst
+
+
+@case(
+    "networks",
+    why="numbers below 1e-38 have fewer digits, and some processors drop them to zero",
+    holds="denormal states decide as zero states do: relative gap",
+    guard=("export/runtime.py", "options = onnxruntime.SessionOptions()"),
+    limit=1e-5,
+)
+def states_of_denormals(seed: int) -> float:
+    frames, worst = _frames(seed)[None], 0.0
+    for name in NAMES:
+        model = released(name)
+        outputs = []
+        for value in (0.0, 1e-40, -1e-44):
+            state = np.full((1, model.card.state_size), value, np.float32)
+            fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
+            outputs.append(model(fed | gap_input(model.card, 1)))
+        worst = max(worst, _gap(outputs[1], outputs[0]), _gap(outputs[2], outputs[0]))
+    return worst
+
+
+@case(
+    "networks",
+    why="a gap width is an input too, and a cell may ask for any",
+    holds="gap widths from 5 to 250 mm give finite, bounded outputs: largest",
+    guard=("training/networks/compact.py", "gap = (gap_width_mm - 56.0) / 10.0"),
+    limit=LARGEST,
+)
+def gap_widths_far_from_training(seed: int) -> float:
+    frames, worst = _frames(seed)[None], 0.0
+    for name in NAMES:
+        for gap_mm in (5.0, 250.0):
+            model = released(name, "sequence")
+            worst = max(worst, _size(model({"frames": frames, "gap_width_mm": np.full((1, 1), gap_mm, np.float32)})))
+    return worst
+
+
+@case(
+    "networks",
+    why="kernels sum in another order for another batch",
+    holds="a decision alone equals the same in a batch of 64: relative gap",
+    guard=(VERIFY, "batch_gap = max(_gap(alone[name][0], crowd[name][3]) for name in alone)"),
+    limit=1e-5,
+    quick=False,
+)
+def batches_of_one_and_of_sixty_four(seed: int) -> float:
+    frames, worst = _frames(seed)[None], 0.0
+    for name in NAMES:
+        model = released(name)
+        alone, crowd = run_steps(model, frames), run_steps(model, np.repeat(frames, 64, 0))
+        worst = max(worst, *(_gap(alone, {n: v[row : row + 1] for n, v in crowd.items()}) for row in (0, 31, 63)))
+    return worst
+
+
+@case(
+    "networks",
+    why="two threads split a sum in two",
+    holds="one thread and two give the same decision: relative gap",
+    guard=(VERIFY, "threads_gap = _gaps(alone, decide(open_model(model.file, threads=2), frames))"),
+    limit=1e-5,
+)
+def threads_one_and_two(seed: int) -> float:
+    frames = _frames(seed)[None]
+    return max(_gap(decide(released(name), frames), decide(released(name, "step", 2), frames)) for name in NAMES)
+
+
+@case(
+    "networks",
+    why="the service decides step by step, the offline tools by whole sequences",
+    holds="both forms of each network decide alike, on golden and on hard frames: relative gap",
+    guard=(FORMS, "for step in range(FRAMES_PER_DECISION):"),
+    limit=1e-5,
+)
+def steps_against_sequences(seed: int) -> float:
+    worst = 0.0
+    for name in NAMES:
+        step, sequence = released(name), released(name, "sequence")
+        inputs = [_frames(seed), *hard_frames(step.card.frame, 8).values()]
+        worst = max(worst, *(_gap(decide(sequence, frames[None]), decide(step, frames[None])) for frames in inputs))
+    return worst
+
+
+@case(
+    "networks",
+    why="float32 keeps seven digits; a network that loses three of them is ill-conditioned",
+    holds="weights in float64 decide as released: relative gap",
+    guard=("export/to_onnx.py", "TOLERANCE = 1e-5"),
+    limit=1e-4,
+    quick=False,
+)
+def single_against_double_precision(seed: int) -> float:
+    import torch
+
+    from training.config import NetworkConfig
+    from training.labels import CLASSES
+    from training.networks import build
+
+    torch.manual_seed(seed)
+    network = build(NetworkConfig(), len(CLASSES)).eval()
+    fields = torch.randn(4, 8, 2, 3, 20, 21)
+    gap = torch.full((4, 1), 56.0)
+    with torch.no_grad():
+        single = network.logits(network.read_fields(fields, gap))
+        torch.set_default_dtype(torch.float64)
+        try:
+            double = network.double().logits(network.read_fields(fields.double(), gap.double()))
+        finally:
+            torch.set_default_dtype(torch.float32)
+    return float((single.double() - double).abs().max() / double.abs().max())
+
+
+@lru_cache
+def _small(name: str, reduce: bool) -> Model:
+    """int8 twin of a released step model, with or without the bit in reserve; kept until the process ends."""
+
+    import onnxruntime.quantization as ortq
+
+    from export import quantize
+
+    frames = np.stack([_frames(seed) for seed in range(4)])
+    out = Path(tempfile.mkdtemp(prefix="hard-cases-")) / f"{name}.step.onnx"
+    if reduce:
+        return open_model(quantize.quantize(ROOT / "models" / f"{name}.step.onnx", out, frames))
+    kept = ortq.quantize_static
+
+    def without_reserve(*given: object, **named: object) -> None:
+        kept(*given, **(named | {"reduce_range": False}))
+
+    ortq.quantize_static = without_reserve
+    try:
+        return open_model(quantize.quantize(ROOT / "models" / f"{name}.step.onnx", out, frames))
+    finally:
+        ortq.quantize_static = kept
+
+
+@case(
+    "networks",
+    why="without VNNI, products of u8 and s8 saturate in 16 bits and say nothing",
+    holds="the int8 twin, with its bit in reserve, stays near fp32 on golden frames: mean gap relative to the output",
+    guard=("export/quantize.py", "reduce_range=True,"),
+    limit=0.25,
+    quick=False,
+)
+def int8_with_a_bit_in_reserve(seed: int) -> tuple[float, str]:
+    flags = Path("/proc/cpuinfo").read_text()
+    frames = np.stack([_frames(10 + seed)])
+    worst = 0.0
+    for name in ("direction", "magnitude"):
+        wanted, got = decide(released(name), frames), decide(_small(name, reduce=True), frames)
+        worst = max(worst, *(float(np.abs(wanted[n] - got[n]).mean() / np.abs(wanted[n]).mean()) for n in wanted))
+    return worst, "processor with VNNI" if "vnni" in flags else "processor without VNNI"
+
+
+@case(
+    "networks",
+    why="extreme inputs drive every quantised activation to the ends of its 256 steps",
+    holds="the int8 twins stay finite and bounded on every hard input: largest",
+    guard=("export/quantize.py", "_self_test(model, open_model(out), frames)"),
+    limit=LARGEST,
+    quick=False,
+)
+def int8_at_its_extremes(_seed: int) -> float:
+    worst = 0.0
+    for name in ("direction", "magnitude"):
+        model = _small(name, reduce=True)
+        for frames in hard_frames(model.card.frame, model.card.frames_per_decision).values():
+            worst = max(worst, _size(decide(model, frames[None])))
+    return worst
+
+
+@case(
+    "networks",
+    why="a processor with VNNI can use the eighth bit, one without cannot: the file must serve both",
+    holds="the twins with and without the reserved bit decide alike here, or the second is refused: mean gap",
+    guard=("export/quantize.py", "if not gap < 0.25:"),
+    limit=0.3,
+    quick=False,
+)
+def int8_without_a_bit_in_reserve(seed: int) -> tuple[float, str]:
+    frames = np.stack([_frames(10 + seed)])
+    try:
+        full = _small("magnitude", reduce=False)
+    except ContractError as refusal:
+        return 0.0, f"refused: {refusal}"
+    wanted, got = decide(_small("magnitude", reduce=True), frames)["error"], decide(full, frames)["error"]
+    return float(np.abs(wanted - got).mean() / np.abs(wanted).mean()), "both run here"
+
+
+@case(
+    "networks",
+    why="a frame of another size or type fits a buffer of the same length",
+    holds="frames of another shape are refused by name, too few frames give no decision: not refused",
+    guard=("service/decision.py", "self._models.card.frame.check(finger)", "pass"),
+)
+def frames_of_another_shape(seed: int) -> float:
+    models = load_models(ROOT / "models")
+    frames = _frames(seed)
+    bad = [frames[0][:, :, :-1], frames[0].astype(np.float32), frames[0][:, :-1], frames[0][..., 0]]
+    calls = [lambda f=f: DecisionRun(models, frames[0], 56.0).step(f) for f in bad]
+    return not_refused(calls, ContractError, "expected uint8") + not_refused(
+        [DecisionRun(models, frames[0], 56.0).evidence], Refusal
+    )
+
+
+@case(
+    "networks",
+    why="a network may say NaN on the day its file is damaged",
+    holds="a non-finite output is no decision: not refused, non-finite evidence",
+    guard=("service/decision.py", "if not all(np.isfinite(value).all() for value in outputs.values()):", "if False:"),
+)
+def outputs_that_are_no_numbers(seed: int) -> float:
+    models = load_models(ROOT / "models")
+    missed = 0.0
+    for bad in (np.nan, np.inf):
+        run = DecisionRun(models, _frames(seed)[0], 56.0)
+        for frame in _frames(seed):
+            run.step(frame)
+        run._outputs[0] = {name: np.full_like(value, bad) for name, value in run._outputs[0].items()}
+        missed += not_refused([run.evidence], Refusal)
+    good = DecisionRun(models, _frames(seed)[0], 56.0)
+    for frame in _frames(seed):
+        good.step(frame)
+    said = good.evidence()
+    return missed + non_finite(said.probabilities, said.error, said.sigma)

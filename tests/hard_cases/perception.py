@@ -1,0 +1,295 @@
+"""Hard frames and fields: fits without a solution, twists, jumps, light that lies, fingers that vanish."""
+
+import numpy as np
+
+from service.perception.field import MarkerField
+from service.perception.grasp import GraspWatch
+from service.perception.markers import MarkerTracker
+from service.perception.onset import OnsetDetector
+from service.perception.rectify import CameraCalibration, Rectifier
+from service.perception.rigid import fit_motion
+from service.perception.slip import SlipDetector
+from tests.hard_cases.registry import case, non_finite, not_refused
+from tests.service.perception.synthetic import FRAME_NS, draw, grid, patch_fields, rigid, twist
+
+RIGID, MARKERS, SLIP = "service/perception/rigid.py", "service/perception/markers.py", "service/perception/slip.py"
+TOO_FEW = (MARKERS, "if len(spots.strength) < 4:", "if False:")
+TOO_LITTLE = (MARKERS, "if share < self.settings.lost_share or not visible.any():", "if False:")
+SUSPICION = (MARKERS, "return reindex(points, rest, pitch, view, self._xy, best)")
+OWN_LIGHT = (MARKERS, "keep = spots.strength > self.settings.threshold * typical")
+REST = grid()
+PITCH = 15.0
+
+
+def _finite(field: MarkerField, *states: object) -> float:
+    """How many numbers of a field and of slip states are not finite."""
+    counted = non_finite(field.displacement_px, field.rest_px)
+    for state in states:
+        counted += non_finite(state.residual_px, state.score, state.angle_rad, state.scale, *state.shift_px)
+    return counted
+
+
+def _watched(images: list[object], seed: int) -> tuple[MarkerField, float]:
+    """Every consumer over a healthy frame, then ``images``: the last field, and how many numbers were not finite."""
+    rng = np.random.default_rng(seed)
+    tracker, slip, onset, watch = MarkerTracker(), SlipDetector(), OnsetDetector(), GraspWatch()
+    field = tracker.update(draw(REST, rng), 0)
+    slip.rearm(field)
+    onset.rearm(field)
+    bad = 0.0
+    for k, image in enumerate(images, 1):
+        field = tracker.update(image, k * FRAME_NS)
+        onset.update(field)
+        bad += _finite(field, slip.update(field), watch.update(field))
+    return field, bad
+
+
+def _lost(field: MarkerField, truth: np.ndarray, within_px: float) -> float:
+    """Share of markers that are not valid and within ``within_px`` of the truth."""
+    error = np.linalg.norm(field.rest_px + field.displacement_px - truth, axis=-1)
+    return 1.0 - float((field.valid & (error < within_px)).mean())
+
+
+@case(
+    "perception",
+    why="a rotation is not determined by points on one line: the normal equations are singular",
+    holds="collinear, coincident and fewer than four markers give no motion: fits given",
+    guard=(RIGID, "if not spread[0] > (MIN_SPREAD * pitch) ** 2:", "if False:"),
+)
+def rigid_fits_without_a_solution(seed: int) -> tuple[float, str]:
+    rng = np.random.default_rng(seed)
+    line = np.stack([np.linspace(0, 300, 20), np.full(20, 160.0)], -1)
+    sets = [
+        line,
+        line + rng.normal(0, 0.5, line.shape),
+        np.tile([[160.0, 160.0]], (20, 1)),
+        rng.uniform(0, 300, (3, 2)),
+        line[:0],
+    ]
+    given = sum(fit_motion(p, p + 1, np.ones(len(p)), PITCH, scale=s) is not None for p in sets for s in (True, False))
+    nearly = line + rng.normal(0, 0.5, line.shape)
+    spread = np.linalg.eigvalsh(np.cov(nearly.T))
+    return float(
+        given
+    ), f"condition {spread[1] / spread[0]:.0e} on the nearly straight line: refused below 0.3 pitch across"
+
+
+@case(
+    "perception",
+    why="weights of zero leave no points, and their mean is 0/0",
+    holds="no weight gives no motion: fits given",
+    guard=(
+        RIGID,
+        "if np.count_nonzero(weights > 1e-3 * weights.max(initial=1e-12)) < MIN_NODES or total <= 0:",
+        "if False:",
+    ),
+)
+def rigid_fits_without_weight(seed: int) -> float:
+    points = np.random.default_rng(seed).uniform(0, 300, (30, 2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = [fit_motion(points, points, w, PITCH, scale=True) for w in (np.zeros(30), np.eye(30)[0])]
+    return float(sum(motion is not None for motion in found))
+
+
+@case(
+    "perception",
+    why="small-angle formulas call a rotation a slip: 1 - cos 40 deg is a quarter of a pitch at the rim",
+    holds="an exact rotation of any angle is found: deg or px off",
+    guard=(
+        RIGID,
+        "return Motion(float(np.arctan2(cross, dot)), size, pivot, target - pivot)",
+        "return Motion(float(cross / dot), size, pivot, target - pivot)",
+    ),
+    limit=1e-6,
+)
+def rotations_of_any_angle(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    worst = 0.0
+    for degrees in (1e-6, 5.0, 45.0, 90.0, 179.0, -120.0):
+        points = rng.uniform(0, 300, (60, 2))
+        motion = fit_motion(points, twist(points, degrees, shift=(3.0, -2.0)), np.ones(60), PITCH, scale=False)
+        moved = motion.apply(points)
+        worst = max(
+            worst,
+            abs(np.rad2deg(motion.angle_rad) - degrees),
+            float(np.abs(moved - twist(points, degrees, shift=(3.0, -2.0))).max()),
+        )
+    return worst
+
+
+@case(
+    "perception",
+    why="differences of numbers near 1e8 lose their digits if they are not centred first",
+    holds="a fit far from the origin equals one at the origin: deg apart",
+    guard=(RIGID, "x, y = before - pivot, after - target"),
+    limit=1e-4,
+)
+def rotations_far_from_the_origin(seed: int) -> float:
+    points = np.random.default_rng(seed).uniform(0, 300, (60, 2))
+    found = []
+    for offset in (0.0, 1e6):
+        before, after = points + offset, twist(points, 7.0) + offset
+        found.append(np.rad2deg(fit_motion(before, after, np.ones(60), PITCH, scale=False).angle_rad))
+    return abs(float(found[0] - found[1]))
+
+
+@case(
+    "perception",
+    why="a rotating patch carries its rim further than any slip threshold",
+    holds="a twist to 60 deg at 5 deg a frame is never called slip: frames that are",
+    guard=(SLIP, "slip_pitch: float = 0.10", "slip_pitch: float = 1e-4"),
+    quick=False,
+)
+def twists_of_sixty_degrees(seed: int) -> float:
+    slips, slip = 0, None
+    fields, _ = patch_fields(rigid(degrees=5.0), frames=13, seed=seed)
+    for k, field in enumerate(fields):
+        if slip is None:
+            slip = SlipDetector()
+            slip.rearm(field)
+            continue
+        slips += slip.update(field).state == "incipient_slip" and k > 0
+    return float(slips)
+
+
+@case(
+    "perception",
+    why="the nearest blob to a marker that moved 0.9 pitch is its neighbour",
+    holds="after a jump of 0.9 pitch markers keep their identity: share lost",
+    guard=SUSPICION,
+    limit=0.01,
+    quick=False,
+)
+def jumps_of_almost_a_pitch(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    worst = 0.0
+    for angle in np.deg2rad([0, 30, 45, 90, 200]):
+        tracker = MarkerTracker()
+        tracker.update(draw(REST, rng), 0)
+        moved = REST + 0.9 * PITCH * np.array([np.cos(angle), np.sin(angle)])
+        field = tracker.update(draw(moved, rng), FRAME_NS)
+        inside = (moved > 4).all(-1) & (moved < (322, 315)).all(-1)
+        error = np.linalg.norm(field.rest_px + field.displacement_px - moved, axis=-1)
+        worst = max(worst, 1.0 - float((field.valid & (error < 3.0))[inside].mean()))
+    return worst
+
+
+def _hard_image(name: str, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    shape = (320, 327, 3)
+    if name == "noise":
+        return rng.integers(0, 256, shape, dtype=np.uint8)
+    if name == "saturated":
+        return np.clip(draw(REST, rng).astype(int) * 3, 0, 255).astype(np.uint8)
+    if name == "covered":
+        image = draw(REST, rng)
+        image[:, 160:] = 30
+        return image
+    if name in ("black", "white"):
+        return np.full(shape, 0 if name == "black" else 255, np.uint8)
+    points = {
+        "line": REST[:1],
+        "three": REST[0, :3],
+        "twist": twist(REST, 45),
+        "scattered": rng.uniform(10, 310, (400, 2)),
+    }
+    return draw(points[name], rng)
+
+
+def _frame_case(name: str, why: str, guard: tuple[str, str] | tuple[str, str, str], *, quick: bool = False) -> None:
+    """A frame that shows nothing usable: every result is finite and typed, and the grid comes back after it."""
+
+    def measure(seed: int) -> float:
+        rng = np.random.default_rng(seed + 50)
+        hard = _hard_image(name, seed)
+        field, bad = _watched([hard, hard, draw(REST, rng), draw(REST, rng)], seed)
+        return max(bad, _lost(field, REST, 1.0) - 0.03)
+
+    measure.__name__ = f"frame_{name}"
+    case(
+        "perception",
+        why=why,
+        holds="nothing raised, nothing non-finite, 97 % of the markers back two frames later: excess",
+        guard=guard,
+        quick=quick,
+    )(measure)
+
+
+_frame_case("black", "no marker has any contrast, and contrast is a divisor", TOO_FEW, quick=True)
+_frame_case("white", "every pixel is clipped: there is no gradient anywhere", TOO_FEW)
+_frame_case("saturated", "half the picture is clipped and the other half is not", OWN_LIGHT)
+_frame_case("noise", "thousands of blobs, none a marker", SUSPICION)
+_frame_case("covered", "half the markers are gone at once", TOO_LITTLE)
+_frame_case("line", "a single row of markers determines no grid", TOO_LITTLE)
+_frame_case("three", "three markers are fewer than a fit needs", TOO_FEW)
+_frame_case("scattered", "400 dots in no order offer a wrong partner to every marker", SUSPICION)
+_frame_case("twist", "45 deg in one frame moves the rim by seven pitches", SUSPICION)
+
+
+@case(
+    "perception",
+    why="a camera that is unplugged delivers nothing, and its finger must not look like one at rest",
+    holds="a missing frame is the typed state lost, finite, and the next frame is tracked: numbers wrong",
+    guard=(MARKERS, "if image is None:"),
+)
+def fingers_that_vanish(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    tracker, slip = MarkerTracker(), SlipDetector()
+    slip.rearm(tracker.update(draw(REST, rng), 0))
+    gone = tracker.update(None, FRAME_NS)
+    state = slip.update(gone)
+    back = tracker.update(draw(REST, rng), 2 * FRAME_NS)
+    wrong = float(state.state not in {"lost", "unknown"}) + float(back.status != "tracking")
+    return wrong + _finite(gone, state)
+
+
+@case(
+    "perception",
+    why="a driver may repeat a frame with an old stamp, or its clock may jump",
+    holds="a frame that is not newer is a duplicate and no evidence: frames taken as new",
+    guard=(MARKERS, "if self._last_ns is not None and captured_ns <= self._last_ns:", "if False:"),
+)
+def clocks_that_jump(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    tracker, slip = MarkerTracker(), SlipDetector()
+    slip.rearm(tracker.update(draw(REST, rng), 10 * FRAME_NS))
+    wrong = 0
+    for stamp_ns in (9 * FRAME_NS, 10 * FRAME_NS, -(2**62)):
+        field = tracker.update(draw(twist(REST, 3), rng), stamp_ns)
+        wrong += field.status != "duplicate" or slip.update(field).state != "hold"
+    return float(wrong + (tracker.update(draw(REST, rng), 2**62).status != "tracking"))
+
+
+@case(
+    "perception",
+    why="an exposure step changes every grey level at once and nothing else",
+    holds="markers stay where they are through light by 0.6 and 1.5: px RMS of a component",
+    guard=OWN_LIGHT,
+    limit=0.15,
+    quick=False,
+)
+def exposures_that_jump(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    tracker, worst = MarkerTracker(), 0.0
+    for k, light in enumerate((140.0, 84.0, 210.0, 140.0)):
+        field = tracker.update(draw(REST, rng, light=light), k * FRAME_NS)
+        off = (field.rest_px + field.displacement_px - REST)[field.valid]
+        worst = max(worst, float(np.sqrt(np.square(off).mean())), float(field.valid.mean() < 0.97))
+    return worst
+
+
+@case(
+    "perception",
+    why="a homography that shrinks a side to nothing asks for pixels far outside the frame",
+    holds="a rectified frame is whole and black outside the raw one, a wrong size is refused: not refused",
+    guard=("service/perception/rectify.py", "self.camera.raw.check(raw)", "pass"),
+)
+def raw_frames_of_another_size(seed: int) -> float:
+    rectifier = Rectifier(CameraCalibration(np.array([[1.0, 0.05, -40.0], [0.02, 1.0, 5.0], [1e-4, 1e-5, 1.0]])))
+    rng = np.random.default_rng(seed)
+    shapes = [(320, 426, 3), (321, 427, 3), (320, 427), (0, 0, 3)]
+    missed = not_refused(
+        [lambda s=s: rectifier.apply(rng.integers(0, 256, s, dtype=np.uint8)) for s in shapes], ValueError
+    )
+    whole = rectifier.apply(np.full((320, 427, 3), 200, np.uint8))
+    return missed + float(whole.shape != (320, 327, 3))

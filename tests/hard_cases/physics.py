@@ -1,0 +1,350 @@
+"""Hard contact: touchdowns, edges, singular and vanishing contacts, extremes of stiffness, friction and load."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from simulation.rig import Cell, CellState, PhysicsError
+from simulation.scene import SceneError, load_scene
+from tests.hard_cases.registry import case, non_finite, not_refused
+
+MECHANICS, RIG, EQUILIBRIUM, CONTACT = (
+    f"simulation/{name}.py" for name in ("mechanics", "rig", "equilibrium", "contact")
+)
+EXACT = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+RESIDUAL_N, CONE = 1e-6, 1e-9
+
+
+def grasped(name: str, x_mm: float, theta_deg: float, seed: int = 0, **changes: object) -> Cell:
+    """An object in the hand above its gap."""
+    cell = Cell(load_scene(name, **changes), seed)
+    cell.regrasp(x_mm, theta_deg)
+    return cell
+
+
+def lowered(cell: Cell, depths: Iterator[float] | tuple[float, ...]) -> Iterator[CellState]:
+    """The hand lowered to depths below the approach pose, one after the other."""
+    x, y, z, yaw = cell.pose
+    for depth in depths:
+        yield cell.move_to(float(x), float(y), float(z) - depth, float(np.degrees(yaw)))
+
+
+def worst_of(cell: Cell, depths: tuple[float, ...] = (4.9, 5.0, 5.001, 5.05, 5.5, 6.5)) -> float:
+    """Largest of: residual over its bound, cone violation over its bound; infinite for a number that is none."""
+    worst = 0.0
+    for state in lowered(cell, depths):
+        if non_finite(state.gel, state.wrench_n_nmm, state.in_hand, state.object_error, state.block_motion):
+            return np.inf
+        if state.grasp_lost:
+            break
+        worst = max(worst, state.residual_n / RESIDUAL_N, float(cell.state["report"][4]) / CONE)
+    return worst
+
+
+HOLDS = "residual <= 1e-6 N, cone <= 1e-9, all finite: share of the bound used"
+SOLVED = (MECHANICS, "SETTLED, STALLED, LOST = 0, 1, 2")
+HALVED = (RIG, "if status == mechanics.STALLED and depth < MAX_HALVINGS:")
+REFUSED = (RIG, 'f"scene {self.scene.name!r}: no equilibrium within {self.scene.numerics.residual_n} N at TCP "')
+
+
+def _scene_case(
+    name: str, why: str, make: Callable[[int], Cell], guard: tuple[str, str] = SOLVED, *, quick: bool = False
+) -> None:
+    def measure(seed: int) -> float:
+        return worst_of(make(seed))
+
+    measure.__name__ = name.replace(" ", "_")
+    case("physics", why=why, holds=HOLDS, guard=guard, limit=1.0, quick=quick)(measure)
+
+
+_scene_case(
+    "first touchdown",
+    "contact stiffness jumps from nothing to 1000 N/mm within a micrometre",
+    lambda seed: grasped("rectangle", 8.0, 5.0, seed),
+    quick=True,
+)
+_scene_case(
+    "corner at vanishing overlap",
+    "a corner overlaps the block by a thousandth of a millimetre: one contact of no area",
+    lambda seed: grasped("rectangle", 2.501 + 1e-3 * seed, 0.0, **EXACT),
+)
+_scene_case(
+    "edge parallel to edge",
+    "at yaw 0 a whole edge touches at once and every split of the force along it is an equilibrium",
+    lambda seed: grasped("rectangle", 6.0 + seed, 0.0, **EXACT),
+)
+_scene_case(
+    "redundant contact on both blocks",
+    "centred and yawed, opposite corners rest on both blocks at once: more contacts than unknowns",
+    lambda seed: grasped("rectangle", 0.0, 8.0 + seed, **EXACT),
+)
+for _mu, _note in (
+    (0.0, "no friction: nothing resists sliding along the edge"),
+    (2.0, "a cone wider than 60 deg locks by itself"),
+):
+    _scene_case(
+        f"edge friction {_mu:g}",
+        _note,
+        lambda seed, mu=_mu: grasped("rectangle", 8.0, 5.0, seed, blocks__friction=mu),
+    )
+_scene_case(
+    "gel friction 2",
+    "pads that never slip load until the geometry gives",
+    lambda seed: grasped("hexagon", 8.0, 5.0, seed, gel__friction=2.0),
+)
+_scene_case(
+    "heavy object in a light grip",
+    "2 kg in 40 N: the weight alone takes a third of the friction",
+    lambda seed: grasped("mustard", 8.0, 4.0, seed, object__mass_kg=2.0, grasp__force_n=40.0),
+)
+_scene_case(
+    "object of a gram",
+    "weight forces near the solver's residual",
+    lambda seed: grasped("circle", 8.0, 0.0, seed, object__mass_kg=0.001),
+)
+_scene_case(
+    "yaw of ninety degrees",
+    "the long side lies across the gap and both ends touch at once",
+    lambda seed: grasped("rectangle", 1.0 + seed, 90.0, theta_range_deg=45.0),
+)
+_scene_case(
+    "free blocks pushed and tipped",
+    "blocks of 20 g slide and tip under the object: eighteen unknowns, contacts that come and go",
+    lambda seed: grasped(
+        "rectangle", 8.0, 5.0, seed, blocks__free=True, blocks__mass_kg=0.02, blocks__table_friction=0.05
+    ),
+)
+_scene_case(
+    "touchdown in the layer tier",
+    "nodes that feel each other couple every bristle to every other",
+    lambda seed: grasped("rectangle", 8.0, 5.0, seed, gel__tier="layer"),
+    guard=(RIG, "return self.layer.advance((self.record, self.slots), lambda: self._solve(target))"),
+)
+
+
+@case(
+    "physics",
+    why="gel a thousand times softer or stiffer than the blocks makes the stiffness matrix ill-conditioned",
+    holds="six decades of stiffness solve or are refused by name: share of the bound used",
+    guard=HALVED,
+    limit=1.0,
+    quick=False,
+)
+def gel_stiffness_over_six_decades(seed: int) -> tuple[float, str]:
+    worst, refused, solved = 0.0, 0, 0
+    for share in np.linspace(0.0, 1.0, 7):
+        modulus, thickness, ratio = (
+            float(low * (high / low) ** share) for low, high in ((0.005, 5.0), (10.0, 0.3), (0.5, 50.0))
+        )
+        gel = {"gel__shear_modulus_n_per_mm2": modulus, "gel__thickness_mm": thickness, "gel__normal_ratio": ratio}
+        try:
+            worst = max(worst, worst_of(grasped("rectangle", 8.0, 5.0, seed, **gel)))
+            solved += 1
+        except PhysicsError:
+            refused += 1
+    return (worst if solved else np.inf), f"{solved} solved, {refused} refused by name"
+
+
+@case(
+    "physics",
+    why="contact stiffness over four decades scales one block of the matrix and not the others",
+    holds="blocks from 5 to 50,000 N/mm solve: share of the bound used",
+    guard=(MECHANICS, "MAX_DIRECT, MAX_CONVEX, FREEZE_CONVEX, MAX_INNER = 20, 40, 30, 60"),
+    limit=1.0,
+    quick=False,
+)
+def block_stiffness_over_four_decades(seed: int) -> float:
+    stiffness = (5.0, 50.0, 1000.0, 50_000.0)
+    return max(worst_of(grasped("rectangle", 8.0, 5.0, seed, blocks__stiffness_n_per_mm=k)) for k in stiffness)
+
+
+@case(
+    "physics",
+    why="pads without friction hold nothing: gravity finds no equilibrium to settle in",
+    holds="an object that cannot be held is refused by name or lost, never held by a rounding error: held",
+    guard=REFUSED,
+    quick=False,
+)
+def gel_friction_0(seed: int) -> tuple[float, str]:
+    try:
+        cell = grasped("hexagon", 8.0, 5.0, seed, gel__friction=0.0)
+        worst_of(cell)
+    except PhysicsError:
+        return 0.0, "refused by name"
+    return float(not cell.grasp_lost), "lost"
+
+
+@case(
+    "physics",
+    why="an interference fit wedges: side walls on both sides and friction that locks them",
+    holds="a part wider than its gap is refused by name: not refused",
+    guard=("simulation/scene.py", "must exceed object.size_x_mm"),
+)
+def interference_fit(_seed: int) -> float:
+    gaps = (50.8, 51.0, np.nextafter(51.0, 0))
+    return not_refused([lambda g=g: load_scene("rectangle", blocks__gap_mm=g) for g in gaps], SceneError, "gap_mm")
+
+
+@case(
+    "physics",
+    why="half a micrometre of clearance a side: both walls touch, with friction, all the way down",
+    holds=HOLDS + "; or refused by name",
+    guard=REFUSED,
+    limit=1.0,
+    quick=False,
+)
+def fit_without_clearance(seed: int) -> tuple[float, str]:
+    cell = grasped("rectangle", 0.0, 0.0, seed, blocks__gap_mm=51.001, **EXACT)
+    try:
+        return worst_of(cell, (4.5, 5.0, 5.5, 7.0, 12.0)), "solved"
+    except PhysicsError as refusal:
+        return 0.0, f"refused: {str(refusal)[:50]}"
+
+
+@case(
+    "physics",
+    why="the first state is far inside the block: no Newton step starts near the solution",
+    holds="3 mm of initial overlap in one load step is solved or refused by name: share of the bound used",
+    guard=HALVED,
+    limit=1.0,
+    quick=False,
+)
+def deep_initial_overlap(seed: int) -> tuple[float, str]:
+    cell = grasped("rectangle", 8.0, 5.0, seed, numerics__load_step_mm=1.0)
+    try:
+        return worst_of(cell, (8.0,)), "solved"
+    except PhysicsError:
+        return 0.0, "refused by name"
+
+
+@case(
+    "physics",
+    why="a grip of half a newton holds nothing: the object is lost, which is a state and not an error",
+    holds="grip forces down to 0.5 N end held, lost or refused by name, all finite: share of the bound used",
+    guard=(RIG, "or grips.min() < LOST_GRIP * grips.max()"),
+    limit=1.0,
+    quick=False,
+)
+def grip_force_to_nothing(seed: int) -> tuple[float, str]:
+    worst, endings = 0.0, []
+    for force_n in (20.0, 5.0, 1.0, 0.5):
+        try:
+            cell = grasped("rectangle", 8.0, 5.0, seed, grasp__force_n=force_n)
+            worst = max(worst, worst_of(cell))
+            endings.append("lost" if cell.grasp_lost else "held")
+        except PhysicsError:
+            endings.append("refused")
+    return worst, ", ".join(endings)
+
+
+@case(
+    "physics",
+    why="a regularised friction creeps: standing still for a second moves the object",
+    holds="force drift over 300 load steps of a nanometre up and down: relative",
+    guard=("simulation/gel.py", "bound = min(node.limit, constants.friction * node.pressure) / constants.kt"),
+    limit=1e-3,
+    quick=False,
+)
+def hold_of_a_second(seed: int) -> float:
+    cell = grasped("rectangle", 8.0, 5.0, seed)
+    *_, state = lowered(cell, (5.5, 6.3))
+    before = state.wrench_n_nmm.copy()
+    x, y, z, yaw = cell.pose
+    for k in range(300):
+        state = cell.move_to(float(x), float(y), float(z) + 1e-9 * (-1) ** k, float(np.degrees(yaw)))
+    return float(np.linalg.norm(state.wrench_n_nmm[:3] - before[:3]) / np.linalg.norm(before[:3]))
+
+
+@case(
+    "physics",
+    why="bristles that slipped remember where; on the way back they stick first and then slip the other way",
+    holds=HOLDS,
+    guard=SOLVED,
+    limit=1.0,
+    quick=False,
+)
+def stick_slip_reversal(seed: int) -> float:
+    return worst_of(grasped("rectangle", 8.0, 5.0, seed), (5.2, 6.0, 5.3, 6.2, 5.1, 6.4, 4.8, 6.0))
+
+
+@case(
+    "physics",
+    why="one step of 1.5 mm crosses touchdown, sticking and slip at once; a thousand small ones add their rounding",
+    holds="in-hand position from 1, 4, 32 and 1024 load steps agrees: mm apart from the finest",
+    guard=HALVED,
+    limit=0.03,
+    quick=False,
+)
+def load_steps_from_one_to_1024(seed: int) -> tuple[float, str]:
+    ends = []
+    for count in (1, 4, 32, 1024):
+        cell = grasped("rectangle", 8.0, 3.0 * seed, **EXACT)
+        *_, state = lowered(cell, tuple(4.9 + 1.5 * (k + 1) / count for k in range(count)))
+        ends.append(state.in_hand[:3].copy())
+    apart = [float(np.linalg.norm(end - ends[-1])) for end in ends[:-1]]
+    return apart[-1], f"1, 4, 32 steps: {', '.join(f'{1e3 * a:.1f}' for a in apart)} um"
+
+
+@case(
+    "physics",
+    why="two solvers that stop early stop at different places",
+    holds="the coupled and the convex solver find one equilibrium: mm apart",
+    guard=("simulation/mechanics.py", "def _direct("),
+    limit=2e-4,
+    quick=False,
+)
+def two_solvers_of_one_equilibrium(seed: int) -> float:
+    ends = []
+    for direct in (True, False):
+        cell = grasped("rectangle", 6.0 + seed, 4.0, **EXACT)
+        cell.direct = direct
+        *_, state = lowered(cell, (5.5, 6.2))
+        ends.append(state.in_hand.copy())
+    return float(np.abs(ends[0] - ends[1]).max())
+
+
+@case(
+    "physics",
+    why="mirrored input must give mirrored output, or something depends on the order of a loop",
+    holds="a mirrored start gives the mirrored force: relative gap",
+    guard=SOLVED,
+    limit=1e-4,
+    quick=False,
+)
+def mirrored_starts(seed: int) -> float:
+    forces = []
+    for side in (1.0, -1.0):
+        cell = grasped("rectangle", side * (6.0 + seed), side * 4.0, **EXACT)
+        *_, state = lowered(cell, (5.5, 6.0))
+        forces.append(state.wrench_n_nmm[:3] * (side, 1.0, 1.0))
+    return float(np.abs(forces[0] - forces[1]).max() / np.abs(forces[0]).max())
+
+
+@case(
+    "physics",
+    why="a hand that is sent to NaN takes its object along",
+    holds="a pose that is no number is refused by name and the state stays: not refused",
+    guard=(RIG, "if not np.all(np.isfinite(target)):", "if False:"),
+)
+def poses_that_are_no_numbers(seed: int) -> float:
+    cell = grasped("rectangle", 8.0, 5.0, seed)
+    bad = (np.nan, np.inf, -np.inf)
+    calls = [lambda v=v, k=k: cell.move_to(*[v if i == k else 0.0 for i in range(4)]) for v in bad for k in range(4)]
+    missed = not_refused([*calls, *(lambda v=v: cell.regrasp(v, 0.0) for v in bad)], ValueError)
+    return missed + non_finite(cell.look().gel)
+
+
+@case(
+    "physics",
+    why="seeds differ in tilt, grip and optics, and one of them may be the one that stalls",
+    holds="random hard probes solve within the bounds or are refused by name: share of the bound used",
+    guard=REFUSED,
+    limit=1.0,
+    quick=False,
+)
+def random_hard_probes(seed: int) -> tuple[float, str]:
+    from tests.simulation.test_mechanics import hard_probe
+
+    rng = np.random.default_rng(1000 + seed)
+    outcomes = [hard_probe(rng) for _ in range(60)]
+    return 0.0, ", ".join(f"{outcomes.count(name)} {name}" for name in sorted(set(outcomes)))

@@ -1,0 +1,124 @@
+"""A hard case, its registry, and how one is run."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+Room = Literal["physics", "perception", "networks", "decision", "motion", "data"]
+ROOT = Path(__file__).resolve().parents[2]
+SEEDS = (0, 1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Guard:
+    """The line of code that answers a case: a file and a piece of one line; ``mutant`` replaces it in the check."""
+
+    file: str
+    text: str
+    mutant: str | None = None
+
+    @property
+    def line(self) -> int:
+        """1-based line of the only place where the text stands; raises LookupError if there is none or another."""
+        found = [
+            number for number, line in enumerate((ROOT / self.file).read_text().splitlines(), 1) if self.text in line
+        ]
+        if len(found) != 1:
+            raise LookupError(f"{self.file} holds {self.text!r} on {len(found)} lines, expected one")
+        return found[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """``measure(seed)`` gives the worst value seen, or that and a note; the case holds if it is at most ``limit``."""
+
+    name: str
+    room: Room
+    why: str
+    holds: str
+    guard: Guard
+    limit: float
+    measure: Callable[[int], float | tuple[float, str]]
+    quick: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a case showed over its seeds."""
+
+    case: Case
+    worst: float
+    note: str
+    seconds: float
+    error: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Finite and within the limit, and nothing was raised."""
+        return not self.error and math.isfinite(self.worst) and self.worst <= self.case.limit
+
+
+CASES: dict[str, Case] = {}
+Measure = Callable[[int], float | tuple[float, str]]
+
+
+def case(
+    room: Room,
+    *,
+    why: str,
+    holds: str,
+    guard: tuple[str, str] | tuple[str, str, str],
+    limit: float = 0.0,
+    quick: bool = True,
+) -> Callable[[Measure], Measure]:
+    """Register a case under its function's name; ``quick`` ones run in the fast tests."""
+
+    def register(measure: Measure) -> Measure:
+        name = measure.__name__.replace("_", " ").strip()
+        if name in CASES:
+            raise ValueError(f"two cases are called {name!r}")
+        CASES[name] = Case(name, room, why, holds, Guard(*guard), limit, measure, quick)
+        return measure
+
+    return register
+
+
+def run(what: Case, seeds: tuple[int, ...] = SEEDS) -> Result:
+    """Measure a case on every seed; an exception is a failure that keeps its text."""
+    worst, note, began = -math.inf, "", time.perf_counter()
+    for seed in seeds:
+        try:
+            measured = what.measure(seed)
+        except Exception as error:
+            return Result(what, math.nan, note, time.perf_counter() - began, f"{type(error).__name__}: {error}"[:200])
+        value, said = measured if isinstance(measured, tuple) else (measured, "")
+        if math.isnan(value) or value > worst:
+            worst, note = value, said
+        if math.isnan(value):
+            break
+    return Result(what, worst, note, time.perf_counter() - began)
+
+
+def not_refused(
+    calls: list[Callable[[], object]], error: type[Exception] | tuple[type[Exception], ...], words: str = ""
+) -> float:
+    """How many calls do not end in the named error (with ``words`` in its text)."""
+    missed = 0
+    for call in calls:
+        try:
+            call()
+        except error as refusal:
+            missed += words.lower() not in str(refusal).lower()
+        else:
+            missed += 1
+    return float(missed)
+
+
+def non_finite(*arrays: object) -> float:
+    """How many numbers are not finite."""
+    import numpy as np
+
+    return float(sum(np.count_nonzero(~np.isfinite(np.asarray(array, float))) for array in arrays))
