@@ -217,6 +217,7 @@ class LiveCell:
             "egm": {f.name: getattr(self.egm.counters, f.name) for f in fields(self.egm.counters)},
             "wsg": {f.name: getattr(self.wsg.counters, f.name) for f in fields(self.wsg.counters)},
             "course": {f.name: getattr(course, f.name) for f in fields(course)},
+            "frames_sent_ns": {finger: list(camera.sent_ns) for finger, camera in self.cameras.items()},
             "camera_overruns": [feed.overruns for feed in self.feeds],
         }
         if state is not None:

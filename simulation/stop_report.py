@@ -1,6 +1,6 @@
 """`python -m simulation stop-report`: how soon the arm stops for slip, through the whole live loop, for each lag of it.
 
-Cell, service and client run as processes and insert an object; the cell times each stop from the capture of the frame
+Cell, service and client run as processes and insert an object; the cell times each stop from the sending of the frame
 that shows slip to the last lowered target at the controller, and to standstill.
 """
 
@@ -9,18 +9,16 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from statistics import median
+from typing import Any, Literal, NamedTuple
 
-import numpy as np
 import tyro
-from numpy.typing import NDArray
 
 from simulation.emulators.abb_rapid import REACTION_S
 from simulation.run import RunOptions, insert, starts
 from simulation.run_children import terminate_as_interrupt
-from simulation.run_report import Result
 
 
 class Way(NamedTuple):
@@ -51,65 +49,70 @@ class StopOptions:
     """Where the runs are kept."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Stops:
-    """All stops of one way, in ms from the frame: message sent, target frozen, standstill; and the overtravel.
+    """All stops of one way. Times in ms from the sending of the frame that shows slip, overtravel in mm.
 
-    Message and overtravel (mm from the slip message to standstill) are out of the client's episode logs.
+    ``drawn_ms`` is from that frame's capture to its sending: what the simulator needs, and no camera.
     """
 
-    told_ms: NDArray[np.float64]
-    frozen_ms: NDArray[np.float64]
-    rest_ms: NDArray[np.float64]
-    overtravel_mm: NDArray[np.float64]
+    drawn_ms: list[float] = field(default_factory=list)
+    frozen_ms: list[float] = field(default_factory=list)
+    rest_ms: list[float] = field(default_factory=list)
+    overtravel_mm: list[float] = field(default_factory=list)
 
+    def add(self, log: Path, truth: dict[str, Any]) -> None:
+        """Take in one insertion: the client's episode log and the cell's truth."""
+        entries = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+        seen = set()
+        for message in (entry.get("event", {}).get("message", {}) for entry in entries):
+            if message.get("type") == "slip" and message["attempt"] not in seen:
+                seen.add(message["attempt"])
+                self._stop(message, truth)
+        rows = entries[-1].get("end", {}).get("rows", [])
+        self.overtravel_mm += [row["overtravel_mm"] for row in rows if row["overtravel_mm"] is not None]
 
-def stops_of(results: Sequence[Result], logs: Sequence[Path]) -> Stops:
-    """Put the insertions of one way together."""
-    rows = []
-    for log in logs:
-        last = json.loads(log.read_text(encoding="utf-8").splitlines()[-1])
-        rows += last.get("end", {}).get("rows", [])
-    return Stops(
-        np.array([row["slip_age_ms"] for row in rows if row["slip_age_ms"] is not None]),
-        np.array([value for result in results for value in result.frozen_ms]),
-        np.array([value for result in results for value in result.rest_ms]),
-        np.array([row["overtravel_mm"] for row in rows if row["overtravel_mm"] is not None]),
-    )
+    def _stop(self, message: dict[str, Any], truth: dict[str, Any]) -> None:
+        captured_ns = message["captured_ns"]
+        sent_ns = dict(truth["frames_sent_ns"][message["finger"]]).get(captured_ns)
+        stop = next((stop for stop in truth["stops"] if stop["rest_ns"] > captured_ns), None)
+        if sent_ns is not None and stop is not None:
+            self.drawn_ms.append((sent_ns - captured_ns) / 1e6)
+            self.frozen_ms.append(max(0.0, (stop["frozen_ns"] - sent_ns) / 1e6))
+            self.rest_ms.append((stop["rest_ns"] - sent_ns) / 1e6)
 
 
 def row(way: Way, stops: Stops, fps: int) -> str:
     """One line of the table; the frame period is the bound of the freeze."""
     name = "EGM" if way.link == "egm" else "RAPID sockets"
-    within = f"{(stops.frozen_ms <= 1000.0 / fps).sum()} of {stops.frozen_ms.size}"
-    times = (stops.told_ms, stops.frozen_ms, stops.rest_ms)
-    told, frozen, rest = (_middle(values, 0) for values in times)
-    numbers = [told, frozen, within, rest, _middle(stops.overtravel_mm, 2)]
+    within = f"{sum(value <= 1000.0 / fps for value in stops.frozen_ms)} of {len(stops.frozen_ms)}"
+    drawn, frozen, rest = (_middle(values, 0) for values in (stops.drawn_ms, stops.frozen_ms, stops.rest_ms))
+    numbers = [frozen, within, rest, _middle(stops.overtravel_mm, 2), drawn]
     return f"| {name}, lag {way.lag_ms:g} ms | {' | '.join(numbers)} |"
 
 
-def _middle(values: NDArray[np.float64], digits: int) -> str:
+def _middle(values: Sequence[float], digits: int) -> str:
     """Median, worst in brackets."""
-    return f"{np.median(values):.{digits}f} ({values.max():.{digits}f})" if values.size else "-"
+    return f"{median(values):.{digits}f} ({max(values):.{digits}f})" if values else "-"
+
+
+_HEAD = """# How soon the arm stops
+
+Written by `python -m simulation stop-report`: cell, service and client as three processes on one machine, descents
+at 10 mm/s, emulated arm, cameras at {fps} frames a second. Times count from the moment at which the frame that shows
+slip goes onto the wire; frozen is the last lowered target at the controller, overtravel the client's own figure from
+the slip message to standstill: about lag times speed. Median, worst in brackets. The simulator stamps a frame before
+it computes physics and picture, which takes as long as the last column says and no camera takes; on a busy machine
+everything here grows. The reaction time of a controller without EGM is assumed ({reaction:.0f} ms), not measured.
+
+| arm | frozen, ms | within a frame ({frame:.0f} ms) | standstill, ms | overtravel, mm | frame computed, ms |
+|---|---|---|---|---|---|
+"""
 
 
 def table(rows: Sequence[str], fps: int) -> str:
     """The report as Markdown."""
-    lines = [
-        "# How soon the arm stops",
-        "",
-        "Written by `python -m simulation stop-report`: the whole live loop on one machine, descents at 10 mm/s,",
-        f"emulated arm, cameras at {fps} frames a second. Times count from the capture of the frame that shows slip,",
-        "so they hold the drawing of that frame too. Told is when the service sends its message, frozen the last",
-        "lowered target at the controller: their difference, the client's share, is one or two cycles of 4 ms.",
-        "Overtravel is the client's own figure, from the slip message to standstill: about lag times speed. Median,",
-        f"worst in brackets. The reaction time of a controller without EGM is assumed ({1000 * REACTION_S:.0f} ms),",
-        "not measured.",
-        "",
-        f"| arm | told, ms | frozen, ms | within a frame ({1000 / fps:.0f} ms) | standstill, ms | overtravel, mm |",
-        "|---|---|---|---|---|---|",
-    ]
-    return "\n".join([*lines, *rows, ""])
+    return _HEAD.format(fps=fps, frame=1000 / fps, reaction=1000 * REACTION_S) + "\n".join([*rows, ""])
 
 
 def main(arguments: list[str]) -> int:
@@ -123,8 +126,11 @@ def main(arguments: list[str]) -> int:
         run = replace(base, egm_lag_ms=way.lag_ms, link=way.link)
         folder = options.runs / time.strftime("%Y%m%d-%H%M%S")
         folders = [folder / f"{way.link}-{way.lag_ms:g}-{start.seed}" for start in todo]
-        results = [insert(start, run, path) for start, path in zip(todo, folders, strict=True)]
-        rows.append(row(way, stops_of(results, [path / "episode.jsonl" for path in folders]), options.fps))
+        stops = Stops()
+        for start, path in zip(todo, folders, strict=True):
+            insert(start, run, path)
+            stops.add(path / "episode.jsonl", json.loads((path / "truth.json").read_text(encoding="utf-8")))
+        rows.append(row(way, stops, options.fps))
     text = table(rows, options.fps)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(text, encoding="utf-8")
