@@ -7,6 +7,7 @@ that shows slip to the last lowered target at the controller, and to standstill.
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,7 @@ import tyro
 
 from simulation.emulators.abb_rapid import REACTION_S
 from simulation.run import RunOptions, insert, starts
-from simulation.run_children import terminate_as_interrupt
+from simulation.run_children import ChildError, terminate_as_interrupt
 
 
 class Way(NamedTuple):
@@ -115,22 +116,33 @@ def table(rows: Sequence[str], fps: int) -> str:
     return _HEAD.format(fps=fps, frame=1000 / fps, reaction=1000 * REACTION_S) + "\n".join([*rows, ""])
 
 
-def main(arguments: list[str]) -> int:
-    """Run every way, print the table and write it; raises ValueError on wrong input."""
-    options = tyro.cli(StopOptions, args=arguments, prog="python -m simulation stop-report", description=__doc__)
-    base = RunOptions(object=options.object, repeat=options.repeat, fps=options.fps, models=options.models)
-    todo = starts(base)
-    terminate_as_interrupt()
-    rows = []
+def measure(options: StopOptions, base: RunOptions) -> list[str]:
+    """A line of the table for each way; raises ChildError if a process fails."""
+    todo, rows = starts(base), []
     for way in WAYS:
         run = replace(base, egm_lag_ms=way.lag_ms, link=way.link)
-        folder = options.runs / time.strftime("%Y%m%d-%H%M%S")
-        folders = [folder / f"{way.link}-{way.lag_ms:g}-{start.seed}" for start in todo]
-        stops = Stops()
-        for start, path in zip(todo, folders, strict=True):
+        folder, stops = options.runs / time.strftime("%Y%m%d-%H%M%S"), Stops()
+        for start in todo:
+            path = folder / f"{way.link}-{way.lag_ms:g}-{start.seed}"
             insert(start, run, path)
             stops.add(path / "episode.jsonl", json.loads((path / "truth.json").read_text(encoding="utf-8")))
         rows.append(row(way, stops, options.fps))
+    return rows
+
+
+def main(arguments: list[str]) -> int:
+    """Run every way, print the table and write it; raises ValueError on wrong input."""
+    options = tyro.cli(StopOptions, args=arguments, prog="python -m simulation stop-report", description=__doc__)
+    terminate_as_interrupt()
+    base = RunOptions(object=options.object, repeat=options.repeat, fps=options.fps, models=options.models)
+    try:
+        rows = measure(options, base)
+    except ChildError as error:
+        print(f"stop-report: {error}", file=sys.stderr)
+        return 2 if error.code == 2 else 1
+    except KeyboardInterrupt:
+        print("stop-report: interrupted, everything stopped", file=sys.stderr)
+        return 130
     text = table(rows, options.fps)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(text, encoding="utf-8")
