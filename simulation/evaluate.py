@@ -186,5 +186,5 @@ BASELINES: dict[str, Override | None] = {"none": None, "oracle": oracle_step}
 
 def insert(job: Job, models: ModelSet) -> Outcome:
     """One insertion with free blocks; a start that fits at once counts, as in the paper."""
-    world = LockstepCell.build(load_scene(job.scene), job.x_mm, job.theta_deg, job.seed)
+    world = LockstepCell.build(load_scene(job.scene, blocks__free=True), job.x_mm, job.theta_deg, job.seed)
     return Insertion(world, models, job.controller, BASELINES[job.baseline]).run()
