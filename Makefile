@@ -69,8 +69,13 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 slip-report: $(RUN_VENV)/ready ## how well slip is seen and what seeing costs: docs/slip_report.md (REAL=folder judges recordings too)
 	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
 
-evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours
-	$(RUN) -m simulation evaluate --out $(EVALUATION) --count $(COUNT)
+evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
+	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)
+
+.PHONY: robustness
+EYES ?= pictures
+robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time, on both tiers of the gel: docs/robustness.md
+	$(RUN) -m simulation robustness --out runs/robustness --docs docs --eyes $(EYES)
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.

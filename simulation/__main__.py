@@ -10,6 +10,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("simulation.run:main", "the whole loop: cell, service and robot client insert an object in real time"),
     "cell": ("simulation.cli.cell:main", "the cell in real time on loopback: robot, gripper, cameras, truth"),
     "evaluate": ("simulation.cli.evaluate:main", "the paper's test protocol in lock step: table, scatter, JSON"),
+    "robustness": (
+        "simulation.cli.robustness:main",
+        "what disturbances cost the closed loop: noise, friction, cameras",
+    ),
     "explain": ("simulation.cli.explain:main", "which effects a scene calls for, why, and what each costs"),
     "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),
     "collect": ("simulation.collect:main", "poke on all cores and keep the collisions as a dataset"),

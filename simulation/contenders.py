@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 Move = tuple[float, float]
 SIGNS: Mapping[str, tuple[int, int]] = {
-    "1": (-1, 0), "2": (1, 0), "3": (-1, 1), "4": (-1, -1), "5": (1, 1), "6": (1, -1), "7": (0, -1), "8": (0, 1),
-    "near": (0, 0),
+    "1": (-1, 0), "2": (1, 0), "3": (-1, 1), "4": (-1, -1), "5": (1, 1),
+    "6": (1, -1), "7": (0, -1), "8": (0, 1), "near": (0, 0),
 }  # fmt: skip
 CLIP_LATER = 4.0  # Eq. 1: |C| after the first trial, mm or deg
 GAIN = 0.7  # Eq. 1
@@ -28,7 +28,8 @@ TORQUE_NOISE_N_MM, FORCE_NOISE_N = 5.0, 0.1  # resolution of a small wrist senso
 class View:
     """What a baseline may look at after attempt number ``attempt`` was blocked.
 
-    ``error`` is the truth (x mm, theta deg), for the oracle alone. ``wrench`` [6] N and N mm on the object at the TCP
+    ``error`` is the truth (x mm, theta deg) before the attempt, for the oracle alone.
+    ``wrench`` [6] N and N mm on the object at the TCP
     in the hand frame. ``classes`` and ``estimate`` are the networks', None when pictures are not looked at.
     """
 
@@ -63,7 +64,7 @@ class Search:
     guesses: NDArray[np.float64]
     at: int = 0
 
-    def choose(self, view: View) -> Move:
+    def choose(self, view: View) -> Move:  # noqa: ARG002 (blind: that is the point)
         """From the guess under trial to the next one; the first trial is the guess "no error"."""
         before = self.guesses[self.at - 1] if self.at else np.zeros(2)
         step = before - self.guesses[self.at % len(self.guesses)]
@@ -89,7 +90,8 @@ def blind_grid(_: int, reach: Move) -> Search:
 
 def spiral_search(_: int, reach: Move) -> Search:
     """An Archimedean spiral outwards, 4.5 mm (6 deg) between its turns and between its points."""
-    points, angle = [], 0.0
+    points: list[tuple[float, float]] = []
+    angle = 0.0
     while len(points) < 60:
         angle += 2.0 * math.pi / max(1.0, angle)
         points.append((angle * math.cos(angle), angle * math.sin(angle)))
@@ -193,12 +195,12 @@ CONTENDERS: Mapping[str, Contender] = {
     "joint": Contender("belief, joint density", folder="joint"),
     "heuristic": Contender("the paper's heuristic, our networks", controller="heuristic"),
     "paper": Contender("the paper's heuristic, the paper's recipe", controller="heuristic", folder="paper"),
-    "direction": Contender("direction only", make=lambda seed, reach: DirectionOnly()),
-    "magnitude": Contender("magnitude only", make=lambda seed, reach: MagnitudeOnly()),
+    "direction": Contender("direction only", make=lambda *_: DirectionOnly()),
+    "magnitude": Contender("magnitude only", make=lambda *_: MagnitudeOnly()),
     "force": Contender(
-        "force/torque only", sees=False, make=lambda seed, reach: ForceOnly(np.random.default_rng((seed, 0xF)))
+        "force/torque only", sees=False, make=lambda seed, _: ForceOnly(np.random.default_rng((seed, 0xF)))
     ),
-    "oracle": Contender("oracle step", sees=False, make=lambda seed, reach: Oracle()),
+    "oracle": Contender("oracle step", sees=False, make=lambda *_: Oracle()),
     "grid": Contender("blind grid", sees=False, make=blind_grid),
     "spiral": Contender("spiral search", sees=False, make=spiral_search),
     "random": Contender("random search", sees=False, make=random_search),

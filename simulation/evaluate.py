@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -26,7 +28,7 @@ from service.contract.wire import Correction, Estimate, NoDecision
 from service.decision import Evidence
 from service.finger import TactileFinger
 from service.insertion_session import InsertionSession
-from service.models import ModelSet
+from service.models import ModelSet, load_models
 from service.observation import FingerWatch
 from service.perception.rectify import CameraCalibration
 from service.verdict import Work
@@ -44,9 +46,13 @@ FAR = ClientLimits(max_dx_mm=45.0, max_dtheta_deg=45.0)
 
 @dataclass(slots=True)
 class Outcome:
-    """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt."""
+    """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
+
+    ``inserted`` is the truth, ``claimed`` what the client believes; ``void``: the physics found no way on.
+    """
 
     inserted: bool
+    claimed: bool
     attempts: int
     reason: str
     void: bool
@@ -86,8 +92,8 @@ class Insertion:
         )
         self.state = State(plan)
         self.trials: list[dict[str, Any]] = []
+        self.error_before: tuple[float, float] = world.state.object_error
         self._events: deque[Event] = deque()
-        self._error: tuple[float, float] = world.state.object_error
         self._standing = False
         self._skipped: list[Work] = []
 
@@ -96,11 +102,12 @@ class Insertion:
         world, void = self.world, ""
         try:
             self._play()
-        except PhysicsError as error:
-            void = f"physics: {error}"
+        except PhysicsError as stuck:
+            void = f"physics: {stuck}"
         error = world.state.object_error
         return Outcome(
-            inserted=self.state.phase is Phase.INSERTED and not void,
+            inserted=self.state.phase is Phase.INSERTED and world.state.inserted and not void,
+            claimed=self.state.phase is Phase.INSERTED,
             attempts=self.state.attempt,
             reason=void or self.state.reason,
             void=bool(void),
@@ -168,7 +175,7 @@ class Insertion:
             message = self._chosen(self.chooser, message)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
         wrench = [round(float(v), 3) for v in self.world.state.wrench_n_nmm]
-        self.trials.append({"error_before": list(self._error), "wrench": wrench, "decision": decision})
+        self.trials.append({"error_before": list(self.error_before), "wrench": wrench, "decision": decision})
         return message
 
     def _chosen(self, chooser: Chooser, message: Correction | NoDecision) -> Correction:
@@ -179,7 +186,7 @@ class Insertion:
         wrench = np.asarray(self.world.state.wrench_n_nmm, np.float64)
         view = View(
             message.attempt,
-            self.world.state.object_error,
+            self.error_before,
             wrench,
             self.state.plan.gap_width_mm,
             scene.grasp.height_mm,
@@ -209,7 +216,7 @@ class Insertion:
                 else:
                     self._standing = True
             case Move() if command.motion == "descend":
-                self._error = self.world.state.object_error
+                self.error_before = self.world.state.object_error
                 self.world.descend(command.target.z_mm)
             case Move():
                 target = command.target
@@ -280,3 +287,9 @@ def insert(job: Job, models: ModelSet) -> dict[str, Any]:
     """Play a job; the row of results. A start that fits at once counts, as in the paper."""
     outcome = stage(job, models).run()
     return asdict(job) | asdict(outcome)
+
+
+@cache
+def models_of(folder: Path) -> ModelSet:
+    """The networks of a folder, loaded once a process."""
+    return load_models(folder)

@@ -33,7 +33,7 @@ class LatePicture:
         self._rectifier = rectifier
         self._pixels: Image | None = None
 
-    def __array__(self, dtype: Any = None, *, copy: bool | None = None) -> Image:  # noqa: PLW3201 (numpy's protocol)
+    def __array__(self, dtype: Any = None, *, copy: bool | None = None) -> Image:
         """Uint8 [320, 327, 3]."""
         if self._pixels is None:
             self._pixels = self._rectifier.apply(self._draw())

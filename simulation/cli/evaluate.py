@@ -2,122 +2,118 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import multiprocessing
-import os
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.progress import track
 
-from simulation import evaluation
+from simulation import campaign, evaluation
+from simulation.campaign import Task
+from simulation.contenders import CONTENDERS
 from simulation.evaluation import OBJECTS, Row
+from simulation.scene import load_scene
 
 
 @dataclass(frozen=True)
 class Options:
     """Play insertions in lock step through the real service session, client state machine and ONNX files.
 
-    Results go to OUT/insertions.jsonl as they come (a second call goes on where the first stopped), then
-    OUT/summary.json, OUT/table.md and OUT/trials.png. All figures are simulated.
+    Results go to OUT/insertions.jsonl as they come (a second call goes on where the first stopped, also after a kill),
+    then to DOCS/closed_loop.md, .json and pictures. All figures are simulated.
     """
 
     out: Path = Path("runs/evaluation")
     """folder for results"""
+    docs: Path = Path("runs/evaluation")
+    """folder for the report"""
     models: Path = Path("models")
-    """folder with the ONNX files to judge"""
+    """folder with the ONNX files to judge; its folder `joint` holds the joint density, if there is one"""
+    paper_models: Path = Path("models/paper")
+    """folder with the paper's recipe (AlexNet + LSTM); its row is left out while there is none"""
     objects: tuple[str, ...] = OBJECTS
     """scene names"""
+    who: tuple[str, ...] = tuple(CONTENDERS)
+    """rows of the table: the service's controllers and baselines"""
     count: int = 30
-    """insertions an object: the 4 extremes and uniform random errors"""
-    controller: Literal["belief", "heuristic"] = "belief"
-    """who decides"""
-    baseline: Literal["none", "oracle"] = "none"
-    """put this in the controller's place: oracle moves by the true error"""
+    """insertions an object for `belief`: the 4 extremes and uniform random errors"""
+    baseline_count: int = 30
+    """insertions an object for every other row (not more than --count)"""
+    eyes: Literal["pictures", "gel"] = "pictures"
+    """pictures: every frame is drawn, rectified and tracked. gel: slip from the true markers, five times cheaper"""
     seed: int = 0
     """of the start errors, grasps and noise"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
     """processes; 0 takes every core"""
+    ray: str = ""
+    """address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)"""
 
 
-def _jobs(options: Options, done: set[str]) -> list[dict[str, object]]:
-    jobs = []
-    for number, scene in enumerate(options.objects):
-        for index, (x, theta) in enumerate(evaluation.start_errors(options.count, options.seed + number)):
-            seed = options.seed * 100_000 + index
-            job = {"scene": scene, "index": index, "x_mm": x, "theta_deg": theta, "seed": seed}
-            job |= {"controller": options.controller, "baseline": options.baseline}
-            if _key(job) not in done:
-                jobs.append(job)
-    return jobs
+def folder_of(options: Options, who: str) -> Path:
+    """Where a contender's networks are."""
+    if who == "paper":
+        return options.paper_models
+    return options.models / CONTENDERS[who].folder
 
 
-def _key(row: dict[str, object]) -> str:
-    return "/".join(str(row[name]) for name in ("scene", "controller", "baseline", "seed", "index"))
+def entered(options: Options) -> tuple[str, ...]:
+    """The contenders asked for whose networks exist."""
+    unknown = sorted(set(options.objects) - set(OBJECTS))
+    if unknown:
+        raise ValueError(f"--objects {', '.join(unknown)}: expected some of {', '.join(OBJECTS)}")
+    unknown = sorted(set(options.who) - set(CONTENDERS))
+    if unknown:
+        raise ValueError(f"--who {', '.join(unknown)}: expected some of {', '.join(CONTENDERS)}")
+    if options.count < 1 or options.baseline_count < 1:
+        raise ValueError(f"--count {options.count} --baseline-count {options.baseline_count}: expected at least 1")
+    if not list(options.models.glob("*.onnx")):
+        raise ValueError(f"--models {options.models}: no *.onnx there; expected the folder with the networks")
+    return tuple(who for who in options.who if list(folder_of(options, who).glob("*.step.onnx")))
 
 
-_MODELS: dict[Path, object] = {}
-
-
-def _play(work: tuple[Path, dict[str, object]]) -> Row:
-    """In a worker: load the models once, then play jobs."""
-    from service.models import load_models
-    from simulation.evaluate import Job, insert
-
-    folder, fields = work
-    if folder not in _MODELS:
-        _MODELS[folder] = load_models(folder)
-    outcome = insert(Job(**fields), _MODELS[folder])  # type: ignore[arg-type]
-    return fields | dataclasses.asdict(outcome)
-
-
-def _read(path: Path) -> list[Row]:
-    """What an earlier call finished; a last line cut short by a kill is dropped."""
-    rows = []
-    for line in path.read_text().splitlines() if path.exists() else []:
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return rows
-
-
-def _results(options: Options, jobs: list[dict[str, object]]) -> Iterator[Row]:
-    workers = options.workers or os.cpu_count() or 1
-    work = [(options.models, job) for job in jobs]
-    if workers == 1:
-        yield from map(_play, work)
-        return
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        yield from pool.imap_unordered(_play, work)
+def tasks(options: Options, names: tuple[str, ...]) -> list[Task]:
+    """Everything to play, the n-th insertion of all before the next: a run cut short is still balanced."""
+    starts = {}
+    for number, scene in enumerate(OBJECTS):
+        cell = load_scene(scene)
+        reach = (cell.x_range_mm, cell.theta_range_deg)
+        starts[scene] = evaluation.start_errors(options.count, options.seed + number, reach)
+    found = []
+    for index in range(options.count):
+        playing = names if index < options.baseline_count else tuple(who for who in names if who == "belief")
+        for scene in options.objects:
+            x, theta = starts[scene][index]
+            job = {"scene": scene, "index": index, "x_mm": x, "theta_deg": theta, "eyes": options.eyes}
+            job["seed"] = options.seed * 100_000 + index
+            found += [Task(folder_of(options, who), {**job, "who": who}) for who in playing]
+    return found
 
 
 def main(arguments: list[str]) -> int:
     """Run, print the table, write the files; 0 also when insertions failed: the table says so."""
     options = tyro.cli(Options, args=arguments, prog="python -m simulation evaluate")
-    unknown = sorted(set(options.objects) - set(OBJECTS))
-    if unknown:
-        raise ValueError(f"--objects {', '.join(unknown)}: expected some of {', '.join(OBJECTS)}")
-    if not options.models.is_dir():
-        raise ValueError(f"--models {options.models}: no such folder; expected the one with the *.onnx files")
-    options.out.mkdir(parents=True, exist_ok=True)
+    names = entered(options)
+    setup = campaign.fingerprint({who: folder_of(options, who) for who in names})
+    campaign.claim(options.out, setup)
     log = options.out / "insertions.jsonl"
-    rows = _read(log)
-    jobs = _jobs(options, {_key(row) for row in rows})
-    with log.open("a") as file:
-        for row in track(_results(options, jobs), description="insertions (simulated)", total=len(jobs)):
-            rows.append(row)
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-    summaries = evaluation.summarise(rows)
-    text = evaluation.table(summaries)
-    (options.out / "summary.json").write_text(json.dumps(summaries, indent=1))
-    (options.out / "table.md").write_text(text + "\n")
-    evaluation.draw_scatter(rows, options.out / "trials.png")
-    sys.stdout.write(text + "\n")
+    rows = campaign.run(tasks(options, names), log, workers=options.workers, ray=options.ray)
+    from simulation.closed_loop_report import write
+
+    text = write(rows, setup, options.docs)
+    if "belief" in names:
+        _film(options, rows)
+    sys.stdout.write(text)
     return 0
+
+
+def _film(options: Options, rows: list[Row]) -> None:
+    """The filmstrip of the first insertion of three attempts (or two) that the belief made."""
+    from simulation.evaluate import Job
+    from simulation.filmstrip import film
+
+    mine = [row for row in rows if row["who"] == "belief" and row["inserted"] and row["attempts"] in {2, 3}]
+    if mine:
+        row = max(mine, key=lambda found: int(found["attempts"]))
+        job = {name: row[name] for name in Job.__dataclass_fields__} | {"eyes": "pictures"}
+        film(Job(**job), options.models, options.docs / "closed_loop_filmstrip.png")

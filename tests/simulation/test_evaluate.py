@@ -1,9 +1,13 @@
 """The lock-step loop with the real session and the real machine; the networks are tiny, so only the loop is judged."""
 
+import dataclasses
+
+import numpy as np
 import pytest
 
 from service.models import load_models
-from simulation.evaluate import Insertion, Job, insert, oracle_step
+from simulation.contenders import Oracle
+from simulation.evaluate import Job, insert, stage
 from simulation.lockstep import LockstepCell
 from simulation.scene import load_scene
 from tests.service import tiny_models
@@ -14,24 +18,70 @@ def models(tmp_path_factory):
     return load_models(tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny"))
 
 
+def job(scene="rectangle", x_mm=8.0, theta_deg=0.0, seed=1, who="oracle", **more):
+    return Job(scene, 0, x_mm, theta_deg, seed, who, **more)
+
+
 def test_an_object_above_its_gap_goes_in_at_once(models):
-    outcome = insert(Job("rectangle", 0, 0.0, 0.0, 1, "heuristic", "none"), models)
-    assert outcome.inserted
-    assert outcome.attempts == 1
-    assert outcome.block_motion_mm < 0.5
+    row = insert(job(x_mm=0.0, who="heuristic"), models)
+    assert row["inserted"]
+    assert row["attempts"] == 1
+    assert row["course"]["block_mm"] < 0.5
 
 
 def test_a_blocked_object_is_stopped_by_slip_and_inserted_by_a_true_correction(models):
-    world = LockstepCell.build(load_scene("rectangle"), 8.0, 0.0, 1)
-    outcome = Insertion(world, models, "heuristic", oracle_step).run()
-    assert outcome.inserted, outcome.reason
-    assert 2 <= outcome.attempts <= 4
-    assert outcome.trials[0]["decision"]["type"] == "correction"
-    assert outcome.trials[0]["error_before"][0] == pytest.approx(8.0, abs=0.5)
+    row = insert(job(), models)
+    assert row["inserted"], row["reason"]
+    assert 2 <= row["attempts"] <= 3
+    first = row["trials"][0]
+    assert first["decision"]["type"] == "correction"
+    assert first["error_before"][0] == pytest.approx(8.0, abs=0.5)
+    assert first["decision"]["dx_mm"] == pytest.approx(-8.0, abs=0.5)
+
+
+def test_the_blocks_are_free(models):
+    assert stage(job("circle"), models).world.cell.active.free_blocks
 
 
 def test_the_same_seed_plays_the_same_insertion(models):
-    job = Job("circle", 0, 6.0, 3.0, 5, "heuristic", "oracle")
-    first, second = insert(job, models), insert(job, models)
-    assert first.final_error == second.final_error
-    assert first.attempts == second.attempts
+    first, second = (insert(job("circle", 6.0, 3.0, 5), models) for _ in range(2))
+    assert first["final_error"] == second["final_error"]
+    assert first["attempts"] == second["attempts"]
+
+
+def test_drawing_late_gives_the_bits_of_drawing_now():
+    now, late = (LockstepCell.build(load_scene("circle"), 6.0, 3.0, 4, draws=draws) for draws in (True, False))
+    for world in (now, late):
+        world.descend(0.0)
+    for _ in range(18):
+        pair = now.next_pair()
+        late.next_pair()
+    assert np.array_equal(pair.left.pixels, late.picture_later(0)())
+    assert np.array_equal(pair.right.pixels, late.picture_later(1)())
+
+
+def test_looking_at_the_gel_stops_where_looking_at_pictures_stops(models):
+    forces = []
+    for eyes in ("pictures", "gel"):
+        play = stage(job("hexagon", 9.0, 4.0, 3, "direction", eyes=eyes), models)
+        play.chooser = Oracle()
+        forces.append(play.run().trials[0]["wrench"][2])
+    assert forces[1] == pytest.approx(forces[0], rel=0.3)
+
+
+def test_a_dark_camera_arms_nothing_and_moves_nothing(models):
+    row = insert(job(dead="dark", who="heuristic"), models)
+    assert not row["inserted"]
+    assert row["trials"] == []
+    assert row["course"]["force_n"] < 2.0
+
+
+def test_dropped_frames_still_end_in_an_answer(models):
+    play = stage(job(changes={"camera.dropped_share": 0.2}), models)
+    assert play.run().inserted
+    assert not all(all(play.world.arrived()) for play.world.frame in range(50))
+
+
+def test_a_row_says_which_job_it_came_from(models):
+    asked = job("circle", 0.0, who="grid", condition="layer: as trained", changes={"gel.tier": "layer"})
+    assert insert(asked, models).items() >= dataclasses.asdict(asked).items()

@@ -1,24 +1,33 @@
-import json
 import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulation import evaluation
-from simulation.cli.evaluate import main
+from simulation import closed_loop_report, evaluation
 
+COURSE = {"block_mm": 0.2, "block_tilt_deg": 0.1, "in_hand_mm": 1.0, "slipped_mm": 0.3, "force_n": 9.0, "unsolved": 0}
+DECISION = {
+    "type": "correction",
+    "class_probabilities": {"5": 0.8, "6": 0.2},
+    "estimate": {"dx_mm": 4.0, "dtheta_deg": 7.0, "sigma_x_mm": 1.0, "sigma_theta_deg": 2.0},
+}
 ROW = {
     "scene": "rectangle",
-    "controller": "belief",
-    "baseline": "none",
+    "who": "belief",
+    "index": 0,
+    "seed": 0,
+    "eyes": "pictures",
+    "condition": "",
     "inserted": True,
+    "claimed": True,
+    "void": False,
     "attempts": 3,
-    "block_motion_mm": 0.2,
     "grasp_kept": True,
-    "in_hand_mm": 1.0,
+    "course": COURSE,
     "x_mm": 5.0,
     "theta_deg": -3.0,
+    "trials": [{"error_before": [5.0, 8.0], "decision": DECISION}],
 }
 
 
@@ -42,40 +51,50 @@ def test_a_failure_counts_as_sixteen_trials():
     (summary,) = evaluation.summarise(rows)
     assert summary["mean_trials"] == pytest.approx((3 + 16) / 2)
     assert summary["success"] == 0.5
-    assert ">15" in evaluation.table([summary])
+    assert ">15" in "\n".join(closed_loop_report.paper_table([summary]))
+
+
+def test_an_insertion_that_is_only_claimed_is_none():
+    (summary,) = evaluation.summarise([ROW | {"inserted": False}])
+    assert (summary["inserted"], summary["claimed_wrongly"]) == (0, 1)
 
 
 def test_the_table_says_whose_figures_are_simulated():
-    text = evaluation.table(evaluation.summarise([ROW]))
+    text = closed_loop_report.report([ROW], evaluation.summarise([ROW]))
     assert "inserted (simulated)" in text
     assert "real robot" in text
     assert "100 %, 4.7, 11" in text
 
 
+def test_a_shortfall_is_named_with_its_cause():
+    failed = ROW | {"inserted": False, "attempts": 15}
+    oracle = ROW | {"who": "oracle", "attempts": 2}
+    text = closed_loop_report.report([failed, oracle], evaluation.summarise([failed, oracle]))
+    assert "99.0 points of success, 12.70 trials" in text
+    assert "controller" in text
+
+
 def test_starts_are_the_four_extremes_then_uniform_and_repeat_by_seed():
-    starts = evaluation.start_errors(30, 7)
-    assert {(abs(x), abs(t)) for x, t in starts[:4]} == {(15.0, 15.0)}
+    starts = evaluation.start_errors(30, 7, (18.0, 15.0))
+    assert {(abs(x), abs(t)) for x, t in starts[:4]} == {(18.0, 15.0)}
     assert len({(math.copysign(1, x), math.copysign(1, t)) for x, t in starts[:4]}) == 4
-    assert all(abs(x) <= 15.0 and abs(t) <= 15.0 for x, t in starts)
-    assert starts == evaluation.start_errors(30, 7) != evaluation.start_errors(30, 8)
+    assert all(abs(x) <= 18.0 and abs(t) <= 15.0 for x, t in starts)
+    assert starts == evaluation.start_errors(30, 7, (18.0, 15.0)) != evaluation.start_errors(30, 8, (18.0, 15.0))
 
 
-def test_an_unknown_object_or_models_folder_is_named(tmp_path):
-    with pytest.raises(ValueError, match="teapot"):
-        main(["--objects", "teapot", "--out", str(tmp_path)])
-    with pytest.raises(ValueError, match="nowhere"):
-        main(["--models", "nowhere", "--out", str(tmp_path)])
+@given(st.floats(-20, 20), st.floats(-20, 20))
+def test_every_error_has_one_class(x, theta):
+    mirror = {"1": "2", "2": "1", "3": "6", "6": "3", "4": "5", "5": "4", "7": "8", "8": "7", "near": "near"}
+    assert mirror[evaluation.class_of(x, theta)] == evaluation.class_of(-x, -theta)
 
 
-def test_a_finished_run_is_not_played_again(tmp_path, monkeypatch, capsys):
-    models = tmp_path / "models"
-    models.mkdir()
-    done = []
-    for index, (x, theta) in enumerate(evaluation.start_errors(2, 0)):
-        done.append(ROW | {"index": index, "seed": index, "x_mm": x, "theta_deg": theta})
-    log = tmp_path / "insertions.jsonl"
-    log.write_text("\n".join(json.dumps(row) for row in done) + '\n{"cut by a ki')
-    arguments = ["--objects", "rectangle", "--count", "2", "--out", str(tmp_path), "--models", str(models), "-j", "1"]
-    assert main(arguments) == 0
-    assert "2/2 = 100.0%" in capsys.readouterr().out
-    assert (tmp_path / "trials.png").stat().st_size > 1000
+def test_the_confusion_matrix_counts_truth_by_row():
+    counts = evaluation.confusion([ROW])
+    assert counts.sum() == 1
+    assert counts[4, 4] == 1
+
+
+def test_first_estimates_are_judged_against_the_truth():
+    found = evaluation.estimates([ROW])
+    assert found is not None
+    assert (found["rmse_x_mm"], found["rmse_theta_deg"]) == (1.0, 1.0)

@@ -1,0 +1,103 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from simulation import campaign, robustness
+from simulation.cli import evaluate
+from simulation.cli import robustness as robustness_cli
+from simulation.scene import BUILT_IN, load_scene
+from tests.service import tiny_models
+from tests.simulation.test_evaluation import ROW
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    return tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")
+
+
+def arguments(models, out, count=2, who=("belief",)):
+    given = ["--objects", "circle", "--count", str(count), "--baseline-count", str(count), "-j", "1", "--eyes", "gel"]
+    return [*given, "--out", str(out), "--docs", str(out / "docs"), "--models", str(models), "--who", *who]
+
+
+def test_an_unknown_name_or_models_folder_is_named(models, tmp_path):
+    with pytest.raises(ValueError, match="teapot"):
+        evaluate.main(["--objects", "teapot", "--out", str(tmp_path)])
+    with pytest.raises(ValueError, match="nowhere"):
+        evaluate.main(["--models", "nowhere", "--out", str(tmp_path)])
+    with pytest.raises(ValueError, match="psychic"):
+        evaluate.main(["--who", "psychic", "--out", str(tmp_path)])
+    with pytest.raises(ValueError, match="earthquake"):
+        robustness_cli.main(["--only", "earthquake", "--models", str(models), "--out", str(tmp_path)])
+
+
+def test_a_finished_run_is_not_played_again(models, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played again"))
+    options = evaluate.Options(objects=("circle",), count=2, models=models, eyes="gel")
+    done = [dict(ROW) | dict(task.job) | {"attempts": 1} for task in evaluate.tasks(options, ("belief",))]
+    log = tmp_path / "insertions.jsonl"
+    log.write_text("\n".join(json.dumps(row) for row in done) + '\n{"cut by a ki')
+    assert evaluate.main(arguments(models, tmp_path)) == 0
+    assert "2/2 = 100.0%" in capsys.readouterr().out
+    assert (tmp_path / "docs" / "closed_loop_trials.png").stat().st_size > 1000
+
+
+def test_results_of_other_networks_are_not_mixed_in(models, tmp_path):
+    setup = campaign.fingerprint({"belief": models})
+    assert {"service.belief", "belief/direction.step.onnx"} <= set(setup)
+    campaign.claim(tmp_path, setup)
+    campaign.claim(tmp_path, setup)
+    with pytest.raises(ValueError, match=r"direction\.step\.onnx"):
+        campaign.claim(tmp_path, {**setup, "belief/direction.step.onnx": "0" * 64})
+
+
+def test_a_row_without_networks_is_left_out(models):
+    options = evaluate.Options(models=models, paper_models=models / "none", who=("belief", "paper", "joint"))
+    assert evaluate.entered(options) == ("belief",)
+
+
+def test_a_killed_run_goes_on_where_it_was(models, tmp_path):
+    command = [sys.executable, "-m", "simulation", "evaluate", *arguments(models, tmp_path, 40, ("oracle",))]
+    log = tmp_path / "insertions.jsonl"
+    with subprocess.Popen(command, cwd=ROOT, start_new_session=True, stderr=subprocess.DEVNULL) as first:
+        deadline = time.monotonic() + 90.0
+        while first.poll() is None and time.monotonic() < deadline:
+            if log.exists() and log.read_bytes().count(b"\n") >= 2:
+                break
+            time.sleep(0.02)
+        os.killpg(first.pid, signal.SIGKILL)
+    before = campaign.read_log(log)
+    assert 2 <= len(before) < 40
+    assert evaluate.main(arguments(models, tmp_path, 3, ("oracle",))) == 0
+    after = campaign.read_log(log)
+    keys = [campaign.key_of(row) for row in after]
+    assert len(keys) == len(set(keys)) >= 3
+    assert after[: len(before)] == before
+
+
+@pytest.mark.parametrize("scene", BUILT_IN)
+def test_every_disturbance_makes_a_possible_scene(scene):
+    cell = load_scene(scene, blocks__free=True)
+    for name, condition in robustness.CONDITIONS.items():
+        disturbed = cell.varied(condition.changes(cell))
+        assert (disturbed == cell) == (not condition.changes(cell)), name
+
+
+def test_the_robustness_table_has_a_column_a_tier():
+    rows = [
+        ROW | {"condition": robustness.label(tier, name)}
+        for tier in ("bristle", "layer")
+        for name in robustness.CONDITIONS
+    ]
+    text = robustness.report(rows)
+    assert "| bristle tier: inserted" in text
+    assert "| layer tier: inserted" in text
+    assert text.count("1/1, ") == 2 * len(robustness.CONDITIONS)
