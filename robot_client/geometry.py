@@ -52,7 +52,9 @@ class WorkPose(Contract):
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product: the rotation b followed by a."""
+    """Hamilton product: the rotation b followed by a; raises ValueError on numbers that are not finite."""
+    if not math.isfinite(math.fsum(a) + math.fsum(b)):
+        raise ValueError(f"quaternions {a} and {b}, expected finite numbers")
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -73,7 +75,9 @@ def rotate(q: Quaternion, vector: Vector) -> Vector:
 
 
 def yaw_quaternion(yaw_deg: float) -> Quaternion:
-    """Rotation by ``yaw_deg`` about +z."""
+    """Rotation by ``yaw_deg`` about +z; raises ValueError if it is not finite."""
+    if not math.isfinite(yaw_deg):
+        raise ValueError(f"yaw of {yaw_deg} deg, expected a finite number")
     half = math.radians(yaw_deg) / 2.0
     return (math.cos(half), 0.0, 0.0, math.sin(half))
 
@@ -96,6 +100,13 @@ class CellFrame:
     origin_mm: Vector = (0.0, 0.0, 0.0)
     rotation: Quaternion = IDENTITY
     tool: Quaternion = TOOL_DOWN
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for an origin that is not finite or a rotation that is none."""
+        if not all(map(math.isfinite, self.origin_mm)):
+            raise ValueError(f"origin of the work object {self.origin_mm} mm, expected finite numbers")
+        normalised(self.rotation)
+        normalised(self.tool)
 
     def to_controller(self, pose: WorkPose) -> Pose:
         """The controller's pose of the TCP."""

@@ -20,7 +20,9 @@ class Profile:
         return 2.0 * self.rise_s + self.cruise_s
 
     def position(self, time_s: float) -> float:
-        """Way covered at ``time_s``; 0 before the start, ``length`` after the end."""
+        """Way covered at ``time_s``; 0 before the start, ``length`` after the end; raises ValueError on NaN."""
+        if math.isnan(time_s):
+            raise ValueError("position asked for at a time that is no number")
         if time_s <= 0.0:
             return 0.0
         if time_s >= self.duration_s:

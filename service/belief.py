@@ -7,7 +7,7 @@ in the hand) is blurred in.
 
 import numpy as np
 
-from service.decision import Density, Evidence, Floats
+from service.decision import Density, Evidence, Floats, Refusal
 
 HALF_RANGE = 20.0  # grid reaches +-20 mm and +-20 deg; starts are within +-15
 CELL = 0.5
@@ -73,7 +73,9 @@ class BeliefGrid:
         return np.asarray(self._cells + self.offset[1], np.float64)
 
     def move(self, dx_mm: float, dtheta_deg: float) -> None:
-        """The pose was moved by a correction."""
+        """The pose was moved by a correction; raises Refusal on a move that is not finite."""
+        if not np.isfinite([dx_mm, dtheta_deg]).all():
+            raise Refusal("non_finite", f"the belief was told a move of ({dx_mm} mm, {dtheta_deg} deg)")
         self.offset += (dx_mm, dtheta_deg)
         self.probability = self._creep[0] @ self.probability @ self._creep[1].T
 

@@ -120,7 +120,9 @@ class DecisionRun:
 
 
 def softmax(logits: Floats) -> Floats:
-    """Probabilities over the last axis."""
+    """Probabilities over the last axis; raises Refusal on logits that are not finite."""
+    if not np.isfinite(logits).all():
+        raise Refusal("non_finite", f"logits of {logits.ravel()[:4].tolist()}..., expected finite numbers")
     weights = np.exp(logits - logits.max(axis=-1, keepdims=True))
     return np.asarray(weights / weights.sum(axis=-1, keepdims=True), np.float64)
 
@@ -131,6 +133,8 @@ def from_pair(
     """Evidence of a direction and a magnitude network, with each card's calibration applied."""
     probabilities = softmax(np.asarray(logits["logits"][0], np.float64) / direction.calibration.temperature)
     dx_mm, dtheta_deg = (float(value) for value in moments["error"][0])
+    if not np.isfinite([dx_mm, dtheta_deg]).all():
+        raise Refusal("non_finite", f"the magnitude network gave an error of ({dx_mm} mm, {dtheta_deg} deg)")
     sigma = None
     if magnitude.has_sigma:
         raw_x, raw_theta = np.exp(np.asarray(moments["log_sigma"][0], np.float64))
@@ -152,6 +156,8 @@ def from_joint(card: ModelCard, outputs: dict[str, Array]) -> Evidence:
     """Evidence of a joint network: classes, mean and sigma follow from its density."""
     x_mm, theta_deg = np.array(card.grid_x_mm), np.array(card.grid_theta_deg)
     log_density = np.asarray(outputs["log_density"][0], np.float64) / card.calibration.temperature
+    if not np.isfinite(log_density).all():
+        raise Refusal("non_finite", "the joint network gave a density that is not finite")
     weights = np.exp(log_density - log_density.max())
     weights /= weights.sum()
     mean_x, mean_theta = float(weights.sum(1) @ x_mm), float(weights.sum(0) @ theta_deg)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from service.contract import ContractError
 from training.labels import CLASSES, SIGNS, class_of
 
 Z90 = 1.6448536269514722
@@ -21,6 +22,12 @@ class Predictions:
     log_sigma: NDArray[np.float64]
     truth: NDArray[np.float64]
     objects: NDArray[np.str_]
+
+    def __post_init__(self) -> None:
+        """Raise ContractError on a number that is not finite: every average would swallow it."""
+        for name in ("logits", "error", "log_sigma", "truth"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ContractError(f"predictions hold a {name} that is not finite")
 
     def take(self, chosen: NDArray[np.bool_]) -> "Predictions":
         """The chosen rows."""

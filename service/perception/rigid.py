@@ -81,8 +81,11 @@ def moving_patch(before: Float64, after: Float64, valid: NDArray[np.bool_], tole
     """The rigid motion followed by the largest moving patch of the grid, ``before``/``after`` [rows, cols, 2].
 
     Every small window of the grid proposes its own motion; the one that explains the most movement wins, so a resting
-    majority outside the contact does not. Ties and grids at rest give no motion.
+    majority outside the contact does not. Ties and grids at rest give no motion. Nodes that are not finite count as
+    not valid.
     """
+    valid = valid & np.isfinite(before).all(-1) & np.isfinite(after).all(-1)
+    before, after = np.where(valid[..., None], before, 0.0), np.where(valid[..., None], after, 0.0)
     flat_before, flat_after, flat_valid = before.reshape(-1, 2), after.reshape(-1, 2), valid.reshape(-1)
     pivot = flat_before.mean(0)
     angles, shifts, centres = _window_motions(before - pivot, after - pivot, valid)

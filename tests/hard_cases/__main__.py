@@ -9,7 +9,6 @@ import multiprocessing
 import multiprocessing.pool
 import os
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -17,23 +16,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from tests.hard_cases.mutants import MUTANTS, survives
-from tests.hard_cases.registry import ROOT, SEEDS, Result, run
-from tests.hard_cases.suite import CASES
+from tests.hard_cases.mutants import MUTANTS, bitten
+from tests.hard_cases.registry import ROOT, SEEDS, Result
+from tests.hard_cases.suite import CASES, by_name
 
 PAGE, FILE = "hard_cases.md", "hard_cases.json"
 COLUMNS = ("case", "room", "what must hold", "worst", "limit", "")
-
-
-def by_name(name: str) -> Result:
-    """In a worker: one case on all seeds."""
-    return run(CASES[name])
-
-
-def bitten(name: str) -> bool:
-    """In a worker: whether the case fails once its guard is gone."""
-    with tempfile.TemporaryDirectory() as scratch:
-        return not survives(CASES[name], Path(scratch))
 
 
 def main() -> int:

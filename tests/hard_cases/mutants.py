@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from tests.hard_cases.registry import ROOT, Case
@@ -43,6 +44,12 @@ def survives(case: Case, scratch: Path) -> bool:
     if done.returncode not in (0, 17):
         raise RuntimeError(f"{case.name} could not be tried without its guard: {done.stderr[-400:]}")
     return done.returncode == 0
+
+
+def bitten(name: str) -> bool:
+    """Whether the case fails once its guard is gone; for a worker process."""
+    with tempfile.TemporaryDirectory() as scratch:
+        return not survives(CASES[name], Path(scratch))
 
 
 def copied(scratch: Path) -> Path:
