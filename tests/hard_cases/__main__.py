@@ -37,7 +37,8 @@ def main() -> int:
             return mutate(pool, options.out)
         began = time.perf_counter()
         names = sorted(CASES, key=lambda name: (CASES[name].quick, name))  # the long ones first
-        results = list(track(pool.imap_unordered(by_name, names), description="hard cases", total=len(names)))
+        told = track(pool.imap_unordered(by_name, names), description="hard cases", total=len(names))
+        results = [Result(CASES[name], *rest) for name, *rest in told]
     order = list(CASES)
     results.sort(key=lambda result: order.index(result.case.name))
     seconds = time.perf_counter() - began
