@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "simulation.stop_report:main",
         "how soon the arm stops for slip, through the whole live loop: table",
     ),
+    "hard-probes": ("simulation.cli.hard_probes:main", "10,000 random nasty contacts: solved, lost or refused by name"),
     "accuracy": ("simulation.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
 }
 
