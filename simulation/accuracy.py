@@ -1,152 +1,199 @@
-"""`python -m simulation accuracy`: what physics accuracy costs in time, against a converged reference.
+"""`python -m simulation accuracy`: what physics accuracy costs in time, against converged references.
 
-Each scene is poked once (1.5 mm past touchdown, friction partly slipping) with one knob turned at a time; errors are
-those of the held object's pose, of the force and of the markers at the end of the poke. CPU time is the best of
-several runs.
+Each scene is poked once (1.5 mm past touchdown, friction partly slipping) with one knob turned at a time. Errors are
+those of the held object's pose, of the force and of the markers' motion at the end of the poke: once against the same
+tier, converged (what load step and node count cost), once against the converged layer tier (what the model costs).
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import tyro
 
+from service.contract import FINGERS
+from simulation import accuracy_report
+from simulation.appearance import Appearance
+from simulation.imprint import Renderer
+from simulation.probe import run_probe
+from simulation.progress import progress
 from simulation.rig import Cell, CellState
-from simulation.scene import load_scene
+from simulation.scene import Scene, load_scene
+
+Tier = Literal["bristle", "layer"]
+Changes = dict[str, Any]
 
 SCENES = ("rectangle", "circle", "ellipse", "hexagon")
-POKE = {"x_mm": 8.0, "theta_deg": 5.0, "past_touchdown_mm": 1.5}
-REFERENCE: dict[str, Any] = {"numerics__load_step_mm": 0.01, "gel__node_rows": 60, "gel__node_columns": 63}
-SETTINGS: dict[str, dict[str, Any]] = {
-    "load step 0.50 mm": {"numerics__load_step_mm": 0.5},
-    "load step 0.34 mm": {"numerics__load_step_mm": 0.34},
-    "default: load step 0.17 mm, 20 x 21 nodes": {},
-    "load step 0.04 mm": {"numerics__load_step_mm": 0.04},
-    "load step 0.01 mm": {"numerics__load_step_mm": 0.01},
-    "10 x 11 nodes": {"gel__node_rows": 10, "gel__node_columns": 11},
-    "40 x 42 nodes": {"gel__node_rows": 40, "gel__node_columns": 42},
-    "40 x 42 nodes, load step 0.04 mm": {
-        "gel__node_rows": 40,
-        "gel__node_columns": 42,
-        "numerics__load_step_mm": 0.04,
-    },
-    "edge friction left out": {"effects__edge_friction": "off"},
-    "gravity forced on": {"effects__gravity": "on"},
+X_MM, THETA_DEG, PAST_TOUCHDOWN_MM = 8.0, 5.0, 1.5
+CLEAN: Changes = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+FINE, FINER = {"gel__node_rows": 40, "gel__node_columns": 42}, {"gel__node_rows": 60, "gel__node_columns": 63}
+COARSE = {"gel__node_rows": 10, "gel__node_columns": 11}
+REFERENCES: dict[Tier, Changes] = {
+    "bristle": {"numerics__load_step_mm": 0.01, **FINER},
+    "layer": {"gel__tier": "layer", "numerics__load_step_mm": 0.02, **FINE},
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
-    """One scene under one setting: errors against the scene's reference, and CPU time of the poke."""
+class Setting:
+    """One way to compute: its name, what it belongs with in the picture, tier and changed keys."""
 
-    scene: str
-    setting: str
-    cpu_ms: float
+    name: str
+    family: Literal["load step", "nodes", "effects", "layer"]
+    tier: Tier
+    changes: Changes
+
+
+SETTINGS = (
+    Setting("load step 0.50 mm", "load step", "bristle", {"numerics__load_step_mm": 0.5}),
+    Setting("load step 0.34 mm", "load step", "bristle", {"numerics__load_step_mm": 0.34}),
+    Setting("default: load step 0.17 mm, 20 x 21 nodes", "load step", "bristle", {}),
+    Setting("load step 0.04 mm", "load step", "bristle", {"numerics__load_step_mm": 0.04}),
+    Setting("load step 0.01 mm", "load step", "bristle", {"numerics__load_step_mm": 0.01}),
+    Setting("10 x 11 nodes", "nodes", "bristle", COARSE),
+    Setting("40 x 42 nodes", "nodes", "bristle", FINE),
+    Setting("40 x 42 nodes, load step 0.04 mm", "nodes", "bristle", {**FINE, "numerics__load_step_mm": 0.04}),
+    Setting("edge friction left out", "effects", "bristle", {"effects__edge_friction": "off"}),
+    Setting("gel coupling left out", "effects", "bristle", {"effects__gel_coupling": "off"}),
+    Setting("gravity forced on", "effects", "bristle", {"effects__gravity": "on"}),
+    Setting("layer, load step 0.50 mm", "layer", "layer", {"numerics__load_step_mm": 0.5}),
+    Setting("layer, load step 0.17 mm, 20 x 21 nodes", "layer", "layer", {}),
+    Setting("layer, load step 0.04 mm", "layer", "layer", {"numerics__load_step_mm": 0.04}),
+    Setting("layer, 10 x 11 nodes", "layer", "layer", COARSE),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """How far an end state is from a reference; markers are RMS over both fingers, against the state at rest."""
+
     position_um: float
     turn_deg: float
     force_n: float
     markers_um: float
 
 
-def poke(scene: str, changes: dict[str, Any], repeats: int) -> tuple[CellState, float]:
-    """End state of the poke and its best CPU time in ms."""
-    settings = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0, **changes}
-    cell, best = Cell(load_scene(scene, **settings)), float("inf")
-    state = cell.look()
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """One scene under one setting: CPU time of the poke, errors against its own tier's and the layer's reference."""
+
+    scene: str
+    setting: str
+    family: str
+    tier: Tier
+    cpu_ms: float
+    numerical: Error
+    model: Error
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """End of a poke: the state, what the markers moved by since the grasp (mm), best CPU time in ms."""
+
+    state: CellState
+    motion: np.ndarray[tuple[int, ...], np.dtype[np.float32]]
+    cpu_ms: float
+
+
+def poke(scene: str, tier: Tier, changes: Changes, repeats: int) -> End:
+    """Poke a scene; CPU time is the best of that many repeats."""
+    cell, best = Cell(load_scene(scene, **{"gel__tier": tier, **CLEAN, **changes})), float("inf")
     for _ in range(repeats):
-        state = cell.regrasp(POKE["x_mm"], POKE["theta_deg"])
+        held = cell.regrasp(X_MM, THETA_DEG)
         x, y, z, yaw = cell.pose
         start = time.process_time()
-        state = cell.move_to(x, y, z - 5.0 - POKE["past_touchdown_mm"], float(np.degrees(yaw)))
+        state = cell.move_to(x, y, z - 5.0 - PAST_TOUCHDOWN_MM, float(np.degrees(yaw)))
         best = min(best, 1e3 * (time.process_time() - start))
-    return state, best
+    return End(state, (state.gel - held.gel)[..., :2], best)
 
 
-def compare(scene: str, setting: str, state: CellState, reference: CellState, cpu_ms: float) -> Cost:
-    """Errors of a state against the reference's."""
-    shift = state.in_hand - reference.in_hand
-    markers = (state.gel - reference.gel)[..., :2]
-    return Cost(
-        scene=scene,
-        setting=setting,
-        cpu_ms=cpu_ms,
+def error_of(end: End, reference: End) -> Error:
+    """How far a poke ended from the reference's."""
+    shift = end.state.in_hand - reference.state.in_hand
+    force = end.state.wrench_n_nmm[:3] - reference.state.wrench_n_nmm[:3]
+    return Error(
         position_um=float(1e3 * np.linalg.norm(shift[:3])),
         turn_deg=float(np.degrees(np.linalg.norm(shift[3:]))),
-        force_n=float(np.linalg.norm((state.wrench_n_nmm - reference.wrench_n_nmm)[:3])),
-        markers_um=float(1e3 * np.sqrt(np.mean(np.sum(markers**2, axis=-1)))),
+        force_n=float(np.linalg.norm(force)),
+        markers_um=float(1e3 * np.sqrt(np.mean(np.sum((end.motion - reference.motion) ** 2, axis=-1)))),
     )
 
 
-def measure(repeats: int) -> list[Cost]:
+def measure(repeats: int, show: Callable[[int], None]) -> list[Cost]:
     """Every setting on every scene."""
-    out = []
+    out: list[Cost] = []
     for scene in SCENES:
-        reference, _ = poke(scene, REFERENCE, 1)
-        for setting, changes in SETTINGS.items():
-            state, cpu_ms = poke(scene, changes, repeats)
-            out.append(compare(scene, setting, state, reference, cpu_ms))
+        references = {tier: poke(scene, tier, changes, 1) for tier, changes in REFERENCES.items()}
+        for setting in SETTINGS:
+            end = poke(scene, setting.tier, setting.changes, repeats)
+            errors = error_of(end, references[setting.tier]), error_of(end, references["layer"])
+            out.append(Cost(scene, setting.name, setting.family, setting.tier, end.cpu_ms, *errors))
+            show(len(out))
     return out
 
 
-def as_table(costs: list[Cost]) -> str:
-    """Markdown table."""
-    lines = [
-        "| scene | setting | CPU ms | position um | turn deg | force N | markers um RMS |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {c.scene} | {c.setting} | {c.cpu_ms:.2f} | {c.position_um:.2f} | {c.turn_deg:.4f} | {c.force_n:.3f} "
-        f"| {c.markers_um:.2f} |"
-        for c in costs
-    ]
-    return "\n".join(lines)
+def probe_times(repeats: int) -> dict[str, dict[str, float]]:
+    """Best CPU time, ms, of a whole probe a scene: marker fields of each tier, and the images of 2 x 30 frames."""
+    return {name: _probe_times(load_scene(name), repeats) for name in SCENES}
 
 
-def draw(costs: list[Cost], path: Path) -> None:
-    """Marker error over CPU time, one panel a scene."""
-    import matplotlib as mpl
+def _probe_times(scene: Scene, repeats: int) -> dict[str, float]:
+    out = {}
+    for tier in ("bristle", "layer"):
+        cell = Cell(scene.varied({"gel.tier": tier}))
+        out[f"{tier}, marker fields"] = _best_ms(lambda cell=cell: run_probe(cell, X_MM, THETA_DEG), repeats)  # type: ignore[misc]
+    gel = run_probe(scene, X_MM, THETA_DEG).gel.astype(np.float32)
+    eyes = [Renderer(Appearance.draw(scene, finger, 0)) for finger in FINGERS]
 
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
+    def draw() -> None:
+        for i, fields in enumerate(gel):
+            for eye, now, before in zip(eyes, fields, gel[max(0, i - 1)], strict=True):
+                eye.raw(now, i, before)
 
-    figure, panels = plt.subplots(1, len(SCENES), figsize=(16, 4.5), sharey=True)
-    for panel, scene in zip(panels, SCENES, strict=True):
-        for cost in (c for c in costs if c.scene == scene):
-            panel.loglog(cost.cpu_ms, cost.markers_um, "o", label=cost.setting)
-        panel.set_title(scene)
-        panel.set_xlabel("CPU time of a poke, ms")
-        panel.grid(alpha=0.3)
-    panels[0].set_ylabel("marker error against the reference, um RMS")
-    panels[-1].legend(fontsize=6)
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    out["images of 2 x 30 frames"] = _best_ms(draw, max(1, repeats // 2))
+    return out
 
 
-def main(arguments: list[str]) -> int:
-    """Measure, then write accuracy.md, accuracy.json and accuracy.png."""
-    parser = argparse.ArgumentParser(prog="python -m simulation accuracy", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder for the three files (default docs)")
-    parser.add_argument("--repeats", type=int, default=5, help="runs of which the fastest counts (default 5)")
-    given = parser.parse_args(arguments)
-    if given.repeats < 1 or not given.out.is_dir():
-        raise ValueError(f"expected --repeats >= 1 and an existing folder, got {given.repeats} and {given.out}")
-    costs = measure(given.repeats)
-    table = as_table(costs)
-    poked = f"x {POKE['x_mm']} mm, theta {POKE['theta_deg']} deg, {POKE['past_touchdown_mm']} mm past touchdown"
-    head = (
-        f"# What physics accuracy costs\n\nPoke: {poked}. Reference: 60 x 63 nodes a pad, load step 0.01 mm, same tier "
-        "(bristle). CPU time is the best of several runs on one core.\n\n"
+def _best_ms(what: Callable[[], Any], repeats: int) -> float:
+    best = float("inf")
+    for _ in range(repeats):
+        start = time.process_time()
+        what()
+        best = min(best, 1e3 * (time.process_time() - start))
+    return best
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure what physics accuracy costs; write accuracy.md, accuracy.json and accuracy.png."""
+
+    out: Path = Path("docs")
+    """folder for the three files"""
+    repeats: int = 5
+    """runs of which the fastest counts"""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command line."""
+    options = tyro.cli(Options, args=arguments, prog="python -m simulation accuracy")
+    if options.repeats < 1 or not options.out.is_dir():
+        raise ValueError(f"expected --repeats >= 1 and an existing folder, got {options.repeats} and {options.out}")
+    with progress("pokes", len(SCENES) * len(SETTINGS)) as show:
+        costs = measure(options.repeats, show)
+    times = probe_times(options.repeats)
+    rows = [asdict(cost) for cost in costs]
+    text = accuracy_report.as_markdown(rows, times)
+    (options.out / "accuracy.md").write_text(text, encoding="utf-8")
+    found = {"x_mm": X_MM, "theta_deg": THETA_DEG, "past_touchdown_mm": PAST_TOUCHDOWN_MM}
+    (options.out / "accuracy.json").write_text(
+        json.dumps({"poke": found, "costs": rows, "probe_ms": times}, indent=1) + "\n", encoding="utf-8"
     )
-    (given.out / "accuracy.md").write_text(
-        f"{head}![marker error over CPU time](accuracy.png)\n\n{table}\n\nMade by `make accuracy`.\n", encoding="utf-8"
-    )
-    (given.out / "accuracy.json").write_text(json.dumps([asdict(c) for c in costs], indent=1) + "\n", encoding="utf-8")
-    draw(costs, given.out / "accuracy.png")
-    print(table)
+    accuracy_report.draw(rows, options.out / "accuracy.png")
+    print(text)
     return 0
