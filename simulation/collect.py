@@ -13,10 +13,9 @@ import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -26,7 +25,6 @@ from simulation.appearance import Appearance
 from simulation.dataset import DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, encode_shard, split_of
 from simulation.manifest import shard_file_name, write_durably
 from simulation.probe import Cell, PhysicsError, Probe, descend
-from simulation.progress import progress
 from simulation.scene import Scene, load_scene
 
 TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
@@ -50,6 +48,7 @@ class Plan:
     trials: int
     seed: int
     held_out_share: float
+    slip_truth: bool = False
 
     @property
     def file_name(self) -> str:
@@ -151,7 +150,9 @@ class Hand:
         cell.move_to(x, y, top_z_mm, math.degrees(yaw))
 
 
-def trial_of(fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: str) -> Trial:
+def trial_of(
+    fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: str, *, slip_truth: bool = False
+) -> Trial:
     """What is logged of a poke."""
     x_mm, theta_deg = probe.error_before
     return Trial(
@@ -173,6 +174,7 @@ def trial_of(fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: 
         depth_mm=np.asarray(probe.depth_mm, np.float32),
         wrench=np.asarray(probe.wrench, np.float32),
         in_hand=np.asarray(probe.in_hand, np.float32),
+        slipping=probe.slipping if slip_truth else None,
     )
 
 
@@ -196,7 +198,7 @@ def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[S
         outcome = "no_equilibrium" if probe is None else probe.outcome
         outcomes[outcome if usable or outcome != "blocked" else "no_motion"] += 1
         if probe is not None and usable:
-            kept.append(trial_of(fixture, poke, seed, probe, base.name))
+            kept.append(trial_of(fixture, poke, seed, probe, base.name, slip_truth=plan.slip_truth))
             on_trial()
         if len(kept) == plan.trials:
             break
@@ -205,82 +207,6 @@ def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[S
                 f"scene {plan.scene_name}: nothing to collect, {dict(outcomes)} in {outcomes.total()} pokes"
             )
     return encode_shard(plan.file_name, kept, dict(outcomes))
-
-
-_counter: Any = None
-
-
-def _start_worker(counter: Any) -> None:
-    """A worker dies with its parent, however that one ends, and shares its progress."""
-    import multiprocessing as mp
-    import threading
-    from multiprocessing.connection import wait as wait_for
-
-    parent = mp.parent_process()
-    assert parent is not None
-
-    def follow() -> None:
-        wait_for([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
-    global _counter  # noqa: PLW0603 (a process's own copy, set once by the pool's initializer)
-    _counter = counter
-
-
-def _work(plan: Plan) -> ShardEntry:
-    def count() -> None:
-        with _counter.get_lock():
-            _counter.value += 1
-
-    return make_shard(plan, count)
-
-
-def collect(writer: DatasetWriter, plans: Sequence[Plan], workers: int) -> None:
-    """Make and list every shard of ``plans`` in ``workers`` processes, with a progress bar."""
-    import multiprocessing as mp
-
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # one process a core; threads inside them would only fight
-    context = mp.get_context("spawn")
-    counter = context.Value("q", 0)
-    with (
-        progress("collisions", sum(plan.trials for plan in plans)) as show,
-        ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(counter,)) as pool,
-    ):
-        waiting: set[Future[ShardEntry]] = {pool.submit(_work, plan) for plan in plans}
-        try:
-            while waiting:
-                finished, waiting = wait(waiting, timeout=0.5, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    writer.commit(future.result())
-                show(counter.value)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in list((pool._processes or {}).values()):  # noqa: SLF001 (no public way to stop a busy worker)
-                process.terminate()
-            raise
-
-
-def collect_on_ray(writer: DatasetWriter, plans: Sequence[Plan], address: str) -> None:
-    """As :func:`collect`, on the Ray cluster at ``address`` ("local" starts one here); shards come back as bytes."""
-    try:
-        import ray
-    except ImportError as error:
-        raise DatasetError('--ray needs Ray: pip install "tactile-insertion[simulation,ray]"') from error
-    ray.init(address=None if address == "local" else address, log_to_driver=False, include_dashboard=False)
-    try:
-        remote = ray.remote(num_cpus=1, max_retries=3)(shard_of)
-        waiting = [remote.remote(plan) for plan in plans]
-        with progress("shards", len(plans)) as show:
-            while waiting:
-                (finished, *_), waiting = ray.wait(waiting, num_returns=1)
-                entry, data = ray.get(finished)
-                write_durably(writer.path / entry.name, data)
-                writer.commit(entry)
-                show(len(plans) - len(waiting))
-    finally:
-        ray.shutdown()
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,6 +227,8 @@ class Options:
     """Collisions in a shard: what a kill can cost each worker."""
     held_out_share: float = 0.12
     """Share of re-fixtures drawn from held-out ranges (the test split)."""
+    slip_truth: bool = False
+    """Also store where each gel slips (Trial.slipping); the other columns stay as they are."""
     ray: str = ""
     """Address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)."""
 
@@ -321,13 +249,18 @@ def asked_manifest(options: Options) -> Manifest:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command line; 0 when the dataset is complete."""
+    from simulation.collect_workers import collect, collect_on_ray
+
     options = tyro.cli(Options, args=arguments, prog="python -m simulation collect")
     asked = asked_manifest(options)
     with DatasetWriter(options.out, asked) as writer:
         writer.extend(asked)
         manifest = writer.manifest
         size, seed, share = manifest.trials_per_shard, manifest.seed, manifest.held_out_share
-        plans = [Plan(options.out, scene, shard, size, seed, share) for scene, shard in manifest.missing_shards()]
+        plans = [
+            Plan(options.out, scene, shard, size, seed, share, options.slip_truth)
+            for scene, shard in manifest.missing_shards()
+        ]
         if options.ray:
             collect_on_ray(writer, plans, options.ray)
         else:

@@ -118,7 +118,8 @@ def encode_shard(
 
     for trial in trials:
         trial.check()
-    table = pa.Table.from_pylist([to_row(trial) for trial in trials], schema=parquet_schema())
+    slip_truth = bool(trials) and all(trial.slipping is not None for trial in trials)
+    table = pa.Table.from_pylist([to_row(trial) for trial in trials], schema=parquet_schema(slip_truth=slip_truth))
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, row_group_size=_ROWS_PER_GROUP, compression="zstd", use_dictionary=["appearances"])
     data = sink.getvalue().to_pybytes()
@@ -211,7 +212,8 @@ class Dataset:
                 self._files[shard] = pq.ParquetFile(path, memory_map=True)
             except (pa.ArrowException, OSError) as error:
                 raise DatasetError(f"{path}: not a Parquet shard: {error}") from error
-            if not self._files[shard].schema_arrow.equals(parquet_schema()):
+            found = self._files[shard].schema_arrow
+            if not any(found.equals(parquet_schema(slip_truth=known)) for known in (False, True)):
                 raise DatasetError(f"{path}: its columns are not those of schema {self.manifest.schema_version}")
         return self._files[shard]
 

@@ -25,6 +25,7 @@ class Trial:
     ``x_mm``/``theta_deg``: position error before the descent (truth). ``group``: re-fixture group, the unit of the
     split. ``gel`` float16 [30, 2, 20, 21, 3]: (du_mm, dv_mm, pressure N/mm2) per frame and finger (left, right).
     ``onset_frame``: first frame that shows motion of the object; a decision uses 8 frames from there.
+    ``slipping`` bool [30, 2, 20, 21], where the gel slid on the object, or None where it was not collected.
     ``wrench`` float32 [30, 6] (N, N mm) at the TCP; ``depth_mm`` float32 [30]; ``in_hand`` float32 [30, 6] (mm, rad).
     """
 
@@ -46,6 +47,7 @@ class Trial:
     depth_mm: NDArray[np.float32]
     wrench: NDArray[np.float32]
     in_hand: NDArray[np.float32]
+    slipping: NDArray[np.bool_] | None = None
 
     def check(self) -> None:
         """Raise DatasetError naming the first label or array that cannot be right."""
@@ -59,6 +61,8 @@ class Trial:
             array = getattr(self, name)
             if array.shape != shape or not np.isfinite(array).all():
                 raise DatasetError(f"trial {name} has shape {list(array.shape)}, expected finite {list(shape)}")
+        if self.slipping is not None and self.slipping.shape != GEL_SHAPE[:-1]:
+            raise DatasetError(f"trial slipping has shape {list(self.slipping.shape)}, expected {list(GEL_SHAPE[:-1])}")
         if not 0 <= self.onset_frame <= FRAMES - 8:
             raise DatasetError(f"trial onset_frame {self.onset_frame}, expected 0..{FRAMES - 8} (8 frames follow it)")
 
@@ -94,8 +98,14 @@ _ARRAYS: dict[str, tuple[tuple[int, ...], Any]] = {
 }
 
 
-def parquet_schema() -> Any:
-    """The Arrow schema of a shard: scalars, optics as JSON, arrays as fixed-size little-endian bytes."""
+_SLIP_BYTES = -(-int(np.prod(GEL_SHAPE[:-1])) // 8)
+
+
+def parquet_schema(*, slip_truth: bool = False) -> Any:
+    """The Arrow schema of a shard: scalars, optics as JSON, arrays as fixed-size little-endian bytes.
+
+    slip_truth: with ``slipping``, one bit a marker.
+    """
     import pyarrow as pa
 
     kinds = {"x_mm": pa.float64(), "theta_deg": pa.float64(), "gap_width_mm": pa.float64()}
@@ -104,6 +114,8 @@ def parquet_schema() -> Any:
     fields.append(pa.field("appearances", pa.string(), nullable=False))
     sizes = {name: int(np.prod(shape)) * np.dtype(kind).itemsize for name, (shape, kind) in _ARRAYS.items()}
     fields += [pa.field(name, pa.binary(size), nullable=False) for name, size in sizes.items()]
+    if slip_truth:
+        fields.append(pa.field("slipping", pa.binary(_SLIP_BYTES), nullable=False))
     return pa.schema(fields)
 
 
@@ -113,6 +125,8 @@ def to_row(trial: Trial) -> dict[str, Any]:
     row["appearances"] = json.dumps([look.as_dict() for look in trial.appearances], sort_keys=True)
     for name, (_, kind) in _ARRAYS.items():
         row[name] = np.ascontiguousarray(getattr(trial, name), kind).tobytes()
+    if trial.slipping is not None:
+        row["slipping"] = np.packbits(trial.slipping).tobytes()
     return row
 
 
@@ -121,6 +135,9 @@ def from_row(row: dict[str, Any]) -> Trial:
     left, right = (Appearance.from_dict(look) for look in json.loads(row["appearances"]))
     values: dict[str, Any] = {name: row[name] for name in SCALARS}
     values |= {name: np.frombuffer(row[name], kind).reshape(shape) for name, (shape, kind) in _ARRAYS.items()}
+    if "slipping" in row:
+        bits = np.unpackbits(np.frombuffer(row["slipping"], np.uint8), count=int(np.prod(GEL_SHAPE[:-1])))
+        values["slipping"] = bits.astype(bool).reshape(GEL_SHAPE[:-1])
     return Trial(appearances=(left, right), **values)
 
 

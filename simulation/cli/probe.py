@@ -51,9 +51,10 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--x-mm", type=float, default=8.0, help="position error across the gap (default 8)")
     parser.add_argument("--theta-deg", type=float, default=5.0, help="yaw error (default 5)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--tier", choices=("bristle", "layer"), help="pads to press with (default: the scene's)")
     parser.add_argument("--save", type=Path, help="both fingers' frames: last one as .png or all as .mp4")
     given = parser.parse_args(arguments)
-    scene = load_scene(given.scene)
+    scene = load_scene(given.scene, **({"gel__tier": given.tier} if given.tier else {}))
     probe = run_probe(scene, given.x_mm, given.theta_deg, seed=given.seed)
     print(
         f"outcome {probe.outcome}; "

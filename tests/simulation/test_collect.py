@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulation.collect import POKES_PER_FIXTURE, Options, Plan, asked_manifest, make_shard, pokes
-from simulation.dataset import Dataset, DatasetError
+from simulation.collect import POKES_PER_FIXTURE, Options, Plan, asked_manifest, make_shard, pokes, shard_of
+from simulation.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.manifest import read_manifest
 from simulation.scene import load_scene
+from tests.simulation.strategies import made_up_manifest
 
 COLLECT = [sys.executable, "-m", "simulation", "collect", "--objects", "circle", "--trials-per-shard", "3"]
 
@@ -69,6 +70,24 @@ def test_a_group_is_one_fixture_of_at_most_five_pokes(tmp_path: Path) -> None:
     assert all(order == list(range(len(order))) and len(order) <= POKES_PER_FIXTURE for order in seen.values())
     assert all(len(drawn) == 1 for drawn in looks.values())
     assert len({next(iter(drawn)) for drawn in looks.values()}) == len(seen)
+
+
+def test_knowing_the_slip_changes_nothing_else(tmp_path: Path) -> None:
+    base = load_scene("circle")
+    one = shard_of(plan(tmp_path))
+    other = shard_of(plan(tmp_path, slip_truth=True))
+    assert one[1] == shard_of(plan(tmp_path))[1]
+    assert base.name == one[0].object_name == other[0].object_name
+    for name, (entry, data) in (("plain", one), ("known", other)):
+        (tmp_path / name).mkdir()
+        with DatasetWriter(tmp_path / name, made_up_manifest(scenes={"circle": "0" * 64})) as writer:
+            (tmp_path / name / entry.name).write_bytes(data)
+            writer.commit(entry)
+    plain, known = Dataset(tmp_path / "plain").trial(1), Dataset(tmp_path / "known").trial(1)
+    assert np.array_equal(plain.gel, known.gel)
+    assert plain.slipping is None
+    at = known.true_slip_frame
+    assert known.slipping[at].mean((1, 2)).max() > 0.1
 
 
 @pytest.mark.slow
