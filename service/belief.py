@@ -3,26 +3,36 @@
 The moves between attempts are commands, hence known: the belief stays in coordinates of the first attempt's error and
 an attempt's evidence is evaluated at first error + sum of moves. Only what moves cannot explain (the object creeping
 in the hand) is blurred in.
+
+Two hypotheses are weighed against each other, each with its own belief. Under "trusted" the networks' estimates hold
+with the spread they claim. Under "gain unknown" an estimate tells the side surely but its size only by a factor: so it
+is with an object that is held in a way the networks never saw. As soon as an attempt contradicts what the earlier ones
+made sure of, the weight moves over, and the search closes in on the side instead of swinging past it.
 """
 
 import numpy as np
 
 from service.decision import Density, Evidence, Floats, Refusal
 
-HALF_RANGE = 20.0  # grid reaches +-20 mm and +-20 deg; starts are within +-15
+HALF_RANGE = 22.0  # grid reaches +-22 mm and +-22 deg
 CELL = 0.5
-PRIOR_EDGE, PRIOR_SOFTNESS = 16.0, 0.6
+# Starts are within 15 deg and 30 % of the object's width, which is 18.6 mm for the widest that was foreseen
+PRIOR_EDGE_X_MM, PRIOR_EDGE_THETA_DEG, PRIOR_SOFTNESS = 19.0, 16.0, 0.6
 # A pose closer than this inserts; the same for all objects since the service does not know the shape it holds.
 TOLERANCE_X_MM, TOLERANCE_THETA_DEG = 2.0, 3.5
 SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7
 SURE_INSERT = 0.95  # probability of insertion at zero error
-CREEP_X_MM, CREEP_THETA_DEG = 0.3, 0.5  # standard deviation of in-hand creep an attempt
+# Standard deviation of in-hand creep an attempt: a blocked object is left tilted outwards, 0.3..0.6 mm as measured
+CREEP_X_MM, CREEP_THETA_DEG = 0.6, 0.5
 # Both networks see the same images, so their errors are correlated: each gets less than its full weight.
 DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.3, 0.9
-OUTLIER_SHARE = 0.05
+OUTLIER_SHARE = 0.02
 DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
-INCONSISTENT_BELOW = 0.12  # Bayes factor of all that was learnt against knowing nothing
+INCONSISTENT_BELOW = 0.05  # Bayes factor of all that was learnt against knowing nothing
 RANGE = 15.0  # of the errors the networks were trained on (mm and deg)
+GAIN_UNKNOWN_SHARE = 0.2  # of insertions, before anything is known
+GAIN_SPREAD = 0.8  # standard deviation of log(estimate / error) where the gain is unknown
+GAIN_FROM_X_MM, GAIN_FROM_THETA_DEG = 2.0, 3.0  # errors below these have no meaningful ratio
 _CANDIDATES = 4
 
 
@@ -46,21 +56,33 @@ def _sign_membership(values: Floats, threshold: float, softness: float) -> Float
 
 
 class BeliefGrid:
-    """Probability [81, 81] over the first error, and the sum of the moves made since.
+    """Probability [89, 89] over the first error, and the sum of the moves made since.
 
-    All methods cost well under a millisecond: every kernel is separable, so each is two small matrix products.
+    ``layers`` [2, 89, 89] are the two hypotheses, trusted and gain unknown; together they sum to 1. All methods cost
+    well under a millisecond: every kernel is separable, so each is two small matrix products.
     """
 
     def __init__(self) -> None:
         self._cells = np.arange(-HALF_RANGE, HALF_RANGE + CELL / 2, CELL)
-        edge = _near(self._cells, PRIOR_EDGE, PRIOR_SOFTNESS)
-        self._prior = np.outer(edge, edge) / edge.sum() ** 2
-        self.probability: Floats = self._prior.copy()
+        edges = [_near(self._cells, edge, PRIOR_SOFTNESS) for edge in (PRIOR_EDGE_X_MM, PRIOR_EDGE_THETA_DEG)]
+        self._prior = np.outer(*edges) / (edges[0].sum() * edges[1].sum())
+        shares = np.array([1 - GAIN_UNKNOWN_SHARE, GAIN_UNKNOWN_SHARE])
+        self.layers: Floats = shares[:, None, None] * self._prior
         self.offset = np.zeros(2)
         distance = self._cells[:, None] - self._cells[None]
         self._aim_x = _near(distance, TOLERANCE_X_MM, SOFT_X_MM)
         self._aim_theta = _near(distance, TOLERANCE_THETA_DEG, SOFT_THETA_DEG)
         self._creep = _blur(self._cells, CREEP_X_MM), _blur(self._cells, CREEP_THETA_DEG)
+
+    @property
+    def probability(self) -> Floats:
+        """[89, 89], sums to 1: both hypotheses together."""
+        return np.asarray(self.layers.sum(0), np.float64)
+
+    @property
+    def trust(self) -> float:
+        """Probability that the networks' estimates hold as they claim."""
+        return float(self.layers[0].sum())
 
     @property
     def current_x_mm(self) -> Floats:
@@ -77,7 +99,7 @@ class BeliefGrid:
         if not np.isfinite([dx_mm, dtheta_deg]).all():
             raise Refusal("non_finite", f"the belief was told a move of ({dx_mm} mm, {dtheta_deg} deg)")
         self.offset += (dx_mm, dtheta_deg)
-        self.probability = self._creep[0] @ self.probability @ self._creep[1].T
+        self.layers = self._creep[0] @ self.layers @ self._creep[1].T
 
     def absorb_failure(self) -> None:
         """The current pose did not insert, so the error is not near zero."""
@@ -85,22 +107,22 @@ class BeliefGrid:
             _near(self.current_x_mm, TOLERANCE_X_MM, SOFT_X_MM),
             _near(self.current_theta_deg, TOLERANCE_THETA_DEG, SOFT_THETA_DEG),
         )
-        self._normalise(self.probability * (1 - SURE_INSERT * near))
+        self._normalise(self.layers * (1 - SURE_INSERT * near))
 
     def absorb(self, evidence: Evidence) -> bool:
         """Multiply in a failed attempt and its evidence; False if they contradict, and the belief starts from it."""
         self.absorb_failure()
-        likelihood = self.likelihood(evidence)
-        wide = self._prior + 1e-3 * self._prior.max()
-        expected = float((self.probability * likelihood).sum())
-        if expected < INCONSISTENT_BELOW * float((wide * likelihood).sum()):
+        likelihood = np.stack([self.likelihood(evidence), self._gain_unknown_likelihood(evidence)])
+        shares = np.array([1 - GAIN_UNKNOWN_SHARE, GAIN_UNKNOWN_SHARE])[:, None, None]
+        wide = shares * (self._prior + 1e-3 * self._prior.max())
+        if float((self.layers * likelihood).sum()) < INCONSISTENT_BELOW * float((wide * likelihood).sum()):
             self._normalise(wide * likelihood)
             return False
-        self._normalise(self.probability * likelihood)
+        self._normalise(self.layers * likelihood)
         return True
 
     def likelihood(self, evidence: Evidence) -> Floats:
-        """[81, 81], up to a factor: how well each first error explains this attempt's evidence."""
+        """[89, 89], a density over (mm, deg) of the estimate: how well each first error explains what was said."""
         if evidence.density is not None:
             return self._density_likelihood(evidence.density)
         return np.asarray(
@@ -108,6 +130,23 @@ class BeliefGrid:
             * self._magnitude_likelihood(evidence) ** MAGNITUDE_WEIGHT,
             np.float64,
         )
+
+    def _gain_unknown_likelihood(self, evidence: Evidence) -> Floats:
+        """The same where an estimate is the error times an unknown factor, new in each attempt."""
+        parts = []
+        for cells, said, sigma, start in zip(
+            (self.current_x_mm, self.current_theta_deg),
+            evidence.error,
+            evidence.sigma or DEFAULT_SIGMA,
+            (GAIN_FROM_X_MM, GAIN_FROM_THETA_DEG),
+            strict=True,
+        ):
+            unit = np.hypot(said, start)
+            spread = np.hypot(GAIN_SPREAD, sigma / unit)  # never surer than the networks themselves
+            off = (np.arcsinh(said / start) - np.arcsinh(cells / start)) / spread
+            density = np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * spread * unit)
+            parts.append((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * RANGE))
+        return np.asarray(np.outer(*parts), np.float64)
 
     def _direction_likelihood(self, evidence: Evidence) -> Floats:
         t_x, t_theta = evidence.threshold_x_mm, evidence.threshold_theta_deg
@@ -131,43 +170,46 @@ class BeliefGrid:
                 (self.current_x_mm, self.current_theta_deg), evidence.error, sigma, strict=True
             )
         ]
-        # An outlier may be anywhere in the range: its density is the Gaussian's total mass spread over it.
-        anywhere = 2 * np.pi * sigma[0] * sigma[1] / (2 * RANGE) ** 2
-        return np.asarray((1 - OUTLIER_SHARE) * np.outer(*peaks) + OUTLIER_SHARE * anywhere, np.float64)
+        # An outlier may be anywhere in the range.
+        density = np.outer(*peaks) / (2 * np.pi * sigma[0] * sigma[1])
+        return np.asarray((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * RANGE) ** 2, np.float64)
 
     def _density_likelihood(self, density: Density) -> Floats:
         peak = np.exp(density.log_density - density.log_density.max())
         along_x = np.stack([np.interp(self.current_x_mm, density.x_mm, column) for column in peak.T], axis=1)
         both = np.stack([np.interp(self.current_theta_deg, density.theta_deg, row) for row in along_x])
-        return np.asarray((1 - OUTLIER_SHARE) * both + OUTLIER_SHARE * both.mean(), np.float64)
+        both /= peak.sum() * np.diff(density.x_mm).mean() * np.diff(density.theta_deg).mean()
+        return np.asarray((1 - OUTLIER_SHARE) * both + OUTLIER_SHARE / (2 * RANGE) ** 2, np.float64)
 
     def best_move(self) -> tuple[tuple[float, float], float]:
         """The move ((mm, deg), probability that the next attempt inserts) with the fewest expected trials.
 
         The bound: 1 + P(next misses) (1 + P(the one after misses | nothing is learnt from the next but its failure)).
         """
-        hits = self._aim_x @ self.probability @ self._aim_theta.T
+        probability = self.probability
+        hits = self._aim_x @ probability @ self._aim_theta.T
         candidates = _peaks(hits)
-        costs = [self._two_step_cost(hits, row, column) for row, column in candidates]
+        costs = [self._two_step_cost(probability, hits, row, column) for row, column in candidates]
         row, column = candidates[int(np.argmin(costs))]
-        target = self._refined(row, column)
+        target = self._refined(probability, row, column)
         return (-target[0] - float(self.offset[0]), -target[1] - float(self.offset[1])), float(hits[row, column])
 
-    def _two_step_cost(self, hits: Floats, row: int, column: int) -> float:
-        missed = self.probability * (1 - SURE_INSERT * np.outer(self._aim_x[row], self._aim_theta[column]))
+    def _two_step_cost(self, probability: Floats, hits: Floats, row: int, column: int) -> float:
+        missed = probability * (1 - SURE_INSERT * np.outer(self._aim_x[row], self._aim_theta[column]))
         second = float((self._aim_x @ missed @ self._aim_theta.T).max())
         miss = 1 - SURE_INSERT * float(hits[row, column])
         return 1 + miss + (miss - SURE_INSERT * second)
 
-    def _refined(self, row: int, column: int) -> tuple[float, float]:
+    def _refined(self, probability: Floats, row: int, column: int) -> tuple[float, float]:
         """Centre of mass of the belief inside the aimed tolerance: finer than a cell."""
-        inside = self.probability * np.outer(self._aim_x[row], self._aim_theta[column])
+        inside = probability * np.outer(self._aim_x[row], self._aim_theta[column])
         total = inside.sum()
         return float(inside.sum(1) @ self._cells / total), float(inside.sum(0) @ self._cells / total)
 
     def moments(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Mean and standard deviation of the current error, (mm, deg) each."""
-        rows, columns = self.probability.sum(1), self.probability.sum(0)
+        probability = self.probability
+        rows, columns = probability.sum(1), probability.sum(0)
         mean = float(rows @ self.current_x_mm), float(columns @ self.current_theta_deg)
         spread = (
             float(np.sqrt(rows @ (self.current_x_mm - mean[0]) ** 2)),
@@ -176,7 +218,7 @@ class BeliefGrid:
         return mean, spread
 
     def _normalise(self, weights: Floats) -> None:
-        self.probability = np.asarray(weights / weights.sum(), np.float64)
+        self.layers = np.asarray(weights / weights.sum(), np.float64)
 
 
 def _peaks(hits: Floats) -> list[tuple[int, int]]:

@@ -117,6 +117,7 @@ class Belief:
         (dx, dtheta), hit = self.grid.best_move()
         mean, spread = self.grid.moments()
         reason = f"belief {_pair(mean)} +- {_pair(spread)}, next attempt inserts with p {hit:.2f}"
+        reason += f", networks trusted with p {self.grid.trust:.2f}"
         return self._moved(Command(dx, dtheta, self.name, reason, self._picture(hit)))
 
     def blocked_without_evidence(self) -> None:

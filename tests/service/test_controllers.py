@@ -77,11 +77,36 @@ def test_contradicting_evidence_falls_back_to_the_heuristic() -> None:
     belief = Belief(LIMITS)
     for attempt in (1, 2, 3):
         belief.decide(certain("5", 3.0, 6.0) if attempt == 1 else certain("near", 2.4, 3.0), attempt)
-    strange = Evidence(CLASSES, certain("1", 0, 0).probabilities, (-9.0, -1.0), (0.5, 0.5))
+    strange = Evidence(CLASSES, certain("4", 0, 0).probabilities, (-14.0, -12.0), (0.5, 0.5))
     command = belief.decide(strange, 4)
     expected = Heuristic(LIMITS).decide(strange, 4)
     assert "contradicts" in command.reason
     assert (command.dx_mm, command.dtheta_deg) == (expected.dx_mm, expected.dtheta_deg)
+
+
+def test_a_side_that_turns_over_is_closed_in_on_when_estimates_are_too_large() -> None:
+    """An object held in a way that the networks never saw: right side, twice the size, and sure of it."""
+    belief, x_mm = Belief(LIMITS), 6.0
+    for attempt in range(1, 7):
+        said = 2.0 * x_mm
+        name = "2" if x_mm > 0 else "1"
+        x_mm += belief.decide(
+            Evidence(CLASSES, certain(name, 0, 0).probabilities, (said, 0.0), (0.8, 1.5)), attempt
+        ).dx_mm
+        if abs(x_mm) < 1.8:
+            break
+    assert abs(x_mm) < 1.8
+    assert belief.grid.trust < 0.5
+
+
+def test_calibrated_estimates_keep_their_trust() -> None:
+    rng, belief = np.random.default_rng(3), Belief(LIMITS)
+    x_mm, theta_deg = 9.0, -7.0
+    for attempt in range(1, 4):
+        command = belief.decide(evidence(x_mm, theta_deg, rng, (1.0, 1.5)), attempt)
+        x_mm, theta_deg = x_mm + command.dx_mm + 2.0, theta_deg + command.dtheta_deg
+        belief.grid.move(2.0, 0.0)  # pushed on purpose, so that there is a next attempt
+    assert belief.grid.trust > 0.9
 
 
 def test_a_joint_density_is_believed_where_it_peaks() -> None:
