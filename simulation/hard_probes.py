@@ -46,6 +46,12 @@ class Tally:
         self.worst_cone_n_per_mm2 = max(self.worst_cone_n_per_mm2, other.worst_cone_n_per_mm2)
         self.cpu_s += other.cpu_s
 
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Tally:
+        """Inverse of `as_dict`."""
+        cpu_s = 1e-3 * data["cpu_ms_per_probe"] * data["probes"]
+        return cls(Counter(data["ended"]), data["worst_residual_n"], data["worst_cone_violation_n_per_mm2"], cpu_s)
+
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
         return {
@@ -119,9 +125,9 @@ def _chunk(work: tuple[int, int, int, str]) -> Tally:
     return tally
 
 
-def run(count: int, seed: int, tier: str, workers: int) -> Iterator[Tally]:
-    """Tallies of chunks of probes 0 .. count - 1 as they come, from that many processes (0: one a core)."""
-    work = [(seed, first, min(CHUNK, count - first), tier) for first in range(0, count, CHUNK)]
+def run(count: int, seed: int, tier: str, workers: int, done: int = 0) -> Iterator[Tally]:
+    """Tallies of chunks of probes done .. count - 1 in order, from that many processes (0: one a core)."""
+    work = [(seed, first, min(CHUNK, count - first), tier) for first in range(done, count, CHUNK)]
     workers = workers or os.cpu_count() or 1
     if workers == 1:
         yield from map(_chunk, work)

@@ -19,7 +19,8 @@ class Options:
     """Run random hard probes: all objects, gel friction 0 to 2, soft and hard blocks, weak grips, coarse load steps.
 
     Prints how they ended and the worst residual and friction cone of those solved; ends with status 2 where one that
-    calls itself solved is not finite, not balanced or outside a cone. The same seed gives the same probes.
+    calls itself solved is not finite, not balanced or outside a cone. The same seed gives the same probes. With --out
+    a run that was interrupted goes on where it stopped.
     """
 
     count: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 10_000
@@ -48,6 +49,16 @@ def as_text(options: Options, found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _begun(path: Path | None, options: Options) -> hard_probes.Tally:
+    """What an earlier run with the same seed left, or nothing."""
+    if path is None or not path.is_file():
+        return hard_probes.Tally()
+    found = json.loads(path.read_text())
+    if found["seed"] != options.seed or found["probes"] > options.count:
+        return hard_probes.Tally()
+    return hard_probes.Tally.from_dict(found)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the command line."""
     options = tyro.cli(Options, args=arguments, prog="python -m simulation hard-probes")
@@ -55,18 +66,18 @@ def main(arguments: Sequence[str]) -> int:
         raise ValueError(f"expected --count >= 1 and --workers >= 0, got {options.count} and {options.workers}")
     if options.out is not None and not options.out.is_dir():
         raise ValueError(f"--out {options.out}: no such folder")
-    tally = hard_probes.Tally()
+    path = None if options.out is None else options.out / f"hard_probes.{options.tier}.json"
+    tally = _begun(path, options)
+    done = tally.ended.total()
     try:
         with progress("hard probes", options.count) as show:
-            for part in hard_probes.run(options.count, options.seed, options.tier, options.workers):
+            for part in hard_probes.run(options.count, options.seed, options.tier, options.workers, done):
                 tally.add(part)
                 show(tally.ended.total())
+                if path is not None:
+                    found = {"seed": options.seed, "tier": options.tier, **tally.as_dict()}
+                    path.write_text(json.dumps(found, indent=1) + "\n")
     except hard_probes.ImpossibleStateError as error:
         raise ValueError(f"a promise is broken: {error}") from error
-    found = tally.as_dict()
-    print(as_text(options, found))
-    if options.out is not None:
-        path = options.out / f"hard_probes.{options.tier}.json"
-        path.write_text(json.dumps({"seed": options.seed, "tier": options.tier, **found}, indent=1) + "\n")
-        print(path)
+    print(as_text(options, tally.as_dict()))
     return 0
