@@ -56,8 +56,8 @@ def reading(rows: list[Row]) -> str:
     return (
         f"The default computes its own model to {own:.1f} um RMS of the markers. The model itself is {markers:.0f} um, "
         f"{force:.1f} N and {turn:.2f} deg\nfrom the layer's, so finer steps and grids of bristles buy nothing. The "
-        f"layer costs {time[dear] / time[cheap]:.0f} times as much and is within\n{limit:.1f} um of its own limit at the "
-        "same steps and grid."
+        f"layer costs {time[dear] / time[cheap]:.0f} times as much and is within\n{limit:.1f} um of its own limit "
+        "at the same steps and grid."
     )
 
 
