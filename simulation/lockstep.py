@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS, FramePair, TactileFrame
+from simulation.effects import dropped_share
 from simulation.imprint import Appearance, Renderer
 from simulation.rig import Cell, CellState, PhysicsError
 from simulation.scene import Scene
@@ -133,7 +134,7 @@ class LockstepCell:
 
     def arrived(self) -> tuple[bool, bool]:
         """Which of the two frames taken last reached the service: cameras drop a share of them, each for itself."""
-        share = self.scene.camera.dropped_share
+        share = dropped_share(self.scene)
         if share <= 0.0:
             return True, True
         lost = np.random.default_rng(hash_seed(self.seed, self.frame, 99)).random(2) < share

@@ -18,6 +18,7 @@ from simulation.effects import EFFECTS, active_effects, decide, dropped_share
 from simulation.emulators.camera import CameraEmulator, Shot
 from simulation.emulators.faults import FaultBoard
 from simulation.imprint import Renderer
+from simulation.lockstep import LockstepCell
 from simulation.probe import Probe, run_probe
 from simulation.scene import Scene, load_scene
 
@@ -167,6 +168,19 @@ def test_optics_that_are_off_are_not_called_when_a_frame_is_drawn(key: str) -> N
         assert own.call_count == 0
         Renderer(Appearance(**on)).raw(gel, 1, 0.5 * gel)
         assert own.call_count == 1
+
+
+def test_the_lock_step_cameras_drop_frames_only_where_the_switch_is_on() -> None:
+    scene = load_scene("circle", camera__dropped_share=0.5)
+    came = {}
+    for switch in ("on", "off"):
+        world = LockstepCell.build(scene.varied({"effects.dropped_frames": switch}), 8.0, 5.0, 3, draws=False)
+        came[switch] = []
+        for _ in range(50):
+            world.next_pair(look=False)
+            came[switch].append(world.arrived())
+    assert 0.3 < np.mean(came["on"]) < 0.7
+    assert np.all(came["off"])
 
 
 def test_noise_that_is_off_is_not_drawn() -> None:

@@ -60,28 +60,6 @@ def test_the_convex_and_the_coupled_solver_find_one_equilibrium(name: str) -> No
     np.testing.assert_allclose(ends[0].in_hand, ends[1].in_hand, atol=2e-4)
 
 
-@pytest.mark.parametrize("name", ["rectangle", "hexagon"])
-def test_halving_the_load_step_barely_moves_the_object(name: str) -> None:
-    ends = []
-    for step in (0.17, 0.01):
-        cell = Cell(load_scene(name, numerics__load_step_mm=step, **CLEAN))
-        cell.regrasp(8.0, 0.0)
-        ends.append(cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.2, 0.0).in_hand)
-    assert 1e3 * np.linalg.norm((ends[0] - ends[1])[:3]) < 5.0
-    assert np.degrees(np.linalg.norm((ends[0] - ends[1])[3:])) < 0.01
-
-
-def test_a_held_load_does_not_drift() -> None:
-    cell = Cell(load_scene("rectangle"))
-    cell.regrasp(9.0, 4.0)
-    x, y, z, yaw = cell.pose
-    first = cell.move_to(x, y, z - 6.2, float(np.degrees(yaw)))
-    for _ in range(30):
-        cell._advance(cell.pose)
-    last = cell.look()
-    assert last.wrench_n_nmm[2] == pytest.approx(first.wrench_n_nmm[2], rel=1e-4)
-
-
 def test_drift_in_the_hand_is_remembered_after_the_load_is_gone() -> None:
     cell = Cell(load_scene("rectangle", **CLEAN))
     cell.regrasp(9.0, 0.0)
@@ -127,21 +105,6 @@ def test_a_probe_says_of_every_marker_whether_it_slips(tier: str) -> None:
     assert share[found.true_slip_frame - 1].max() < 0.25
     pressed = found.gel[found.true_slip_frame, ..., 2] > 0
     assert not np.any(found.slipping[found.true_slip_frame] & ~pressed)
-
-
-def test_partial_slip_under_a_curved_object_follows_winkler() -> None:
-    """Cylinder on a Winkler pad: it sticks where kt s < mu p, which for a parabola is |x| < c."""
-    cell = Cell(load_scene("circle", gel__crown_mm=0.0, gel__node_columns=84, effects__gravity="off", **CLEAN))
-    cell.regrasp(0.0, 0.0)
-    before = cell.nodes["pressure"].copy()
-    shift = 0.3
-    constants, nodes = cell.constants[0], cell.nodes
-    slips = (before > 0) & (constants["friction"] * before < constants["kt"] * shift)
-    share = slips.sum() / (before > 0).sum()
-    a = np.abs(nodes["x"][before > 0]).max()
-    top = before.max()
-    c = a * np.sqrt(1.0 - constants["kt"] * shift / (constants["friction"] * top))
-    assert share == pytest.approx(1.0 - c / a, abs=0.05)
 
 
 def fingerprint(case: tuple[str, str]) -> str:
