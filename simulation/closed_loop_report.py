@@ -27,6 +27,8 @@ def write(rows: list[Row], setup: Mapping[str, str], docs: Path, title: str = ""
     docs.mkdir(parents=True, exist_ok=True)
     summaries = summarise(rows)
     text = report(rows, summaries, title)
+    if (docs / f"{NAME}_filmstrip.png").exists():
+        text += f"\nOne insertion, every frame drawn and tracked:\n\n![one insertion]({NAME}_filmstrip.png)\n"
     (docs / f"{NAME}.md").write_text(text, encoding="utf-8")
     networks = {name: _networks(rows, name) for name in ("belief", "joint", "paper")}
     data = {"simulated": True, "setup": dict(setup), "summaries": summaries, "first_estimates": networks}
@@ -73,10 +75,6 @@ def report(rows: list[Row], summaries: Sequence[Row], title: str = "") -> str:
         *limits(rows, summaries),
         "",
         f"![direction classes]({NAME}_confusion.png)",
-        "",
-        "One insertion, every frame drawn and tracked:",
-        "",
-        f"![one insertion]({NAME}_filmstrip.png)",
         "",
     ]
     return "\n".join(parts)

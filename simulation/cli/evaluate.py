@@ -100,10 +100,10 @@ def main(arguments: list[str]) -> int:
     rows = campaign.run(tasks(options, names), log, workers=options.workers, ray=options.ray)
     from simulation.closed_loop_report import write
 
-    text = write(rows, setup, options.docs)
+    options.docs.mkdir(parents=True, exist_ok=True)
     if "belief" in names:
         _film(options, rows)
-    sys.stdout.write(text)
+    sys.stdout.write(write(rows, setup, options.docs))
     return 0
 
 
