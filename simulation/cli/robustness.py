@@ -12,7 +12,7 @@ import tyro
 from simulation import campaign, evaluation, robustness
 from simulation.campaign import Task
 from simulation.contenders import CONTENDERS
-from simulation.robustness import CONDITIONS
+from simulation.robustness import CONDITIONS, Condition
 from simulation.scene import BUILT_IN, load_scene
 
 
@@ -63,12 +63,17 @@ def tasks(options: Options) -> list[Task]:
                     x, theta = evaluation.start_errors(options.count + 4, options.seed + number, reach)[index + 4]
                     disturbed = CONDITIONS[name]
                     job = {"scene": scene, "index": index, "x_mm": x, "theta_deg": theta, "who": options.who}
-                    job |= {"seed": options.seed * 100_000 + index, "eyes": options.eyes}
+                    job |= {"seed": options.seed * 100_000 + index, "eyes": _eyes(options, disturbed)}
                     job |= {"condition": robustness.label(tier, name), "dead": disturbed.dead}
                     job |= {"changes": disturbed.changes(cell) | {"gel.tier": tier}}
                     job["gap_error_mm"] = disturbed.gap_error_mm
                     found.append(Task(options.models / CONTENDERS[options.who].folder, job))
     return found
+
+
+def _eyes(options: Options, disturbed: Condition) -> str:
+    """A camera that is dead is only missed by those who look at its pictures."""
+    return "pictures" if disturbed.dead else options.eyes
 
 
 def main(arguments: list[str]) -> int:
