@@ -187,17 +187,18 @@ class Cell:
     def _advance(self, target: Array, dt_s: float | None = None) -> None:
         """One load step, divided where it must be. Raises PhysicsError."""
         try:
-            self._divide(target, 0, dt_s)
+            self._divide(target, 0, dt_s, rescue=False)
         except PhysicsError:
-            # the object may have nowhere to go but far: leap over what no short step passes
+            # the object may have nowhere to go but far: leap over what no short step passes, or else crawl through it
             status = self._damped(target, dt_s)
             if status == mechanics.STALLED:
-                raise
-            self._arrive(target, status)
+                self._divide(target, 0, dt_s, rescue=True)
+            else:
+                self._arrive(target, status)
 
-    def _divide(self, target: Array, depth: int, dt_s: float | None) -> None:
+    def _divide(self, target: Array, depth: int, dt_s: float | None, *, rescue: bool) -> None:
         status = self._pass(target, dt_s)
-        if status == mechanics.STALLED and depth == MAX_HALVINGS:
+        if status == mechanics.STALLED and rescue and depth == MAX_HALVINGS:
             status = self._damped(target, dt_s)
         self.load_steps += 1
         self.newton_iterations += int(self.state["report"][1])
@@ -207,8 +208,8 @@ class Cell:
         if status == mechanics.STALLED and depth < MAX_HALVINGS:
             middle = 0.5 * (self.pose + target)
             half_s = None if dt_s is None else 0.5 * dt_s
-            self._divide(middle, depth + 1, half_s)
-            self._divide(target, depth + 1, half_s)
+            self._divide(middle, depth + 1, half_s, rescue=rescue)
+            self._divide(target, depth + 1, half_s, rescue=rescue)
             return
         if status == mechanics.STALLED:
             raise PhysicsError(
