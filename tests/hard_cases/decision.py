@@ -179,7 +179,7 @@ def joint_densities_at_their_extremes(seed: int) -> float:
     "decision",
     why="a product of densities underflows to zero everywhere once evidence excludes what was believed",
     holds="the belief stays a probability after impossible evidence: non-finite cells and |sum - 1|",
-    guard=(BELIEF, "if expected < INCONSISTENT_BELOW * float((wide * likelihood).sum()):", "if False:"),
+    guard=(BELIEF, "if float((self.layers * likelihood).sum()) < INCONSISTENT_BELOW * float((wide * likelihood).sum()):", "if False:"),
     limit=1e-9,
 )
 def belief_with_impossible_evidence(seed: int) -> float:
@@ -203,14 +203,15 @@ def belief_with_impossible_evidence(seed: int) -> float:
     holds="a failure at the only believed pose still leaves a probability and a move: non-finite values",
     guard=(
         BELIEF,
-        "self._normalise(self.probability * (1 - SURE_INSERT * near))",
-        "self._normalise(self.probability * (1 - np.ceil(near)))",
+        "self._normalise(self.layers * (1 - SURE_INSERT * near))",
+        "self._normalise(self.layers * (1 - np.ceil(near)))",
     ),
 )
 def belief_with_all_mass_on_one_cell(seed: int) -> float:
     grid = BeliefGrid()
-    grid.probability[:] = 0.0
-    grid.probability[40, 40] = 1.0
+    grid.layers[:] = 0.0
+    middle = grid.layers.shape[1] // 2
+    grid.layers[0, middle, middle] = 1.0
     with np.errstate(invalid="ignore", divide="ignore"):
         grid.absorb_failure()
         (dx, dtheta), hit = grid.best_move()

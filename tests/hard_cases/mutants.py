@@ -14,8 +14,8 @@ MUTANTS = [case.name for case in CASES.values() if case.guard.mutant is not None
 COPIED = ("simulation", "training", "export", "service", "robot_client", "tests", "models", "pyproject.toml")
 PROBE = """
 import sys
-from tests.hard_cases.registry import CASES, SEEDS, run
-from tests.hard_cases import {room}
+from tests.hard_cases.registry import run
+from tests.hard_cases.suite import CASES
 sys.exit(0 if run(CASES[{name!r}]).passed else 17)
 """
 
@@ -28,7 +28,7 @@ def survives(case: Case, scratch: Path) -> bool:
     assert case.guard.mutant is not None
     path.write_text(original.replace(case.guard.text, case.guard.mutant, 1))
     try:
-        code = PROBE.format(room=case.room, name=case.name)
+        code = PROBE.format(name=case.name)
         environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
         done = subprocess.run(
             [sys.executable, "-c", code],

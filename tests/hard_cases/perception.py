@@ -15,7 +15,7 @@ from tests.service.perception.synthetic import FRAME_NS, draw, grid, patch_field
 RIGID, MARKERS, SLIP = "service/perception/rigid.py", "service/perception/markers.py", "service/perception/slip.py"
 TOO_FEW = (MARKERS, "if len(spots.strength) < 4:", "if False:")
 TOO_LITTLE = (MARKERS, "if share < self.settings.lost_share or not visible.any():", "if False:")
-SUSPICION = (MARKERS, "return reindex(points, rest, pitch, view, self._xy, best)")
+SUSPICION = (MARKERS, "return reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)")
 OWN_LIGHT = (MARKERS, "keep = spots.strength > self.settings.threshold * typical")
 REST = grid()
 PITCH = 15.0

@@ -118,7 +118,7 @@ _scene_case(
     "touchdown in the layer tier",
     "nodes that feel each other couple every bristle to every other",
     lambda seed: grasped("rectangle", 8.0, 5.0, seed, gel__tier="layer"),
-    guard=(RIG, "return self.layer.advance((self.record, self.slots), lambda: self._solve(target))"),
+    guard=(RIG, "return self.layer.advance((self.record, self.slots), lambda: self._solve(target, blend))"),
 )
 
 
@@ -149,7 +149,7 @@ def gel_stiffness_over_six_decades(seed: int) -> tuple[float, str]:
     "physics",
     why="contact stiffness over four decades scales one block of the matrix and not the others",
     holds="blocks from 5 to 50,000 N/mm solve: share of the bound used",
-    guard=(MECHANICS, "MAX_DIRECT, MAX_CONVEX, FREEZE_CONVEX, MAX_INNER = 20, 40, 30, 60"),
+    guard=("simulation/convex.py", "MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 300"),
     limit=1.0,
     quick=False,
 )
@@ -289,7 +289,7 @@ def load_steps_from_one_to_1024(seed: int) -> tuple[float, str]:
     "physics",
     why="two solvers that stop early stop at different places",
     holds="the coupled and the convex solver find one equilibrium: mm apart",
-    guard=("simulation/mechanics.py", "def _direct("),
+    guard=("simulation/mechanics.py", "def advance("),
     limit=2e-4,
     quick=False,
 )
