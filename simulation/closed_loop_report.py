@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from simulation.closed_loop_pictures import draw_confusion, draw_scatter
 from simulation.contenders import CONTENDERS
-from simulation.evaluation import OBJECTS, PAPER, TARGETS, Row, estimates, summarise
+from simulation.evaluation import OBJECTS, PAPER, TARGETS, Row, estimates, summarise, wilson
 
 NAME = "closed_loop"
 _PAPER_HEAD = (
@@ -46,8 +46,7 @@ def _networks(rows: list[Row], who: str) -> dict[str, Any]:
 
 def report(rows: list[Row], summaries: Sequence[Row], title: str = "") -> str:
     """The report as Markdown."""
-    counts = sorted({(row["who"], row["insertions"]) for row in summaries})
-    largest = max(count for _, count in counts)
+    largest = max(row["insertions"] for row in summaries)
     eyes = sorted({row["eyes"] for row in summaries if CONTENDERS[row["who"]].sees})
     parts = [
         f"# {title or 'The closed loop, simulated'}",
@@ -109,14 +108,23 @@ def paper_table(summaries: Sequence[Row]) -> list[str]:
 def baseline_table(summaries: Sequence[Row]) -> list[str]:
     """Success and mean trials, who decides by object."""
     scenes = [name for name in OBJECTS if any(row["scene"] == name for row in summaries)]
-    lines = ["| who decides (insertions an object) | " + " | ".join(scenes) + " |", "|---" * (len(scenes) + 1) + "|"]
+    head = "| who decides (insertions in all) | " + " | ".join(scenes) + " | all together, 95 % interval |"
+    lines = [head, "|---" * (len(scenes) + 2) + "|"]
     for who, contender in CONTENDERS.items():
         mine = {row["scene"]: row for row in summaries if row["who"] == who}
         if mine:
             cells = [f"{m['success']:.0%}, {_trials(m)}" if (m := mine.get(name)) else "" for name in scenes]
-            count = max(row["insertions"] for row in mine.values())
-            lines.append(f"| {contender.title} ({count}) | " + " | ".join(cells) + " |")
+            count = sum(row["insertions"] for row in mine.values())
+            lines.append(f"| {contender.title} ({count}) | " + " | ".join(cells) + f" | {_together(mine.values())} |")
     return lines
+
+
+def _together(rows: Iterable[Row]) -> str:
+    """All objects in one: success, its interval, mean trials, weighted by insertions."""
+    listed = list(rows)
+    count, inserted = (sum(row[name] for row in listed) for name in ("insertions", "inserted"))
+    trials = sum(row["mean_trials"] * row["insertions"] for row in listed) / count
+    return f"{inserted / count:.0%} ({_interval(wilson(inserted, count))}), {trials:.2f}"
 
 
 def limits(rows: list[Row], summaries: Sequence[Row]) -> list[str]:
