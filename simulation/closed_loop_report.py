@@ -22,11 +22,11 @@ _LIMIT_HEAD = (
 )
 
 
-def write(rows: list[Row], setup: Mapping[str, str], docs: Path, title: str = "") -> str:
+def write(rows: list[Row], setup: Mapping[str, str], docs: Path, note: str = "") -> str:
     """Write NAME.md, NAME.json and the pictures into the folder; returns the text."""
     docs.mkdir(parents=True, exist_ok=True)
     summaries = summarise(rows)
-    text = report(rows, summaries, title)
+    text = report(rows, summaries, note)
     if (docs / f"{NAME}_filmstrip.png").exists():
         text += f"\nOne insertion, every frame drawn and tracked:\n\n![one insertion]({NAME}_filmstrip.png)\n"
     (docs / f"{NAME}.md").write_text(text, encoding="utf-8")
@@ -44,17 +44,18 @@ def _networks(rows: list[Row], who: str) -> dict[str, Any]:
     return {name: value for name, value in found.items() if value}
 
 
-def report(rows: list[Row], summaries: Sequence[Row], title: str = "") -> str:
+def report(rows: list[Row], summaries: Sequence[Row], note: str = "") -> str:
     """The report as Markdown."""
     largest = max(row["insertions"] for row in summaries)
     eyes = sorted({row["eyes"] for row in summaries if CONTENDERS[row["who"]].sees})
     parts = [
-        f"# {title or 'The closed loop, simulated'}",
+        "# The closed loop, simulated",
         "",
         "Written by `make evaluate`. Every figure but the paper's is simulated: free blocks, at most 15 trials, a",
         "failure counts as 16, start errors uniform in the range of each object plus its four extremes, frames through",
         "the service's session and ONNX files, answers through the robot client's state machine.",
         f"Up to {largest} insertions an object; 95 % Wilson intervals. {_eyes(eyes)}",
+        *(["", note] if note else []),
         "",
         "## Table I beside the paper's",
         "",

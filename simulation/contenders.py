@@ -145,7 +145,8 @@ class ForceOnly:
         return damped(error_from_levers(lever, view.gap_mm), view.attempt)
 
 
-# deg of yaw for each mm that the force acts along the edge, away from the middle; fitted to training objects
+# deg of yaw for each mm that the force acts along the edge, away from the middle. Least squares over 793 blocked
+# attempts of the training objects gives 0.29 (correlation 0.75); a little less swings less
 YAW_DEG_PER_MM = 0.25
 BOTH_SIDES_MM = 8.0  # a shorter lever means that both blocks carry: then x is small
 

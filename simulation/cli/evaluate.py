@@ -46,6 +46,8 @@ class Options:
     """of the start errors, grasps and noise"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
     """processes; 0 takes every core"""
+    note: str = ""
+    """a sentence for the report, on what is special about this run"""
     ray: str = ""
     """address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)"""
 
@@ -103,7 +105,7 @@ def main(arguments: list[str]) -> int:
     options.docs.mkdir(parents=True, exist_ok=True)
     if "belief" in names:
         _film(options, rows)
-    sys.stdout.write(write(rows, setup, options.docs))
+    sys.stdout.write(write(rows, setup, options.docs, options.note))
     return 0
 
 
