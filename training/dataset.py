@@ -97,6 +97,14 @@ def _key(trial: Any) -> str:
     return hashlib.sha256(json.dumps(stated).encode() + trial.gel.tobytes()).hexdigest()[:24]
 
 
+def _renderer_sha256(source: Source) -> str:
+    """What draws the pictures, told by what it draws: the hash of the first trial's first pair of pictures.
+
+    Nobody has to remember a version number, and pictures drawn differently never meet in one cache.
+    """
+    return hashlib.sha256(np.ascontiguousarray(source.frames(0, 0, 1)).tobytes()).hexdigest()[:12]
+
+
 def load_trials(config: DataConfig, source: Source | None = None) -> Trials:
     """Read labels and fields, and draw the pictures asked for, from the cache where it already holds them.
 
@@ -193,7 +201,8 @@ def _load_pictures(
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
     """Pooled pictures of a fixed choice of trials, one file a trial: a kill or a growing dataset costs none of them."""
     wanted = _choose(table, config)
-    folder = Path(config.cache) / f"pooled-{_FORMAT}"
+    drawer = _renderer_sha256(source) if len(wanted) else "none"
+    folder = Path(config.cache) / f"pooled-{_FORMAT}-{drawer}"
     folder.mkdir(parents=True, exist_ok=True)
     pooled = np.empty((len(wanted), WINDOW, 2, CHANNELS, ROWS, COLS), np.uint16)
     for row, trial in enumerate(track(wanted, description="drawing pictures", disable=not len(wanted), transient=True)):

@@ -72,13 +72,23 @@ def rescaled(predictions: Predictions, scales: Scales) -> Predictions:
 
 def cross_calibrated(predictions: Predictions, groups: NDArray[np.str_]) -> Predictions:
     """Each half of the groups calibrated on the other half, so that a split may be scored on what calibrates it."""
-    names = np.unique(groups)
-    first = np.isin(groups, names[::2])
-    if not first.any() or first.all():
+    half = first_half(groups)
+    if half is None:
         return rescaled(predictions, calibrate(predictions))
-    halves = [rescaled(predictions.take(half), calibrate(predictions.take(~half))) for half in (first, ~first)]
-    order = np.argsort(np.concatenate([np.flatnonzero(first), np.flatnonzero(~first)]))
-    joined = {name: np.concatenate([getattr(half, name) for half in halves])[order] for name in Predictions.__slots__}
+    one, other = predictions.take(half), predictions.take(~half)
+    return interleaved(rescaled(one, calibrate(other)), rescaled(other, calibrate(one)), half)
+
+
+def first_half(groups: NDArray[np.str_]) -> NDArray[np.bool_] | None:
+    """Which trials are of every other group; None where there is only one group."""
+    names = np.unique(groups)
+    return np.isin(groups, names[::2]) if len(names) > 1 else None
+
+
+def interleaved(one: Predictions, other: Predictions, half: NDArray[np.bool_]) -> Predictions:
+    """The predictions of ``half`` and of the rest, back in the order of the trials."""
+    order = np.argsort(np.concatenate([np.flatnonzero(half), np.flatnonzero(~half)]))
+    joined = {name: np.concatenate([getattr(one, name), getattr(other, name)])[order] for name in Predictions.__slots__}
     return Predictions(**joined)
 
 

@@ -1,9 +1,11 @@
 """Reading a joint density: what it says of the class, the error and the spread, and how sharp it should be."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluate import Predictions
+from training.evaluate import Predictions, Scales, calibrate, first_half, interleaved, rescaled
 from training.labels import CLASSES, class_of
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 
@@ -43,3 +45,37 @@ def from_density(
     return Predictions(
         np.log(np.maximum(mass, 1e-9)), mean, 0.5 * np.log(np.maximum(spread, 1e-6)), truth.astype(np.float64), objects
     )
+
+
+def calibrate_density(
+    log_density: NDArray[np.float64], truth: NDArray[np.float32], objects: NDArray[np.str_]
+) -> Scales:
+    """Temperature of the density, and sigma scales of what is then read from it."""
+    temperature = density_temperature(log_density, truth)
+    return replace(calibrate(from_density(log_density, temperature, truth, objects)), temperature=temperature)
+
+
+def calibrated_density(
+    log_density: NDArray[np.float64], truth: NDArray[np.float32], objects: NDArray[np.str_], scales: Scales
+) -> Predictions:
+    """What densities say with their calibration applied."""
+    said = from_density(log_density, scales.temperature, truth, objects)
+    return rescaled(said, replace(scales, temperature=1.0))
+
+
+def cross_calibrated_density(
+    log_density: NDArray[np.float64],
+    truth: NDArray[np.float32],
+    objects: NDArray[np.str_],
+    groups: NDArray[np.str_],
+) -> Predictions:
+    """Each half of the groups calibrated on the other half: no trial is scored by a fit that saw it."""
+    half = first_half(groups)
+    if half is None:
+        return calibrated_density(log_density, truth, objects, calibrate_density(log_density, truth, objects))
+
+    def read(scored: NDArray[np.bool_]) -> Predictions:
+        fitted = calibrate_density(log_density[~scored], truth[~scored], objects[~scored])
+        return calibrated_density(log_density[scored], truth[scored], objects[scored], fitted)
+
+    return interleaved(read(half), read(~half), half)

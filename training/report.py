@@ -12,11 +12,13 @@ from training.config import RunConfig
 from training.dataset import Source, load_trials
 from training.evaluate import (
     Predictions,
+    calibrate,
     calibration_curve,
     confusion,
     cross_calibrated,
     figures,
     probabilities,
+    rescaled,
 )
 from training.labels import CLASSES, class_of
 from training.train import MOST_SCORED, Trainer
@@ -24,6 +26,7 @@ from training.train import MOST_SCORED, Trainer
 COLUMNS = {
     "trials": "trials",
     "accuracy": "direction",
+    "accuracy_without_near": "without near",
     "chance": "chance",
     "ece": "ECE",
     "wrong_side_x": "wrong side x",
@@ -34,7 +37,7 @@ COLUMNS = {
     "coverage90_x": "90 % covers x",
     "coverage90_theta": "covers yaw",
 }
-SHARES = ("accuracy", "chance", "ece", "wrong_side_x", "coverage90_x", "coverage90_theta")
+SHARES = ("accuracy", "accuracy_without_near", "chance", "ece", "wrong_side_x", "coverage90_x", "coverage90_theta")
 
 
 def write_report(run: Path, out: Path, source: Source | None = None) -> Path:
@@ -61,13 +64,15 @@ def write_report(run: Path, out: Path, source: Source | None = None) -> Path:
 
 
 def _limits(trainer: Trainer) -> dict[str, dict[str, float]]:
-    """The same decision from the true marker fields instead of pictures: what the pictures cost."""
-    rows = {}
+    """The same decision from the true marker fields instead of pictures, calibrated as the rows above are."""
+    trials, rows = trainer.trials, {}
+    scales = calibrate(trainer.predict(trials.of("validation", rendered=True)[:MOST_SCORED], pictures=False))
     for split in ("validation", "test"):
-        chosen = trainer.trials.of(split, rendered=True)[:MOST_SCORED]
+        chosen = trials.of(split, rendered=True)[:MOST_SCORED]
         if len(chosen):
             said = trainer.predict(chosen, pictures=False)
-            rows[f"{split}/true fields"] = figures(cross_calibrated(said, trainer.trials.groups[chosen]))
+            fair = cross_calibrated(said, trials.groups[chosen]) if split == "validation" else rescaled(said, scales)
+            rows[f"{split}/true fields"] = figures(fair)
     return rows
 
 

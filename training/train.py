@@ -7,7 +7,7 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from training.config import RunConfig
 from training.dataset import SPLITS, Source, Trials, load_trials
 from training.evaluate import Predictions, Scales, by_object, calibrate, cross_calibrated, figures, rescaled
 from training.fit import Log, Stage, fit
-from training.joint import density_temperature, from_density
+from training.joint import calibrate_density, calibrated_density, cross_calibrated_density
 from training.labels import CLASSES, class_of
 from training.networks import build
 from training.networks.compact import CompactNetwork
@@ -262,18 +262,20 @@ def _scored(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict
 
 
 def _scored_joint(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict[str, float]]]:
-    """The same for the joint density; its temperature is fitted on all of validation."""
+    """The same for the joint density."""
     trials = trainer.trials
     held = trials.of("validation", rendered=pictures)
     density = trainer.predict_density(held, pictures=pictures)
-    temperature = density_temperature(density, trials.error[held])
-    said = from_density(density, temperature, trials.error[held], trials.objects[held])
-    scales = replace(calibrate(said), temperature=temperature)
+    scales = calibrate_density(density, trials.error[held], trials.objects[held])
     tables: dict[str, dict[str, float]] = {}
     for split, chosen in _samples(trials, pictures=pictures):
         density = trainer.predict_density(chosen, pictures=pictures)
-        said = from_density(density, temperature, trials.error[chosen], trials.objects[chosen])
-        fair = rescaled(said, replace(scales, temperature=1.0))
+        stated = (density, trials.error[chosen], trials.objects[chosen])
+        fair = (
+            cross_calibrated_density(*stated, trials.groups[chosen])
+            if split == "validation"
+            else calibrated_density(*stated, scales)
+        )
         tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
     return scales, tables
 

@@ -25,13 +25,28 @@ def trials(small, tmp_path_factory):
     )
 
 
-def test_the_cache_returns_what_was_read(config, small):
+def _counting(small, calls):
+    def draws(index, start, count):
+        calls.append(index)
+        return SyntheticSource.frames(small, index, start, count)
+
+    return draws
+
+
+def test_the_cache_returns_what_was_read(config, small, monkeypatch):
     first = load_trials(config.data, small)
-    small.frames = None  # a second load must not draw again
+    calls: list[int] = []
+    monkeypatch.setattr(small, "frames", _counting(small, calls))
     again = load_trials(config.data, small)
-    del small.frames
+    assert calls == [0]  # one pair of pictures tells that the renderer is the same; none is drawn for training
     for name in ("error", "fields", "picture", "pooled"):
         assert np.array_equal(getattr(first, name), getattr(again, name))
+
+
+def test_pictures_of_another_renderer_are_drawn_anew(config, small, monkeypatch):
+    first = load_trials(config.data, small).pooled
+    monkeypatch.setattr(small, "frames", lambda *where: SyntheticSource.frames(small, *where) // 2)
+    assert load_trials(config.data, small).pooled.mean() < 0.6 * first.mean()
 
 
 def test_an_interrupted_drawing_goes_on_where_it_stopped(config, small, monkeypatch):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from training.joint import density_temperature, from_density, normalised
+from training.joint import cross_calibrated_density, density_temperature, from_density, normalised
 from training.labels import CLASSES
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM, MixtureDensity
 
@@ -26,6 +26,20 @@ def test_the_temperature_undoes_overconfidence():
     centre = rng.uniform(-10, 10, (600, 2))
     truth = (centre + rng.normal(0, 2.0, centre.shape)).astype(np.float32)
     assert density_temperature(gaussian(centre, 1.4), truth) == pytest.approx(2.0, rel=0.2)
+
+
+def test_no_trial_is_scored_by_a_calibration_that_saw_it():
+    rng = np.random.default_rng(1)
+    centre = rng.uniform(-8, 8, (40, 2))
+    truth = (centre + rng.normal(0, 1.5, centre.shape)).astype(np.float32)
+    groups, objects = np.repeat(["a", "b", "c", "d"], 10), np.array(["circle"] * 40)
+    own = np.isin(groups, ["a", "c"])
+    said = cross_calibrated_density(gaussian(centre, 1.4), truth, objects, groups)
+    elsewhere = np.where(own[:, None], -truth, truth)  # changed truths of one half move the other half alone
+    moved = cross_calibrated_density(gaussian(centre, 1.4), elsewhere, objects, groups)
+    assert np.array_equal(said.log_sigma[own], moved.log_sigma[own])
+    assert not np.allclose(said.log_sigma[~own], moved.log_sigma[~own])
+    assert np.array_equal(said.truth, truth.astype(np.float64))
 
 
 def test_the_grid_agrees_with_the_likelihood_that_trained_it():
