@@ -78,6 +78,50 @@ def benchmark(
     measure(models or sorted(Path("models").glob("*.onnx")), seconds=seconds, out=out, with_loadgen=loadgen)
 
 
+def tradeoff(
+    folders: Annotated[list[Path], tyro.conf.Positional] = [],  # noqa: B006 - tyro copies it
+    data: Path = Path("data/probes"),
+    split: str = "validation",
+    decisions: int = 300,
+    docs: Path = Path("docs"),
+    twins: Path = Path("runs/twins"),
+    seconds: float = 3.0,
+) -> None:
+    """Write docs/tradeoff.md, .json and .png: accuracy against time of networks, slip trackers and physics settings.
+
+    Args:
+        folders: folders of exported fp32 step models (a pair, a joint density or both); models and models/joint if none
+            is named. An ``evaluation.json`` in a folder adds its mean trials of a closed loop.
+        data: collected dataset.
+        split: trials on which the networks are scored: validation, or test (held-out ranges).
+        decisions: how many collisions of the split.
+        docs: where the report goes, and where slip_report.json, accuracy.json and closed_loop.json are read.
+        twins: folder of the int8 and fp16 twins that are made and scored beside each network.
+        seconds: how long each network is timed.
+    """
+    from export.candidates import read_split
+    from export.tradeoff import tradeoff as measure
+    from export.twins import make_twins
+
+    named = folders or [Path("models"), Path("models/joint")]
+    every = named + make_twins(named, twins, str(data))
+    measure(every, read_split(str(data), split, decisions), split, docs, seconds)
+    print(f"{docs / 'tradeoff.md'}")
+
+
+def choose(budget_ms: float, report: Path = Path("docs/tradeoff.json"), seconds: float = 2.0) -> None:
+    """Name the most accurate network whose step after the last frame keeps a budget on this machine.
+
+    Args:
+        budget_ms: milliseconds a step may take, p99.
+        report: JSON of `python -m export tradeoff`, for the accuracies; times are taken now.
+        seconds: how long each network is timed.
+    """
+    from export.tradeoff import choose as pick
+
+    print(pick(budget_ms, report, seconds))
+
+
 def main() -> None:
     """Command line entry."""
     try:
@@ -86,6 +130,8 @@ def main() -> None:
             "verify": verify,
             "quantize": quantize,
             "benchmark": benchmark,
+            "tradeoff": tradeoff,
+            "choose": choose,
         }
         tyro.extras.subcommand_cli_from_dict(commands, prog="python -m export")
     except ContractError as error:

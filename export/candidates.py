@@ -1,0 +1,134 @@
+"""Networks that could decide: a folder of released step models, opened together and asked after 2, 4 and 8 frames."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from export.measure import Timing, example_inputs, time_calls
+from export.verify import Arrays, Model, open_model
+from service.contract import ContractError
+from training.dataset import open_source
+from training.labels import class_of
+
+FRAME_COUNTS = (2, 4, 8)
+PAIR = ("direction.step.onnx", "magnitude.step.onnx")
+JOINT = ("joint.step.onnx",)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A recorded collision: ``frames`` uint8 [T, 2, H, W, 3] from the onset, the gap and the true error (mm, deg)."""
+
+    frames: NDArray[np.uint8]
+    gap_width_mm: float
+    truth: NDArray[np.float32]
+    name: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """The step models of one folder that decide together: the pair, or the joint density alone."""
+
+    name: str
+    folder: Path
+    models: tuple[Model, ...]
+
+    @property
+    def precision(self) -> str:
+        """How its weights are stored."""
+        stored = self.models[0].card.quantisation
+        return "fp32" if stored == "none" else stored
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all its files: an accuracy belongs to these bits and no others."""
+        return hashlib.sha256(b"".join(model.file.read_bytes() for model in self.models)).hexdigest()
+
+    def mean_trials(self) -> tuple[float, float, float] | None:
+        """Mean trials and interval of a closed-loop run, if ``evaluation.json`` beside the models holds one."""
+        path = self.folder / "evaluation.json"
+        if not path.is_file():
+            return None
+        try:
+            mean, (low, high) = (json.loads(path.read_text())[key] for key in ("mean_trials", "interval"))
+            found = float(mean), float(low), float(high)
+        except (ValueError, KeyError, TypeError) as error:
+            raise ContractError(f"{path} needs mean_trials and interval [low, high]: {error!r}") from error
+        if not (np.isfinite(found).all() and found[1] <= found[0] <= found[2]):
+            raise ContractError(f"{path}: mean_trials {found[0]} lies outside its interval {found[1:]}")
+        return found
+
+    def classes(self, decision: Decision, counts: tuple[int, ...] = FRAME_COUNTS) -> dict[int, int]:
+        """The class chosen after each number of frames, by really stopping there."""
+        chosen: dict[int, int] = {}
+        model = self.models[0]
+        for seen, outputs in enumerate(_steps(model, decision), 1):
+            if seen in counts:
+                chosen[seen] = most_likely_class(model, outputs)
+        return chosen
+
+    def time_step(self, seconds: float) -> Timing:
+        """One step of all its models, one after the other, on one thread: what remains after the last frame."""
+        inputs = [example_inputs(model) for model in self.models]
+        return time_calls(lambda: [m(fed) for m, fed in zip(self.models, inputs, strict=True)], seconds=seconds)
+
+
+def find_candidates(folders: list[Path]) -> list[Candidate]:
+    """Every pair and every joint density in the folders; ContractError on a folder that holds neither."""
+    found = []
+    for folder in folders:
+        kinds = [files for files in (PAIR, JOINT) if all((folder / file).is_file() for file in files)]
+        if not kinds:
+            raise ContractError(f"{folder} holds neither {' and '.join(PAIR)} nor {JOINT[0]}")
+        for files in kinds:
+            models = tuple(open_model(folder / file) for file in files)
+            wrong = models[0].card.disagreements(models[-1].card)
+            if wrong:
+                raise ContractError(f"{folder}: {wrong[0]}")
+            name = models[0].card.name.removesuffix("-direction")
+            found.append(Candidate(name, folder, models))
+    return found
+
+
+def most_likely_class(model: Model, outputs: Arrays) -> int:
+    """Index of the class a direction network or a joint density holds for most likely."""
+    if "logits" in outputs:
+        return int(outputs["logits"][0].argmax())
+    density = outputs["log_density"][0].astype(np.float64)
+    weight = np.exp(density - density.max())
+    x_mm, theta_deg = np.meshgrid(model.card.grid_x_mm, model.card.grid_theta_deg, indexing="ij")
+    cells = class_of(np.stack([x_mm, theta_deg], -1).reshape(-1, 2).astype(np.float32))
+    return int(np.bincount(cells, weight.ravel(), len(model.card.classes)).argmax())
+
+
+def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
+    """``count`` collisions spread over a split of a dataset, drawn one at a time; ContractError if it has none."""
+    source = open_source(path)
+    inside = [index for index in range(len(source)) if _collided(source.trial(index), split)]
+    if not inside:
+        raise ContractError(f"the dataset {path} has no collision in its split {split}")
+    for place in np.linspace(0, len(inside) - 1, min(count, len(inside))).astype(int):
+        trial = source.trial(inside[place])
+        frames = source.frames(inside[place], int(trial.onset_frame), max(FRAME_COUNTS))
+        truth = np.array([trial.x_mm, trial.theta_deg], np.float32)
+        yield Decision(frames, float(trial.gap_width_mm), truth, str(trial.object_name))
+
+
+def _collided(trial: object, split: str) -> bool:
+    return getattr(trial, "split", "") == split and getattr(trial, "outcome", "") == "blocked"
+
+
+def _steps(model: Model, decision: Decision) -> Iterator[Arrays]:
+    state = np.zeros((1, model.card.state_size), np.float32)
+    gap: Arrays = (
+        {"gap_width_mm": np.full((1, 1), decision.gap_width_mm, np.float32)} if model.card.gap_width_input else {}
+    )
+    for frame in decision.frames:
+        outputs = model({"frame": frame[None], "reference": decision.frames[:1], "state": state} | gap)
+        state = outputs["next_state"]
+        yield outputs
