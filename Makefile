@@ -10,7 +10,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all check hard-cases accuracy slip-report collect train export evaluate requirements clean
+.PHONY: help run test test-all check hard-cases accuracy slip-report tradeoff bench collect evaluate requirements clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -68,6 +68,12 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 
 slip-report: $(RUN_VENV)/ready ## how well slip is seen and what seeing costs: docs/slip_report.md (REAL=folder judges recordings too)
 	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
+
+tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png
+	$(BIN)/python -m export tradeoff --data $(PROBES)
+
+bench: $(VENV)/ready ## what a decision of each released network costs on this machine: runs/benchmark.json
+	$(BIN)/python -m export benchmark
 
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
 	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)

@@ -30,8 +30,8 @@ def write(table: Table, about: dict[str, Any], path: Path) -> None:
     lines = [
         "# What accuracy costs in time",
         "",
-        "Written by `make tradeoff`. Every point is a trained network, a tracker or a solver setting that was really run;",
-        f"all data are simulated. Networks: {about['decisions']} collisions of the split `{about['split']}`, on",
+        "Written by `make tradeoff`. Every point is a trained network, a tracker or a solver setting that was really",
+        f"run; all data are simulated. Networks: {about['decisions']} collisions of the split `{about['split']}`, on",
         f"{about['cpu']}, one thread; 95 % Wilson intervals. Quote processor time: wall times were",
         f"{about['crowding']:.2f} times it{' (noisy machine)' if about['crowding'] > NOISY else ''}.",
         "",
@@ -39,10 +39,10 @@ def write(table: Table, about: dict[str, Any], path: Path) -> None:
         "",
         "## Networks",
         "",
-        "Fewer frames is the same network stopped early. `step` is what remains after the last frame; the camera's wait",
-        "(33 ms a frame at 30 fps) comes on top and is shorter with fewer frames. **Bold**: on the Pareto front.",
+        "Fewer frames is the same network stopped early. `step` is what remains after the last frame; the camera's",
+        "wait (33 ms a frame at 30 fps) comes on top and is shorter with fewer frames. **Bold**: on the Pareto front.",
         "",
-        "| network | right direction | mean trials | step p50 / p99 ms | step CPU ms | decision CPU ms | camera wait ms |",
+        "| network | right direction | mean trials | step p50 / p99 ms | step CPU ms | decision CPU ms | camera ms |",
         "|---|---|---|---|---|---|---|",
     ]
     front = {id(point) for point in pareto(table["networks"])}
@@ -85,9 +85,9 @@ def _default(points: list[Point]) -> str:
     chosen = default_network(points)
     best = max(points, key=lambda point: point.better)
     return (
-        f"The cheapest that cannot be told from the best ({best.name}) is **{chosen.name}**: its interval still holds the"
-        f" best accuracy. The default is the fp32 pair with 8 frames because the controllers' uncertainty was calibrated"
-        f" on 8 frames, and at {_default_cost(points)} a step time does not bind."
+        f"The cheapest that cannot be told from the best ({best.name}) is **{chosen.name}**: its interval still holds"
+        f" the best accuracy. The default is the fp32 pair with 8 frames because the controllers' uncertainty was"
+        f" calibrated on 8 frames, and at {_default_cost(points)} a step time does not bind."
     )
 
 
@@ -98,10 +98,8 @@ def _default_cost(points: list[Point]) -> str:
 
 def _slip_row(point: Point, front: bool) -> str:
     about = point.about
-    return (
-        f"| {_bold(point.name, front)} | {_share(point)} | {100 * about['misses']:.1f} % | {100 * about['false']:.1f} % |"
-        f" {point.cost_ms:.2f} |"
-    )
+    misses, false = 100 * about["misses"], 100 * about["false"]
+    return f"| {_bold(point.name, front)} | {_share(point)} | {misses:.1f} % | {false:.1f} % | {point.cost_ms:.2f} |"
 
 
 def _physics_row(point: Point, front: bool) -> str:

@@ -1,0 +1,143 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from export import tradeoff as room
+from export.candidates import Decision, find_candidates
+from export.golden import golden_frames
+from export.measure import Timing
+from export.points import Point, closed_loop_trials, pareto, physics_points, slip_points, wilson
+from export.quantize import store_fp16
+from export.tradeoff import choose, points_of, score
+from export.tradeoff_report import default_network, draw, write
+from export.verify import decide, open_model
+from service.contract import ContractError
+
+DOCS = Path("docs")
+
+
+@pytest.fixture(scope="module")
+def models():
+    """The released networks: opening them costs less than exporting tiny ones."""
+    return Path("models")
+
+
+def timing(ms):
+    return Timing.of(np.full(50, ms), np.full(50, ms))
+
+
+def point(name, better, cost):
+    return Point(name, better, better - 0.05, better + 0.05, cost, cost, cost, 10, None, {"frames": 8})
+
+
+@pytest.fixture(scope="module")
+def decisions(models):
+    spec = open_model(models / "direction.step.onnx").card.frame
+    truths = ((8.0, 0.0), (-8.0, 9.0))
+    return [
+        Decision(golden_frames(spec, 8, seed), 56.0, np.array(truth, np.float32), "rectangle")
+        for seed, truth in enumerate(truths)
+    ]
+
+
+@pytest.fixture(scope="module")
+def table(models, decisions, tmp_path_factory):
+    candidates = find_candidates([models, models / "joint"])
+    hits, count = score(candidates, decisions)
+    empty = tmp_path_factory.mktemp("docs")
+    networks = [entry for c in candidates for entry in points_of(c, timing(1.0), hits[id(c)], count, empty)]
+    return {
+        "networks": networks,
+        "slip": slip_points(DOCS / "slip_report.json"),
+        "physics": physics_points(DOCS / "accuracy.json"),
+    }
+
+
+def test_a_pair_and_a_joint_density_give_a_point_for_each_number_of_frames(table):
+    assert [entry.about["frames"] for entry in table["networks"]] == [2, 4, 8] * 2
+    assert [entry.cost_ms for entry in table["networks"]] == [2.0, 4.0, 8.0] * 2
+
+
+def test_stopping_after_eight_frames_is_the_whole_decision(models, decisions):
+    (pair,) = find_candidates([models])
+    whole = decide(pair.models[0], decisions[0].frames[None])["logits"][0]
+    assert pair.classes(decisions[0])[8] == whole.argmax()
+
+
+def test_one_page_and_one_figure_show_all_three_rooms(table, tmp_path):
+    about = {"cpu": "a processor", "split": "validation", "decisions": 2, "crowding": 1.1}
+    write(table, about, tmp_path / "tradeoff.md")
+    draw(table, tmp_path / "tradeoff.png")
+    text = (tmp_path / "tradeoff.md").read_text()
+    assert all(entry.name in text for points in table.values() for entry in points)
+    assert (tmp_path / "tradeoff.png").stat().st_size > 10_000
+
+
+def test_no_point_of_the_front_is_beaten():
+    points = [point("slow", 0.9, 9), point("good", 0.9, 2), point("poor", 0.5, 3), point("fast", 0.7, 1)]
+    assert [entry.name for entry in pareto(points)] == ["fast", "good"]
+
+
+def test_the_default_cannot_be_told_from_the_best():
+    assert default_network([point("a", 0.9, 9), point("b", 0.86, 2), point("c", 0.6, 1)]).name == "b"
+
+
+def test_a_share_lies_in_its_interval():
+    for hits in (0, 1, 50, 100):
+        share, low, high = wilson(hits, 100)
+        assert 0 <= low <= share <= high <= 1
+
+
+def test_a_point_without_a_number_is_refused():
+    with pytest.raises(ContractError, match="not finite"):
+        point("bad", float("nan"), 1)
+
+
+def test_mean_trials_of_a_closed_loop_are_pooled_by_insertions(tmp_path):
+    row = {"who": "belief", "condition": "", "eyes": "pictures", "mean_trials_standard_error": 0.1}
+    rows = [row | {"mean_trials": 2.0, "insertions": 30}, row | {"mean_trials": 4.0, "insertions": 10}]
+    path = tmp_path / "closed_loop.json"
+    path.write_text(json.dumps({"summaries": rows}))
+    mean, low, high = closed_loop_trials(path, "belief")
+    assert mean == pytest.approx(2.5)
+    assert low < mean < high
+    assert closed_loop_trials(path, "joint") is None
+
+
+@pytest.mark.parametrize("text", ["{", "{}", '{"mean_trials": 3, "interval": [4, 5]}'])
+def test_a_bad_evaluation_beside_the_models_is_named(models, tmp_path, text):
+    for name in ("direction.step.onnx", "magnitude.step.onnx"):
+        (tmp_path / name).write_bytes((models / name).read_bytes())
+    (tmp_path / "evaluation.json").write_text(text)
+    with pytest.raises(ContractError, match=r"evaluation\.json"):
+        find_candidates([tmp_path])[0].mean_trials()
+
+
+def test_a_budget_names_the_best_network_that_keeps_it(models, table, tmp_path, monkeypatch):
+    report = tmp_path / "tradeoff.json"
+    room.save({"networks": table["networks"]}, {}, report)
+    monkeypatch.setattr("export.candidates.Candidate.time_step", lambda self, _: timing(len(self.models)))
+    assert "joint.step.onnx" in choose(1.5, report, 0.0)
+    assert "right direction" in choose(50.0, report, 0.0)
+    with pytest.raises(ContractError, match=r"no network keeps 0\.5 ms here; the fastest is"):
+        choose(0.5, report, 0.0)
+    with pytest.raises(ContractError, match="expected more than 0"):
+        choose(float("nan"), report, 0.0)
+
+
+def test_a_report_that_is_none_is_named(tmp_path):
+    (tmp_path / "tradeoff.json").write_text("[]")
+    with pytest.raises(ContractError, match=r"tradeoff\.json"):
+        choose(5.0, tmp_path / "tradeoff.json", 0.0)
+
+
+def test_half_width_storage_halves_the_file_and_keeps_the_decision(models, decisions, tmp_path):
+    source = models / "direction.step.onnx"
+    twin = store_fp16(source, tmp_path / source.name)
+    assert open_model(twin).card.quantisation == "fp16"
+    wanted, got = (decide(open_model(file), decisions[0].frames[None])["logits"] for file in (source, twin))
+    assert np.abs(wanted - got).max() < 0.02
+    with pytest.raises(ContractError, match="already fp16"):
+        store_fp16(twin, tmp_path / "again.onnx")
