@@ -58,7 +58,7 @@ class Result:
     @property
     def passed(self) -> bool:
         """Finite and within the limit, and nothing was raised."""
-        return not self.error and math.isfinite(self.worst) and self.worst <= self.case.limit
+        return not self.error and math.isfinite(self.worst) and self.worst <= float(self.case.limit)
 
 
 CASES: dict[str, Case] = {}
@@ -95,6 +95,7 @@ def run(what: Case, seeds: tuple[int, ...] = SEEDS) -> Result:
         except Exception as error:
             return Result(what, math.nan, note, time.perf_counter() - began, f"{type(error).__name__}: {error}"[:200])
         value, said = measured if isinstance(measured, tuple) else (measured, "")
+        value = float(value)
         if math.isnan(value) or value > worst:
             worst, note = value, said
         if math.isnan(value):
