@@ -343,8 +343,10 @@ def poses_that_are_no_numbers(seed: int) -> float:
     quick=False,
 )
 def random_hard_probes(seed: int) -> tuple[float, str]:
-    from tests.simulation.test_mechanics import hard_probe
+    from simulation.hard_probes import Tally, hard_probe
 
-    rng = np.random.default_rng(1000 + seed)
-    outcomes = [hard_probe(rng) for _ in range(60)]
-    return 0.0, ", ".join(f"{outcomes.count(name)} {name}" for name in sorted(set(outcomes)))
+    tally = Tally()
+    for number in range(60):
+        hard_probe(1000 + seed, number, "bristle", tally)
+    used = max(tally.worst_residual_n / RESIDUAL_N, tally.worst_cone_n_per_mm2 / CONE)
+    return used, ", ".join(f"{count} {ended}" for ended, count in sorted(tally.ended.items()))
