@@ -6,12 +6,18 @@ z up; mm and deg. Quaternions are (w, x, y, z) of unit norm. Half-angle formulas
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from robot_client.codecs.egm import Pose
 from service.contract.frames import Contract
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+
+Reach = Annotated[float, Field(ge=-1e6, le=1e6)]
+"""A kilometre, or a million degrees: beyond it lies a mistake, and sums of such numbers overflow."""
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 TOOL_DOWN: Quaternion = (0.0, 1.0, 0.0, 0.0)
@@ -20,10 +26,10 @@ TOOL_DOWN: Quaternion = (0.0, 1.0, 0.0, 0.0)
 class WorkPose(Contract):
     """Pose of the TCP (midway between the fingertips), tool vertical, in the work-object frame."""
 
-    x_mm: float
-    y_mm: float
-    z_mm: float
-    yaw_deg: float
+    x_mm: Reach
+    y_mm: Reach
+    z_mm: Reach
+    yaw_deg: Reach
 
     def at_height(self, z_mm: float) -> "WorkPose":
         """The same x, y and yaw at another height: a move along the vertical."""
@@ -52,15 +58,16 @@ class WorkPose(Contract):
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product: the rotation b followed by a; raises ValueError on numbers that are not finite."""
-    if not math.isfinite(math.fsum(a) + math.fsum(b)):
-        raise ValueError(f"quaternions {a} and {b}, expected finite numbers")
-    return (
+    """Hamilton product: the rotation b followed by a; raises ValueError if it is not finite."""
+    product = (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
         a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
         a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
     )
+    if not all(map(math.isfinite, product)):
+        raise ValueError(f"product of {a} and {b} is {product}, expected finite numbers")
+    return product
 
 
 def conjugate(q: Quaternion) -> Quaternion:
@@ -109,11 +116,11 @@ class CellFrame:
         normalised(self.tool)
 
     def to_controller(self, pose: WorkPose) -> Pose:
-        """The controller's pose of the TCP."""
+        """The controller's pose of the TCP; raises EgmError if it is not finite."""
         x, y, z = rotate(self.rotation, (pose.x_mm, pose.y_mm, pose.z_mm))
         orientation = multiply(multiply(self.rotation, yaw_quaternion(pose.yaw_deg)), self.tool)
         ox, oy, oz = self.origin_mm
-        return Pose(x + ox, y + oy, z + oz, *normalised(orientation))
+        return Pose(x + ox, y + oy, z + oz, *normalised(orientation)).check()
 
     def from_controller(self, pose: Pose, near_yaw_deg: float = 0.0) -> tuple[WorkPose, float]:
         """The TCP in the work-object frame and its tilt from the vertical in deg.

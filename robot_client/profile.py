@@ -66,4 +66,7 @@ def plan_profile(length: float, speed: float, acceleration: float, jerk: float) 
         if rise_s < 2.0 * ramp_s:
             ramp_s = math.cbrt(length / (2.0 * jerk))
             rise_s = 2.0 * ramp_s
-    return Profile(length, jerk, ramp_s, rise_s, cruise_s)
+    profile = Profile(length, jerk, ramp_s, rise_s, cruise_s)
+    if not math.isfinite(profile.duration_s):
+        raise ValueError(f"way {length} at {speed}, {acceleration}, {jerk} would take for ever")
+    return profile

@@ -29,6 +29,13 @@ def lowered(cell: Cell, depths: Iterator[float] | tuple[float, ...]) -> Iterator
         yield cell.move_to(float(x), float(y), float(z) - depth, float(np.degrees(yaw)))
 
 
+def condition(cell: Cell) -> str:
+    """Condition number of the last solve's stiffness (mm and rad as they are), and what is done about it."""
+    lower = np.tril(np.asarray(cell.trials["hess"][0], float))[:6, :6]
+    number = np.linalg.cond(lower + np.tril(lower, -1).T)
+    return f"condition {number:.0e}; the pads' own stiffness keeps it finite, Cholesky falls back to a lifted diagonal"
+
+
 def worst_of(cell: Cell, depths: tuple[float, ...] = (4.9, 5.0, 5.001, 5.05, 5.5, 6.5)) -> float:
     """Largest of: residual over its bound, cone violation over its bound; infinite for a number that is none."""
     worst = 0.0
@@ -50,8 +57,9 @@ REFUSED = (RIG, 'f"scene {self.scene.name!r}: no equilibrium within {self.scene.
 def _scene_case(
     name: str, why: str, make: Callable[[int], Cell], guard: tuple[str, str] = SOLVED, *, quick: bool = False
 ) -> None:
-    def measure(seed: int) -> float:
-        return worst_of(make(seed))
+    def measure(seed: int) -> tuple[float, str]:
+        cell = make(seed)
+        return worst_of(cell), condition(cell)
 
     measure.__name__ = name.replace(" ", "_")
     case("physics", why=why, holds=HOLDS, guard=guard, limit=1.0, quick=quick)(measure)
