@@ -33,7 +33,7 @@ def condition(cell: Cell) -> str:
     """Condition number of the last solve's stiffness (mm and rad as they are), and what is done about it."""
     lower = np.tril(np.asarray(cell.trials["hess"][0], float))[:6, :6]
     number = np.linalg.cond(lower + np.tril(lower, -1).T)
-    return f"condition {number:.0e}; the pads' own stiffness keeps it finite, Cholesky falls back to a lifted diagonal"
+    return f"condition {number:.0e}: the pads bound it, the diagonal is lifted by 1e-13 of its trace"
 
 
 def worst_of(cell: Cell, depths: tuple[float, ...] = (4.9, 5.0, 5.001, 5.05, 5.5, 6.5)) -> float:
