@@ -78,11 +78,7 @@ def rigid_fits_without_a_solution(seed: int) -> tuple[float, str]:
     "perception",
     why="weights of zero leave no points, and their mean is 0/0",
     holds="no weight gives no motion: fits given",
-    guard=(
-        RIGID,
-        "if np.count_nonzero(weights > 1e-3 * weights.max(initial=1e-12)) < MIN_NODES or total <= 0:",
-        "if False:",
-    ),
+    guard=(RIGID, "if np.count_nonzero(weights > 1e-3 * weights.max(initial=1e-12)) < MIN_NODES or total <= 0:"),
 )
 def rigid_fits_without_weight(seed: int) -> float:
     points = np.random.default_rng(seed).uniform(0, 300, (30, 2))
