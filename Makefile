@@ -10,7 +10,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all check hard-cases accuracy slip-report tradeoff bench collect evaluate requirements clean
+.PHONY: help run test test-all hard-cases accuracy slip-report tradeoff bench collect train export evaluate robustness requirements clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -54,6 +54,8 @@ test-all: $(VENV)/ready ## the fast tests and the long ones
 
 PROBES ?= data/probes
 TRIALS ?= 1500
+CHECKPOINT ?= runs/compact-long/checkpoint.pt
+MODELS ?= models
 EVALUATION ?= runs/evaluation
 COUNT ?= 30
 
@@ -62,6 +64,14 @@ collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; 
 
 hard-cases: $(VENV)/ready ## every hard case of every room on three seeds: one table, docs/hard_cases.md and .json
 	$(BIN)/python -m tests.hard_cases
+
+train: $(VENV)/ready ## train the released pair from PROBES in two runs; goes on after an interruption
+	$(BIN)/python -m training train training/configs/compact.toml --data $(PROBES)
+	$(BIN)/python -m training train training/configs/compact-long.toml --data $(PROBES)
+
+export: $(VENV)/ready ## write CHECKPOINT as ONNX files with their cards into MODELS, and verify them
+	$(BIN)/python -m export onnx $(CHECKPOINT) --out $(MODELS)
+	$(BIN)/python -m export verify $(MODELS)
 
 accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png
 	$(BIN)/python -m simulation accuracy
@@ -78,7 +88,6 @@ bench: $(VENV)/ready ## what a decision of each released network costs on this m
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
 	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)
 
-.PHONY: robustness
 EYES ?= pictures
 robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time, on both tiers of the gel: docs/robustness.md
 	$(RUN) -m simulation robustness --out runs/robustness --docs docs --eyes $(EYES)
