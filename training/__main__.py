@@ -54,16 +54,17 @@ def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
     print_table(Checkpoint.load(checkpoint).figures)
 
 
-def report(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs")) -> None:
+def report(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs"), recipe: Path | None = None) -> None:
     """Write the training report of a finished run: tables, confusion matrix, calibration curve.
 
     Args:
         run: folder of the run, such as runs/compact.
         out: folder of training.md and training.png.
+        recipe: folder of a finished run of the paper's recipe, to stand beside.
     """
     from training.report import write_report
 
-    print(write_report(run, out))
+    print(write_report(run, out, recipe=recipe))
 
 
 def print_table(figures: dict[str, dict[str, float]]) -> None:
