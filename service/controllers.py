@@ -107,8 +107,6 @@ class Belief:
 
     def decide(self, evidence: Evidence, attempt: int) -> Command:
         """Multiply the evidence in, then aim where the next attempt and the one after are likeliest to insert."""
-        if not np.isfinite([*evidence.error, *(evidence.sigma or ())]).all():
-            raise Refusal("non_finite", f"estimated error {evidence.error}, sigma {evidence.sigma}")
         consistent = self.grid.absorb(evidence)
         if not consistent:
             fallback = Heuristic(self.limits).decide(evidence, attempt)

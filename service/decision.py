@@ -35,7 +35,10 @@ class Density:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What one attempt says: class probabilities, estimated error (mm, deg) and sigma (mm, deg; None if not given)."""
+    """What one attempt says: class probabilities, estimated error (mm, deg) and sigma (mm, deg; None if not given).
+
+    Raises Refusal where any of these is not finite: no evidence is made of such numbers.
+    """
 
     classes: tuple[ErrorClass, ...]
     probabilities: Floats
@@ -44,6 +47,13 @@ class Evidence:
     density: Density | None = None
     threshold_x_mm: float = 2.5
     threshold_theta_deg: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is not finite, before any controller sees it."""
+        numbers = [*np.ravel(self.probabilities), *self.error, *(self.sigma or ())]
+        density = () if self.density is None else self.density.log_density
+        if not (np.isfinite(numbers).all() and np.isfinite(density).all()):
+            raise Refusal("non_finite", f"estimated error {self.error}, sigma {self.sigma}: expected finite evidence")
 
     @property
     def best(self) -> ErrorClass:

@@ -88,7 +88,7 @@ def classes_in_a_tie(seed: int) -> float:
     "decision",
     why="NaN compares false with every limit, so a clip would let it pass to the arm",
     holds="a non-finite estimate or sigma is refused by name: cases not refused",
-    guard=(CONTROLLERS, "if not np.isfinite([*evidence.error, *(evidence.sigma or ())]).all():", "if False:"),
+    guard=(DECISION, "if not (np.isfinite(numbers).all() and np.isfinite(density).all()):", "if False:"),
 )
 def estimates_that_are_no_numbers(_seed: int) -> float:
     bad = (np.nan, np.inf, -np.inf)
