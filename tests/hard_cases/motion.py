@@ -110,7 +110,7 @@ def moves_of_no_length(_seed: int) -> float:
         while guide.moving and cycles < 100:
             guide.advance(CYCLE_S)
             cycles += 1
-        worst = max(worst, guide.target.distance_mm(pose(x=tiny)), cycles - 60.0)
+        worst = max(worst, guide.target.distance_mm(pose(x=tiny)), cycles - 2.0)
     return worst
 
 
@@ -334,7 +334,7 @@ def corrections_that_are_stale_or_absurd(_seed: int) -> float:
     "motion",
     why="a clock that jumps makes every deadline pass at once, or never",
     holds="a tick at any time ends in a hold or nothing, never in a move: moves",
-    guard=("robot_client/insertion_state.py", "deadline_s: float"),
+    guard=("robot_client/insertion.py", "if event.at_s < state.deadline_s:"),
 )
 def ticks_at_impossible_times(_seed: int) -> float:
     state = deciding()
