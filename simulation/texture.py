@@ -5,6 +5,7 @@ rectified image (1 px of the rectified image = 1 px of the texture) with a margi
 """
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ MARKER_ROWS, MARKER_COLS = 20, 21
 MARKER_PITCH_PX, MARKER_DIAMETER_PX = 15.0, 5.0
 FIRST_MARKER_PX = (13.0, 17.0)  # (u, v) of row 0, column 0: the grid is centred in the rectified image
 MARGIN_PX = 30
+SPOT_PX, GRAIN_PX = 24, 4
+RELIEFS = ("smooth", "layers", "ribs", "print")
 
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
@@ -47,7 +50,9 @@ def dot_cover(rng: np.random.Generator, missing_share: float) -> Floats:
         u - FIRST_MARKER_PX[0] - MARKER_PITCH_PX * column, v - FIRST_MARKER_PX[1] - MARKER_PITCH_PX * row
     )
     radius = MARKER_DIAMETER_PX / 2 * rng.normal(1.0, 0.05, (MARKER_ROWS + 2, MARKER_COLS + 2))
-    opacity = rng.uniform(0.85, 1.0, radius.shape) * (rng.random(radius.shape) >= missing_share)
+    opacity, lots = rng.uniform(0.85, 1.0, radius.shape), rng.random(radius.shape)
+    if missing_share > 0:
+        opacity *= lots >= missing_share
     opacity[[0, -1], :] = 0  # the printed grid ends; beyond it there is cloth only
     opacity[:, [0, -1]] = 0
     rows = np.clip(row + 1, 0, MARKER_ROWS + 1).astype(np.intp)
@@ -56,52 +61,80 @@ def dot_cover(rng: np.random.Generator, missing_share: float) -> Floats:
     return cover
 
 
-def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell_px: int) -> Floats:
-    """Float32 of ``shape``, roughly unit variance, varying over about ``cell_px`` pixels."""
+def coarse_noise(rng: np.random.Generator, cell_px: int) -> Floats:
+    """The random numbers of `smooth_noise`, a cell each."""
+    u, v = texture_grid()
+    shape = (v.shape[0] // cell_px + 3, u.shape[1] // cell_px + 3)
+    return rng.standard_normal(shape).astype(np.float32)
+
+
+def smoothed(coarse: Floats, cell_px: int) -> Floats:
+    """Float32 [H, W] through `coarse_noise`, a number every ``cell_px`` pixels."""
     import cv2
 
-    coarse = rng.standard_normal((shape[0] // cell_px + 3, shape[1] // cell_px + 3)).astype(np.float32)
+    u, v = texture_grid()
     full = cv2.resize(coarse, None, fx=cell_px, fy=cell_px, interpolation=cv2.INTER_CUBIC)
-    field: Floats = np.ascontiguousarray(full[cell_px : cell_px + shape[0], cell_px : cell_px + shape[1]])
+    field: Floats = np.ascontiguousarray(full[cell_px : cell_px + v.shape[0], cell_px : cell_px + u.shape[1]])
     return field
+
+
+def smooth_noise(rng: np.random.Generator, cell_px: int) -> Floats:
+    """Float32 [H, W], roughly unit variance, varying over about ``cell_px`` pixels."""
+    return smoothed(coarse_noise(rng, cell_px), cell_px)
+
+
+def worn_spots(coarse: Floats, worn: float) -> Floats:
+    """Float32 [H, W] in 0..1: how far the cloth is worn through."""
+    spots: Floats = np.clip(smoothed(coarse, SPOT_PX) - 1.2, 0, 1) * worn
+    return spots
 
 
 def cloth(rng: np.random.Generator, period_px: float, contrast: float, worn: float) -> Floats:
     """Float32 [H, W], mean 1: a plain weave seen by the camera, with thick and thin yarns and worn spots."""
     u, v = texture_grid()
-    shape = (v.shape[0], u.shape[1])
-    sway = 0.8 * smooth_noise(rng, shape, 40)
+    sway = 0.8 * smooth_noise(rng, 40)
     warp_yarn = np.sin(2 * np.pi * (u + sway) / period_px)
     weft_yarn = np.sin(2 * np.pi * (v - sway) / period_px)
-    weave = warp_yarn * weft_yarn + 0.4 * (warp_yarn + weft_yarn) + 0.5 * smooth_noise(rng, shape, 3)
-    spots = np.clip(smooth_noise(rng, shape, 24) - 1.2, 0, 1) * worn
+    weave = warp_yarn * weft_yarn + 0.4 * (warp_yarn + weft_yarn) + 0.5 * smooth_noise(rng, 3)
+    seat = coarse_noise(rng, SPOT_PX)  # drawn even where nothing is worn: what is drawn next must not change
+    if worn <= 0:
+        return np.asarray(1 + contrast * weave, np.float32)
+    spots = worn_spots(seat, worn)
     pattern: Floats = (1 + contrast * weave * (1 - spots) - 0.35 * spots).astype(np.float32)
     return pattern
 
 
-def relief(rng: np.random.Generator, kind: str, period_px: float) -> Floats:
+class Bumps(NamedTuple):
+    """What is random in a relief: its grain, where its pattern begins, its blotches."""
+
+    grain: Floats
+    phase: float
+    blotches: Floats | None
+
+
+def draw_bumps(rng: np.random.Generator, kind: str, period_px: float) -> Bumps:
+    """The random numbers of `relief`. Raises ValueError for a kind that is none."""
+    if kind not in RELIEFS:
+        raise ValueError(f"object texture {kind!r}, expected {', '.join(RELIEFS[:-1])} or {RELIEFS[-1]}")
+    grain, phase = coarse_noise(rng, GRAIN_PX), rng.uniform(0, 2 * np.pi)
+    return Bumps(grain, phase, coarse_noise(rng, max(2, round(period_px))) if kind == "print" else None)
+
+
+def relief(bumps: Bumps, kind: str, period_px: float) -> Floats:
     """Float32 [H, W] in -1..1: the held surface's own texture as side light shows it through the cloth.
 
     ``kind``: "smooth" (fine grain only), "layers" (horizontal lines of a 3D print), "ribs" (vertical knurling of a
     cap), "print" (blotches of a label).
     """
     u, v = texture_grid()
-    shape = (v.shape[0], u.shape[1])
-    grain = 0.25 * smooth_noise(rng, shape, 4)
-    phase = rng.uniform(0, 2 * np.pi)
-    pattern: NDArray[np.floating]
+    pattern: NDArray[np.floating] = 0.25 * smoothed(bumps.grain, GRAIN_PX)
     if kind == "layers":
-        pattern = np.sin(2 * np.pi * (v + 0.02 * u) / period_px + phase) + grain
+        pattern = np.sin(2 * np.pi * (v + 0.02 * u) / period_px + bumps.phase) + pattern
     elif kind == "ribs":
-        pattern = np.sin(2 * np.pi * (u + 0.02 * v) / period_px + phase) + grain
-    elif kind == "print":
-        pattern = np.tanh(2 * smooth_noise(rng, shape, max(2, round(period_px)))) + grain
-    elif kind == "smooth":
-        pattern = grain
-    else:
-        raise ValueError(f"object texture {kind!r}, expected smooth, layers, ribs or print")
-    bounded: Floats = np.clip(pattern, -1, 1).astype(np.float32)
-    return bounded
+        pattern = np.sin(2 * np.pi * (u + 0.02 * v) / period_px + bumps.phase) + pattern
+    elif bumps.blotches is not None:
+        pattern = np.tanh(2 * smoothed(bumps.blotches, max(2, round(period_px)))) + pattern
+    return np.asarray(np.clip(pattern, -1, 1), np.float32)
 
 
 @cache

@@ -101,10 +101,15 @@ class CameraEmulator:
             self._fresh.notify_all()
         await asyncio.gather(*self._streams, return_exceptions=True)
 
+    def _loses(self, share: float) -> bool:
+        """Whether this frame is one of those that never arrive."""
+        return self._random.random() < share
+
     async def publish(self, shot: Shot) -> None:
         """Make a shot the newest one and wake the streams."""
         faults = self.faults
-        if faults.stall or self._random.random() < max(faults.drop_share, self._dropped_share):
+        share = max(faults.drop_share, self._dropped_share)
+        if faults.stall or (share > 0.0 and self._loses(share)):
             return
         if faults.duplicate and self._newest is not None:
             shot = self._newest

@@ -12,7 +12,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from simulation import imprint
+from simulation import imprint, texture
 from simulation.appearance import Appearance
 from simulation.effects import EFFECTS, active_effects, decide, dropped_share
 from simulation.emulators.camera import CameraEmulator, Shot
@@ -149,25 +149,71 @@ def test_physics_that_is_off_is_not_even_called() -> None:
     for key, (called, uncalled) in counts.items():
         assert called > 0, key
         assert uncalled == 0, key
-    assert set(counts) == {"gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling"}
+    assert set(counts) == IN_THE_PHYSICS
 
 
-LOOKS = {
-    "object_texture": ("_bumps", {"object_texture_gain": 0.1}, {"object_texture_gain": 0.0}),
-    "motion_blur": ("_motion_since", {"motion_blur_share": 0.3}, {"motion_blur_share": 0.0}),
-    "rolling_shutter": ("_motion_since", {"rolling_share": 0.3}, {"rolling_share": 0.0}),
+IN_THE_PHYSICS = {"gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling"}
+IN_THE_PICTURE = {
+    "gel_wear": [(texture, "worn_spots")],
+    "object_texture": [(texture, "relief"), (Renderer, "_bumps")],
+    "motion_blur": [(Renderer, "_blurred")],
+    "rolling_shutter": [(imprint, "_rolled")],
+    "camera_noise": [(imprint, "_noise")],
 }
 
 
-@pytest.mark.parametrize("key", LOOKS)
-def test_optics_that_are_off_are_not_called_when_a_frame_is_drawn(key: str) -> None:
-    name, on, off = LOOKS[key]
+def look_of(key: str, switch: str) -> Appearance:
+    """The left finger of a scene in which only this effect's switch differs."""
+    scene = load_scene("vitamin", camera__readout_ms=10.0).varied({f"effects.{key}": switch})
+    return Appearance.draw(scene, "left", 2)
+
+
+@pytest.mark.parametrize("key", IN_THE_PICTURE)
+def test_optics_that_are_off_are_not_called_from_the_making_of_a_finger_to_its_frames(key: str) -> None:
     gel = np.full((20, 21, 3), 0.05, np.float32)
-    with mock.patch.object(Renderer, name, autospec=True, side_effect=getattr(Renderer, name)) as own:
-        Renderer(Appearance(**off)).raw(gel, 1, 0.5 * gel)
-        assert own.call_count == 0
-        Renderer(Appearance(**on)).raw(gel, 1, 0.5 * gel)
+    for home, name in IN_THE_PICTURE[key]:
+        with mock.patch.object(home, name, autospec=True, side_effect=getattr(home, name)) as own:
+            Renderer(look_of(key, "off")).raw(gel, 1, 0.5 * gel)
+            assert own.call_count == 0, name
+            Renderer(look_of(key, "on")).raw(gel, 1, 0.5 * gel)
+            assert own.call_count == 1, name
+
+
+def test_motion_is_not_looked_at_where_neither_blur_nor_shutter_needs_it() -> None:
+    gel = np.full((20, 21, 3), 0.05, np.float32)
+    with mock.patch.object(Renderer, "_motion_since", autospec=True, side_effect=Renderer._motion_since) as own:
+        for share in (0.0, 0.3):
+            Renderer(Appearance(motion_blur_share=share)).raw(gel, 1, 0.5 * gel)
         assert own.call_count == 1
+
+
+def test_every_effect_is_shown_to_call_nothing_when_off() -> None:
+    assert IN_THE_PHYSICS | set(IN_THE_PICTURE) | {"dropped_frames"} == {effect.key for effect in EFFECTS}
+
+
+@pytest.mark.parametrize("key", ["gel_wear", "object_texture"])
+def test_what_is_not_drawn_on_a_finger_leaves_the_rest_of_it_bit_for_bit(key: str) -> None:
+    on, off = (Renderer(look_of(key, switch)) for switch in ("on", "off"))
+    np.testing.assert_array_equal(on._light, off._light)
+    np.testing.assert_array_equal(on._surround, off._surround)
+    if key == "object_texture":
+        assert off._relief is None
+        np.testing.assert_array_equal(on._albedo, off._albedo)
+    else:
+        assert off._relief is not None
+        np.testing.assert_array_equal(on._relief, off._relief)
+        assert 0.2 < np.mean(on._albedo == off._albedo) < 1.0, "cloth and dots stay where nothing is worn"
+
+
+def test_a_camera_that_loses_no_frames_draws_no_lots() -> None:
+    async def lots(share: float) -> int:
+        with mock.patch.object(CameraEmulator, "_loses", return_value=False) as own:
+            await CameraEmulator("left", FaultBoard(), share).publish(Shot(b"", 0, 0))
+            return own.call_count
+
+    scene = load_scene("circle", camera__dropped_share=0.2)
+    calls = [asyncio.run(lots(dropped_share(scene.varied({"effects.dropped_frames": x})))) for x in ("on", "off")]
+    assert calls == [1, 0]
 
 
 def test_the_lock_step_cameras_drop_frames_only_where_the_switch_is_on() -> None:
@@ -181,13 +227,6 @@ def test_the_lock_step_cameras_drop_frames_only_where_the_switch_is_on() -> None
             came[switch].append(world.arrived())
     assert 0.3 < np.mean(came["on"]) < 0.7
     assert np.all(came["off"])
-
-
-def test_noise_that_is_off_is_not_drawn() -> None:
-    with mock.patch.object(imprint, "_noise", side_effect=imprint._noise) as own:
-        for sigma in (0.0, 2.0):
-            Renderer(Appearance(noise_sigma_grey=sigma)).raw(np.zeros((20, 21, 3)), 1)
-        assert own.call_count == 1
 
 
 def optics(scene: Scene) -> dict[str, object]:

@@ -1,6 +1,7 @@
 """The renderer: dots go where the gel goes, the lens is undone, the same seed gives the same bits."""
 
 import dataclasses
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -98,6 +99,20 @@ def test_calls_do_not_depend_on_what_was_drawn_before() -> None:
     alone = renderer.raw(turned(0.03), 1)
     renderer.raw(turned(-0.1), 9)
     assert np.array_equal(renderer.raw(turned(0.03), 1), alone)
+
+
+def test_gel_that_did_not_move_is_lit_once_and_grained_anew() -> None:
+    look = dataclasses.replace(Appearance(), motion_blur_share=0.5)
+    renderer, gel = Renderer(look), turned(0.03)
+    with mock.patch.object(Renderer, "_lit", autospec=True, side_effect=Renderer._lit) as lit:
+        frames = [renderer.raw(gel, seed, gel) for seed in (1, 2)]
+        assert lit.call_count == 1
+        renderer.raw(gel, 3, still())
+        renderer.raw(turned(0.04), 4, gel)
+        assert lit.call_count == 3
+    for seed, frame in zip((1, 2), frames, strict=True):
+        assert np.array_equal(frame, Renderer(look).raw(gel, seed))
+    assert not np.array_equal(*frames)
 
 
 @pytest.mark.parametrize("sigma", [2.0, 4.0, 6.0])
