@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.measure import Timing, example_inputs, time_calls
-from export.verify import Arrays, Model, open_model
+from export.verify import Arrays, Model, open_model, told
 from service.contract import ContractError
 from training.dataset import open_source
 from training.labels import class_of
@@ -26,6 +26,7 @@ class Decision:
 
     frames: NDArray[np.uint8]
     gap_width_mm: float
+    grasp_height_mm: float
     truth: NDArray[np.float32]
     name: str
 
@@ -116,7 +117,7 @@ def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
         trial = source.trial(inside[place])
         frames = source.frames(inside[place], int(trial.onset_frame), max(FRAME_COUNTS))
         truth = np.array([trial.x_mm, trial.theta_deg], np.float32)
-        yield Decision(frames, float(trial.gap_width_mm), truth, str(trial.object_name))
+        yield Decision(frames, float(trial.gap_width_mm), float(trial.grasp_height_mm), truth, str(trial.object_name))
 
 
 def _collided(trial: object, split: str) -> bool:
@@ -125,10 +126,8 @@ def _collided(trial: object, split: str) -> bool:
 
 def _steps(model: Model, decision: Decision) -> Iterator[Arrays]:
     state = np.zeros((1, model.card.state_size), np.float32)
-    gap: Arrays = (
-        {"gap_width_mm": np.full((1, 1), decision.gap_width_mm, np.float32)} if model.card.gap_width_input else {}
-    )
+    said = told(model.card, 1, decision.gap_width_mm, decision.grasp_height_mm)
     for frame in decision.frames:
-        outputs = model({"frame": frame[None], "reference": decision.frames[:1], "state": state} | gap)
+        outputs = model({"frame": frame[None], "reference": decision.frames[:1], "state": state} | said)
         state = outputs["next_state"]
         yield outputs

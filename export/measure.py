@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.golden import golden_frames
-from export.verify import Arrays, Model, gap_input
+from export.verify import Arrays, Model, told
 
 WARM_UP_CALLS = 10
 NOISY = 1.5
@@ -52,10 +52,10 @@ def example_inputs(model: Model, batch: int = 1) -> Arrays:
     card = model.card
     frames = np.repeat(golden_frames(card.frame, card.frames_per_decision)[None], batch, 0)
     if card.form == "sequence":
-        return {"frames": frames} | gap_input(card, batch)
+        return {"frames": frames} | told(card, batch)
     state = np.zeros((batch, card.state_size), np.float32)
     step: Arrays = {"frame": frames[:, -1], "reference": frames[:, 0], "state": state}
-    return step | gap_input(card, batch)
+    return step | told(card, batch)
 
 
 def time_calls(call: Callable[[], Any], *, seconds: float = 2.0, least: int = 30) -> Timing:

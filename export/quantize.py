@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
 from export.to_onnx import attach_card
-from export.verify import Arrays, Model, decide, gap_input, open_model
+from export.verify import Arrays, Model, decide, open_model, told
 from service.contract import ContractError
 
 OPERATORS = ["Conv", "Gemm"]
@@ -109,12 +109,12 @@ def _feeds(model: Model, frames: NDArray[np.uint8]) -> list[Arrays]:
     feeds: list[Arrays] = []
     for decision in frames:
         if model.card.form == "sequence":
-            feeds.append({"frames": decision[None]} | gap_input(model.card, 1))
+            feeds.append({"frames": decision[None]} | told(model.card, 1))
             continue
         state = np.zeros((1, model.card.state_size), np.float32)
         for frame in decision:
             fed: Arrays = {"frame": frame[None], "reference": decision[:1], "state": state}
-            feeds.append(fed | gap_input(model.card, 1))
+            feeds.append(fed | told(model.card, 1))
             state = model(feeds[-1])["next_state"]
     return feeds
 

@@ -68,7 +68,8 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         classes=CLASSES,
         threshold_x_mm=THRESHOLD_X_MM,
         threshold_theta_deg=THRESHOLD_THETA_DEG,
-        gap_width_input=network.uses_gap_width,
+        gap_width_input=network.uses_geometry,
+        grasp_height_input=network.uses_geometry,
         has_sigma=role == "magnitude",
         grid_x_mm=GRID_X_MM if joint else (),
         grid_theta_deg=GRID_THETA_DEG if joint else (),
@@ -85,12 +86,13 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
 def _example(network: Any, form: Form, batch: int) -> dict[str, torch.Tensor]:
     spec = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX)
     frames = torch.from_numpy(golden_frames(spec, FRAMES_PER_DECISION))
-    gap = {"gap_width_mm": torch.full((batch, 1), 57.0)} if network.uses_gap_width else {}
+    told = {"gap_width_mm": torch.full((batch, 1), 57.0), "grasp_height_mm": torch.full((batch, 1), 40.0)}
+    told = told if network.uses_geometry else {}
     if form == "sequence":
-        return {"frames": frames[None].repeat(batch, 1, 1, 1, 1, 1), **gap}
+        return {"frames": frames[None].repeat(batch, 1, 1, 1, 1, 1), **told}
     state = torch.linspace(-0.5, 0.5, network.state_size).repeat(batch, 1)
     frame, reference = frames[5:6].repeat(batch, 1, 1, 1, 1), frames[:1].repeat(batch, 1, 1, 1, 1)
-    return {"frame": frame, "reference": reference, "state": state, **gap}
+    return {"frame": frame, "reference": reference, "state": state, **told}
 
 
 def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: Path) -> None:

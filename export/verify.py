@@ -42,16 +42,18 @@ def open_model(file: Path, threads: int = 1) -> Model:
     run = session(file, threads)
     card = ModelCard.from_props(run.get_modelmeta().custom_metadata_map, file.name)
     expected = {"frames"} if card.form == "sequence" else {"frame", "reference", "state"}
-    expected |= {"gap_width_mm"} if card.gap_width_input else set()
+    expected |= set(told(card, 1))
     got = {entry.name for entry in run.get_inputs()}
     if got != expected:
         raise ContractError(f"{file.name} takes {sorted(got)}, its card promises {sorted(expected)}")
     return Model(file, card, run)
 
 
-def gap_input(card: ModelCard, batch: int) -> Arrays:
-    """The gap width, if the network asks for it."""
-    return {"gap_width_mm": np.full((batch, 1), 56.0, np.float32)} if card.gap_width_input else {}
+def told(card: ModelCard, batch: int, gap_width_mm: float = 56.0, grasp_height_mm: float = 30.0) -> Arrays:
+    """Gap width and grasp height, each if the network asks for it."""
+    said = {"gap_width_mm": gap_width_mm} if card.gap_width_input else {}
+    said |= {"grasp_height_mm": grasp_height_mm} if card.grasp_height_input else {}
+    return {name: np.full((batch, 1), value, np.float32) for name, value in said.items()}
 
 
 def run_steps(model: Model, frames: NDArray[np.uint8]) -> Arrays:
@@ -60,7 +62,7 @@ def run_steps(model: Model, frames: NDArray[np.uint8]) -> Arrays:
     outputs: Arrays = {}
     for step in range(frames.shape[1]):
         fed: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | gap_input(model.card, len(frames)))
+        outputs = model(fed | told(model.card, len(frames)))
         state = outputs["next_state"]
     return outputs
 
@@ -70,7 +72,7 @@ def decide(model: Model, frames: NDArray[np.uint8]) -> Arrays:
     if model.card.form == "step":
         outputs = run_steps(model, frames)
         return {name: value for name, value in outputs.items() if name != "next_state"}
-    return model({"frames": frames} | gap_input(model.card, len(frames)))
+    return model({"frames": frames} | told(model.card, len(frames)))
 
 
 def verify(folder: Path) -> list[str]:
@@ -117,7 +119,7 @@ def _verify_stream(model: Model, frames: NDArray[np.uint8], steps: int = 500) ->
     for step in range(steps):
         now = frames[:, step % frames.shape[1]]
         fed: Arrays = {"frame": now, "reference": frames[:, 0], "state": state}
-        outputs = model(fed | gap_input(model.card, 1))
+        outputs = model(fed | told(model.card, 1))
         state = outputs["next_state"]
     _bounded(model, f"stream of {steps} steps", outputs)
     return f"bounded after a stream of {steps} steps"

@@ -37,6 +37,7 @@ def make_plan(
         insertion_id=insertion_id or f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}",
         approach=approach,
         gap_width_mm=task.gap_width_mm,
+        grasp_height_mm=task.grasp_height_mm,
         expected_depth_mm=task.expected_depth_mm,
         depth_tolerance_mm=task.depth_tolerance_mm,
         max_no_decisions=task.max_no_decisions,

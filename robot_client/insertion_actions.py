@@ -55,6 +55,7 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
         insertion_id=plan.insertion_id,
         attempt=attempt,
         gap_width_mm=plan.gap_width_mm,
+        grasp_height_mm=plan.grasp_height_mm,
         expected_depth_mm=plan.expected_depth_mm,
     )
     deadline_s = at_s + plan.timeouts.arming_s

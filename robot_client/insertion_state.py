@@ -50,6 +50,7 @@ class Plan(Contract):
     insertion_id: wire.InsertionId
     approach: WorkPose
     gap_width_mm: float
+    grasp_height_mm: float | None = None
     expected_depth_mm: float
     depth_tolerance_mm: float = 1.0
     max_no_decisions: int = 2

@@ -42,12 +42,19 @@ class WorkObject(Contract):
 class Task(Contract):
     """The insertion itself. Heights are those of the TCP in the work-object frame."""
 
-    approach_z_mm: float = 35.0  # object's bottom 30 mm below the TCP, 5 mm above the blocks
+    approach_z_mm: float = 35.0  # held 30 mm above its bottom, which is approach_clearance_mm above the blocks
+    approach_clearance_mm: Positive = 5.0
     approach_y_mm: float = 0.0
     gap_width_mm: Positive = 56.0
     expected_depth_mm: Positive = 25.0
     depth_tolerance_mm: Positive = 1.0
     max_no_decisions: int = Field(default=2, ge=0, le=15)
+
+    @property
+    def grasp_height_mm(self) -> float | None:
+        """The TCP's height when the object touches the blocks' tops; None where the approach is too low to tell."""
+        height_mm = self.approach_z_mm - self.approach_clearance_mm
+        return height_mm if height_mm > 0 else None
 
 
 class Robot(Contract):

@@ -92,10 +92,16 @@ class DecisionRun:
     safe: one thread feeds a run.
     """
 
-    def __init__(self, models: ModelSet, reference: NDArray[np.uint8], gap_width_mm: float) -> None:
+    def __init__(
+        self,
+        models: ModelSet,
+        reference: NDArray[np.uint8],
+        gap_width_mm: float,
+        grasp_height_mm: float | None = None,
+    ) -> None:
         self._models = models
         self._reference = reference
-        self._gap_width_mm = gap_width_mm
+        self._told = gap_width_mm, grasp_height_mm
         self._states = [step.fresh_state() for step in models.steps]
         self._outputs: list[dict[str, Array]] = []
         self.frames_n = 0
@@ -111,7 +117,7 @@ class DecisionRun:
         self.frames_n += 1
 
     def _advance(self, index: int, step: StepModel, frame: NDArray[np.uint8]) -> dict[str, Array]:
-        outputs, self._states[index] = step.step(frame, self._reference, self._states[index], self._gap_width_mm)
+        outputs, self._states[index] = step.step(frame, self._reference, self._states[index], *self._told)
         return outputs
 
     def evidence(self) -> Evidence:

@@ -54,12 +54,19 @@ class StepModel:
         return np.zeros((1, self.card.state_size), np.float32)
 
     def step(
-        self, frame: NDArray[np.uint8], reference: NDArray[np.uint8], state: NDArray[np.float32], gap_width_mm: float
+        self,
+        frame: NDArray[np.uint8],
+        reference: NDArray[np.uint8],
+        state: NDArray[np.float32],
+        gap_width_mm: float,
+        grasp_height_mm: float | None = None,
     ) -> tuple[dict[str, Array], NDArray[np.float32]]:
         """Outputs after one pair; ``frame`` and ``reference`` are uint8 [2, H, W, 3], left finger first."""
         inputs: dict[str, Array] = {"frame": frame[None], "reference": reference[None], "state": state}
         if self.card.gap_width_input:
             inputs["gap_width_mm"] = np.array([[gap_width_mm]], np.float32)
+        if self.card.grasp_height_input:
+            inputs["grasp_height_mm"] = np.array([[grasp_height_mm or 0.0]], np.float32)
         outputs = self.model.run(inputs)
         return outputs, outputs.pop("next_state")
 
@@ -126,6 +133,8 @@ def _check_graph(model: LoadedModel) -> None:
         expected = {"frames": [card.frames_per_decision, *shape]}
     if card.gap_width_input:
         expected["gap_width_mm"] = [1]
+    if card.grasp_height_input:
+        expected["grasp_height_mm"] = [1]
     found = {entry.name: list(entry.shape[1:]) for entry in model.session.get_inputs()}
     if found != expected:
         raise ModelError(f"{model.path} takes inputs {found}, but its card says {expected}; export it again")

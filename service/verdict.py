@@ -34,7 +34,7 @@ def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work
     """The networks' step on one pair of the attempt's decision; the step on its last pair returns the result."""
     if attempt.run is None:
         reference = attempt.network_reference or pair
-        attempt.run = DecisionRun(models, reference.pixels(), attempt.arm.gap_width_mm)
+        attempt.run = DecisionRun(models, reference.pixels(), attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm)
     run, pairs = attempt.run, attempt.decision_pairs
     complete = pair is pairs[-1] and len(pairs) >= models.card.frames_per_decision
     number, generation = attempt.arm.attempt, attempt.generation

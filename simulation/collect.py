@@ -97,8 +97,9 @@ def pokes(plan: Plan, base: Scene) -> Iterator[tuple[Fixture, int, int, Probe | 
         fixture, rng = draw_fixture(base, plan, number)
         hand: Hand | None = None
         for poke in range(POKES_PER_FIXTURE):
-            x_mm = float(rng.uniform(-base.x_range_mm, base.x_range_mm))
-            theta_deg = float(rng.uniform(-base.theta_range_deg, base.theta_range_deg))
+            scene = fixture.scene
+            x_mm = float(rng.uniform(-scene.x_range_mm, scene.x_range_mm))
+            theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))
             seed = int(rng.integers(2**31))
             try:
                 hand = hand or Hand(fixture)
@@ -160,6 +161,7 @@ def trial_of(
         theta_deg=float(theta_deg),
         object_name=object_name,
         gap_width_mm=fixture.scene.blocks.gap_mm,
+        grasp_height_mm=fixture.scene.grasp.height_mm,
         group=fixture.group,
         poke=poke,
         seed=seed,

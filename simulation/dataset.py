@@ -18,7 +18,19 @@ from numpy.typing import NDArray
 
 from simulation.appearance import Appearance
 from simulation.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest, write_durably
-from simulation.trial import SCALARS, SPLITS, Split, Trial, from_row, parquet_schema, render_frames, split_of, to_row
+from simulation.trial import (
+    LABELS,
+    SCALARS,
+    SPLITS,
+    Split,
+    Trial,
+    from_row,
+    parquet_schema,
+    render_frames,
+    scalars,
+    split_of,
+    to_row,
+)
 
 __all__ = ["Dataset", "DatasetError", "DatasetWriter", "Manifest", "ShardEntry", "Split", "Trial", "split_of"]
 
@@ -213,14 +225,17 @@ class Dataset:
             except (pa.ArrowException, OSError) as error:
                 raise DatasetError(f"{path}: not a Parquet shard: {error}") from error
             found = self._files[shard].schema_arrow
-            if not any(found.equals(parquet_schema(slip_truth=known)) for known in (False, True)):
-                raise DatasetError(f"{path}: its columns are not those of schema {self.manifest.schema_version}")
+            version = self.manifest.schema_version
+            known = [parquet_schema(slip_truth=slip, schema_version=version) for slip in (False, True)]
+            if not any(found.equals(schema) for schema in known):
+                raise DatasetError(f"{path}: its columns are not those of schema {version}")
         return self._files[shard]
 
     def _label_columns(self, shard: int) -> dict[str, list[Any]]:
-        found: dict[str, list[Any]] = self._file(shard).read(columns=list(SCALARS)).to_pydict()
+        found: dict[str, list[Any]] = self._file(shard).read(columns=scalars(self.manifest.schema_version)).to_pydict()
+        found.setdefault("grasp_height_mm", [0.0] * len(found["x_mm"]))
         name = self.path / self.manifest.shards[shard].name
-        for label in ("x_mm", "theta_deg", "gap_width_mm"):
+        for label in LABELS:
             if not np.isfinite(np.asarray(found[label], float)).all():
                 raise DatasetError(f"{name}: label {label} holds a number that is not finite")
         if len(found["x_mm"]) != self.manifest.shards[shard].trials:

@@ -87,6 +87,7 @@ class Insertion:
             insertion_id="simulated",
             approach=self._pose(),
             gap_width_mm=world.scene.blocks.gap_mm + gap_error_mm,
+            grasp_height_mm=world.scene.grasp.height_mm,
             expected_depth_mm=25.0,
             limits=FAR if chooser else ClientLimits(),
         )

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 from service.contract.frames import Contract
 
 MANIFEST = "manifest.json"
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2  # 1 did not say how high the object is held
 
 
 class DatasetError(ValueError):
@@ -52,7 +52,7 @@ class ShardEntry(Contract):
 class Manifest(Contract):
     """What a dataset holds and how it was made. ``scenes``: name -> SHA-256 of the base scene."""
 
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[1, 2] = SCHEMA_VERSION
     made_by: str
     seed: int
     trials_per_object: int = Field(ge=1)
@@ -80,7 +80,7 @@ class Manifest(Contract):
 
     def must_continue(self, fresh: "Manifest", path: Path) -> None:
         """DatasetError unless ``fresh`` asks for more of the same collection."""
-        for name in ("made_by", "seed", "trials_per_shard", "held_out_share"):
+        for name in ("schema_version", "made_by", "seed", "trials_per_shard", "held_out_share"):
             mine, asked = getattr(self, name), getattr(fresh, name)
             if mine != asked:
                 raise DatasetError(f"{path / MANIFEST}: {name} is {mine!r}, asked for {asked!r}; use another folder")

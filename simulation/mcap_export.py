@@ -65,7 +65,18 @@ def export_trial(dataset: Dataset, number: int, path: Path) -> None:
 
 def truth(trial: Trial) -> dict[str, Any]:
     """What is known of a trial besides its frames."""
-    names = ("x_mm", "theta_deg", "object_name", "gap_width_mm", "group", "poke", "seed", "outcome", "split")
+    names = (
+        "x_mm",
+        "theta_deg",
+        "object_name",
+        "gap_width_mm",
+        "grasp_height_mm",
+        "group",
+        "poke",
+        "seed",
+        "outcome",
+        "split",
+    )
     return {name: getattr(trial, name) for name in (*names, "onset_frame", "true_slip_frame", "stop_frame")}
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.appearance import Appearance
-from simulation.manifest import DatasetError
+from simulation.manifest import SCHEMA_VERSION, DatasetError
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -23,7 +23,8 @@ class Trial:
     """One poke that collided, as logged.
 
     ``x_mm``/``theta_deg``: position error before the descent (truth). ``group``: re-fixture group, the unit of the
-    split. ``gel`` float16 [30, 2, 20, 21, 3]: (du_mm, dv_mm, pressure N/mm2) per frame and finger (left, right).
+    split. ``grasp_height_mm``: TCP above the object's bottom, 0 where the dataset does not say (schema 1).
+    ``gel`` float16 [30, 2, 20, 21, 3]: (du_mm, dv_mm, pressure N/mm2) per frame and finger (left, right).
     ``onset_frame``: first frame that shows motion of the object; a decision uses 8 frames from there.
     ``slipping`` bool [30, 2, 20, 21], where the gel slid on the object, or None where it was not collected.
     ``wrench`` float32 [30, 6] (N, N mm) at the TCP; ``depth_mm`` float32 [30]; ``in_hand`` float32 [30, 6] (mm, rad).
@@ -33,6 +34,7 @@ class Trial:
     theta_deg: float
     object_name: str
     gap_width_mm: float
+    grasp_height_mm: float
     group: int
     poke: int
     seed: int
@@ -51,7 +53,7 @@ class Trial:
 
     def check(self) -> None:
         """Raise DatasetError naming the first label or array that cannot be right."""
-        for name in ("x_mm", "theta_deg", "gap_width_mm"):
+        for name in LABELS:
             if not np.isfinite(getattr(self, name)):
                 raise DatasetError(f"trial label {name} is {getattr(self, name)}, expected a finite number")
         if self.split not in SPLITS:
@@ -75,11 +77,13 @@ def split_of(group: int, *, held_out: bool) -> Split:
     return "validation" if share < VALIDATION_SHARE else "train"
 
 
+LABELS = ("x_mm", "theta_deg", "gap_width_mm", "grasp_height_mm")
 SCALARS = (
     "x_mm",
     "theta_deg",
     "object_name",
     "gap_width_mm",
+    "grasp_height_mm",
     "group",
     "poke",
     "seed",
@@ -101,22 +105,27 @@ _ARRAYS: dict[str, tuple[tuple[int, ...], Any]] = {
 _SLIP_BYTES = -(-int(np.prod(GEL_SHAPE[:-1])) // 8)
 
 
-def parquet_schema(*, slip_truth: bool = False) -> Any:
+def parquet_schema(*, slip_truth: bool = False, schema_version: int = SCHEMA_VERSION) -> Any:
     """The Arrow schema of a shard: scalars, optics as JSON, arrays as fixed-size little-endian bytes.
 
-    slip_truth: with ``slipping``, one bit a marker.
+    slip_truth: with ``slipping``, one bit a marker. Schema 1 has no ``grasp_height_mm``.
     """
     import pyarrow as pa
 
-    kinds = {"x_mm": pa.float64(), "theta_deg": pa.float64(), "gap_width_mm": pa.float64()}
+    kinds = dict.fromkeys(LABELS, pa.float64())
     kinds |= dict.fromkeys(("object_name", "outcome", "split", "scene_sha256"), pa.string())
-    fields = [pa.field(name, kinds.get(name, pa.int64()), nullable=False) for name in SCALARS]
+    fields = [pa.field(name, kinds.get(name, pa.int64()), nullable=False) for name in scalars(schema_version)]
     fields.append(pa.field("appearances", pa.string(), nullable=False))
     sizes = {name: int(np.prod(shape)) * np.dtype(kind).itemsize for name, (shape, kind) in _ARRAYS.items()}
     fields += [pa.field(name, pa.binary(size), nullable=False) for name, size in sizes.items()]
     if slip_truth:
         fields.append(pa.field("slipping", pa.binary(_SLIP_BYTES), nullable=False))
     return pa.schema(fields)
+
+
+def scalars(schema_version: int) -> list[str]:
+    """Names of a shard's scalar columns."""
+    return [name for name in SCALARS if schema_version > 1 or name != "grasp_height_mm"]
 
 
 def to_row(trial: Trial) -> dict[str, Any]:
@@ -133,7 +142,7 @@ def to_row(trial: Trial) -> dict[str, Any]:
 def from_row(row: dict[str, Any]) -> Trial:
     """Inverse of :func:`to_row`; arrays are read-only views of the row's bytes."""
     left, right = (Appearance.from_dict(look) for look in json.loads(row["appearances"]))
-    values: dict[str, Any] = {name: row[name] for name in SCALARS}
+    values: dict[str, Any] = {name: row.get(name, 0.0) for name in SCALARS}
     values |= {name: np.frombuffer(row[name], kind).reshape(shape) for name, (shape, kind) in _ARRAYS.items()}
     if "slipping" in row:
         bits = np.unpackbits(np.frombuffer(row["slipping"], np.uint8), count=int(np.prod(GEL_SHAPE[:-1])))

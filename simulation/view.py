@@ -56,7 +56,8 @@ def describe(trial: Trial, number: int) -> picture.Decision:
         "title": f"trial {number}: {trial.object_name}, {trial.split}, {trial.outcome}",
         "truth": (trial.x_mm, trial.theta_deg),
         "notes": (
-            f"gap {trial.gap_width_mm:.1f} mm, re-fixture {trial.group}, poke {trial.poke}",
+            f"gap {trial.gap_width_mm:.1f} mm, held {trial.grasp_height_mm:.0f} mm above its bottom",
+            f"re-fixture {trial.group}, poke {trial.poke}",
             f"onset {trial.onset_frame}, slip {trial.true_slip_frame}, stop {trial.stop_frame} of 30 frames",
             f"force at the last frame {force_n:.1f} N",
         ),

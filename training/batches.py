@@ -12,20 +12,24 @@ from training.config import FRAMES_PER_DECISION, JITTER, WINDOW
 from training.dataset import Trials
 from training.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
 
+GAP_BLUR_MM, HEIGHT_BLUR_MM = 0.3, 1.5  # of what a cell engineer measures
+HEIGHT_UNKNOWN_SHARE = 0.15  # of training decisions without a grasp height: cells may not know it
+
 
 @dataclass(frozen=True, slots=True)
 class Batch:
     """A batch of decisions.
 
     ``fields`` float32 [B, 8, 2, 3, 20, 21], change against the first frame in physical units; ``pooled`` block sums
-    float32 [B, 8, 2, 2, 64, 65] or None; ``error`` [B, 2]; ``label`` [B]; ``gap_width_mm`` [B, 1].
+    float32 [B, 8, 2, 2, 64, 65] or None; ``error`` [B, 2]; ``label`` [B]; ``told`` [B, 2], gap width and
+    grasp height in mm, 0 where it is not known.
     """
 
     fields: Tensor
     pooled: Tensor | None
     error: Tensor
     label: Tensor
-    gap_width_mm: Tensor
+    told: Tensor
 
 
 def mirror_fields(fields: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -53,8 +57,18 @@ def decisions(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generato
         pooled=None if pooled is None else torch.from_numpy(pooled),
         error=torch.from_numpy(error),
         label=torch.from_numpy(class_of(error)),
-        gap_width_mm=torch.from_numpy(trials.gap_width_mm[chosen, None]),
+        told=torch.from_numpy(_told(trials.told[chosen], rng)),
     )
+
+
+def _told(told: NDArray[np.float32], rng: np.random.Generator | None) -> NDArray[np.float32]:
+    """What the cell says of gap and grasp; in training a little wrong, and at times nothing of the grasp."""
+    if rng is None:
+        return told
+    blurred = told + rng.normal(0, (GAP_BLUR_MM, HEIGHT_BLUR_MM), told.shape)
+    known = (told[:, 1] > 0) & (rng.random(len(told)) >= HEIGHT_UNKNOWN_SHARE)
+    blurred[:, 1] = np.where(known, np.maximum(blurred[:, 1], 1.0), 0.0)
+    return np.asarray(blurred, np.float32)
 
 
 def _apply_symmetries(

@@ -19,7 +19,7 @@ from training.networks.preprocessing import CHANNELS, COLS, ROWS, pool_frames
 
 SPLITS = ("train", "validation", "test")
 FIELD_SHAPE = (2, 20, 21, 3)
-_FORMAT = 1
+_FORMAT = 2
 
 
 class Source(Protocol):
@@ -42,12 +42,13 @@ class Source(Protocol):
 class Trials:
     """Collided trials. All arrays share their first axis except ``pooled``, found through ``picture``.
 
-    ``error`` float32 [N, 2] (mm, deg); ``fields`` float16 [N, WINDOW, 2, 20, 21, 3] (du_mm, dv_mm, N/mm2) from one
+    ``error`` float32 [N, 2] (mm, deg); ``told`` float32 [N, 2], gap width and grasp height in mm, 0 where it is not
+    known; ``fields`` float16 [N, WINDOW, 2, 20, 21, 3] (du_mm, dv_mm, N/mm2) from one
     frame before the onset; ``pooled`` uint16 [M, WINDOW, 2, 2, 64, 65] block sums; ``picture`` int64 [N] row or -1.
     """
 
     error: NDArray[np.float32]
-    gap_width_mm: NDArray[np.float32]
+    told: NDArray[np.float32]
     split: NDArray[np.int64]
     objects: NDArray[np.str_]
     groups: NDArray[np.str_]
@@ -117,7 +118,7 @@ def load_trials(config: DataConfig, source: Source | None = None) -> Trials:
     picture, pooled = _load_pictures(source, table, config)
     return Trials(
         error=table["error"],
-        gap_width_mm=table["gap"],
+        told=table["told"],
         split=table["split"],
         objects=table["objects"],
         groups=table["groups"],
@@ -148,7 +149,7 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
         with np.load(path) as stored:
             return {name: stored[name] for name in stored.files}
     rows: dict[str, list[Any]] = {
-        name: [] for name in ("key", "index", "start", "error", "gap", "split", "objects", "groups")
+        name: [] for name in ("key", "index", "start", "error", "told", "split", "objects", "groups")
     }
     fields = []
     for index in track(range(count), description="reading trials", transient=True):
@@ -160,7 +161,7 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
         rows["index"].append(index)
         rows["start"].append(start)
         rows["error"].append((trial.x_mm, trial.theta_deg))
-        rows["gap"].append(trial.gap_width_mm)
+        rows["told"].append((trial.gap_width_mm, trial.grasp_height_mm))
         rows["split"].append(SPLITS.index(trial.split))
         rows["objects"].append(trial.object_name)
         rows["groups"].append(f"{trial.object_name}/{trial.group}")
@@ -174,13 +175,13 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
 
 
 def _as_arrays(rows: dict[str, list[Any]], fields: NDArray[np.float16]) -> dict[str, NDArray[Any]]:
-    kinds = {"error": np.float32, "gap": np.float32, "index": np.int64, "start": np.int64, "split": np.int64}
+    kinds = {"error": np.float32, "told": np.float32, "index": np.int64, "start": np.int64, "split": np.int64}
     table: dict[str, NDArray[Any]] = {name: np.array(values, kinds.get(name, np.str_)) for name, values in rows.items()}
     return table | {"fields": fields}
 
 
 def _check(table: dict[str, NDArray[Any]]) -> None:
-    for name in ("error", "gap", "fields"):
+    for name in ("error", "told", "fields"):
         if not np.isfinite(table[name]).all():
             bad = int(np.flatnonzero(~np.isfinite(table[name].reshape(len(table[name]), -1)).all(1))[0])
             raise ContractError(f"trial {int(table['index'][bad])}: {name} is not finite")

@@ -49,7 +49,7 @@ class Trainer:
     def decision_loss(self, fields: Tensor, batch: Batch) -> Tensor:
         """Cross entropy of the class, and negative log likelihood of the error under one Gaussian and the mixture."""
         network, weight = self.network, self.config.loss
-        state = network.read_fields(fields, batch.gap_width_mm)
+        state = network.read_fields(fields, batch.told)
         direction = functional.cross_entropy(network.logits(state), batch.label, self.class_weights)
         error, log_sigma = network.error(state)
         z = (error - batch.error) * torch.exp(-log_sigma)
@@ -92,7 +92,7 @@ class Trainer:
             for start in range(0, len(chosen), EVALUATION_BATCH):
                 batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
                 fields = self.normalised(batch) if batch.pooled is None else self.network.read_pooled(batch.pooled)
-                states.append(self.network.read_fields(fields, batch.gap_width_mm))
+                states.append(self.network.read_fields(fields, batch.told))
         return torch.cat(states)
 
     def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:

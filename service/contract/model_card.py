@@ -43,6 +43,7 @@ class ModelCard(Contract):
     - ``step``: ``frame`` uint8 [B, 2, H, W, 3], ``reference`` uint8 [B, 2, H, W, 3],
       ``state`` float32 [B, state_size]
     - both, if ``gap_width_input``: ``gap_width_mm`` float32 [B, 1]
+    - both, if ``grasp_height_input``: ``grasp_height_mm`` float32 [B, 1], 0 where it is not known
 
     Outputs: ``direction`` -> ``logits`` float32 [B, len(classes)]; ``magnitude`` -> ``error`` float32 [B, 2]
     (dx in mm, dtheta in deg: the estimated position error) and, if ``has_sigma``, ``log_sigma`` float32 [B, 2];
@@ -62,6 +63,7 @@ class ModelCard(Contract):
     threshold_x_mm: Positive = 2.5
     threshold_theta_deg: Positive = 5.0
     gap_width_input: bool = False
+    grasp_height_input: bool = False
     has_sigma: bool = False
     grid_x_mm: tuple[float, ...] = ()
     grid_theta_deg: tuple[float, ...] = ()

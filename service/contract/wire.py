@@ -43,11 +43,16 @@ class ClientHello(_Message):
 
 
 class Arm(_Message):
-    """The arm stands above the gap, holding the object still: take the reference, watch for slip."""
+    """The arm stands above the gap, holding the object still: take the reference, watch for slip.
+
+    ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them; None if the
+    cell does not know it. It is the lever arm of the edge's friction: without it the size of an error is a guess.
+    """
 
     type: Literal["arm"] = "arm"
     attempt: Attempt
     gap_width_mm: float = Field(gt=0, le=1000)
+    grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
     expected_depth_mm: float = Field(gt=0, le=1000)
 
 

@@ -7,11 +7,11 @@ import shutil
 from collections.abc import AsyncIterator
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
-from fastapi import APIRouter, HTTPException, Request, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, HTTPException, Query, Request, WebSocket, WebSocketDisconnect
 from fastapi.responses import FileResponse, Response, StreamingResponse
 
 from service.contract import FINGERS, ContractError, Finger, decode_frame
@@ -67,9 +67,11 @@ def attempt_facts(folder: Path, number: int) -> dict[str, Any]:
         return {"frames_n": len(arrays["frames"]), "decision": json.loads(str(arrays["decision"]))}
 
 
-def decide(station: Station, frames: np.ndarray[Any, np.dtype[np.uint8]], gap_width_mm: float) -> dict[str, Any]:
+def decide(
+    station: Station, frames: np.ndarray[Any, np.dtype[np.uint8]], gap_width_mm: float, grasp_height_mm: float | None
+) -> dict[str, Any]:
     """What the networks say of a recorded sequence uint8 [n, 2, H, W, 3]; the first pair is the reference."""
-    run = DecisionRun(station.models, frames[0], gap_width_mm)
+    run = DecisionRun(station.models, frames[0], gap_width_mm, grasp_height_mm)
     for frame in frames[: station.models.card.frames_per_decision]:
         run.step(frame)
     evidence = run.evidence()
@@ -126,11 +128,15 @@ def router(station: Station, access: Access) -> APIRouter:  # noqa: C901 - one t
         return StreamingResponse(_parts(station, finger), media_type=f"multipart/x-mixed-replace; boundary={BOUNDARY}")
 
     @routes.post("/decisions", dependencies=drive)
-    async def decisions(request: Request, gap_width_mm: float = 56.0) -> dict[str, Any]:
+    async def decisions(
+        request: Request,
+        gap_width_mm: Annotated[float, Query(gt=0, le=1000)] = 56.0,
+        grasp_height_mm: Annotated[float | None, Query(gt=0, le=500)] = None,
+    ) -> dict[str, Any]:
         """Body: encoded frames one after the other (left, right, left, right, ...), rectified."""
         body = await _body(request)
         frames = _pairs(body, station)
-        return await asyncio.to_thread(decide, station, frames, gap_width_mm)
+        return await asyncio.to_thread(decide, station, frames, gap_width_mm, grasp_height_mm)
 
     @routes.websocket("/cameras/{finger}/push")
     async def push(socket: WebSocket, finger: Finger) -> None:

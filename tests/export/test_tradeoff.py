@@ -37,7 +37,7 @@ def decisions(models):
     spec = open_model(models / "direction.step.onnx").card.frame
     truths = ((8.0, 0.0), (-8.0, 9.0))
     return [
-        Decision(golden_frames(spec, 8, seed), 56.0, np.array(truth, np.float32), "rectangle")
+        Decision(golden_frames(spec, 8, seed), 56.0, 30.0, np.array(truth, np.float32), "rectangle")
         for seed, truth in enumerate(truths)
     ]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.golden import golden_frames, hard_frames
-from export.verify import Arrays, Model, decide, gap_input, open_model, run_steps
+from export.verify import Arrays, Model, decide, open_model, run_steps, told
 from service.contract import ContractError
 from service.decision import DecisionRun, Refusal
 from service.models import load_models
@@ -92,7 +92,7 @@ def differences_of_minus_one(seed: int) -> float:
     holds="after a stream of 10,000 steps state and outputs are finite and bounded: largest",
     guard=(
         "training/networks/compact.py",
-        "self.cell = nn.GRUCell(2 * settings.feature_size + 1, settings.state_size)",
+        "self.cell = nn.GRUCell(2 * settings.feature_size + TOLD, settings.state_size)",
     ),
     limit=LARGEST,
     quick=False,
@@ -103,7 +103,7 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
     state, worst = np.zeros((1, model.card.state_size), np.float32), 0.0
     for step in range(10_000):
         fed: Arrays = {"frame": frames[:, step % 8], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | gap_input(model.card, 1))
+        outputs = model(fed | told(model.card, 1))
         state = outputs["next_state"]
         worst = max(worst, _size(outputs))
     return worst
@@ -113,7 +113,7 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
     "networks",
     why="the state of a step comes from outside the graph and may be anything a float holds",
     holds="states of +-1e4 give finite, bounded outputs: largest",
-    guard=("training/networks/compact.py", "following: Tensor = self.cell(torch.cat([features, gap], 1), state)"),
+    guard=("training/networks/compact.py", "following: Tensor = self.cell(torch.cat([features, geometry], 1), state)"),
     limit=1e6,
 )
 def states_of_ten_thousand(seed: int) -> float:
@@ -122,7 +122,7 @@ def states_of_ten_thousand(seed: int) -> float:
         model = released(name)
         state = (rng.choice([-1.0, 1.0], (1, model.card.state_size)) * 1e4).astype(np.float32)
         fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
-        worst = max(worst, _size(model(fed | gap_input(model.card, 1))))
+        worst = max(worst, _size(model(fed | told(model.card, 1))))
     return worst
 
 
@@ -141,7 +141,7 @@ def states_of_denormals(seed: int) -> float:
         for value in (0.0, 1e-40, -1e-44):
             state = np.full((1, model.card.state_size), value, np.float32)
             fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
-            outputs.append(model(fed | gap_input(model.card, 1)))
+            outputs.append(model(fed | told(model.card, 1)))
         worst = max(worst, _gap(outputs[1], outputs[0]), _gap(outputs[2], outputs[0]))
     return worst
 
@@ -213,7 +213,7 @@ def steps_against_sequences(seed: int) -> float:
     holds="the released architecture, with fresh weights, decides in float32 as in float64: relative gap",
     guard=(
         "training/networks/compact.py",
-        "self.cell = nn.GRUCell(2 * settings.feature_size + 1, settings.state_size)",
+        "self.cell = nn.GRUCell(2 * settings.feature_size + TOLD, settings.state_size)",
     ),
     limit=1e-4,
     quick=False,

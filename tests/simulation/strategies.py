@@ -18,6 +18,7 @@ def made_up_trial(number: int = 0, **changes: Any) -> Trial:
         "theta_deg": float(rng.uniform(-15, 15)),
         "object_name": "rectangle",
         "gap_width_mm": 56.0,
+        "grasp_height_mm": 30.0,
         "group": number // 5,
         "poke": number % 5,
         "seed": number,

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from simulation.dataset import Dataset, DatasetError, DatasetWriter, split_of
+from simulation.trial import LABELS
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 
 
@@ -127,7 +128,7 @@ def test_a_missing_shard_is_named(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"schema_version": 2}, "schema version 2, expected 1"),
+        ({"schema_version": 3}, "schema version 3, expected 2"),
         ({"surprise": 1}, "surprise"),
         ({"seed": "zero"}, "seed"),
     ],
@@ -156,7 +157,7 @@ def test_no_dataset_is_said_so(tmp_path: Path) -> None:
         Dataset(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["x_mm", "theta_deg", "gap_width_mm"])
+@pytest.mark.parametrize("name", LABELS)
 def test_labels_that_are_not_numbers_are_refused_on_writing_and_on_reading(
     folder: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

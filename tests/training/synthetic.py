@@ -32,6 +32,7 @@ class SyntheticTrial:
     split: str
     object_name: str = "rectangle"
     gap_width_mm: float = 56.0
+    grasp_height_mm: float = 30.0
     onset_frame: int = 18
     stop_frame: int = 20
     outcome: str = "blocked"

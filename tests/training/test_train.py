@@ -58,12 +58,12 @@ def test_a_checkpoint_returns_what_was_saved(config, source, tmp_path):
     assert loaded.scales == saved.scales
     network = loaded.build()
     frames = torch.randint(0, 256, (1, 8, 2, 320, 327, 3), dtype=torch.uint8)
-    gap = torch.full((1, 1), 56.0)
+    gap, height = torch.full((1, 1), 56.0), torch.full((1, 1), 30.0)
     with torch.no_grad():
-        whole = SequenceForm(network, "direction")(frames, gap)[0]
+        whole = SequenceForm(network, "direction")(frames, gap, height)[0]
         step, state = StepForm(network, "direction"), torch.zeros(1, network.state_size)
         for index in range(8):
-            logits, state = step(frames[:, index], frames[:, 0], state, gap)
+            logits, state = step(frames[:, index], frames[:, 0], state, gap, height)
     assert torch.allclose(whole, logits, atol=1e-5)
 
 

@@ -66,7 +66,7 @@ class AlexNetLstm(nn.Module):
     """One of the paper's two networks; they share nothing. Its state is (hidden, cell) of the LSTM."""
 
     state_size = 2 * LSTM
-    uses_gap_width = False
+    uses_geometry = False
     log_sigma: Tensor
 
     def __init__(self, outputs: int) -> None:
@@ -85,7 +85,7 @@ class AlexNetLstm(nn.Module):
         images = difference_images(frame.flatten(0, 1), reference.flatten(0, 1))
         return self.alexnet.classifier(self.convolved(images)).reshape(-1, 2 * HIDDEN)  # type: ignore[no-any-return]
 
-    def advance(self, features: Tensor, gap_width_mm: Tensor | None, state: Tensor) -> Tensor:  # noqa: ARG002 the paper's networks do not know the gap
+    def advance(self, features: Tensor, told: Tensor | None, state: Tensor) -> Tensor:  # noqa: ARG002 the paper's networks know pictures alone
         """One step of the LSTM."""
         hidden, cell = self.lstm(features, (state[:, :LSTM], state[:, LSTM:]))
         return torch.cat([hidden, cell], 1)

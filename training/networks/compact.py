@@ -22,6 +22,8 @@ GREY_SPAN = 32.0
 ERROR_SCALE = 5.0
 """Heads speak in units of 5 mm and 5 deg, so that their outputs are of order one."""
 LOG_SIGMA_SPAN = 3.0
+TOLD = 3
+"""Gap width, whether the grasp height is known, grasp height: what the cell says beside the pictures."""
 
 
 class Front(nn.Module):
@@ -48,7 +50,7 @@ class Front(nn.Module):
 
 
 class Trunk(nn.Module):
-    """Normalised field changes of both fingers [B, 2, 3, 20, 21], gap width and state -> next state."""
+    """Normalised field changes of both fingers [B, 2, 3, 20, 21], what the cell told and state -> next state."""
 
     def __init__(self, settings: NetworkConfig) -> None:
         super().__init__()
@@ -62,7 +64,7 @@ class Trunk(nn.Module):
         )
         self.project = nn.Linear(2 * width * 5 * 6, settings.feature_size)
         self.dropout = nn.Dropout(settings.dropout)
-        self.cell = nn.GRUCell(2 * settings.feature_size + 1, settings.state_size)
+        self.cell = nn.GRUCell(2 * settings.feature_size + TOLD, settings.state_size)
 
     def encode(self, fields: Tensor) -> Tensor:
         """Fields [N, 2, 3, 20, 21] -> features [N, 2 * feature_size], left finger first."""
@@ -72,10 +74,12 @@ class Trunk(nn.Module):
         kept: Tensor = self.dropout(features.reshape(count, -1))
         return kept
 
-    def advance(self, features: Tensor, gap_width_mm: Tensor, state: Tensor) -> Tensor:
-        """One step of the recurrent cell; ``gap_width_mm`` is [B, 1]."""
-        gap = (gap_width_mm - 56.0) / 10.0
-        following: Tensor = self.cell(torch.cat([features, gap], 1), state)
+    def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
+        """One step of the recurrent cell; ``told`` [B, 2] is gap width and grasp height in mm, height 0 if unknown."""
+        gap, height = told[:, :1], told[:, 1:]
+        known = (height > 0).to(height.dtype)
+        geometry = torch.cat([(gap - 56.0) / 10.0, known, known * (height - 60.0) / 30.0], 1)
+        following: Tensor = self.cell(torch.cat([features, geometry], 1), state)
         return following
 
 
@@ -83,7 +87,7 @@ class CompactNetwork(nn.Module):
     """Front, trunk and the two heads. ``field_scale`` [3] turns (mm, mm, N/mm2) into the normalised field."""
 
     field_scale: Tensor
-    uses_gap_width = True
+    uses_geometry = True
     roles: tuple[Role, ...] = ("direction", "magnitude", "joint")
 
     def __init__(self, settings: NetworkConfig, classes: int) -> None:
@@ -108,9 +112,9 @@ class CompactNetwork(nn.Module):
         base = self.pooling(reference.reshape(count * 2, *image))
         return self.trunk.encode(self.front(pooled, base).reshape(count, 2, FIELD_CHANNELS, MARKER_ROWS, MARKER_COLS))
 
-    def advance(self, features: Tensor, gap_width_mm: Tensor, state: Tensor) -> Tensor:
+    def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
         """One recurrent step."""
-        return self.trunk.advance(features, gap_width_mm, state)
+        return self.trunk.advance(features, told, state)
 
     def logits(self, state: Tensor) -> Tensor:
         """Class logits [B, classes]."""
@@ -127,13 +131,13 @@ class CompactNetwork(nn.Module):
         """Log density of the position error on the joint grid [B, 41, 40]."""
         return self.density.on_grid(state)
 
-    def read_fields(self, fields: Tensor, gap_width_mm: Tensor) -> Tensor:
+    def read_fields(self, fields: Tensor, told: Tensor) -> Tensor:
         """Decision state after normalised field changes [B, T, 2, 3, 20, 21]."""
         count, steps = fields.shape[:2]
         features = self.trunk.encode(fields.flatten(0, 1)).reshape(count, steps, -1)
         state = torch.zeros(count, self.state_size, device=fields.device)
         for step in range(steps):
-            state = self.advance(features[:, step], gap_width_mm, state)
+            state = self.advance(features[:, step], told, state)
         return state
 
     def read_pooled(self, pooled: Tensor) -> Tensor:

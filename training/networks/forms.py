@@ -18,14 +18,14 @@ class Recurrent(Protocol):
     """What an exportable network offers; ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3]."""
 
     state_size: int
-    uses_gap_width: bool
+    uses_geometry: bool
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
         """Features of a frame pair against its reference."""
         ...
 
-    def advance(self, features: Tensor, gap_width_mm: Tensor | None, state: Tensor) -> Tensor:
-        """One recurrent step."""
+    def advance(self, features: Tensor, told: Tensor | None, state: Tensor) -> Tensor:
+        """One recurrent step; ``told`` [B, 2] is gap width and grasp height in mm."""
         ...
 
     def logits(self, state: Tensor) -> Tensor:
@@ -54,25 +54,40 @@ class _Form(nn.Module):
         return (self.network.logits(state),) if self.role == "direction" else self.network.error(state)
 
 
+def _told(gap_width_mm: Tensor | None, grasp_height_mm: Tensor | None) -> Tensor | None:
+    if gap_width_mm is None or grasp_height_mm is None:
+        return None
+    return torch.cat([gap_width_mm, grasp_height_mm], 1)
+
+
 class StepForm(_Form):
-    """(frame, reference, state, gap_width_mm) -> (outputs..., next_state)."""
+    """(frame, reference, state, gap_width_mm, grasp_height_mm) -> (outputs..., next_state)."""
 
     def forward(
-        self, frame: Tensor, reference: Tensor, state: Tensor, gap_width_mm: Tensor | None = None
+        self,
+        frame: Tensor,
+        reference: Tensor,
+        state: Tensor,
+        gap_width_mm: Tensor | None = None,
+        grasp_height_mm: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """One step; ``state`` [B, state_size], zeros at first."""
-        following = self.network.advance(self.network.features(frame, reference), gap_width_mm, state)
+        following = self.network.advance(
+            self.network.features(frame, reference), _told(gap_width_mm, grasp_height_mm), state
+        )
         return (*self.decide(following), following)
 
 
 class SequenceForm(_Form):
-    """(frames, gap_width_mm) -> outputs; ``frames`` uint8 [B, 8, 2, H, W, 3], the first one is the reference."""
+    """(frames, gap_width_mm, grasp_height_mm) -> outputs; ``frames`` uint8 [B, 8, 2, H, W, 3], reference first."""
 
-    def forward(self, frames: Tensor, gap_width_mm: Tensor | None = None) -> tuple[Tensor, ...]:
+    def forward(
+        self, frames: Tensor, gap_width_mm: Tensor | None = None, grasp_height_mm: Tensor | None = None
+    ) -> tuple[Tensor, ...]:
         """A whole decision."""
         state = torch.zeros(frames.shape[0], self.network.state_size)
-        reference = frames[:, 0]
+        reference, told = frames[:, 0], _told(gap_width_mm, grasp_height_mm)
         for step in range(FRAMES_PER_DECISION):
             features = self.network.features(frames[:, step], reference)
-            state = self.network.advance(features, gap_width_mm, state)
+            state = self.network.advance(features, told, state)
         return self.decide(state)
