@@ -150,7 +150,7 @@ def states_of_denormals(seed: int) -> float:
     "networks",
     why="a gap width is an input too, and a cell may ask for any",
     holds="gap widths from 5 to 250 mm give finite, bounded outputs: largest",
-    guard=("training/networks/compact.py", "gap = (gap_width_mm - 56.0) / 10.0"),
+    guard=("training/networks/compact.py", "geometry = torch.cat([(gap - 56.0) / 10.0"),
     limit=LARGEST,
 )
 def gap_widths_far_from_training(seed: int) -> float:
@@ -158,7 +158,7 @@ def gap_widths_far_from_training(seed: int) -> float:
     for name in NAMES:
         for gap_mm in (5.0, 250.0):
             model = released(name, "sequence")
-            worst = max(worst, _size(model({"frames": frames, "gap_width_mm": np.full((1, 1), gap_mm, np.float32)})))
+            worst = max(worst, _size(model({"frames": frames} | told(model.card, 1, gap_mm, min(gap_mm, 500.0)))))
     return worst
 
 
