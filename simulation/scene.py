@@ -235,6 +235,7 @@ class Scene(Part):
         changes = {
             "object.size_x_mm": size_x,
             "object.size_y_mm": min(110.0, self.object.size_y_mm * scale * draw(0.96, 1.04, 0.04)),
+            "object.corner_radius_mm": self.object.corner_radius_mm * scale,
             "object.mass_kg": math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))),
             "object.centre_of_mass_height_mm": height * float(rng.uniform(0.4, 0.95)),
             "blocks.gap_mm": size_x + 2.0 * float(rng.uniform(1.5, 3.0)),

@@ -32,6 +32,13 @@ def test_an_unknown_name_gets_the_nearest_one() -> None:
         load_scene("rectangel")
 
 
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_draw_of_every_object_can_exist(name: str) -> None:
+    scene, rng = load_scene(name), np.random.default_rng(1)
+    draws = [scene.randomised(rng, held_out=bool(index % 2)) for index in range(60)]
+    assert len({draw.grasp.height_mm for draw in draws}) == 60
+
+
 def test_held_out_draws_never_meet_training_draws() -> None:
     scene, rng = load_scene("circle"), np.random.default_rng(0)
     train = [scene.randomised(rng).gel.friction for _ in range(50)]
