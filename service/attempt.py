@@ -61,6 +61,26 @@ class Attempt:
     result: WorkResult | None = None
     decision: Correction | NoDecision | None = None
 
+    def take_reference(self, both: PairObservation) -> bool:
+        """Arm with this pair if both fingers were rearmed and can be read; notes the problem and says no otherwise."""
+        if self.rearmed != {"left", "right"}:
+            return False
+        problems = [f"{o.finger}: {o.field.reason or o.field.status}" for o in both.fingers if not o.field.usable]
+        if problems:
+            self.rearmed.clear()
+            self.problem = "; ".join(problems)
+            return False
+        self.reference, self.stage = both, Stage.ARMED
+        self.ring.append(both)
+        return True
+
+    def take_in(self, both: PairObservation) -> None:
+        """A pair after the reference: it may be the one that shows the onset of motion."""
+        self.ring.append(both)
+        if self.onset_ns is None:
+            onsets = [o.onset_ns for o in both.fingers if o.onset_ns is not None]
+            self.onset_ns = min(onsets, default=None)
+
     def onset_index(self) -> int | None:
         """Index in the ring of the first pair at or after the onset, None while there is no onset."""
         if self.onset_ns is None:

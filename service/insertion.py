@@ -7,7 +7,8 @@ from typing import Any
 from service.attempt import Attempt, WorkResult
 from service.cameras import CameraFrame, now_ns
 from service.contract import Finger, FramePair, wire
-from service.insertion_session import InsertionSession, Replies, ServiceMessage
+from service.contract.wire import ServiceMessage
+from service.insertion_session import InsertionSession, Replies
 from service.recording import Recorder
 
 Send = Callable[[ServiceMessage], None]

@@ -5,30 +5,19 @@ in lock step (the simulator calls it, the networks run inside :meth:`InsertionSe
 caller says it is: every ``now_ns`` is on the clock of the frames' ``captured_ns``.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from service.attempt import Attempt, Stage, WorkResult
 from service.contract import Finger, FramePair, TactileFrame, wire
-from service.contract.wire import CameraEntry, ControllerName, Limits
-from service.controllers import Command, Controller, make_controller
-from service.decision import Evidence, Refusal
+from service.contract.wire import CameraEntry, ControllerName, Limits, ServiceMessage
+from service.controllers import Command, make_controller
+from service.judge import Decision, Judge
 from service.models import ModelSet
 from service.observation import FingerWatch, Observation, PairObservation, belongs
-from service.verdict import Deadlines, Work, check_evidence, correction, overdue, plan_work
+from service.verdict import Deadlines, Work, plan_work, slip_message
 
-ServiceMessage = (
-    wire.ServiceHello
-    | wire.Armed
-    | wire.Slip
-    | wire.Correction
-    | wire.NoDecision
-    | wire.Finished
-    | wire.Fault
-    | wire.ServiceHeartbeat
-)
 Replies = list[ServiceMessage]
 DEFAULT_LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
 
@@ -67,7 +56,7 @@ class InsertionSession:
     finished: wire.Finished | None = None
     recording: str | None = None
     newest_ns: int | None = None
-    _controller: Controller | None = None
+    _judge: Judge | None = None
     _seen: dict[Finger, Observation] = field(default_factory=dict)
     _generation: int = 0
 
@@ -104,7 +93,8 @@ class InsertionSession:
         if self.insertion_id is None:
             self.insertion_id = message.insertion_id
             self.controller_name = message.controller or self.controller_name
-            self._controller = make_controller(self.controller_name, self.limits)
+            controller = make_controller(self.controller_name, self.limits)
+            self._judge = Judge(self.insertion_id, self.models, controller, self.deadlines, self._commanded)
         return [
             wire.ServiceHello(
                 insertion_id=self.insertion_id,
@@ -182,18 +172,7 @@ class InsertionSession:
         if attempt.stage is not Stage.ARMED or not observation.slip.stop or attempt.slip_sent:
             return []
         attempt.slip_sent = True
-        return [
-            wire.Slip(
-                insertion_id=str(self.insertion_id),
-                attempt=attempt.arm.attempt,
-                finger=frame.finger,
-                frame_seq=frame.seq,
-                captured_ns=frame.captured_ns,
-                age_ms=(now_ns - frame.captured_ns) / 1e6,
-                score=float(observation.slip.score),
-                reason=f"{observation.slip.state}: {observation.slip.reason}",
-            )
-        ]
+        return [slip_message(str(self.insertion_id), attempt, observation, now_ns)]
 
     def _rearm(self, attempt: Attempt, watch: FingerWatch, finger: Finger) -> None:
         if finger not in attempt.rearmed:
@@ -214,28 +193,18 @@ class InsertionSession:
         both = PairObservation(self._seen["left"], self._seen["right"])
         if attempt.stage is Stage.ARMING:
             return replies + self._take_reference(attempt, both)
-        attempt.ring.append(both)
+        attempt.take_in(both)
         return replies + self._feed(attempt, now_ns)
 
     def _take_reference(self, attempt: Attempt, both: PairObservation) -> Replies:
-        if attempt.rearmed != {"left", "right"}:
+        if not attempt.take_reference(both):
             return []
-        problems = [f"{o.finger}: {o.field.reason or o.field.status}" for o in both.fingers if not o.field.usable]
-        if problems:
-            attempt.rearmed.clear()
-            attempt.problem = "; ".join(problems)
-            return []
-        attempt.reference, attempt.stage = both, Stage.ARMED
-        attempt.ring.append(both)
         attempt.armed = wire.Armed(
             insertion_id=str(self.insertion_id), attempt=attempt.arm.attempt, reference_seq=both.seq
         )
         return [attempt.armed]
 
     def _feed(self, attempt: Attempt, now_ns: int) -> Replies:
-        if attempt.onset_ns is None:
-            onsets = [o.onset_ns for o in attempt.ring[-1].fingers if o.onset_ns is not None]
-            attempt.onset_ns = min(onsets, default=None)
         card = self.models.card
         replies: Replies = []
         for pair in attempt.take_decision_pairs(card.frames_per_decision, card.reference_rule):
@@ -295,46 +264,15 @@ class InsertionSession:
         return [self._fault("stale_frames", f"newest frame is {age_ms:.0f} ms old; hold until cameras are back")]
 
     def _conclude(self, now_ns: int) -> Replies:
-        attempt = self.attempt
-        if attempt is None or attempt.stage is not Stage.STOPPED or attempt.stopped_ns is None:
+        if self.attempt is None or self._judge is None:
             return []
-        waited_s = (now_ns - attempt.stopped_ns) / 1e9
-        if attempt.broken:
-            return self._refuse(attempt, Refusal("stale", f"a camera failed during the attempt: {attempt.broken}"))
-        if attempt.result is None:
-            refusal = overdue(attempt, waited_s, self.models.card.frames_per_decision, self.deadlines)
-            return [] if refusal is None else self._refuse(attempt, refusal)
-        if attempt.result.evidence is None:
-            return self._refuse(attempt, attempt.result.refusal or Refusal("non_finite", "no evidence"))
-        return self._correct(attempt, attempt.result.evidence, attempt.result.latency_ms, now_ns)
+        decision = self._judge.conclude(self.attempt, now_ns)
+        return [] if decision is None else self._decided(self.attempt, decision)
 
-    def _correct(self, attempt: Attempt, evidence: Evidence, latency_ms: dict[str, float], now_ns: int) -> Replies:
-        started = time.perf_counter()
-        assert self._controller is not None
-        try:
-            check_evidence(self.models, attempt, evidence)
-            command = self._controller.decide(evidence, attempt.arm.attempt)
-        except Refusal as refusal:
-            return self._refuse(attempt, refusal)
-        latency_ms = latency_ms | {
-            "controller": (time.perf_counter() - started) * 1e3,
-            "since_last_frame": (now_ns - attempt.decision_pairs[-1].captured_ns) / 1e6,
-        }
+    def _commanded(self, command: Command) -> None:
         self.on_command(command)
-        return self._decided(attempt, correction(str(self.insertion_id), attempt, evidence, command, latency_ms))
 
-    def _refuse(self, attempt: Attempt, refusal: Refusal) -> Replies:
-        assert self._controller is not None
-        self._controller.blocked_without_evidence()
-        refused = wire.NoDecision(
-            insertion_id=str(self.insertion_id),
-            attempt=attempt.arm.attempt,
-            reason=refusal.reason,
-            detail=str(refusal),
-        )
-        return self._decided(attempt, refused)
-
-    def _decided(self, attempt: Attempt, decision: wire.Correction | wire.NoDecision) -> Replies:
+    def _decided(self, attempt: Attempt, decision: Decision) -> Replies:
         attempt.stage, attempt.decision = Stage.DECIDED, decision
         self.on_attempt(attempt)
         if attempt.arm.attempt >= wire.MAX_ATTEMPTS:

@@ -8,7 +8,7 @@ from service.contract import wire
 from service.controllers import Command
 from service.decision import DecisionRun, Evidence, Refusal
 from service.models import ModelSet
-from service.observation import PairObservation
+from service.observation import Observation, PairObservation
 
 MIN_VALID_MARKERS = 0.5  # of a finger's markers, in the last frame decided on
 
@@ -69,6 +69,20 @@ def check_evidence(models: ModelSet, attempt: Attempt, evidence: Evidence) -> No
         if finger.field.status != "duplicate" and not share >= MIN_VALID_MARKERS:
             detail = f"{finger.finger} finger shows {share:.0%} of its markers, expected {MIN_VALID_MARKERS:.0%}"
             raise Refusal("out_of_distribution", detail)
+
+
+def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, now_ns: int) -> wire.Slip:
+    """Stop now: which frame of which finger showed what, and how old it is."""
+    return wire.Slip(
+        insertion_id=insertion_id,
+        attempt=attempt.arm.attempt,
+        finger=observation.finger,
+        frame_seq=observation.seq,
+        captured_ns=observation.captured_ns,
+        age_ms=(now_ns - observation.captured_ns) / 1e6,
+        score=float(observation.slip.score),
+        reason=f"{observation.slip.state}: {observation.slip.reason}",
+    )
 
 
 def correction(

@@ -8,7 +8,7 @@ import structlog
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from service.contract import ContractError, wire
-from service.insertion_session import ServiceMessage
+from service.contract.wire import ServiceMessage
 from service.routes.access import Access
 from service.station import Station
 

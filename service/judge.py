@@ -1,0 +1,62 @@
+"""Answers each attempt once: a correction where its evidence can be trusted, else ``no_decision`` with the reason."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from service.attempt import Attempt, Stage
+from service.contract import wire
+from service.controllers import Command, Controller
+from service.decision import Evidence, Refusal
+from service.models import ModelSet
+from service.verdict import Deadlines, check_evidence, correction, overdue
+
+Decision = wire.Correction | wire.NoDecision
+
+
+@dataclass(frozen=True, slots=True)
+class Judge:
+    """The controller of one insertion and the rules around it; ``on_command`` sees each move before it is sent."""
+
+    insertion_id: str
+    models: ModelSet
+    controller: Controller
+    deadlines: Deadlines
+    on_command: Callable[[Command], None]
+
+    def conclude(self, attempt: Attempt, now_ns: int) -> Decision | None:
+        """The answer to a stopped attempt, None while its frames or the networks' result may still come."""
+        if attempt.stage is not Stage.STOPPED or attempt.stopped_ns is None:
+            return None
+        if attempt.broken:
+            return self._refuse(attempt, Refusal("stale", f"a camera failed during the attempt: {attempt.broken}"))
+        if attempt.result is None:
+            waited_s = (now_ns - attempt.stopped_ns) / 1e9
+            refusal = overdue(attempt, waited_s, self.models.card.frames_per_decision, self.deadlines)
+            return None if refusal is None else self._refuse(attempt, refusal)
+        if attempt.result.evidence is None:
+            return self._refuse(attempt, attempt.result.refusal or Refusal("non_finite", "no evidence"))
+        return self._correct(attempt, attempt.result.evidence, attempt.result.latency_ms, now_ns)
+
+    def _correct(self, attempt: Attempt, evidence: Evidence, latency_ms: dict[str, float], now_ns: int) -> Decision:
+        started = time.perf_counter()
+        try:
+            check_evidence(self.models, attempt, evidence)
+            command = self.controller.decide(evidence, attempt.arm.attempt)
+        except Refusal as refusal:
+            return self._refuse(attempt, refusal)
+        latency_ms = latency_ms | {
+            "controller": (time.perf_counter() - started) * 1e3,
+            "since_last_frame": (now_ns - attempt.decision_pairs[-1].captured_ns) / 1e6,
+        }
+        self.on_command(command)
+        return correction(self.insertion_id, attempt, evidence, command, latency_ms)
+
+    def _refuse(self, attempt: Attempt, refusal: Refusal) -> Decision:
+        self.controller.blocked_without_evidence()
+        return wire.NoDecision(
+            insertion_id=self.insertion_id,
+            attempt=attempt.arm.attempt,
+            reason=refusal.reason,
+            detail=str(refusal),
+        )
