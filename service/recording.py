@@ -3,8 +3,9 @@
 ``RECORDINGS/<UTC stamp>_<insertion id>/``
 
 - ``insertion.mcap`` (``insertion.mcap.part`` while it is written; a crash loses at most the last second, and
-  :func:`recover` closes such a file). Channels: ``/left/image`` and ``/right/image`` (foxglove.CompressedImage, the
-  camera's own JPEG, or foxglove.RawImage), ``/left/markers`` and ``/right/markers`` (tactile_insertion.Markers),
+  :func:`service.recovery.recover` closes such a file at the next start). Channels: ``/left/image`` and
+  ``/right/image`` (foxglove.CompressedImage, the camera's own JPEG, or foxglove.RawImage),
+  ``/left/markers`` and ``/right/markers`` (tactile_insertion.Markers),
   ``/messages`` (JSON: ``from`` client or service, ``message``), ``/calls`` (JSON: what the session was told, in order,
   which is what makes a replay bit for bit), metadata ``insertion`` (id, models, controller, calibration, clock offset).
   Log times are wall-clock nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of the metadata.
@@ -23,6 +24,8 @@
 - ``summary.json``: insertion id, outcome, attempts, start time, whether any frame was left out for lack of speed.
 """
 
+import contextlib
+import fcntl
 import json
 import queue
 import shutil
@@ -48,6 +51,9 @@ MAX_WAITING = 600  # items; about 5 s of two 60 fps cameras
 MAX_INSERTION_BYTES = 2 << 30
 PART = "insertion.mcap.part"
 FINAL = "insertion.mcap"
+RECOVERING = "insertion.mcap.recovering"
+UNREADABLE = "insertion.mcap.unreadable"
+RECOVERY = "recovery"  # name of the metadata that a recovered recording carries
 
 
 class _Mcap:
@@ -93,12 +99,14 @@ class _Mcap:
 class Recorder:
     """Writes one insertion in its own thread; every method returns at once.
 
-    If the disk is too slow, frames are left out (and counted), messages and calls never.
+    If the disk is too slow, or the file reaches ``largest_bytes``, frames are left out (and counted), messages and
+    calls never.
     """
 
     root: Path
     insertion_id: str
     metadata: Mapping[str, str]
+    largest_bytes: int = MAX_INSERTION_BYTES
     left_out_n: int = 0
     folder: Path = field(init=False)
     _queue: queue.SimpleQueue[Callable[[], None] | None] = field(init=False, default_factory=queue.SimpleQueue)
@@ -115,6 +123,7 @@ class Recorder:
         self.folder.mkdir(parents=True)
         self._offset_ns = time.time_ns() - time.monotonic_ns()
         self._stream = (self.folder / PART).open("wb")
+        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # says to a recovery that the writer lives
         self._mcap = _Mcap(self._stream)
         facts = {"insertion_id": self.insertion_id, "started": started.isoformat()}
         self._mcap.metadata(
@@ -188,15 +197,15 @@ class Recorder:
     def _finish(self) -> None:
         try:
             self._mcap.close()
-            self._stream.close()
             (self.folder / PART).rename(self.path)
+            self._stream.close()
         except OSError as error:
             self.error = self.error or str(error)
 
     def _write_frame(self, camera_frame: CameraFrame) -> None:
         frame = camera_frame.frame
         log_ns = frame.captured_ns + self._offset_ns
-        if self._stream.tell() > MAX_INSERTION_BYTES:
+        if self._stream.tell() > self.largest_bytes:
             self.left_out_n += 1
             return
         common = {"timestamp": log_ns, "frame_id": frame.finger}
@@ -248,16 +257,35 @@ def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
                 np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
 
 
+def make_room(root: Path, max_bytes: int) -> int:
+    """Prune so that the next insertion fits too; returns how large its file may become.
+
+    Raises OSError where ``root`` cannot be read.
+    """
+    largest = min(MAX_INSERTION_BYTES, max_bytes // 4)
+    prune(root, max_bytes - largest)
+    return largest
+
+
 def prune(root: Path, max_bytes: int) -> list[Path]:
     """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them."""
     folders = sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
-    sizes = [sum(file.stat().st_size for file in folder.iterdir() if file.is_file()) for folder in folders]
+    sizes = [_size_bytes(folder) for folder in folders]
     removed: list[Path] = []
     total = sum(sizes)
     for folder, size in zip(folders[:-1], sizes[:-1], strict=True):
         if total <= max_bytes:
             break
-        shutil.rmtree(folder)
+        shutil.rmtree(folder, ignore_errors=True)
         removed.append(folder)
         total -= size
     return removed
+
+
+def _size_bytes(folder: Path) -> int:
+    """What a folder's files take; one that vanishes meanwhile (renamed, removed by hand) counts nothing."""
+    total = 0
+    for file in folder.iterdir():
+        with contextlib.suppress(FileNotFoundError):
+            total += file.stat().st_size
+    return total

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from service.cameras import decode_jpeg
 from service.contract import ContractError, Finger, TactileFrame
 from service.protowire import COMPRESSED_IMAGE, RAW_IMAGE
+from service.recording import RECOVERY
 
 
 class RecordingError(ContractError):
@@ -38,13 +39,16 @@ class Entry:
 
 
 class Recording:
-    """A recorded insertion; ``complete`` is False if the file ends early (what was read is still good)."""
+    """A recorded insertion; ``complete`` is False if the file ends early (what was read is still good).
+
+    ``recovered`` is True if it once did and was closed at the next start.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.metadata: dict[str, str] = {}
         self.entries: list[Entry] = []
-        self.complete = False
+        self.complete = self.recovered = False
         if not path.is_file():
             raise RecordingError(f"no recording at {path}")
         with path.open("rb") as stream:
@@ -64,6 +68,8 @@ class Recording:
                         channels[record.id] = record
                     case Metadata() if record.name == "insertion":
                         self.metadata = dict(record.metadata)
+                    case Metadata() if record.name == RECOVERY:
+                        self.recovered = True
                     case Message():
                         channel = channels[record.channel_id]
                         schema = schemas.get(channel.schema_id, "")

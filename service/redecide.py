@@ -127,6 +127,7 @@ def main(arguments: Sequence[str]) -> int:
     replay = open_replay(recording, load_models(Path(folder or recording.metadata["models_folder"])))
     replay.run()
     recorded = [e.json()["message"] for e in recording.of("/messages") if e.json()["from"] == "service"]
-    found = differences(recorded, replay.said)
+    said = replay.said[: len(recorded)] if recording.recovered else replay.said
+    found = differences(recorded, said)
     print("\n".join(found) or f"{len(recorded)} messages decided again, all the same bit for bit")
     return 1 if found else 0

@@ -5,6 +5,7 @@ recorder an insertion. The event loop of the web server only passes messages on.
 is a callable in the perception thread's inbox; camera frames wait in a short queue where the newest win.
 """
 
+import contextlib
 import queue
 import threading
 from collections import deque
@@ -16,14 +17,13 @@ from typing import Any
 from service.camera_sources import PushSource, open_source
 from service.cameras import Camera, CameraError, CameraFrame, Pairer, now_ns
 from service.contract import FINGERS, ContractError, Finger, FramePair, wire
+from service.desk import Desk
 from service.hub import Hub
 from service.insertion import Insertion, Send
 from service.models import ModelSet, load_models
 from service.models_worker import ModelsWorker
-from service.observation import Observation
 from service.perception.rectify import Calibration
-from service.recording import Recorder, prune
-from service.sessions import make_session
+from service.recovery import recover
 from service.settings import Settings
 
 BACKLOG_FRAMES = 8  # two fingers' worth of about 4 frames; older ones are dropped
@@ -35,7 +35,6 @@ class Counters:
     """What the station has counted since it started."""
 
     frames_dropped_n: int = 0
-    insertions_n: int = 0
     perception_errors_n: int = 0
 
 
@@ -43,7 +42,7 @@ class Station:
     """Owns the hardware side of the service; ``start`` it, ``stop`` it. Public methods are thread safe."""
 
     def __init__(self, settings: Settings, models: ModelSet, calibration: Calibration | None) -> None:
-        self.settings, self.models, self.calibration = settings, models, calibration
+        self.settings = settings
         self.hub = Hub()
         self.counters = Counters()
         self.pairer = Pairer(settings.max_skew_ms)
@@ -58,11 +57,11 @@ class Station:
             )
             for finger in FINGERS
         }
-        self.active: Insertion | None = None
         self.viewers_n = 0
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._worker = ModelsWorker(lambda result: self.post(lambda: self._on_result(result)))
+        self._worker = ModelsWorker(lambda result: self.post(lambda: self.desk.result(result)))
+        self.desk = Desk(settings, models, calibration, self.cameras, self.hub, self._worker.submit)
         self._thread = threading.Thread(target=self._run, name="perception", daemon=True)
 
     # ---- life ------------------------------------------------------------------------------------------------------
@@ -86,21 +85,32 @@ class Station:
     def _check_size(self, finger: Finger, shape: tuple[int, ...]) -> None:
         card = self.models.card.frame
         accepted = [card.shape]
-        if self.calibration:
-            accepted.append(self.calibration.camera(finger).raw.shape)
+        calibration = self.desk.calibration
+        if calibration:
+            accepted.append(calibration.camera(finger).raw.shape)
         if shape not in accepted:
             sizes = " or ".join(f"{width} x {height}" for height, width, _ in accepted)
-            hint = "set the camera to it" if self.calibration else "set the camera to it or pass --calibration FILE"
+            hint = "set the camera to it" if calibration else "set the camera to it or pass --calibration FILE"
             raise CameraError(f"{finger} camera delivers {shape[1]} x {shape[0]} frames, expected {sizes}; {hint}")
 
     def stop(self) -> None:
         """Abort a running insertion, close its recording, end all threads."""
-        self.post(lambda: self._abort("service stops"))
+        self.post(lambda: self.desk.abort("service stops"))
         self._inbox.put(None)
         self._thread.join(10.0)
         for camera in self.cameras.values():
             camera.stop()
         self._worker.stop()
+
+    @property
+    def models(self) -> ModelSet:
+        """What the next insertion decides with."""
+        return self.desk.models
+
+    @property
+    def active(self) -> Insertion | None:
+        """The insertion under way."""
+        return self.desk.active
 
     @property
     def ready(self) -> bool:
@@ -124,19 +134,20 @@ class Station:
             try:
                 call()
             except Exception as error:
-                self.counters.perception_errors_n += 1
-                self.hub.publish("error", f"{type(error).__name__}: {error}")
-                self._fault_active("internal", f"{type(error).__name__}: {error}")
+                self._failed(f"{type(error).__name__}: {error}")
+
+    def _failed(self, detail: str) -> None:
+        """A call raised: the client must hold, and this thread must live on."""
+        self.counters.perception_errors_n += 1
+        with contextlib.suppress(Exception):
+            self.hub.publish("error", detail)
+            self.desk.fault("internal", detail)
 
     def _tick(self) -> None:
         now = now_ns()
         for camera in self.cameras.values():
             camera.check_stall(now)
-        if self.active is None:
-            return
-        self.active.tick()
-        if self.active and (now - self.active.heard_ns) * 1e-9 > self.settings.client_timeout_s:
-            self._abort("the driving client fell silent")
+        self.desk.tick(now)
 
     # ---- cameras ---------------------------------------------------------------------------------------------------
 
@@ -172,11 +183,7 @@ class Station:
 
     def _on_camera_fault(self, finger: Finger, code: str, detail: str) -> None:
         self.hub.publish("camera_fault", {"finger": finger, "code": code, "detail": detail})
-        self.post(lambda: self._fault_active(code, detail))
-
-    def _fault_active(self, code: str, detail: str) -> None:
-        if self.active:
-            self.active.camera_fault(code, detail)
+        self.post(lambda: self.desk.fault(code, detail))
 
     def push(self, finger: Finger) -> PushSource:
         """The source a client pushes frames into; raises ContractError if this finger has a camera of its own."""
@@ -187,7 +194,7 @@ class Station:
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
         """Both cameras as the wire carries them."""
-        return tuple(camera.entry for camera in self.cameras.values())
+        return self.desk.camera_entries()
 
     def frame_age_ms(self) -> float | None:
         """Age of the newest frame of the finger that is further behind, None before the first."""
@@ -207,114 +214,21 @@ class Station:
             )
         if self.active is not None:
             raise ContractError("an insertion is under way; load models between insertions")
-        self.models = fresh
+        self.desk.models = fresh
 
-    # ---- insertions ------------------------------------------------------------------------------------------------
+    # ---- clients ---------------------------------------------------------------------------------------------------
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
-        """A client wants to drive: opens an insertion, or takes its own one up again after a lost connection."""
-        self.post(lambda: self._connect(hello, send))
-
-    def _connect(self, hello: wire.ClientHello, send: Send) -> None:
-        active = self.active
-        if active and active.session.insertion_id != hello.insertion_id:
-            if active.send is not None:
-                detail = (
-                    f"insertion {active.session.insertion_id} is under way; wait for it, or connect with role watch"
-                )
-                send(wire.Fault(insertion_id=hello.insertion_id, code="busy", detail=detail, fatal=True))
-                return
-            self._abort("another client takes over after a lost connection")
-            active = None
-        if active is None:
-            active = self._open(hello)
-        active.send = send
-        active.message(hello)
-
-    def _open(self, hello: wire.ClientHello) -> Insertion:
-        session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
-        session.cameras, session.submit = self.camera_entries, self._worker.submit
-        recorder = self._recorder(hello.insertion_id)
-        insertion = Insertion(session, recorder, None, self._publish)
-        session.on_attempt = insertion.attempt_decided
-        session.on_observation = self._observed(recorder)
-        session.on_command = lambda command: self.hub.publish("command", command)
-        session.recording = str(recorder.path) if recorder else None
-        for camera in self.cameras.values():
-            if camera.latest:
-                insertion.prime(camera.latest)
-        self.active = insertion
-        self.counters.insertions_n += 1
-        return insertion
-
-    def _recorder(self, insertion_id: str) -> Recorder | None:
-        root = self.settings.recordings
-        prune(root, int(self.settings.recordings_max_gb * 1e9))
-        facts = {
-            "controller": self.settings.controller,
-            "limits": self.settings.limits.model_dump_json(),
-            "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in self.models.entries),
-            "models_folder": str(self.settings.models),
-            "calibration": self.settings.calibration.read_text() if self.settings.calibration else "",
-        }
-        try:
-            return Recorder(root, insertion_id, facts)
-        except OSError as error:
-            self.hub.publish("error", f"cannot record into {root}: {error}")
-            return None
-
-    def _observed(self, recorder: Recorder | None) -> Callable[[Observation], None]:
-        def observed(observation: Observation) -> None:
-            if recorder:
-                recorder.observation(observation)
-            self.hub.observation(observation)
-
-        return observed
+        """A client wants to drive (see :meth:`Desk.connect`)."""
+        self.post(lambda: self.desk.connect(hello, send))
 
     def receive(self, message: Any, send: Send) -> None:
-        """A message of a driving client; ignored unless ``send`` is the connection that drives."""
-        self.post(lambda: self._receive(message, send))
-
-    def _receive(self, message: Any, send: Send) -> None:
-        if self.active and self.active.send is send:
-            self.active.message(message)
+        """A driving client says something."""
+        self.post(lambda: self.desk.receive(message, send))
 
     def disconnect(self, send: Send) -> None:
-        """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
-        self.post(lambda: self._disconnect(send))
-
-    def _disconnect(self, send: Send) -> None:
-        if self.active and self.active.send is send:
-            self.active.send = None
-
-    def _on_result(self, result: Any) -> None:
-        if self.active:
-            self.active.result(result)
-
-    def _abort(self, reason: str) -> None:
-        active = self.active
-        if active and active.session.insertion_id and not active.closing:
-            active.message(wire.Abort(insertion_id=active.session.insertion_id, reason=reason))
-
-    def _publish(self, kind: str, content: Any) -> None:
-        self.hub.publish(kind, content)
-        if kind == "finished":
-            self._close(content)
-
-    def _close(self, finished: wire.Finished) -> None:
-        """Close the recording outside this thread; the client hears `finished` when it is complete."""
-        insertion, self.active = self.active, None
-        if insertion is None:
-            return
-
-        def close() -> None:
-            if insertion.recorder:
-                insertion.recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
-            if insertion.send:
-                insertion.send(finished)
-            self.hub.publish("recorded", finished)
-
-        threading.Thread(target=close, name="close-recording").start()
+        """The connection of a client is gone."""
+        self.post(lambda: self.desk.disconnect(send))
 
 
 def open_station(settings: Settings) -> Station:
@@ -327,4 +241,5 @@ def open_station(settings: Settings) -> Station:
             f" the models expect {models.card.frame.shape[1::-1]}; calibrate for that size"
         )
     Path(settings.recordings).mkdir(parents=True, exist_ok=True)
+    recover(settings.recordings)
     return Station(settings, models, calibration)

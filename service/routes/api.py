@@ -99,7 +99,7 @@ def router(station: Station, access: Access) -> APIRouter:  # noqa: C901 - one t
     @routes.get("/insertions", dependencies=watch)
     async def insertions() -> dict[str, Any]:
         active = station.active
-        return {"active": active.session.insertion_id if active else None, "count": station.counters.insertions_n}
+        return {"active": active.session.insertion_id if active else None, "count": station.desk.opened_n}
 
     @routes.get("/recordings", dependencies=watch)
     async def recordings() -> dict[str, Any]:

@@ -92,7 +92,7 @@ def health_of(station: Station) -> dict[str, Any]:
         "cameras": {f: station.cameras[f].entry.model_dump() for f in FINGERS},
         "driver": active.session.insertion_id if active else None,
         "frames_dropped_n": station.counters.frames_dropped_n,
-        "insertions_n": station.counters.insertions_n,
+        "insertions_n": station.desk.opened_n,
     }
 
 

@@ -1,3 +1,4 @@
+import json
 import os
 import signal
 import subprocess
@@ -13,8 +14,9 @@ from service import __main__ as entry
 from service.cameras import CameraFrame
 from service.contract import TactileFrame, wire
 from service.protowire import COMPRESSED_IMAGE, MARKERS, RAW_IMAGE, Schema
-from service.recording import Recorder, prune
+from service.recording import Recorder, make_room, prune
 from service.recording_reader import Recording, RecordingError
+from service.recovery import recover
 from tests.service.client import Driver
 from tests.service.conftest import LiveService
 
@@ -96,6 +98,40 @@ def test_a_killed_service_leaves_all_but_the_last_second(tmp_path: Path) -> None
     seen = [e.json()["message"]["index"] for e in recording.of("/messages")]
     assert seen == list(range(len(seen)))
     assert len(seen) >= 20
+    (whole,) = recover(tmp_path)
+    again = Recording(whole)
+    assert (again.complete, again.recovered) == (True, True)
+    assert [e.json()["message"]["index"] for e in again.of("/messages")] == seen
+    assert again.metadata == recording.metadata
+    summary = json.loads((whole.parent / "summary.json").read_text())
+    assert (summary["insertion_id"], summary["outcome"]) == ("killed", "interrupted")
+    assert list(tmp_path.glob("*/*.part")) == recover(tmp_path) == []
+
+
+def test_a_recording_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, "alive", {})
+    assert recover(tmp_path) == []
+    assert Recording(recorder.close({"outcome": "aborted"})).recovered is False
+
+
+def test_a_part_that_holds_nothing_is_put_aside_and_not_tried_again(tmp_path: Path) -> None:
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "insertion.mcap.part").write_bytes(os.urandom(1000))
+    assert recover(tmp_path) == []
+    assert [path.name for path in (tmp_path / "x").iterdir()] == ["insertion.mcap.unreadable"]
+
+
+def test_the_disk_use_of_recordings_is_bounded_while_one_is_written(tmp_path: Path) -> None:
+    bound = 4_000_000
+    noise = np.random.default_rng(0).integers(0, 255, (320, 427, 3), np.uint8)
+    for insertion in range(6):
+        recorder = Recorder(tmp_path, f"i{insertion}", {}, make_room(tmp_path, bound))
+        for index in range(10):
+            recorder.frame(CameraFrame(TactileFrame("left", index, index + 1, noise), None))
+        recorder.close({"outcome": "failed"})
+        assert recorder.left_out_n > 0
+        assert sum(file.stat().st_size for file in tmp_path.rglob("*.*")) < bound
+    assert len(list(tmp_path.iterdir())) >= 2
 
 
 def test_garbage_is_no_recording(tmp_path: Path) -> None:

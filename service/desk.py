@@ -1,0 +1,162 @@
+"""The one insertion under way: how it opens, which client drives it, how it ends and what is kept of it.
+
+Only the perception thread calls a desk's methods; closing a recording is the one thing done outside it.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from service.cameras import Camera
+from service.contract import Finger, wire
+from service.hub import Hub
+from service.insertion import Insertion, Send
+from service.insertion_session import InsertionSession
+from service.models import ModelSet
+from service.observation import Observation
+from service.perception.rectify import Calibration
+from service.recording import Recorder, make_room
+from service.sessions import make_session
+from service.settings import Settings
+from service.verdict import Work
+
+REMEMBERED_N = 256  # ended insertions whose `finished` is told again to a client that missed it
+
+
+@dataclass(slots=True)
+class Desk:
+    """Opens, hands over and closes insertions; ``models`` is what the next one decides with."""
+
+    settings: Settings
+    models: ModelSet
+    calibration: Calibration | None
+    cameras: Mapping[Finger, Camera]
+    hub: Hub
+    submit: Callable[[Work], None]
+    active: Insertion | None = None
+    opened_n: int = 0
+    _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
+
+    def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
+        """Both cameras as the wire carries them."""
+        return tuple(camera.entry for camera in self.cameras.values())
+
+    def connect(self, hello: wire.ClientHello, send: Send) -> None:
+        """A client wants to drive: opens an insertion, or takes its own one up again after a lost connection."""
+        active = self.active
+        if active and active.session.insertion_id != hello.insertion_id:
+            if active.send is not None:
+                detail = (
+                    f"insertion {active.session.insertion_id} is under way; wait for it, or connect with role watch"
+                )
+                send(wire.Fault(insertion_id=hello.insertion_id, code="busy", detail=detail, fatal=True))
+                return
+            self.abort("another client takes over after a lost connection")
+            active = None
+        if active is None and (ended := self._ended.get(hello.insertion_id)):
+            send(ended)
+            return
+        if active is None:
+            active = self._open(hello)
+        active.send = send
+        active.message(hello)
+
+    def receive(self, message: Any, send: Send) -> None:
+        """A message of a client; ignored unless ``send`` is the connection that drives."""
+        if self.active and self.active.send is send:
+            self.active.message(message)
+
+    def disconnect(self, send: Send) -> None:
+        """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
+        if self.active and self.active.send is send:
+            self.active.send = None
+
+    def result(self, result: Any) -> None:
+        """The networks are done with an attempt."""
+        if self.active:
+            self.active.result(result)
+
+    def fault(self, code: str, detail: str) -> None:
+        """A camera or the perception itself failed."""
+        if self.active:
+            self.active.camera_fault(code, detail)
+
+    def tick(self, now_ns: int) -> None:
+        """Deadlines of the insertion and of its client."""
+        if self.active:
+            self.active.tick()
+        if self.active and (now_ns - self.active.heard_ns) * 1e-9 > self.settings.client_timeout_s:
+            self.abort("the driving client fell silent")
+
+    def abort(self, reason: str) -> None:
+        """End the insertion under way, if any; its recording is kept."""
+        active = self.active
+        if active and active.session.insertion_id and not active.closing:
+            active.message(wire.Abort(insertion_id=active.session.insertion_id, reason=reason))
+
+    def _open(self, hello: wire.ClientHello) -> Insertion:
+        session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
+        session.cameras, session.submit = self.camera_entries, self.submit
+        recorder = self._recorder(hello.insertion_id, session)
+        insertion = Insertion(session, recorder, None, self._publish)
+        session.on_attempt = insertion.attempt_decided
+        session.on_observation = self._observed(recorder)
+        session.on_command = lambda command: self.hub.publish("command", command)
+        session.recording = str(recorder.path) if recorder else None
+        for camera in self.cameras.values():
+            if camera.latest:
+                insertion.prime(camera.latest)
+        self.active = insertion
+        self.opened_n += 1
+        return insertion
+
+    def _recorder(self, insertion_id: str, session: InsertionSession) -> Recorder | None:
+        root = self.settings.recordings
+        facts = {
+            "controller": self.settings.controller,
+            "limits": self.settings.limits.model_dump_json(),
+            "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
+            "models_folder": str(self.settings.models),
+            "calibration": self.settings.calibration.read_text() if self.settings.calibration else "",
+        }
+        try:
+            largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))
+            return Recorder(root, insertion_id, facts, largest)
+        except OSError as error:
+            self.hub.publish("error", f"cannot record into {root}: {error}")
+            return None
+
+    def _observed(self, recorder: Recorder | None) -> Callable[[Observation], None]:
+        def observed(observation: Observation) -> None:
+            if recorder:
+                recorder.observation(observation)
+            self.hub.observation(observation)
+
+        return observed
+
+    def _publish(self, kind: str, content: Any) -> None:
+        self.hub.publish(kind, content)
+        if kind == "finished":
+            self._close(content)
+
+    def _close(self, finished: wire.Finished) -> None:
+        """Close the recording outside this thread; the client hears `finished` when it is complete."""
+        insertion, self.active = self.active, None
+        if insertion is None:
+            return
+        self._ended[finished.insertion_id] = finished
+        while len(self._ended) > REMEMBERED_N:
+            self._ended.popitem(last=False)
+
+        def close() -> None:
+            if insertion.recorder:
+                insertion.recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
+                if insertion.recorder.error:
+                    self.hub.publish("error", f"recording {insertion.recorder.path}: {insertion.recorder.error}")
+            if insertion.send:
+                insertion.send(finished)
+            self.hub.publish("recorded", finished)
+
+        threading.Thread(target=close, name="close-recording").start()
