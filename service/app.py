@@ -1,38 +1,60 @@
 """The web application around a station: an app factory, so that tests and the simulator serve the same thing."""
 
-from collections.abc import Awaitable, Callable
-
-from fastapi import FastAPI, Request, Response
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from pydantic import BaseModel
+from starlette.exceptions import HTTPException
 
 from service.contract import ContractError
 from service.metrics import Metrics
-from service.routes import api, health, insertion, live, oip
+from service.routes import api, cameras, health, insertion, live, oip, recordings
 from service.routes.access import Access
+from service.routes.gate import Gate
 from service.station import Station
+
+
+class Refused(BaseModel):
+    """The answer to a request that cannot be done: one line that says what was wrong and what was expected."""
+
+    error: str
 
 
 def create_app(station: Station) -> FastAPI:
     """The application; the caller starts and stops the station."""
-    app = FastAPI(title="tactile-insertion", version="0.1.0", docs_url="/v1/docs", redoc_url=None)
+    app = FastAPI(
+        title="tactile-insertion",
+        version="0.1.0",
+        docs_url="/v1/docs",
+        redoc_url=None,
+        responses={"4XX": {"model": Refused, "description": "refused; the text says why"}},
+    )
     access = Access(station.settings)
     app.state.station = station
     app.include_router(health.router(station, Metrics(station)))
     app.include_router(insertion.router(station, access))
     app.include_router(live.router(station, access))
-    app.include_router(api.router(station, access))
-    app.include_router(oip.router(station, access))
+    for module in (api, cameras, recordings, oip):
+        app.include_router(module.router(station, access))
     app.mount("/dashboard", live.static_files())
+    app.add_middleware(Gate, requests_per_s=station.settings.requests_per_s)
+    _refuse_in_one_form(app)
+    return app
+
+
+def _refuse_in_one_form(app: FastAPI) -> None:
+    """Every refusal is ``{"error": ...}``, under /v1 as under /v2."""
 
     @app.exception_handler(ContractError)
-    async def refused(_: Request, error: ContractError) -> JSONResponse:
+    async def broken_contract(_: Request, error: ContractError) -> JSONResponse:
         return JSONResponse({"error": str(error)}, 400)
 
-    @app.middleware("http")
-    async def hardened(request: Request, proceed: Callable[[Request], Awaitable[Response]]) -> Response:
-        response = await proceed(request)
-        response.headers["X-Content-Type-Options"] = "nosniff"
-        response.headers["Cache-Control"] = response.headers.get("Cache-Control", "no-store")
-        return response
+    @app.exception_handler(HTTPException)
+    async def refused(_: Request, error: HTTPException) -> JSONResponse:
+        return JSONResponse({"error": str(error.detail)}, error.status_code, error.headers)
 
-    return app
+    @app.exception_handler(RequestValidationError)
+    async def invalid(_: Request, error: RequestValidationError) -> JSONResponse:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        return JSONResponse({"error": f"{where}: {first['msg']}"}, 422)

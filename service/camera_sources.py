@@ -178,6 +178,15 @@ class PushSource:
 
     def __init__(self) -> None:
         self._queue: queue.Queue[Capture] = queue.Queue(maxsize=4)
+        self._pusher = threading.Lock()
+
+    def claim(self) -> bool:
+        """Become the one client that pushes; False while there is another."""
+        return self._pusher.acquire(blocking=False)
+
+    def release(self) -> None:
+        """The pushing client is gone."""
+        self._pusher.release()
 
     def push(self, frame: TactileFrame) -> None:
         """Offer a frame; the oldest waiting one is dropped if the reader is behind."""

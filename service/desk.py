@@ -11,13 +11,14 @@ from typing import Any
 
 from service.cameras import Camera
 from service.contract import Finger, wire
+from service.disk import make_room
 from service.hub import Hub
 from service.insertion import Insertion, Send
 from service.insertion_session import InsertionSession
 from service.models import ModelSet
 from service.observation import Observation
 from service.perception.rectify import Calibration
-from service.recording import Recorder, make_room
+from service.recording import Recorder
 from service.sessions import make_session
 from service.settings import Settings
 from service.verdict import Work

@@ -24,11 +24,9 @@
 - ``summary.json``: insertion id, outcome, attempts, start time, whether any frame was left out for lack of speed.
 """
 
-import contextlib
 import fcntl
 import json
 import queue
-import shutil
 import threading
 import time
 import zipfile
@@ -238,7 +236,7 @@ class Recorder:
 
     def _write_summary(self, summary: Mapping[str, Any]) -> None:
         facts = {"insertion_id": self.insertion_id, "left_out_n": self.left_out_n} | dict(summary)
-        (self.folder / "summary.json").write_text(json.dumps(facts, indent=1))
+        write_whole(self.folder / "summary.json", json.dumps(facts, indent=1))
 
 
 def _nothing() -> None:
@@ -251,41 +249,16 @@ def _floats(values: NDArray[Any]) -> bytes:
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """An ``.npz`` with light compression (numpy's own level costs ten times the time for a few per cent)."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+    partial = path.with_suffix(".partial")
+    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
+    partial.replace(path)
 
 
-def make_room(root: Path, max_bytes: int) -> int:
-    """Prune so that the next insertion fits too; returns how large its file may become.
-
-    Raises OSError where ``root`` cannot be read.
-    """
-    largest = min(MAX_INSERTION_BYTES, max_bytes // 4)
-    prune(root, max_bytes - largest)
-    return largest
-
-
-def prune(root: Path, max_bytes: int) -> list[Path]:
-    """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them."""
-    folders = sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
-    sizes = [_size_bytes(folder) for folder in folders]
-    removed: list[Path] = []
-    total = sum(sizes)
-    for folder, size in zip(folders[:-1], sizes[:-1], strict=True):
-        if total <= max_bytes:
-            break
-        shutil.rmtree(folder, ignore_errors=True)
-        removed.append(folder)
-        total -= size
-    return removed
-
-
-def _size_bytes(folder: Path) -> int:
-    """What a folder's files take; one that vanishes meanwhile (renamed, removed by hand) counts nothing."""
-    total = 0
-    for file in folder.iterdir():
-        with contextlib.suppress(FileNotFoundError):
-            total += file.stat().st_size
-    return total
+def write_whole(path: Path, text: str) -> None:
+    """Write a small file that is there whole or not at all."""
+    partial = path.with_suffix(".partial")
+    partial.write_text(text)
+    partial.replace(path)

@@ -18,7 +18,7 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from service.recording import FINAL, PART, RECOVERING, RECOVERY, UNREADABLE
+from service.recording import FINAL, PART, RECOVERING, RECOVERY, UNREADABLE, write_whole
 
 log = structlog.get_logger()
 
@@ -50,7 +50,7 @@ def _close(part: Path, stream: IO[bytes]) -> bool:
         return False
     summary = part.with_name("summary.json")
     if not summary.is_file():
-        summary.write_text(json.dumps(facts, indent=1))
+        write_whole(summary, json.dumps(facts, indent=1))
     whole.rename(part.with_name(FINAL))
     part.unlink()
     log.warning("recording recovered", path=str(part.with_name(FINAL)), **facts)

@@ -12,6 +12,7 @@ import uvicorn
 
 from service.app import create_app
 from service.contract import ContractError
+from service.patience import PatientProtocol
 from service.settings import Settings, read_settings
 from service.station import open_station
 
@@ -75,6 +76,7 @@ def main(arguments: Sequence[str]) -> int:
 def _serve(settings: Settings, sock: socket.socket, app: object) -> None:
     config = uvicorn.Config(
         app,  # type: ignore[arg-type]
+        http=PatientProtocol,
         ws="websockets-sansio",
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE_BYTES,

@@ -63,6 +63,7 @@ class Settings(BaseSettings):
     tls_certificate: Path | None = Field(None, description="PEM certificate; serve https and wss")
     tls_key: Path | None = Field(None, description="PEM key of the certificate")
     allowed_origins: tuple[str, ...] = Field((), description="browser origins allowed besides our own pages")
+    requests_per_s: float = Field(1000.0, ge=0, description="most requests a second of one client; 0 for any number")
     log_json: bool = Field(False, description="one JSON object a log line")
 
     @model_validator(mode="after")

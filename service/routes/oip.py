@@ -5,20 +5,23 @@ import gzip
 import time
 import zlib
 from collections import defaultdict
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from typing import Any
 
-from fastapi import APIRouter, Request, Response
-from fastapi.responses import JSONResponse
+from fastapi import APIRouter, HTTPException, Request, Response
 
 from service import oip
 from service.contract import ContractError
 from service.models import LoadedModel
+from service.oip_schema import INFER_SCHEMA
 from service.routes.access import Access
 from service.station import Station
 
-MAX_BODY_BYTES = 256 << 20
+MAX_BODY_BYTES = 64 << 20
+MAX_WAITING = 32
+VERSION = "1"
+INFER_BODY = {"requestBody": {"required": True, "content": {"application/json": {"schema": INFER_SCHEMA}}}}
 _OPEN = ThreadPoolExecutor(1, "inference")  # one call at a time: the networks of the insertion keep their core
 
 
@@ -39,7 +42,7 @@ class Statistics:
         kinds = {k: {"count": self.count[model, k], "ns": self.ns[model, k]} for k in ("success", "fail")}
         return {
             "name": model,
-            "version": "1",
+            "version": VERSION,
             "inference_count": self.count[model, "success"],
             "execution_count": self.count[model, "success"],
             "inference_stats": kinds,
@@ -72,24 +75,37 @@ def deflate(body: bytes, accepted: str) -> tuple[bytes, dict[str, str]]:
     return body, {}
 
 
-def served(station: Station) -> dict[str, LoadedModel]:
-    """Every loaded file by its name without ``.onnx`` (``direction.step``)."""
-    return {model.path.name.removesuffix(".onnx"): model for model in station.models.models}
+@dataclass(slots=True)
+class Served:
+    """The loaded models under /v2, and what was asked of them."""
+
+    station: Station
+    statistics: Statistics = field(default_factory=Statistics)
+    waiting_n: int = 0
+
+    def models(self) -> dict[str, LoadedModel]:
+        """Every loaded file by its name without ``.onnx`` (``direction.step``)."""
+        return {model.path.name.removesuffix(".onnx"): model for model in self.station.models.models}
+
+    def model(self, name: str, version: str) -> LoadedModel:
+        """The model of a name; raises HTTPException 404 with the names there are."""
+        model = self.models().get(name)
+        if model is None or version != VERSION:
+            raise HTTPException(404, f"unknown model {name} version {version}, expected {list(self.models())}")
+        return model
 
 
-def router(station: Station, access: Access) -> APIRouter:  # noqa: C901 - one table of routes
+def router(station: Station, access: Access) -> APIRouter:
     """Routes under ``/v2``."""
     routes = APIRouter(prefix="/v2", tags=["open inference protocol"])
-    watch, drive = [access.require("watch")], [access.require("drive")]
-    statistics = Statistics()
+    served = Served(station)
+    for add in (_server_routes, _model_routes, _inference_routes):
+        add(routes, served, access)
+    return routes
 
-    def with_model(name: str, version: str, answer: Callable[[LoadedModel], Any]) -> JSONResponse:
-        model = served(station).get(name)
-        if model is None or version != "1":
-            return JSONResponse(
-                {"error": f"unknown model {name} version {version}, expected {list(served(station))}"}, 404
-            )
-        return JSONResponse(answer(model))
+
+def _server_routes(routes: APIRouter, served: Served, access: Access) -> None:
+    watch = [access.require("watch")]
 
     @routes.get("", dependencies=watch)
     async def server() -> dict[str, Any]:
@@ -97,67 +113,75 @@ def router(station: Station, access: Access) -> APIRouter:  # noqa: C901 - one t
         return {"name": "tactile-insertion", "version": "0.1.0", "extensions": extensions}
 
     @routes.get("/health/live")
-    async def alive() -> Response:
-        return Response()
-
     @routes.get("/health/ready")
-    async def ready() -> Response:
-        return Response()
+    async def healthy() -> Response:
+        return Response()  # models are loaded and warm before anything listens
 
     @routes.get("/models/stats", dependencies=watch)
     async def all_statistics() -> dict[str, Any]:
-        return {"model_stats": [statistics.of(name) for name in served(station)]}
+        return {"model_stats": [served.statistics.of(name) for name in served.models()]}
 
     @routes.post("/repository/index", dependencies=watch)
     async def index() -> list[dict[str, str]]:
-        return [{"name": name, "version": "1", "state": "READY", "reason": ""} for name in served(station)]
+        return [{"name": name, "version": VERSION, "state": "READY", "reason": ""} for name in served.models()]
 
     @routes.post("/repository/models/{name}/{action}", dependencies=[access.require("admin")])
-    async def repository(name: str, action: str) -> JSONResponse:
-        if action not in {"load", "unload"} or name not in served(station):
-            return JSONResponse({"error": f"cannot {action} {name}: expected load of {list(served(station))}"}, 400)
+    async def repository(name: str, action: str) -> dict[str, Any]:
+        if action not in {"load", "unload"} or name not in served.models():
+            raise HTTPException(400, f"cannot {action} {name}: expected load of {list(served.models())}")
         if action == "unload":
-            return JSONResponse({"error": "models that decide insertions are not unloaded; load replaces them"}, 400)
-        await asyncio.to_thread(station.reload_models)
-        return JSONResponse({})
+            raise HTTPException(400, "models that decide insertions are not unloaded; load replaces them")
+        await asyncio.to_thread(served.station.reload_models)
+        return {}
+
+
+def _model_routes(routes: APIRouter, served: Served, access: Access) -> None:
+    watch = [access.require("watch")]
 
     @routes.get("/models/{name}", dependencies=watch)
     @routes.get("/models/{name}/versions/{version}", dependencies=watch)
-    async def metadata(name: str, version: str = "1") -> JSONResponse:
-        facts = {"name": name, "versions": ["1"], "platform": "onnxruntime_onnx"}
-        return with_model(name, version, lambda model: facts | oip.metadata(model))
+    async def metadata(name: str, version: str = VERSION) -> dict[str, Any]:
+        facts = {"name": name, "versions": [VERSION], "platform": "onnxruntime_onnx"}
+        return facts | oip.metadata(served.model(name, version))
 
     @routes.get("/models/{name}/ready")
     @routes.get("/models/{name}/versions/{version}/ready")
-    async def model_ready(name: str, version: str = "1") -> JSONResponse:
-        return with_model(name, version, lambda _: {})
+    async def model_ready(name: str, version: str = VERSION) -> dict[str, Any]:
+        served.model(name, version)
+        return {}
 
     @routes.get("/models/{name}/config", dependencies=watch)
     @routes.get("/models/{name}/versions/{version}/config", dependencies=watch)
-    async def config(name: str, version: str = "1") -> JSONResponse:
-        return with_model(name, version, lambda model: _config(name, model))
+    async def config(name: str, version: str = VERSION) -> dict[str, Any]:
+        return _config(name, served.model(name, version))
 
     @routes.get("/models/{name}/stats", dependencies=watch)
     @routes.get("/models/{name}/versions/{version}/stats", dependencies=watch)
-    async def stats(name: str, version: str = "1") -> JSONResponse:
-        return with_model(name, version, lambda _: {"model_stats": [statistics.of(name)]})
+    async def stats(name: str, version: str = VERSION) -> dict[str, Any]:
+        served.model(name, version)
+        return {"model_stats": [served.statistics.of(name)]}
 
-    @routes.post("/models/{name}/infer", dependencies=drive)
-    @routes.post("/models/{name}/versions/{version}/infer", dependencies=drive)
-    async def infer(request: Request, name: str, version: str = "1") -> Response:
-        model = served(station).get(name)
-        if model is None or version != "1":
-            return JSONResponse({"error": f"unknown model {name} version {version}"}, 404)
+
+def _inference_routes(routes: APIRouter, served: Served, access: Access) -> None:
+    drive = [access.require("drive")]
+
+    @routes.post("/models/{name}/infer", dependencies=drive, openapi_extra=INFER_BODY)
+    @routes.post("/models/{name}/versions/{version}/infer", dependencies=drive, openapi_extra=INFER_BODY)
+    async def infer(request: Request, name: str, version: str = VERSION) -> Response:
+        model = served.model(name, version)
+        if served.waiting_n >= MAX_WAITING:
+            raise HTTPException(429, f"{MAX_WAITING} inferences wait already", {"Retry-After": "1"})
         started = time.perf_counter_ns()
+        served.waiting_n += 1
         try:
             answer = await _infer(request, name, model)
-        except ContractError as error:
-            statistics.add(name, "fail", started)
-            return JSONResponse({"error": str(error)}, 400)
-        statistics.add(name, "success", started)
+        except ContractError:
+            served.statistics.add(name, "fail", started)
+            raise
+        finally:
+            served.waiting_n -= 1
+        served.statistics.add(name, "success", started)
         return answer
-
-    return routes
 
 
 async def _infer(request: Request, name: str, model: LoadedModel) -> Response:

@@ -13,8 +13,9 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from service import __main__ as entry
 from service.cameras import CameraFrame
 from service.contract import TactileFrame, wire
+from service.disk import make_room, prune
 from service.protowire import COMPRESSED_IMAGE, MARKERS, RAW_IMAGE, Schema
-from service.recording import Recorder, make_room, prune
+from service.recording import Recorder
 from service.recording_reader import Recording, RecordingError
 from service.recovery import recover
 from tests.service.client import Driver
