@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from service.cameras import CameraError, Capture, Source, now_ns
 from service.contract import TactileFrame
 
-CONNECT_TIMEOUT_S = 1.0
+CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a camera that returns is found within 1 s
 READ_TIMEOUT_S = 1.0
 MAX_JPEG_BYTES = 4 << 20
 _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")

@@ -72,7 +72,9 @@ class Camera:
     """One finger's camera: a thread that captures, stamps, counts, notices stalls and size changes, and reconnects.
 
     ``on_frame`` is called in the capture thread for each frame, ``on_fault(finger, code, detail)`` once for each change
-    into a bad state; codes are camera_lost, camera_stalled, camera_size. While ``attended`` says no, most JPEGs are
+    into a bad state; codes are camera_lost, camera_stalled, camera_frozen, camera_size. A picture that repeats the last
+    one bit for bit is not new (no camera is free of noise): it is counted, not passed on, and half a second of nothing
+    else is a frozen camera. While ``attended`` says no, most JPEGs are
     counted but not decoded: that is three quarters of what an idle service would spend.
     """
 
@@ -90,7 +92,8 @@ class Camera:
         self.latest: CameraFrame | None = None
         self.newest_ns: int | None = None
         self.frames_n = self.repeated_n = self.faults_n = 0
-        self._broken_n = self._unseen_n = 0
+        self._broken_n = self._unseen_n = self._same_n = 0
+        self._picture: bytes | NDArray[np.uint8] = b""
         self.shape: tuple[int, ...] | None = None
         self.last_fault = ""
         self._on_frame, self._on_fault, self._attended = on_frame, on_fault, attended
@@ -126,7 +129,11 @@ class Camera:
     def check_stall(self, now_ns: int) -> None:
         """Called a few times a second by whoever owns the camera: a live camera without frames becomes stalled."""
         if self.state == "live" and self.newest_ns and now_ns - self.newest_ns > STALL_S * 1e9:
-            self._fault("stalled", "camera_stalled", f"no frame for {STALL_S:g} s from {self.source.name}")
+            if self._same_n:
+                detail = f"the same picture {self._same_n + 1} times for {STALL_S:g} s from {self.source.name}"
+                self._fault("stalled", "camera_frozen", detail)
+            else:
+                self._fault("stalled", "camera_stalled", f"no frame for {STALL_S:g} s from {self.source.name}")
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -144,6 +151,11 @@ class Camera:
         if self.newest_ns is not None and capture.captured_ns <= self.newest_ns:
             self.repeated_n += 1
             return
+        if self._repeats(capture):
+            self.repeated_n += 1
+            self._same_n += 1
+            return
+        self._same_n = 0
         if capture.pixels is None and self._may_skip():
             self._unseen_n += 1
             self._count(capture.captured_ns)
@@ -161,6 +173,14 @@ class Camera:
         self.latest = frame
         self._count(capture.captured_ns)
         self._on_frame(frame)
+
+    def _repeats(self, capture: Capture) -> bool:
+        """Whether this is the last picture once more."""
+        last, picture = self._picture, capture.jpeg if capture.pixels is None else capture.pixels
+        self._picture = picture
+        if isinstance(picture, bytes) or isinstance(last, bytes):
+            return isinstance(picture, bytes) and isinstance(last, bytes) and picture == last
+        return bool(np.array_equal(picture, last))
 
     def _may_skip(self) -> bool:
         return self.state == "live" and self._unseen_n < GLANCE_EVERY - 1 and not self._attended()

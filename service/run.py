@@ -12,9 +12,11 @@ import uvicorn
 
 from service.app import create_app
 from service.contract import ContractError
+from service.event_log import log_events
 from service.patience import PatientProtocol
 from service.settings import Settings, read_settings
 from service.station import open_station
+from service.tracing import Spans, make_tracer
 
 MAX_MESSAGE_BYTES = 4 << 20
 
@@ -62,6 +64,9 @@ def main(arguments: Sequence[str]) -> int:
     cv2.setNumThreads(1)  # one thread a finger beats a pool that wakes for 2 ms of work
     with contextlib.closing(bind(settings.host, settings.port)) as sock:
         station = open_station(settings)
+        log_events(station.hub)
+        if settings.tracing != "off":
+            Spans(make_tracer(settings.tracing), station.hub)
         station.start()
         try:
             station.wait_for_cameras(settings.camera_wait_s)

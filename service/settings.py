@@ -4,7 +4,7 @@ import ipaddress
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import (
@@ -19,6 +19,8 @@ from pydantic_settings import SettingsError as CliError
 
 from service.contract import ContractError
 from service.contract.wire import ControllerName, Limits
+
+Exporter = Literal["off", "console", "otlp"]
 
 
 class SettingsError(ContractError):
@@ -64,6 +66,7 @@ class Settings(BaseSettings):
     tls_key: Path | None = Field(None, description="PEM key of the certificate")
     allowed_origins: tuple[str, ...] = Field((), description="browser origins allowed besides our own pages")
     requests_per_s: float = Field(1000.0, ge=0, description="most requests a second of one client; 0 for any number")
+    tracing: Exporter = Field("off", description="OpenTelemetry spans: off, console or otlp (OTEL_EXPORTER_OTLP_*)")
     log_json: bool = Field(False, description="one JSON object a log line")
 
     @model_validator(mode="after")

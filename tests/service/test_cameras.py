@@ -1,6 +1,7 @@
 import itertools
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -9,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.camera_sources import MjpegSource, PushSource, RecordingSource, open_source, told_stamp_ns
-from service.cameras import Camera, CameraError, CameraFrame, Capture, Pairer, now_ns
+from service.camera_sources import MjpegSource, PushSource, RecordingSource, V4l2Source, open_source, told_stamp_ns
+from service.cameras import RETRY_S, Camera, CameraError, CameraFrame, Capture, Pairer, now_ns
 from service.contract import Finger, TactileFrame
 from tests.service.mjpeg import FakeFinger
 
@@ -71,12 +72,12 @@ def test_an_unattended_camera_is_counted_in_full_and_decoded_now_and_then() -> N
     attended = False
     camera = Camera("left", PushSource(), seen.append, lambda *_: None, lambda: attended)
     for stamp_ns in range(1, 41):
-        camera._publish(Capture(stamp_ns, None, jpeg))
+        camera._publish(Capture(stamp_ns, None, jpeg + bytes([stamp_ns])))
     assert (camera.frames_n, camera.newest_ns, camera.state) == (40, 40, "live")
     assert len(seen) == 10
     attended = True
     for stamp_ns in range(41, 51):
-        camera._publish(Capture(stamp_ns, None, jpeg))
+        camera._publish(Capture(stamp_ns, None, jpeg + bytes([stamp_ns])))
     assert [frame.frame.captured_ns for frame in seen[10:]] == list(range(41, 51))
     assert [frame.frame.seq for frame in seen] == list(range(20))
 
@@ -84,7 +85,7 @@ def test_an_unattended_camera_is_counted_in_full_and_decoded_now_and_then() -> N
 def test_a_few_broken_pictures_are_left_out_and_ten_in_a_row_are_a_lost_camera() -> None:
     camera = Camera("left", PushSource(), lambda _: None, lambda *_: None)
     for stamp_ns in range(9):
-        camera._publish(Capture(stamp_ns, None, b"no picture"))
+        camera._publish(Capture(stamp_ns, None, b"no pict%d" % stamp_ns))
     assert camera.latest is None
     with pytest.raises(CameraError, match="10 bytes are not a JPEG"):
         camera._publish(Capture(9, None, b"no picture"))
@@ -120,6 +121,119 @@ def test_a_silent_camera_is_stalled() -> None:
     camera.check_stall(now_ns() + 900_000_000)
     camera.stop()
     assert (camera.state, faults) == ("stalled", ["camera_stalled"])
+
+
+def still(camera_of: str, n: int) -> list[Capture]:
+    """The same picture n times, each with a new stamp."""
+    picture = np.full((8, 9, 3), 7, np.uint8)
+    jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
+    return [Capture(i + 1, None if camera_of == "jpeg" else picture.copy(), jpeg) for i in range(n)]
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "pixels"])
+def test_a_picture_that_comes_again_and_again_is_a_frozen_camera(kind: str) -> None:
+    seen: list[CameraFrame] = []
+    faults: list[tuple[str, str]] = []
+    camera = Camera("left", PushSource(), seen.append, lambda _, code, detail: faults.append((code, detail)))
+    for capture in still(kind, 20):
+        camera._publish(capture)
+    assert (len(seen), camera.repeated_n, camera.state) == (1, 19, "live")
+    camera.check_stall(600_000_000)
+    camera.check_stall(900_000_000)
+    assert faults == [("camera_frozen", "the same picture 20 times for 0.5 s from push:")]
+    assert camera.state == "stalled"
+    camera._publish(Capture(10**9, np.full((8, 9, 3), 8, np.uint8)))
+    assert (len(seen), camera.state) == (2, "live")
+
+
+def test_a_stamp_that_does_not_advance_is_no_new_frame() -> None:
+    seen: list[CameraFrame] = []
+    camera = Camera("left", PushSource(), seen.append, lambda *_: None)
+    for stamp_ns, grey in ((5, 1), (5, 2), (4, 3), (6, 4)):
+        camera._publish(Capture(stamp_ns, np.full((8, 9, 3), grey, np.uint8)))
+    assert [(f.frame.captured_ns, int(f.frame.pixels[0, 0, 0])) for f in seen] == [(5, 1), (6, 4)]
+    assert camera.repeated_n == 2
+
+
+def test_a_source_that_fails_is_tried_again_four_times_a_second() -> None:
+    """Reconnection within 1 s of return follows: 0.25 s between tries, each with a time limit of 1 s or less."""
+    assert RETRY_S <= 0.25
+    tries: list[float] = []
+
+    class Flaky:
+        name = "flaky"
+
+        def frames(self, stop: threading.Event) -> Iterator[Capture]:
+            tries.append(time.monotonic())
+            if len(tries) < 4:
+                raise OSError("unplugged")
+            yield Capture(now_ns(), BLACK)
+            stop.wait(5)
+
+    faults: list[str] = []
+    camera = Camera("left", Flaky(), lambda _: None, lambda _, code, __: faults.append(code))
+    camera.start()
+    deadline = time.monotonic() + 20
+    while camera.state != "live" and time.monotonic() < deadline:
+        time.sleep(0.01)
+    camera.stop()
+    assert camera.state == "live"
+    assert faults == ["camera_lost"]
+    assert all(b - a >= RETRY_S for a, b in itertools.pairwise(tries))
+
+
+class Device:
+    """What OpenCV gives for a video device, frame by frame; there is none on a test machine."""
+
+    def __init__(self, frames_n: int) -> None:
+        self.left_n, self.set_to, self.released = frames_n, {}, False
+
+    def isOpened(self) -> bool:
+        return True
+
+    def set(self, key: int, value: float) -> bool:
+        self.set_to[key] = value
+        return True
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        self.left_n -= 1
+        return (self.left_n >= 0, np.full((4, 4, 3), self.left_n % 250, np.uint8) if self.left_n >= 0 else None)
+
+    def release(self) -> None:
+        self.released = True
+
+
+def test_a_video_device_gives_its_frames_and_is_given_back_when_unplugged(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = Device(5)
+    opened: list[tuple[int, int]] = []
+    monkeypatch.setattr(cv2, "VideoCapture", lambda index, backend: opened.append((index, backend)) or device)
+    source = open_source("/dev/video2", frame_rate_hz=60.0)
+    captures = list(source.frames(threading.Event()))
+    assert (source.name, opened, len(captures)) == ("v4l2:2", [(2, cv2.CAP_V4L2)], 5)
+    assert all(a.captured_ns <= b.captured_ns for a, b in itertools.pairwise(captures))
+    assert device.set_to == {cv2.CAP_PROP_FPS: 60.0, cv2.CAP_PROP_BUFFERSIZE: 1}
+    assert device.released
+
+
+def test_an_absent_video_device_says_so() -> None:
+    with pytest.raises(CameraError, match="cannot open /dev/video63; is it plugged in"):
+        next(V4l2Source(63, 30.0).frames(threading.Event()))
+
+
+def test_the_newest_pushed_frames_are_kept_and_one_client_pushes() -> None:
+    source = PushSource()
+    for seq in range(10):
+        source.push(TactileFrame("left", seq, 0, np.full((4, 4, 3), seq, np.uint8)))
+    stop = threading.Event()
+    kept = []
+    for capture in source.frames(stop):
+        kept.append(int(capture.pixels[0, 0, 0]))
+        if len(kept) == 4:
+            stop.set()
+    assert kept == [6, 7, 8, 9]
+    assert (source.claim(), source.claim()) == (True, False)
+    source.release()
+    assert source.claim()
 
 
 def test_a_stamp_of_this_machines_clock_is_believed_and_no_other() -> None:
