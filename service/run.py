@@ -2,9 +2,11 @@
 
 import contextlib
 import logging
+import signal
 import socket
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 
 import cv2
 import structlog
@@ -57,12 +59,29 @@ def set_up_logs(settings: Settings) -> None:
     )
 
 
+@contextlib.contextmanager
+def leaving_in_order() -> Iterator[None]:
+    """SIGTERM unwinds like any exception, so that recordings are closed; the web server passes it on when drained."""
+
+    def leave(_: int, __: object) -> None:
+        raise SystemExit(0)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Serve until interrupted; bad input raises ContractError or OSError before anything listens."""
     settings = read_settings(arguments)
     set_up_logs(settings)
     cv2.setNumThreads(1)  # one thread a finger beats a pool that wakes for 2 ms of work
-    with contextlib.closing(bind(settings.host, settings.port)) as sock:
+    with leaving_in_order(), contextlib.closing(bind(settings.host, settings.port)) as sock:
         station = open_station(settings)
         log_events(station.hub)
         if settings.tracing != "off":
