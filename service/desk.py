@@ -66,12 +66,12 @@ class Desk:
 
     def receive(self, message: Any, send: Send) -> None:
         """A message of a client; ignored unless ``send`` is the connection that drives."""
-        if self.active and self.active.send is send:
+        if self.active and self.active.send == send:
             self.active.message(message)
 
     def disconnect(self, send: Send) -> None:
         """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
-        if self.active and self.active.send is send:
+        if self.active and self.active.send == send:  # bound methods are equal, not the same
             self.active.send = None
 
     def result(self, result: Any) -> None:

@@ -6,11 +6,13 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, HTTPException, Query, Request
 
+from service import asyncapi
 from service.contract import FINGERS, ContractError, decode_frame
 from service.decision import DecisionRun
 from service.routes.access import Access
 from service.station import Station
 
+VERSION = "0.1.0"
 MAX_BODY_BYTES = 64 << 20
 BINARY_BODY = {
     "requestBody": {
@@ -42,6 +44,11 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.get("/models", dependencies=watch)
     async def models() -> dict[str, Any]:
         return {"models": [entry.model_dump(mode="json") for entry in station.models.entries]}
+
+    @routes.get("/asyncapi.json")
+    async def websockets() -> dict[str, Any]:
+        """The WebSockets, described as AsyncAPI."""
+        return asyncapi.document(VERSION)
 
     @routes.get("/insertions", dependencies=watch)
     async def insertions() -> dict[str, Any]:

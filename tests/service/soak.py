@@ -10,6 +10,7 @@ import contextlib
 import json
 import random
 import shutil
+import signal
 import socket
 import struct
 import sys
@@ -23,7 +24,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 from websockets.exceptions import WebSocketException
-from websockets.sync.client import ClientConnection
+from websockets.sync.client import ClientConnection, connect
 
 from service.contract import wire
 from service.recording_reader import Recording, RecordingError
@@ -175,6 +176,9 @@ class Soak:
                 return
             except (ConnectionError, WebSocketException, TimeoutError) as error:
                 self.seen[f"given up: {type(error).__name__} {error}"[:60]] += 1
+                if str(error) == "busy":  # the client before is given up in a moment
+                    time.sleep(0.5)
+                    continue
                 self.abandoned.append(story.id)
                 return
             finally:
@@ -235,6 +239,7 @@ def main() -> int:
     from tests.service.soak_report import report
 
     told = arguments()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the service is asked to stop as well
     fingers = FakeFinger("left"), FakeFinger("right")
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)

@@ -86,6 +86,35 @@ def test_a_client_that_lost_its_connection_takes_its_insertion_up_again(live: Li
     again.close()
 
 
+def test_a_client_that_is_gone_makes_room_for_the_next_one_at_once(live: LiveService) -> None:
+    gone = Driver(live, "gone")
+    gone.until("hello")
+    gone.attempt(1)
+    gone.close()
+    deadline = time.monotonic() + 8  # the service gives a silent client up after 10 s: this must not be what helps
+    while live.station.active is None or live.station.active.send is not None:
+        assert time.monotonic() < deadline, "the lost connection was not noticed"
+        time.sleep(0.01)
+    following = Driver(live, "following")
+    assert following.until("hello").insertion_id == "following"
+    following.send(wire.Abort(insertion_id="following", reason="done"))
+    following.until("finished")
+    following.close()
+    (summary,) = [json.loads(p.read_text()) for p in live.recordings.glob("*_gone/summary.json")]
+    assert (summary["outcome"], summary["attempts"]) == ("aborted", 1)
+
+
+def test_a_client_that_missed_the_end_is_told_it_again(live: LiveService) -> None:
+    driver = Driver(live, "ended")
+    driver.until("hello")
+    finished = driver.insert(1)
+    driver.close()
+    again = Driver(live, "ended")
+    assert again.receive() == finished
+    again.close()
+    assert len(list(live.recordings.glob("*_ended"))) == 1
+
+
 def test_a_cut_camera_is_a_fault_and_comes_back_within_a_second(live: LiveService) -> None:
     left = live.fingers[0]
     driver = Driver(live, "cut")

@@ -1,0 +1,129 @@
+"""The service's WebSockets as an AsyncAPI 3 document, generated from the message models and nothing else."""
+
+from functools import lru_cache
+from typing import Any, get_args
+
+from pydantic import BaseModel
+from pydantic.json_schema import models_json_schema
+
+from service.contract import FINGERS, wire
+
+BINARY = "application/octet-stream"
+FINGER = {"finger": {"description": "which finger", "enum": list(FINGERS)}}
+FRAME_LAYOUT = (
+    "Little-endian header: magic `TIF1`, u8 finger (0 left, 1 right), u8 channels (3), u16 height, u16 width,"
+    " u16 reserved, u64 sequence number, u64 capture stamp in ns; then height x width x 3 bytes BGR."
+)
+_ID, _PROBABILITIES = "insertion-1", {"2": 0.9, "5": 0.1}
+_ESTIMATE = wire.Estimate(dx_mm=6.2, dtheta_deg=-1.5, sigma_x_mm=1.1, sigma_theta_deg=2.0)
+_LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=150.0)
+EXAMPLES: tuple[BaseModel, ...] = (
+    wire.ClientHello(insertion_id=_ID, client="cell controller 3.1"),
+    wire.Arm(insertion_id=_ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0),
+    wire.Descending(insertion_id=_ID, attempt=1),
+    wire.Stopped(insertion_id=_ID, attempt=1, depth_mm=6.4, outcome="blocked"),
+    wire.Abort(insertion_id=_ID, reason="operator"),
+    wire.ClientHeartbeat(insertion_id=_ID, count=7),
+    wire.ServiceHello(
+        insertion_id=_ID,
+        models=(),
+        cameras=(wire.CameraEntry(finger="left", source="v4l2:0", state="live", frame_rate_hz=60.0),),
+        controller="belief",
+        limits=_LIMITS,
+    ),
+    wire.Armed(insertion_id=_ID, attempt=1, reference_seq=120),
+    wire.Slip(
+        insertion_id=_ID,
+        attempt=1,
+        finger="left",
+        frame_seq=141,
+        captured_ns=5_000_000_000,
+        age_ms=6.5,
+        score=1.4,
+        reason="slip: 9 markers off the rigid motion",
+    ),
+    wire.Correction(
+        insertion_id=_ID,
+        attempt=1,
+        dx_mm=-6.0,
+        dtheta_deg=1.5,
+        class_probabilities=_PROBABILITIES,
+        estimate=_ESTIMATE,
+        confidence=0.9,
+        controller="belief",
+        reason="belief (+6.1 mm, -1.4 deg) +- (+0.9 mm, +1.8 deg)",
+        latency_ms={"networks_last_step": 2.4},
+    ),
+    wire.NoDecision(insertion_id=_ID, attempt=1, reason="no_motion", detail="neither finger saw the object move"),
+    wire.Finished(insertion_id=_ID, outcome="inserted", attempts=2, recording="recordings/x/insertion.mcap"),
+    wire.Fault(insertion_id=_ID, code="camera_lost", detail="left gone", fatal=False),
+    wire.ServiceHeartbeat(insertion_id=_ID, count=7, frame_age_ms=12.5),
+)
+
+
+def messages_of(union: Any) -> tuple[type[BaseModel], ...]:
+    """The models of a discriminated union of the wire."""
+    members: tuple[type[BaseModel], ...] = get_args(get_args(union)[0])
+    return members
+
+
+CLIENT, SERVICE = messages_of(wire.ClientMessage), messages_of(wire.ServiceMessage)
+
+
+def _message(model: type[BaseModel]) -> dict[str, Any]:
+    examples = [{"name": model.__name__, "payload": e.model_dump(mode="json")} for e in EXAMPLES if type(e) is model]
+    return {
+        "name": model.model_fields["type"].default,
+        "title": model.__name__,
+        "summary": " ".join((model.__doc__ or "").split()),
+        "contentType": "application/json",
+        "payload": {"$ref": f"#/components/schemas/{model.__name__}"},
+        "examples": examples,
+    }
+
+
+def _channel(address: str, description: str, names: list[str], **more: Any) -> dict[str, Any]:
+    messages = {name: {"$ref": f"#/components/messages/{name}"} for name in names}
+    return {"address": address, "description": description, "messages": messages} | more
+
+
+def _operation(action: str, channel: str, summary: str, names: list[str]) -> dict[str, Any]:
+    """``action`` is from the service's side: it receives what clients send."""
+    return {
+        "action": action,
+        "channel": {"$ref": f"#/channels/{channel}"},
+        "summary": summary,
+        "messages": [{"$ref": f"#/channels/{channel}/messages/{name}"} for name in names],
+    }
+
+
+@lru_cache
+def document(version: str) -> dict[str, Any]:
+    """The AsyncAPI document; every payload schema is the one its messages are parsed with."""
+    client, service = [m.__name__ for m in CLIENT], [m.__name__ for m in SERVICE]
+    _, schemas = models_json_schema(
+        [(model, "validation") for model in (*CLIENT, *SERVICE)], ref_template="#/components/schemas/{model}"
+    )
+    both = {model.__name__: _message(model) for model in (*CLIENT, *SERVICE)}
+    frame = {"Frame": {"name": "frame", "contentType": BINARY, "summary": FRAME_LAYOUT, "payload": {"type": "string"}}}
+    order = " ".join((wire.__doc__ or "").split())
+    pushed = "Frames of one finger, pushed in where its camera is `push:`."
+    shown = "Live frames of one finger, newest wins; query max_hz, form=raw or jpeg."
+    return {
+        "asyncapi": "3.0.0",
+        "info": {"title": "tactile-insertion", "version": version, "description": order},
+        "defaultContentType": "application/json",
+        "servers": {"cell": {"host": "127.0.0.1:8000", "protocol": "ws", "description": "wss where TLS is set up"}},
+        "channels": {
+            "insertion": _channel("/v1/insertions/ws", "One connection is one insertion.", [*client, *service]),
+            "push": _channel("/v1/cameras/{finger}/push", pushed, ["Frame"], parameters=FINGER),
+            "frames": _channel("/v1/cameras/{finger}/frames", shown, ["Frame"], parameters=FINGER),
+        },
+        "operations": {
+            "hearClient": _operation("receive", "insertion", "What a cell controller sends.", client),
+            "tellClient": _operation("send", "insertion", "What the service answers and warns of.", service),
+            "takeFrames": _operation("receive", "push", pushed, ["Frame"]),
+            "showFrames": _operation("send", "frames", shown, ["Frame"]),
+        },
+        "components": {"messages": both | frame, "schemas": schemas["$defs"]},
+    }
