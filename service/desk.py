@@ -14,7 +14,7 @@ from service.contract import Finger, wire
 from service.disk import make_room
 from service.hub import Hub
 from service.insertion import Insertion, Send
-from service.insertion_session import InsertionSession
+from service.insertion_session import InsertionSession, ignore
 from service.models import ModelSet
 from service.observation import Observation
 from service.perception.rectify import Calibration
@@ -100,6 +100,7 @@ class Desk:
     def _open(self, hello: wire.ClientHello) -> Insertion:
         session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
         session.cameras, session.submit = self.camera_entries, self.submit
+        session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session)
         insertion = Insertion(session, recorder, None, self._publish)
         session.on_attempt = insertion.attempt_decided
@@ -156,6 +157,7 @@ class Desk:
                 insertion.recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
                 if insertion.recorder.error:
                     self.hub.publish("error", f"recording {insertion.recorder.path}: {insertion.recorder.error}")
+            insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
             if insertion.send:
                 insertion.send(finished)
             self.hub.publish("recorded", finished)

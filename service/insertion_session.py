@@ -13,10 +13,11 @@ from service.attempt import Attempt, Stage, WorkResult
 from service.contract import Finger, FramePair, TactileFrame, wire
 from service.contract.wire import CameraEntry, ControllerName, Limits, ServiceMessage
 from service.controllers import Command, make_controller
+from service.deadlines import Deadlines
 from service.judge import Decision, Judge
 from service.models import ModelSet
 from service.observation import FingerWatch, Observation, PairObservation, belongs
-from service.verdict import Deadlines, Work, plan_work, slip_message
+from service.verdict import Work, plan_work, slip_message
 
 Replies = list[ServiceMessage]
 DEFAULT_LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
@@ -94,7 +95,7 @@ class InsertionSession:
             self.insertion_id = message.insertion_id
             self.controller_name = message.controller or self.controller_name
             controller = make_controller(self.controller_name, self.limits)
-            self._judge = Judge(self.insertion_id, self.models, controller, self.deadlines, self._commanded)
+            self._judge = Judge(self.insertion_id, self.models, controller, self.deadlines)
         return [
             wire.ServiceHello(
                 insertion_id=self.insertion_id,
@@ -267,10 +268,9 @@ class InsertionSession:
         if self.attempt is None or self._judge is None:
             return []
         decision = self._judge.conclude(self.attempt, now_ns)
+        if self._judge.command:
+            self.on_command(self._judge.command)
         return [] if decision is None else self._decided(self.attempt, decision)
-
-    def _commanded(self, command: Command) -> None:
-        self.on_command(command)
 
     def _decided(self, attempt: Attempt, decision: Decision) -> Replies:
         attempt.stage, attempt.decision = Stage.DECIDED, decision

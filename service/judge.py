@@ -1,31 +1,32 @@
 """Answers each attempt once: a correction where its evidence can be trusted, else ``no_decision`` with the reason."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from service.attempt import Attempt, Stage
 from service.contract import wire
 from service.controllers import Command, Controller
+from service.deadlines import Deadlines
 from service.decision import Evidence, Refusal
 from service.models import ModelSet
-from service.verdict import Deadlines, check_evidence, correction, overdue
+from service.verdict import check_evidence, correction, overdue
 
 Decision = wire.Correction | wire.NoDecision
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Judge:
-    """The controller of one insertion and the rules around it; ``on_command`` sees each move before it is sent."""
+    """The controller of one insertion and the rules around it; ``command`` is the move of the last correction."""
 
     insertion_id: str
     models: ModelSet
     controller: Controller
     deadlines: Deadlines
-    on_command: Callable[[Command], None]
+    command: Command | None = None
 
     def conclude(self, attempt: Attempt, now_ns: int) -> Decision | None:
         """The answer to a stopped attempt, None while its frames or the networks' result may still come."""
+        self.command = None
         if attempt.stage is not Stage.STOPPED or attempt.stopped_ns is None:
             return None
         if attempt.broken:
@@ -49,7 +50,7 @@ class Judge:
             "controller": (time.perf_counter() - started) * 1e3,
             "since_last_frame": (now_ns - attempt.decision_pairs[-1].captured_ns) / 1e6,
         }
-        self.on_command(command)
+        self.command = command
         return correction(self.insertion_id, attempt, evidence, command, latency_ms)
 
     def _refuse(self, attempt: Attempt, refusal: Refusal) -> Decision:

@@ -41,11 +41,12 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from service.cameras import CameraFrame
+from service.contract import TactileFrame
 from service.observation import Observation
 from service.protowire import COMPRESSED_IMAGE, MARKERS, RAW_IMAGE, Schema
 
 FLUSH_S = 0.5
-MAX_WAITING = 600  # items; about 5 s of two 60 fps cameras
+MAX_WAITING_BYTES = 64 << 20  # of frames and markers; some 10 s of JPEG at 2 x 60 fps
 MAX_INSERTION_BYTES = 2 << 30
 PART = "insertion.mcap.part"
 FINAL = "insertion.mcap"
@@ -113,6 +114,8 @@ class Recorder:
     _stream: IO[bytes] = field(init=False)
     _offset_ns: int = field(init=False)
     error: str = ""
+    _waiting_bytes: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __post_init__(self) -> None:
         """Create the folder and start writing; raises OSError if the folder cannot be written."""
@@ -138,13 +141,12 @@ class Recorder:
 
     def frame(self, frame: CameraFrame) -> None:
         """Record a camera frame as it came."""
-        if self._has_room():
-            self._queue.put(lambda: self._write_frame(frame))
+        schema, values = image_message(frame)
+        self._put_bulk(f"/{frame.frame.finger}/image", schema, values, frame.frame)
 
     def observation(self, observation: Observation) -> None:
         """Record markers and slip of one frame."""
-        if self._has_room():
-            self._queue.put(lambda: self._write_markers(observation))
+        self._put_bulk(f"/{observation.finger}/markers", MARKERS, markers_message(observation), observation)
 
     def message(self, sender: str, message: Mapping[str, Any], now_ns: int) -> None:
         """Record a wire message; ``sender`` is client or service."""
@@ -168,11 +170,16 @@ class Recorder:
             self._thread.join()
         return self.path
 
-    def _has_room(self) -> bool:
-        if self._queue.qsize() < MAX_WAITING and not self.error:
-            return True
-        self.left_out_n += 1
-        return False
+    def _put_bulk(self, topic: str, schema: Schema, values: dict[str, Any], of: TactileFrame | Observation) -> None:
+        """Queue what may be left out: nothing of it but the bytes to be written is kept."""
+        size = sum(len(value) for value in values.values() if isinstance(value, bytes))
+        with self._lock:
+            room = self._waiting_bytes + size <= MAX_WAITING_BYTES and not self.error
+            self._waiting_bytes += size if room else 0
+            self.left_out_n += not room
+        if room:
+            log_ns, seq = of.captured_ns + self._offset_ns, of.seq
+            self._queue.put(lambda: self._write_bulk(topic, schema, values, log_ns, seq, size))
 
     def _run(self) -> None:
         flushed = time.monotonic()
@@ -200,43 +207,43 @@ class Recorder:
         except OSError as error:
             self.error = self.error or str(error)
 
-    def _write_frame(self, camera_frame: CameraFrame) -> None:
-        frame = camera_frame.frame
-        log_ns = frame.captured_ns + self._offset_ns
+    def _write_bulk(self, topic: str, schema: Schema, values: dict[str, Any], log_ns: int, seq: int, size: int) -> None:
+        with self._lock:
+            self._waiting_bytes -= size
         if self._stream.tell() > self.largest_bytes:
             self.left_out_n += 1
             return
-        common = {"timestamp": log_ns, "frame_id": frame.finger}
-        topic = f"/{frame.finger}/image"
-        if camera_frame.jpeg is not None:
-            values = common | {"data": camera_frame.jpeg, "format": "jpeg"}
-            self._mcap.protobuf(topic, COMPRESSED_IMAGE, values, log_ns, frame.seq)
-            return
-        height, width = frame.pixels.shape[:2]
-        size = {"width": width, "height": height, "encoding": "bgr8", "step": 3 * width}
-        values = common | size | {"data": np.ascontiguousarray(frame.pixels).tobytes()}
-        self._mcap.protobuf(topic, RAW_IMAGE, values, log_ns, frame.seq)
-
-    def _write_markers(self, observation: Observation) -> None:
-        log_ns = observation.captured_ns + self._offset_ns
-        rows, cols = observation.field.valid.shape
-        values = {
-            "timestamp": log_ns,
-            "seq": observation.seq,
-            "rows": rows,
-            "cols": cols,
-            "rest_px": _floats(observation.field.rest_px),
-            "displacement_px": _floats(observation.field.displacement_px),
-            "residual_px": _floats(observation.slip.residual_px),
-            "valid": observation.field.valid.astype(np.uint8).tobytes(),
-            "state": observation.slip.state,
-            "slip_score": float(observation.slip.score),
-        }
-        self._mcap.protobuf(f"/{observation.finger}/markers", MARKERS, values, log_ns, observation.seq)
+        self._mcap.protobuf(topic, schema, values | {"timestamp": log_ns}, log_ns, seq)
 
     def _write_summary(self, summary: Mapping[str, Any]) -> None:
         facts = {"insertion_id": self.insertion_id, "left_out_n": self.left_out_n} | dict(summary)
         write_whole(self.folder / "summary.json", json.dumps(facts, indent=1))
+
+
+def image_message(camera_frame: CameraFrame) -> tuple[Schema, dict[str, Any]]:
+    """A frame as Foxglove knows it: the camera's own JPEG, or raw pixels; without its time."""
+    frame = camera_frame.frame
+    if camera_frame.jpeg is not None:
+        return COMPRESSED_IMAGE, {"frame_id": frame.finger, "data": camera_frame.jpeg, "format": "jpeg"}
+    height, width = frame.pixels.shape[:2]
+    size = {"width": width, "height": height, "encoding": "bgr8", "step": 3 * width}
+    return RAW_IMAGE, {"frame_id": frame.finger, "data": np.ascontiguousarray(frame.pixels).tobytes()} | size
+
+
+def markers_message(observation: Observation) -> dict[str, Any]:
+    """Markers and slip of one frame, without its time."""
+    rows, cols = observation.field.valid.shape
+    return {
+        "seq": observation.seq,
+        "rows": rows,
+        "cols": cols,
+        "rest_px": _floats(observation.field.rest_px),
+        "displacement_px": _floats(observation.field.displacement_px),
+        "residual_px": _floats(observation.slip.residual_px),
+        "valid": observation.field.valid.astype(np.uint8).tobytes(),
+        "state": observation.slip.state,
+        "slip_score": float(observation.slip.score),
+    }
 
 
 def _nothing() -> None:

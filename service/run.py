@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import cv2
 import structlog
 import uvicorn
+from fastapi import FastAPI
 
 from service.app import create_app
 from service.contract import ContractError
@@ -91,15 +92,16 @@ def main(arguments: Sequence[str]) -> int:
             station.wait_for_cameras(settings.camera_wait_s)
             scheme = "https" if settings.tls_certificate else "http"
             print(f"service ready at {scheme}://{settings.host}:{sock.getsockname()[1]}/", flush=True)
-            _serve(settings, sock, create_app(station))
+            uvicorn.Server(web_config(create_app(station), settings)).run(sockets=[sock])
         finally:
             station.stop()
     return 0
 
 
-def _serve(settings: Settings, sock: socket.socket, app: object) -> None:
-    config = uvicorn.Config(
-        app,  # type: ignore[arg-type]
+def web_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
+    """How the web server runs: bounded in time, size and number; no compression, which costs more than the network."""
+    return uvicorn.Config(
+        app,
         http=PatientProtocol,
         ws="websockets-sansio",
         ws_per_message_deflate=False,
@@ -116,4 +118,3 @@ def _serve(settings: Settings, sock: socket.socket, app: object) -> None:
         ssl_certfile=str(settings.tls_certificate) if settings.tls_certificate else None,
         ssl_keyfile=str(settings.tls_key) if settings.tls_key else None,
     )
-    uvicorn.Server(config).run(sockets=[sock])

@@ -19,6 +19,7 @@ from pydantic_settings import SettingsError as CliError
 
 from service.contract import ContractError
 from service.contract.wire import ControllerName, Limits
+from service.deadlines import Deadlines
 
 Exporter = Literal["off", "console", "otlp"]
 
@@ -58,6 +59,9 @@ class Settings(BaseSettings):
     max_dtheta_deg: float = Field(15.0, gt=0, le=45, description="largest yaw correction ever sent")
     max_frame_age_ms: float = Field(150.0, gt=0, description="an older newest frame during a descent is a fault")
     client_timeout_s: float = Field(10.0, gt=0, description="a silent driving client is given up after this")
+    reference_timeout_s: float = Field(2.0, gt=0, description="from arm to a reference; later is a fault")
+    frames_timeout_s: float = Field(2.0, gt=0, description="from stopped to the last frame that the networks need")
+    decision_timeout_s: float = Field(10.0, gt=0, description="from stopped to the answer; later is no_decision")
     camera_wait_s: float = Field(10.0, ge=0, description="how long start-up waits for each camera's first frame")
     token_drive: SecretStr | None = Field(None, description="bearer token of clients that drive (they may also watch)")
     token_watch: SecretStr | None = Field(None, description="bearer token of clients that only watch")
@@ -84,6 +88,11 @@ class Settings(BaseSettings):
             return ipaddress.ip_address(self.host).is_loopback
         except ValueError:
             return self.host == "localhost"
+
+    @property
+    def deadlines(self) -> Deadlines:
+        """How long each stage of an attempt may take."""
+        return Deadlines(self.reference_timeout_s, self.frames_timeout_s, self.decision_timeout_s)
 
     @property
     def limits(self) -> Limits:

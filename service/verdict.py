@@ -6,20 +6,12 @@ from dataclasses import dataclass
 from service.attempt import Attempt, WorkResult
 from service.contract import wire
 from service.controllers import Command
+from service.deadlines import Deadlines
 from service.decision import DecisionRun, Evidence, Refusal
 from service.models import ModelSet
 from service.observation import Observation, PairObservation
 
 MIN_VALID_MARKERS = 0.5  # of a finger's markers, in the last frame decided on
-
-
-@dataclass(frozen=True, slots=True)
-class Deadlines:
-    """How long each stage may take before the session says so."""
-
-    reference_s: float = 2.0  # from `arm` to the first pair captured after it
-    decision_frames_s: float = 2.0  # from `stopped` to the last frame the networks need
-    decision_s: float = 10.0  # from `stopped` to the networks' result
 
 
 @dataclass(frozen=True, slots=True)

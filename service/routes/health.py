@@ -1,7 +1,7 @@
 """Liveness, readiness and metrics."""
 
 from fastapi import APIRouter, Response
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, PlainTextResponse
 
 from service.metrics import Metrics
 from service.station import Station
@@ -22,7 +22,7 @@ def router(station: Station, metrics: Metrics) -> APIRouter:
         content = {"ready": station.ready, "cameras": cameras, "faults": faults}
         return JSONResponse(content, 200 if station.ready else 503)
 
-    @routes.get("/metrics")
+    @routes.get("/metrics", response_class=PlainTextResponse)
     async def exposition() -> Response:
         content, kind = metrics.exposition()
         return Response(content, media_type=kind)

@@ -75,6 +75,12 @@ def deflate(body: bytes, accepted: str) -> tuple[bytes, dict[str, str]]:
     return body, {}
 
 
+class Inferred(Response):
+    """JSON, or JSON followed by binary tensors; the headers say which."""
+
+    media_type = "application/json"
+
+
 @dataclass(slots=True)
 class Served:
     """The loaded models under /v2, and what was asked of them."""
@@ -114,8 +120,8 @@ def _server_routes(routes: APIRouter, served: Served, access: Access) -> None:
 
     @routes.get("/health/live")
     @routes.get("/health/ready")
-    async def healthy() -> Response:
-        return Response()  # models are loaded and warm before anything listens
+    async def healthy() -> dict[str, str]:
+        return {}  # models are loaded and warm before anything listens
 
     @routes.get("/models/stats", dependencies=watch)
     async def all_statistics() -> dict[str, Any]:
@@ -165,8 +171,10 @@ def _model_routes(routes: APIRouter, served: Served, access: Access) -> None:
 def _inference_routes(routes: APIRouter, served: Served, access: Access) -> None:
     drive = [access.require("drive")]
 
-    @routes.post("/models/{name}/infer", dependencies=drive, openapi_extra=INFER_BODY)
-    @routes.post("/models/{name}/versions/{version}/infer", dependencies=drive, openapi_extra=INFER_BODY)
+    @routes.post("/models/{name}/infer", dependencies=drive, openapi_extra=INFER_BODY, response_class=Inferred)
+    @routes.post(
+        "/models/{name}/versions/{version}/infer", dependencies=drive, openapi_extra=INFER_BODY, response_class=Inferred
+    )
     async def infer(request: Request, name: str, version: str = VERSION) -> Response:
         model = served.model(name, version)
         if served.waiting_n >= MAX_WAITING:

@@ -18,10 +18,10 @@ class Driver:
     def send(self, message: Any) -> None:
         self.socket.send(message.model_dump_json())
 
-    def receive(self, timeout_s: float = 20.0) -> Any:
+    def receive(self, timeout_s: float = 60.0) -> Any:
         return wire.parse_service(self.socket.recv(timeout_s))
 
-    def until(self, kind: str, timeout_s: float = 20.0) -> Any:
+    def until(self, kind: str, timeout_s: float = 60.0) -> Any:
         deadline = time.monotonic() + timeout_s
         while (left := deadline - time.monotonic()) > 0:
             message = self.receive(left)

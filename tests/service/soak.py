@@ -230,6 +230,7 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rate-hz", type=float, default=15.0, help="of each camera; lower it on a busy machine")
     parser.add_argument("--models", type=Path, default=Path("models"), help="folder of the networks that decide")
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder for soak.md and soak.json")
     return parser.parse_args(given)
@@ -240,7 +241,7 @@ def main() -> int:
 
     told = arguments()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the service is asked to stop as well
-    fingers = FakeFinger("left"), FakeFinger("right")
+    fingers = FakeFinger("left", told.rate_hz), FakeFinger("right", told.rate_hz)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         drawn.calibration().save(root / "calibration.toml")
@@ -249,7 +250,8 @@ def main() -> int:
         for path in told.models.glob("*.onnx"):
             shutil.copy(path, models)
         options = ["--camera-left", fingers[0].url, "--camera-right", fingers[1].url, "--log-json", "true"]
-        options += ["--calibration", str(root / "calibration.toml"), "--max-frame-age-ms", "3000"]
+        options += ["--calibration", str(root / "calibration.toml"), "--max-frame-age-ms", "5000"]
+        options += ["--reference-timeout-s", "10", "--frames-timeout-s", "10", "--decision-timeout-s", "30"]
         with service_process(models, root / "recordings", *options) as service:
             soak = Soak(service, fingers)
             troubles = [

@@ -33,6 +33,7 @@ def report(
         "troubles": dict(sorted(troubles.items())),
         "machine": machine,
         "seed": told.seed,
+        "camera_rate_hz": told.rate_hz,
         "rss_mb_by_minute": [round(s[1], 1) for s in soak.samples[:: max(1, len(soak.samples) // 60)]],
     }
     held = not (soak.wrong or soak.lost or errors or leaks) and code == 0
@@ -93,7 +94,8 @@ def where(facts: dict) -> str:
     machine = facts["machine"]
     return (
         f"{facts['minutes']:.0f} minutes on {machine['cpu']}, {machine['cores']} cores shared with other work"
-        f" (load {machine['load'][1]:.1f}); seed {facts['seed']}. `make soak` repeats it."
+        f" (load {machine['load'][1]:.1f}); cameras at {facts['camera_rate_hz']:g} Hz, seed {facts['seed']}."
+        " `make soak` repeats it."
     )
 
 

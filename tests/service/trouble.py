@@ -133,7 +133,8 @@ class Cuts:
 
 def server_errors(service: ServiceProcess) -> list[str]:
     """Lines of the service's log that tell of an exception it did not expect."""
-    return [line for line in service.log if "Traceback" in line or '"level": "error"' in line or "[error" in line]
+    log = service.log
+    return ["".join(log[i : i + 60]) for i, line in enumerate(log) if "Traceback" in line or '"level": "error"' in line]
 
 
 def machine() -> dict[str, object]:
