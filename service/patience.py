@@ -26,6 +26,12 @@ class PatientProtocol(H11Protocol):
         else:
             self._stop_waiting()
 
+    def on_response_complete(self) -> None:
+        """An answer is out; if the beginning of a further request came meanwhile, the clock runs for it."""
+        super().on_response_complete()
+        if self.conn.trailing_data[0] and not self.transport.is_closing():
+            self._wait()
+
     def connection_lost(self, exc: Exception | None) -> None:
         """The client left."""
         self._stop_waiting()

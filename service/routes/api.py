@@ -4,12 +4,13 @@ import asyncio
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, HTTPException, Query, Request
+from fastapi import APIRouter, Query, Request
 
 from service import asyncapi
 from service.contract import FINGERS, ContractError, decode_frame
 from service.decision import DecisionRun
 from service.routes.access import Access
+from service.routes.gate import whole_body
 from service.station import Station
 
 VERSION = "0.1.0"
@@ -58,20 +59,11 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.post("/decisions", dependencies=drive, openapi_extra=BINARY_BODY)
     async def decisions(request: Request, gap_width_mm: GapWidth = 56.0) -> dict[str, Any]:
         """Body: encoded frames one after the other (left, right, left, right, ...), rectified."""
-        body = await _body(request)
+        body = await whole_body(request, MAX_BODY_BYTES)
         frames = _pairs(body, station)
         return await asyncio.to_thread(decide, station, frames, gap_width_mm)
 
     return routes
-
-
-async def _body(request: Request) -> bytes:
-    body = bytearray()
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > MAX_BODY_BYTES:
-            raise HTTPException(413, f"body larger than {MAX_BODY_BYTES} bytes")
-    return bytes(body)
 
 
 def _pairs(body: bytes, station: Station) -> np.ndarray[Any, np.dtype[np.uint8]]:

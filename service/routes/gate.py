@@ -5,9 +5,10 @@ import time
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-from fastapi import HTTPException
+from fastapi import HTTPException, Request
 from fastapi.responses import JSONResponse
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 BODY_TIMEOUT_S = 15.0  # without a byte of a body that was announced
@@ -83,6 +84,19 @@ def timed(receive: Receive) -> Receive:
         return message
 
     return next_piece
+
+
+async def whole_body(request: Request, most_bytes: int) -> bytes:
+    """The body of a request, bounded; raises HTTPException 413 beyond that and 400 if the client leaves meanwhile."""
+    body = bytearray()
+    try:
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > most_bytes:
+                raise HTTPException(413, f"body larger than {most_bytes} bytes")
+    except ClientDisconnect:
+        raise HTTPException(400, "the client left before its body was complete") from None
+    return bytes(body)
 
 
 def hardened(send: Send) -> Send:

@@ -16,6 +16,7 @@ from service.contract import ContractError
 from service.models import LoadedModel
 from service.oip_schema import INFER_SCHEMA
 from service.routes.access import Access
+from service.routes.gate import whole_body
 from service.station import Station
 
 MAX_BODY_BYTES = 64 << 20
@@ -193,15 +194,11 @@ def _inference_routes(routes: APIRouter, served: Served, access: Access) -> None
 
 
 async def _infer(request: Request, name: str, model: LoadedModel) -> Response:
-    body = bytearray()
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > MAX_BODY_BYTES:
-            raise ContractError(f"body larger than {MAX_BODY_BYTES} bytes")
+    body = await whole_body(request, MAX_BODY_BYTES)
     headers = request.headers
 
     def work() -> tuple[bytes, dict[str, str]]:
-        plain = inflate(bytes(body), headers.get("content-encoding", "").strip().lower())
+        plain = inflate(body, headers.get("content-encoding", "").strip().lower())
         asked = oip.parse_request(plain, headers.get("inference-header-content-length"), model)
         try:
             outputs = model.run(asked.inputs)

@@ -253,15 +253,16 @@ def main() -> int:
         options += ["--calibration", str(root / "calibration.toml"), "--max-frame-age-ms", "5000"]
         options += ["--reference-timeout-s", "10", "--frames-timeout-s", "10", "--decision-timeout-s", "30"]
         with service_process(models, root / "recordings", *options) as service:
-            soak = Soak(service, fingers)
+            soak, garbage = Soak(service, fingers), Garbage(service)
             troubles = [
-                Trouble(0.7, told.seed + 1, Garbage(service)),
+                Trouble(0.7, told.seed + 1, garbage),
                 Trouble(15.0, told.seed + 2, Reloads(service, models, told.models)),
                 Trouble(30.0, told.seed + 3, Cuts(fingers)),
             ]
             soak.run(told.minutes, told.seed)
             for trouble in troubles:
                 trouble.close()
+            garbage.close()
             alive = service.process.poll() is None
         soak.verify_abandoned()
         done = sum((trouble.done for trouble in troubles), Counter())

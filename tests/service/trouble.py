@@ -61,6 +61,11 @@ class Garbage:
         kind(rng)
         return kind.__name__.replace("_", " ")
 
+    def close(self) -> None:
+        """Let go of the half requests."""
+        for link in self._open:
+            link.close()
+
     def noise(self, rng: random.Random) -> None:
         with socket.create_connection(("127.0.0.1", self.service.port), 5) as link:
             link.sendall(rng.randbytes(rng.randrange(1, 5000)))
