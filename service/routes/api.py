@@ -22,11 +22,14 @@ BINARY_BODY = {
     }
 }
 GapWidth = Annotated[float, Query(gt=0, le=1000, allow_inf_nan=False)]
+GraspHeight = Annotated[float | None, Query(gt=0, le=500, allow_inf_nan=False)]
 
 
-def decide(station: Station, frames: np.ndarray[Any, np.dtype[np.uint8]], gap_width_mm: float) -> dict[str, Any]:
+def decide(
+    station: Station, frames: np.ndarray[Any, np.dtype[np.uint8]], gap_width_mm: float, grasp_height_mm: float | None
+) -> dict[str, Any]:
     """What the networks say of a recorded sequence uint8 [n, 2, H, W, 3]; the first pair is the reference."""
-    run = DecisionRun(station.models, frames[0], gap_width_mm)
+    run = DecisionRun(station.models, frames[0], gap_width_mm, grasp_height_mm)
     for frame in frames[: station.models.card.frames_per_decision]:
         run.step(frame)
     evidence = run.evidence()
@@ -57,11 +60,13 @@ def router(station: Station, access: Access) -> APIRouter:
         return {"active": active.session.insertion_id if active else None, "count": station.desk.opened_n}
 
     @routes.post("/decisions", dependencies=drive, openapi_extra=BINARY_BODY)
-    async def decisions(request: Request, gap_width_mm: GapWidth = 56.0) -> dict[str, Any]:
+    async def decisions(
+        request: Request, gap_width_mm: GapWidth = 56.0, grasp_height_mm: GraspHeight = None
+    ) -> dict[str, Any]:
         """Body: encoded frames one after the other (left, right, left, right, ...), rectified."""
         body = await whole_body(request, MAX_BODY_BYTES)
         frames = _pairs(body, station)
-        return await asyncio.to_thread(decide, station, frames, gap_width_mm)
+        return await asyncio.to_thread(decide, station, frames, gap_width_mm, grasp_height_mm)
 
     return routes
 
