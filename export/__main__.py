@@ -23,15 +23,16 @@ def onnx(checkpoint: Annotated[Path, tyro.conf.Positional], out: Path = Path("mo
         print(f"{file}  {file.stat().st_size / 1e6:.2f} MB")
 
 
-def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models")) -> None:
-    """Check every model of a folder: card, graph, forms, batches, threads, hard inputs.
+def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models"), stream_steps: int = 10_000) -> None:
+    """Check every model of a folder: card, graph, self-test, forms, batches, threads, hard inputs, a long stream.
 
     Args:
         folder: folder of released models.
+        stream_steps: how many steps without a fresh state.
     """
     from export.verify import verify as check
 
-    print("\n".join(check(folder)))
+    print("\n".join(check(folder, stream_steps)))
 
 
 def quantize(
@@ -39,43 +40,77 @@ def quantize(
     out: Path = Path("runs/int8"),
     data: Path = Path("data/probes"),
     decisions: int = 200,
+    every_layer: bool = False,
 ) -> None:
-    """Make the int8 twins of the released pair and say how many robot commands they would change.
+    """Make the int8 twins of released step models and say how many robot commands they would change.
+
+    Only layers become int8 that leave the commands what they were; the verdict is on decisions that neither chose the
+    layers nor calibrated them.
 
     Args:
-        folder: folder of the released fp32 pair.
-        out: folder of the int8 pair.
-        data: collected dataset; 16 decisions calibrate, the rest are compared.
+        folder: folder of released fp32 step models: a pair, a joint density, or both networks in one graph.
+        out: folder of the int8 twins.
+        data: collected dataset; 16 decisions calibrate, a third of the rest chooses layers, the others judge.
         decisions: how many decisions to read.
+        every_layer: make every layer int8, whatever it does to the commands.
     """
-    from export.quantize import agreement
+    from export.candidates import find_candidates
+    from export.quantize import CALIBRATION_DECISIONS, agreement
     from export.quantize import quantize as shrink
     from export.verify import open_model
     from training.dataset import read_decisions
 
     frames = read_decisions(str(data), decisions)
-    names = ("direction.step.onnx", "magnitude.step.onnx")
-    pairs = [(open_model(folder / name), open_model(shrink(folder / name, out / name, frames[:16]))) for name in names]
-    print(agreement(pairs[0], pairs[1], frames[16:]))
+    calibrating, rest = frames[:: max(1, len(frames) // CALIBRATION_DECISIONS)], frames
+    judged = None if every_layer else rest[1::3]
+    for candidate in find_candidates([folder]):
+        twins = []
+        for model in candidate.models:
+            twin, layers = shrink(model.file, out / model.file.name, calibrating, judged)
+            print(f"{twin}: int8 in {len(layers)} layers: {', '.join(layers)}")
+            twins.append(open_model(twin))
+        print(f"{candidate.name}: {agreement(candidate.models, tuple(twins), rest[2::3])}")
 
 
 def benchmark(
     models: Annotated[list[Path], tyro.conf.Positional] = [],  # noqa: B006 - tyro copies it
-    seconds: float = 2.0,
-    out: Path | None = Path("runs/benchmark.json"),
-    loadgen: bool = False,
+    seconds: float = 1.0,
+    docs: Path = Path("runs/benchmark"),
+    compare: str = "",
+    data: Path | None = None,
+    decisions: int = 64,
+    alexnet: Path | None = None,
+    loadgen: bool = True,
 ) -> None:
-    """Measure models on this machine: latency, throughput, operators, threads; optionally under MLPerf LoadGen.
+    """Measure models on this machine: latency, throughput, memory, threads, peers, hardware limit, LoadGen, accuracy.
 
     Args:
-        models: ONNX files; all of models/ if none is named.
+        models: ONNX files; all of models/ and its folders if none is named.
         seconds: how long each measurement lasts.
-        out: JSON file of the results.
-        loadgen: also run LoadGen's SingleStream, Offline and Server scenarios.
+        docs: folder of benchmark.md, benchmark.json and benchmark.png.
+        compare: runtimes to measure side by side, of torch, torch.compile and openvino, separated by commas.
+        data: collected dataset whose collisions LoadGen's accuracy mode asks; without one that column stays empty.
+        decisions: how many collisions.
+        alexnet: folder of the paper's networks as exported; made with random weights if absent. Adds the speed claims.
+        loadgen: run MLPerf LoadGen's SingleStream, Offline, Server and accuracy scenarios.
     """
+    from export import loadgen as lg
     from export.benchmark import benchmark as measure
+    from export.candidates import read_split
 
-    measure(models or sorted(Path("models").glob("*.onnx")), seconds=seconds, out=out, with_loadgen=loadgen)
+    if loadgen and not lg.available():
+        print("LoadGen is not installed (pip package mlcommons-loadgen): its scenarios are left out", file=sys.stderr)
+    asked = list(read_split(str(data), "validation", decisions)) if data is not None else None
+    measure(
+        models or sorted(Path("models").rglob("*.onnx")),
+        seconds=seconds,
+        docs=docs,
+        compare=tuple(name.strip() for name in compare.split(",") if name.strip()),
+        decisions=asked,
+        alexnet=alexnet,
+        with_loadgen=loadgen and lg.available(),
+    )
+    print(f"{docs / 'benchmark.md'}")
 
 
 def tradeoff(
@@ -86,26 +121,33 @@ def tradeoff(
     docs: Path = Path("docs"),
     twins: Path = Path("runs/twins"),
     seconds: float = 3.0,
+    kept: Path = Path("runs/twins/answers"),
 ) -> None:
     """Write docs/tradeoff.md, .json and .png: accuracy against time of networks, slip trackers and physics settings.
 
     Args:
-        folders: folders of exported fp32 step models (a pair, a joint density or both); models and models/joint if none
-            is named. An ``evaluation.json`` in a folder adds its mean trials of a closed loop.
+        folders: folders of exported fp32 step models (a pair, a joint density or both); models, models/joint and
+            models/pair if none is named. An ``evaluation.json`` in a folder adds its mean trials of a closed loop.
         data: collected dataset.
         split: trials on which the networks are scored: validation, or test (held-out ranges).
         decisions: how many collisions of the split.
         docs: where the report goes, and where slip_report.json, accuracy.json and closed_loop.json are read.
         twins: folder of the int8 and fp16 twins that are made and scored beside each network.
         seconds: how long each network is timed.
+        kept: folder of earlier answers, by dataset: a network that did not change is not asked again.
     """
     from export.candidates import read_split
     from export.tradeoff import tradeoff as measure
     from export.twins import make_twins
+    from training.dataset import data_sha256, open_source
 
-    named = folders or [Path("models"), Path("models/joint")]
+    released = [Path("models"), Path("models/joint"), Path("models/pair")]
+    named = folders or [folder for folder in released if any(folder.glob("*.step.onnx"))]
     every = named + make_twins(named, twins, str(data))
-    measure(every, read_split(str(data), split, decisions), split, docs, seconds)
+    digest = data_sha256(open_source(str(data)))[:12]
+    about = {"split": split, "data": digest}
+    asked = read_split(str(data), split, decisions)
+    measure(every, asked, about, docs, seconds, kept / f"{digest}-{split}-{decisions}.json")
     print(f"{docs / 'tradeoff.md'}")
 
 

@@ -1,93 +1,130 @@
 """``python -m export benchmark``: what a decision costs on this machine, in figures an engineer can act on."""
 
-import json
-import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from export import loadgen
-from export.measure import example_inputs, peak_memory_mb, time_calls
+from export import loadgen, peers
+from export.benchmark_report import line, write
+from export.candidates import Decision, decided_class
+from export.fresh import measure_fresh
+from export.limits import Peaks, Work, probe, work_of
+from export.measure import STEADY, example_inputs, noise, quartiles, time_calls, time_in_turn
+from export.profile import operators, profile
 from export.runtime import cpu_name, session
-from export.verify import Model, open_model
+from export.verify import Arrays, Model, open_model
+from export.yardstick import ratios
+from training.labels import class_of
+
+BATCH = 16
+SWEEP = ((1, False), (1, True), (2, False), (2, True))
 
 
-def benchmark(files: list[Path], *, seconds: float, out: Path | None, with_loadgen: bool) -> list[dict[str, Any]]:
-    """Measure every file; prints one table, writes ``out`` as JSON. Raises ContractError on a bad file."""
-    rows = []
-    print(f"{cpu_name()}, one thread; ms\n{'model':28}{'p50':>8}{'p90':>8}{'p99':>8}{'p99.9':>8}{'CPU p50':>9}", end="")
-    print(f"{'CPU p99':>9}{'first':>8}{'batch 16/s':>12}{'MB':>7}")
-    for file in files:
-        row = measure(file, seconds=seconds)
-        rows.append(row)
-        timing = row["single"]
-        cells = [timing[name] for name in ("p50_ms", "p90_ms", "p99_ms", "p999_ms")]
-        print(f"{file.name:28}" + "".join(f"{cell:8.2f}" for cell in cells), end="")
-        print(f"{timing['cpu_p50_ms']:9.2f}{timing['cpu_p99_ms']:9.2f}{row['first_ms']:8.1f}", end="")
-        print(f"{row['offline_per_s']:12.0f}{row['size_mb']:7.2f}" + ("  (noisy machine)" if row["noisy"] else ""))
+def benchmark(
+    files: list[Path],
+    *,
+    seconds: float,
+    docs: Path | None,
+    compare: tuple[str, ...] = (),
+    decisions: list[Decision] | None = None,
+    alexnet: Path | None = None,
+    with_loadgen: bool = True,
+) -> dict[str, Any]:
+    """Measure every file, print one line each, write ``benchmark`` .md .json .png into ``docs``; returns the report.
+
+    Raises ContractError on a bad file and on an unknown peer.
+    """
+    models = [open_model(file) for file in files]
+    report: dict[str, Any] = {"cpu": cpu_name(), "seconds": seconds, "models": []}
+    print(f"{report['cpu']}, one thread")
+    profiles = {model.file: profile(model) for model in models}
+    peaks = probe(max(work_of(model).weight_bytes for model in models))
+    report["peaks"] = peaks.as_dict()
+    for model in models:
+        row = measure(model, profiles[model.file], peaks, seconds=seconds, compare=compare)
         if with_loadgen:
-            row["loadgen"] = _loadgen(open_model(file), seconds, timing["p50_ms"])
-    if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(json.dumps({"cpu": cpu_name(), "models": rows}, indent=1))
+            row["loadgen"] = _loadgen(model, seconds, decisions or [])
+        report["models"].append(row)
+        print(line(row))
+    if alexnet is not None:
+        report["alexnet"] = ratios([model for model in models if model.card.form == "step"], alexnet, seconds)
+    if docs is not None:
+        docs.mkdir(parents=True, exist_ok=True)
+        write(report, docs)
+    return report
+
+
+def measure(
+    model: Model, profiled: list[dict[str, Any]], peaks: Peaks, *, seconds: float, compare: tuple[str, ...]
+) -> dict[str, Any]:
+    """Everything about one file but LoadGen's scenarios."""
+    inputs, many = example_inputs(model), example_inputs(model, BATCH)
+    timing = time_calls(lambda: model(inputs), seconds=seconds)
+    crowd = time_calls(lambda: model(many), seconds=seconds / 2, least=5)
+    return {
+        "file": str(model.file),
+        "card": model.card.model_dump(mode="json", exclude={"self_test"}),
+        "size_mb": model.file.stat().st_size / 1e6,
+        "single": timing.as_dict(),
+        "steady": timing.cpu_tail <= STEADY,
+        "noise": noise(lambda: model(inputs), seconds=seconds / 2),
+        "fresh": measure_fresh(model.file),
+        "batch_per_s": BATCH * 1e3 / crowd.p50_ms,
+        "batch_cpu_ms": crowd.cpu_p50_ms / BATCH,
+        "sweep": _sweep(model.file, inputs, seconds / 4),
+        "operators_ms": operators(profiled),
+        "limit": _limit(work_of(model), peaks, timing.cpu_p50_ms),
+        "peers": {name: _peer(name, model, seconds) for name in compare},
+    }
+
+
+def _limit(work: Work, peaks: Peaks, cpu_ms: float) -> dict[str, float]:
+    limit_ms = work.limit_ms(peaks)
+    return {"limit_ms": limit_ms, "weights_mb": work.weight_bytes / 1e6, "ratio": cpu_ms / max(limit_ms, 1e-9)}
+
+
+def _sweep(file: Path, inputs: Arrays, seconds: float) -> list[dict[str, Any]]:
+    """Threads and spinning, one after the other in turn: p50 of the wall, and the processor time of all threads."""
+    runs = {(threads, spinning): session(file, threads, spinning=spinning) for threads, spinning in SWEEP}
+    rows = []
+    for (threads, spinning), run in runs.items():
+        timing = time_calls(_call(run, inputs), seconds=seconds, least=20)
+        rows.append(
+            {"threads": threads, "spinning": spinning, "p50_ms": timing.p50_ms, "cpu_p50_ms": timing.cpu_p50_ms}
+        )
     return rows
 
 
-def measure(file: Path, *, seconds: float) -> dict[str, Any]:
-    """Latency, throughput, first inference, memory and the costliest operators of one file."""
-    began = time.perf_counter()
-    model = open_model(file)
+def _call(run: Any, inputs: Arrays) -> Callable[[], Any]:
+    return lambda: run.run(None, inputs)
+
+
+def _peer(name: str, model: Model, seconds: float) -> dict[str, Any]:
+    """A peer against ONNX Runtime, call by call in turn; or why it could not be measured."""
+    try:
+        other = peers.peer(name, model)
+    except peers.PeerAbsentError as error:
+        return {"absent": str(error)}
     inputs = example_inputs(model)
-    loaded = time.perf_counter()
-    model(inputs)
-    first_ms = (time.perf_counter() - loaded) * 1e3
-    timing = time_calls(lambda: model(inputs), seconds=seconds)
-    many = example_inputs(model, 16)
-    crowd = time_calls(lambda: model(many), seconds=seconds / 2, least=5)
+    rows = time_in_turn({"ours": lambda: model(inputs), "theirs": other}, seconds=seconds)
+    ours, theirs = rows["ours"], rows["theirs"]
     return {
-        "file": file.name,
-        "card": model.card.model_dump(mode="json"),
-        "single": timing.as_dict(),
-        "noisy": timing.noisy,
-        "load_ms": (loaded - began) * 1e3,
-        "first_ms": first_ms,
-        "offline_per_s": 16e3 / crowd.p50_ms,
-        "threads": {str(threads): _threads(file, inputs, threads, seconds / 4) for threads in (1, 2)},
-        "operators_ms": _operators(file, inputs),
-        "size_mb": file.stat().st_size / 1e6,
-        "peak_memory_mb": peak_memory_mb(),
+        "p50_ms": theirs[0].p50_ms,
+        "cpu_p50_ms": theirs[0].cpu_p50_ms,
+        "ours_p50_ms": ours[0].p50_ms,
+        "ours_cpu_p50_ms": ours[0].cpu_p50_ms,
+        "wall_ratio": quartiles(ours[1][0], theirs[1][0]),
+        "cpu_ratio": quartiles(ours[1][1], theirs[1][1]),
     }
 
 
-def _threads(file: Path, inputs: dict[str, Any], threads: int, seconds: float) -> dict[str, float]:
-    run = session(file, threads)
-    spun = session(file, threads, spinning=True)
-    return {
-        "p50_ms": time_calls(lambda: run.run(None, inputs), seconds=seconds).p50_ms,
-        "spinning_p50_ms": time_calls(lambda: spun.run(None, inputs), seconds=seconds).p50_ms,
+def _loadgen(model: Model, seconds: float, decisions: list[Decision]) -> dict[str, Any]:
+    """LoadGen's scenarios and, where there are decisions, its accuracy mode in the same run."""
+    results: dict[str, Any] = {
+        scenario: loadgen.run_scenario(model, scenario, seconds=seconds) for scenario in loadgen.SCENARIOS
     }
-
-
-def _operators(file: Path, inputs: dict[str, Any], calls: int = 30) -> dict[str, float]:
-    """Mean ms a call spent in each kind of operator, costliest first, from ONNX Runtime's profiler."""
-    run = session(file, profile=True)
-    for _ in range(calls):
-        run.run(None, inputs)
-    path = Path(run.end_profiling())
-    events = json.loads(path.read_text())
-    path.unlink()
-    spent: dict[str, float] = {}
-    for event in events:
-        if event.get("cat") == "Node" and str(event.get("name", "")).endswith("_kernel_time"):
-            name = str(event["args"].get("op_name", "?"))
-            spent[name] = spent.get(name, 0.0) + event["dur"] / 1e3 / calls
-    return dict(sorted(spent.items(), key=lambda item: -item[1])[:8])
-
-
-def _loadgen(model: Model, seconds: float, expected_ms: float) -> dict[str, dict[str, str]]:
-    results: dict[str, dict[str, str]] = {}
-    for scenario in loadgen.SCENARIOS:
-        summary = loadgen.run_scenario(model, scenario, seconds=seconds, expected_ms=expected_ms)
-        results[scenario] = summary
-        keys = ("Result is", "90.00 percentile latency (ns)", "99.00 percentile latency (ns)", "Samples per second")
-        print(f"  LoadGen {scenario}: " + ", ".join(f"{key} {summary[key]}" for key in keys if key in summary))
+    if decisions:
+        labels = [int(class_of(decision.truth[None])[0]) for decision in decisions]
+        right, count = loadgen.run_accuracy(lambda index: decided_class(model, decisions[index]), labels)
+        results["accuracy"] = {"right": right, "decisions": count}
     return results

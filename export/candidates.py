@@ -4,20 +4,27 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from export.measure import Timing, example_inputs, time_calls
+from export.quantize import GAIN, density_mean, paper_rule
 from export.verify import Arrays, Model, open_model, told
-from service.contract import ContractError
+from service.contract import ContractError, ModelCard
 from training.dataset import open_source
 from training.labels import class_of
 
 FRAME_COUNTS = (2, 4, 8)
 PAIR = ("direction.step.onnx", "magnitude.step.onnx")
 JOINT = ("joint.step.onnx",)
+SHARED = ("pair.step.onnx",)
+WHOLE = "int8-whole"
+"""Folder of twins with every layer int8, whatever that does to the commands."""
+KINDS = {"pair": PAIR, "joint": JOINT, "shared": SHARED}
+"""What a folder may hold that decides: two networks, a joint density, or two networks in one graph."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +39,20 @@ class Decision:
 
 
 @dataclass(frozen=True)
+class Answer:
+    """What a candidate says of a decision: class index, error [2] and the command [2] that follows, in (mm, deg)."""
+
+    chosen: int
+    error: NDArray[np.float64]
+    command: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Candidate:
-    """The step models of one folder that decide together: the pair, or the joint density alone."""
+    """The step models of one folder that decide together; ``kind`` is a key of KINDS."""
 
     name: str
+    kind: str
     folder: Path
     models: tuple[Model, ...]
 
@@ -43,9 +60,16 @@ class Candidate:
     def precision(self) -> str:
         """How its weights are stored."""
         stored = self.models[0].card.quantisation
-        return "fp32" if stored == "none" else stored
+        whole = " whole" if self.folder.name == WHOLE else ""
+        return "fp32" if stored == "none" else stored + whole
 
     @property
+    def origin(self) -> tuple[str, ...]:
+        """What it shares with its twins of other precision: network, kind and the training it comes from."""
+        card = self.models[0].card
+        return self.name, self.kind, card.training_data_sha256, card.git_commit
+
+    @cached_property
     def sha256(self) -> str:
         """Hash of all its files: an accuracy belongs to these bits and no others."""
         return hashlib.sha256(b"".join(model.file.read_bytes() for model in self.models)).hexdigest()
@@ -64,14 +88,15 @@ class Candidate:
             raise ContractError(f"{path}: mean_trials {found[0]} lies outside its interval {found[1:]}")
         return found
 
-    def classes(self, decision: Decision, counts: tuple[int, ...] = FRAME_COUNTS) -> dict[int, int]:
-        """The class chosen after each number of frames, by really stopping there."""
-        chosen: dict[int, int] = {}
-        model = self.models[0]
-        for seen, outputs in enumerate(_steps(model, decision), 1):
-            if seen in counts:
-                chosen[seen] = most_likely_class(model, outputs)
-        return chosen
+    def answers(self, decision: Decision, counts: tuple[int, ...] = FRAME_COUNTS) -> dict[int, Answer]:
+        """Class and estimated error after each number of frames, by really stopping there."""
+        outputs: dict[int, Arrays] = {count: {} for count in counts}
+        for model in self.models:
+            for seen, stepped in enumerate(_steps(model, decision), 1):
+                if seen in counts:
+                    outputs[seen] |= stepped
+        card = self.models[0].card
+        return {seen: answer(card, said) for seen, said in outputs.items()}
 
     def time_step(self, seconds: float) -> Timing:
         """One step of all its models, one after the other, on one thread: what remains after the last frame."""
@@ -80,31 +105,57 @@ class Candidate:
 
 
 def find_candidates(folders: list[Path]) -> list[Candidate]:
-    """Every pair and every joint density in the folders; ContractError on a folder that holds neither."""
+    """Every set of networks that decides together in the folders; ContractError on a folder that holds none."""
     found = []
     for folder in folders:
-        kinds = [files for files in (PAIR, JOINT) if all((folder / file).is_file() for file in files)]
+        kinds = {kind: names for kind, names in KINDS.items() if all((folder / name).is_file() for name in names)}
         if not kinds:
-            raise ContractError(f"{folder} holds neither {' and '.join(PAIR)} nor {JOINT[0]}")
-        for files in kinds:
-            models = tuple(open_model(folder / file) for file in files)
+            raise ContractError(f"{folder} holds none of {', '.join(' and '.join(names) for names in KINDS.values())}")
+        for kind, names in kinds.items():
+            models = tuple(open_model(folder / name) for name in names)
             wrong = models[0].card.disagreements(models[-1].card)
             if wrong:
                 raise ContractError(f"{folder}: {wrong[0]}")
             name = models[0].card.name.removesuffix("-direction")
-            found.append(Candidate(name, folder, models))
+            found.append(Candidate(name, kind, folder, models))
     return found
 
 
-def most_likely_class(model: Model, outputs: Arrays) -> int:
-    """Index of the class a direction network or a joint density holds for most likely."""
+def most_likely_class(card: ModelCard, outputs: Arrays) -> int:
+    """Index of the class that a network's outputs hold for most likely; of an estimate alone, the class it lies in."""
     if "logits" in outputs:
         return int(outputs["logits"][0].argmax())
+    if "error" in outputs:
+        return int(class_of(outputs["error"])[0])
     density = outputs["log_density"][0].astype(np.float64)
     weight = np.exp(density - density.max())
-    x_mm, theta_deg = np.meshgrid(model.card.grid_x_mm, model.card.grid_theta_deg, indexing="ij")
+    x_mm, theta_deg = np.meshgrid(card.grid_x_mm, card.grid_theta_deg, indexing="ij")
     cells = class_of(np.stack([x_mm, theta_deg], -1).reshape(-1, 2).astype(np.float32))
-    return int(np.bincount(cells, weight.ravel(), len(model.card.classes)).argmax())
+    return int(np.bincount(cells, weight.ravel(), len(card.classes)).argmax())
+
+
+def answer(card: ModelCard, outputs: Arrays) -> Answer:
+    """Class, estimate and command of all outputs of a candidate; a joint density's command needs no class."""
+    error = estimate(card, outputs)
+    ruled = paper_rule(card, outputs["logits"], outputs["error"])[0] if "logits" in outputs else -GAIN * error
+    return Answer(most_likely_class(card, outputs), error, ruled)
+
+
+def estimate(card: ModelCard, outputs: Arrays) -> NDArray[np.float64]:
+    """Estimated error [2] in (mm, deg); a joint density's is its mean."""
+    if "error" in outputs:
+        return np.asarray(outputs["error"][0], np.float64)
+    mean: NDArray[np.float64] = density_mean(card, outputs["log_density"])[0]
+    return mean
+
+
+def decided_class(model: Model, decision: Decision) -> int:
+    """The class one network of either form decides for after all frames."""
+    if model.card.form == "step":
+        *_, outputs = _steps(model, decision)
+    else:
+        outputs = model({"frames": decision.frames[None]} | _told(model, decision))
+    return most_likely_class(model.card, outputs)
 
 
 def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
@@ -124,9 +175,13 @@ def _collided(trial: object, split: str) -> bool:
     return getattr(trial, "split", "") == split and getattr(trial, "outcome", "") == "blocked"
 
 
+def _told(model: Model, decision: Decision) -> Arrays:
+    return told(model.card, 1, decision.gap_width_mm, decision.grasp_height_mm)
+
+
 def _steps(model: Model, decision: Decision) -> Iterator[Arrays]:
     state = np.zeros((1, model.card.state_size), np.float32)
-    said = told(model.card, 1, decision.gap_width_mm, decision.grasp_height_mm)
+    said = _told(model, decision)
     for frame in decision.frames:
         outputs = model({"frame": frame[None], "reference": decision.frames[:1], "state": state} | said)
         state = outputs["next_state"]

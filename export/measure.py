@@ -1,8 +1,7 @@
 """Measuring a model on this machine: wall and CPU time of each call, and how noisy the machine was meanwhile."""
 
-import resource
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,6 +14,10 @@ from export.verify import Arrays, Model, told
 WARM_UP_CALLS = 10
 NOISY = 1.5
 """A machine whose wall time exceeds its CPU time by this factor at the median was busy with something else."""
+NOISY_SPREAD = 0.25
+"""Spread of a model's wall time against itself, call by call: beyond it, wall times cannot be compared."""
+STEADY = 1.5
+"""p99 over p50 of the processor time on one thread that a deciding network may have."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,11 @@ class Timing:
         p50, p90, p99, p999 = (float(np.percentile(wall_ms, q)) for q in (50, 90, 99, 99.9))
         cpu50, cpu99 = (float(np.percentile(cpu_ms, q)) for q in (50, 99))
         return cls(len(wall_ms), p50, p90, p99, p999, cpu50, cpu99, p50 / max(cpu50, 1e-6))
+
+    @property
+    def cpu_tail(self) -> float:
+        """p99 over p50 of the processor time."""
+        return self.cpu_p99_ms / max(self.cpu_p50_ms, 1e-6)
 
     @property
     def noisy(self) -> bool:
@@ -60,34 +68,41 @@ def example_inputs(model: Model, batch: int = 1) -> Arrays:
 
 def time_calls(call: Callable[[], Any], *, seconds: float = 2.0, least: int = 30) -> Timing:
     """Call repeatedly for ``seconds``, at least ``least`` times, after a warm-up that is not counted."""
-    for _ in range(WARM_UP_CALLS):
-        call()
-    wall: list[float] = []
-    cpu: list[float] = []
+    return time_in_turn({"": call}, seconds=seconds, least=least)[""][0]
+
+
+def time_in_turn(
+    calls: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, least: int = 30
+) -> dict[str, tuple[Timing, NDArray[np.float64]]]:
+    """Time several calls, one of each in turn, so that noise hits all alike; timing and (wall, CPU) ms [2, N] of each.
+
+    The processor time is that of all threads of this process: nothing else may run in it meanwhile.
+    """
+    for call in calls.values():
+        for _ in range(WARM_UP_CALLS):
+            call()
+    spent: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
     end = time.perf_counter() + seconds
-    while len(wall) < least or time.perf_counter() < end:
-        wall_before, cpu_before = time.perf_counter_ns(), time.thread_time_ns()
-        call()
-        cpu.append((time.thread_time_ns() - cpu_before) / 1e6)
-        wall.append((time.perf_counter_ns() - wall_before) / 1e6)
-    return Timing.of(np.array(wall), np.array(cpu))
+    while min(map(len, spent.values())) < least or time.perf_counter() < end:
+        for name, call in calls.items():
+            wall_before, cpu_before = time.perf_counter_ns(), time.process_time_ns()
+            call()
+            cpu_ms = (time.process_time_ns() - cpu_before) / 1e6
+            spent[name].append(((time.perf_counter_ns() - wall_before) / 1e6, cpu_ms))
+    rows = {name: np.array(pairs).T for name, pairs in spent.items()}
+    return {name: (Timing.of(row[0], row[1]), row) for name, row in rows.items()}
 
 
-def paired_ratio(one: Callable[[], Any], other: Callable[[], Any], rounds: int = 40) -> tuple[float, float, float]:
-    """Median and quartiles of one's CPU time over the other's, measured in turn so that noise hits both alike."""
-    for _ in range(WARM_UP_CALLS):
-        one(), other()
-    ratios = [_cpu_ms(one) / max(_cpu_ms(other), 1e-6) for _ in range(rounds)]
+def quartiles(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Median and quartiles of the ratios of two rows of times measured in turn."""
+    count = min(len(one), len(other))
+    ratios = one[:count] / np.maximum(other[:count], 1e-6)
     low, middle, high = (float(np.percentile(ratios, q)) for q in (25, 50, 75))
     return middle, low, high
 
 
-def _cpu_ms(call: Callable[[], Any]) -> float:
-    before = time.thread_time_ns()
-    call()
-    return (time.thread_time_ns() - before) / 1e6
-
-
-def peak_memory_mb() -> float:
-    """Largest resident size of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+def noise(call: Callable[[], Any], *, seconds: float) -> dict[str, float]:
+    """How far a model measured in turn seems to differ from itself: (q75 - q25) / median of the ratio."""
+    rows = time_in_turn({"one": call, "other": call}, seconds=seconds)
+    wall, cpu = (quartiles(rows["one"][1][kind], rows["other"][1][kind]) for kind in (0, 1))
+    return {"wall_spread": (wall[2] - wall[1]) / wall[0], "cpu_spread": (cpu[2] - cpu[1]) / cpu[0]}

@@ -9,6 +9,7 @@ from typing import Any
 from service.contract import ContractError
 
 Z95 = 1.959963984540054
+TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 Table = dict[str, list["Point"]]
 
 
@@ -54,6 +55,20 @@ def pareto(points: list[Point]) -> list[Point]:
     return front
 
 
+def mean_interval(values: list[float]) -> tuple[float, float, float]:
+    """Mean and its 95 % interval."""
+    mean = sum(values) / len(values)
+    spread = sum((value - mean) ** 2 for value in values) / max(len(values) - 1, 1)
+    half = Z95 * math.sqrt(spread / len(values))
+    return mean, mean - half, mean + half
+
+
+def tracker_points(docs: Path) -> list[Point]:
+    """Slip trackers from their own trade-off, if it was measured, otherwise from the slip report."""
+    own = docs / "tradeoff_trackers.json"
+    return slip_points(own if own.is_file() else docs / "slip_report.json")
+
+
 def slip_points(path: Path) -> list[Point]:
     """Slip trackers of ``python -m simulation slip-report``: accuracy against processor time a frame of a finger."""
     return [
@@ -93,13 +108,19 @@ def physics_points(path: Path) -> list[Point]:
 
 
 def closed_loop_trials(path: Path, who: str) -> tuple[float, float, float] | None:
-    """Mean trials with a 95 % interval of one contender of the closed-loop report, None if it was not run."""
+    """Mean trials on the training objects with a 95 % interval of one contender of the closed-loop report.
+
+    None if it was not run. All contenders played these objects, some others not.
+    """
     if not path.is_file():
         return None
     rows = [
         row
         for row in _read(path, "summaries")
-        if row["who"] == who and not row["condition"] and row["mean_trials_standard_error"] is not None
+        if row["who"] == who
+        and not row["condition"]
+        and row["scene"] in TRAINING_OBJECTS
+        and row["mean_trials_standard_error"] is not None
     ]
     count = sum(row["insertions"] for row in rows)
     if not count:

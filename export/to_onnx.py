@@ -8,13 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 import onnx
-import onnxruntime
 import torch
 from torch import nn
 
 from export.golden import golden_frames
 from export.runtime import cpu_name, session
+from export.verify import open_model, verify_forms
 from service.contract import Calibration, ContractError, FrameSpec, ModelCard
+from service.contract.self_test import make_self_test
 from training.checkpoint import Checkpoint
 from training.config import FRAMES_PER_DECISION
 from training.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
@@ -30,13 +31,15 @@ OUTPUTS: dict[Role, list[str]] = {
     "direction": ["logits"],
     "magnitude": ["error", "log_sigma"],
     "joint": ["log_density"],
+    "pair": ["logits", "error", "log_sigma"],
 }
 
 
 def export_checkpoint(path: Path, out: Path) -> list[Path]:
     """Write ``<role>.<form>.onnx`` of every role and form; raise ContractError if any parity fails.
 
-    The pair goes to ``out``, the joint density to ``out/joint``: a service loads one folder and decides with it.
+    The two networks go to ``out``, the joint density to ``out/joint``, and both networks in one step graph to
+    ``out/pair``: a service loads one folder and decides with it. Torch and ONNX, and step and sequence, agree to 1e-5.
     """
     checkpoint = Checkpoint.load(path)
     network = checkpoint.build()
@@ -44,14 +47,19 @@ def export_checkpoint(path: Path, out: Path) -> list[Path]:
     written = []
     with tempfile.TemporaryDirectory(dir=out) as scratch:
         for role in network.roles:
-            for form in FORMS:
+            for form in FORMS if role != "pair" else FORMS[1:]:
                 file = Path(scratch) / f"{role}.{form}.onnx"
                 _export(network.of(role), checkpoint, role, form, file)
                 written.append(file)
-        if "joint" in network.roles:
-            (out / "joint").mkdir(exist_ok=True)
-        homes = [out / "joint" if file.name.startswith("joint") else out for file in written]
-        return [file.replace(home / file.name) for file, home in zip(written, homes, strict=True)]
+        verify_forms([open_model(file) for file in written])
+        return [file.replace(_home(out, file.name)) for file in written]
+
+
+def _home(out: Path, name: str) -> Path:
+    role = name.partition(".")[0]
+    folder = out / role if role in ("joint", "pair") else out
+    folder.mkdir(exist_ok=True)
+    return folder / name
 
 
 def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> ModelCard:
@@ -70,7 +78,7 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         threshold_theta_deg=THRESHOLD_THETA_DEG,
         gap_width_input=network.uses_geometry,
         grasp_height_input=network.uses_geometry,
-        has_sigma=role == "magnitude",
+        has_sigma=role in ("magnitude", "pair"),
         grid_x_mm=GRID_X_MM if joint else (),
         grid_theta_deg=GRID_THETA_DEG if joint else (),
         calibration=Calibration(
@@ -131,9 +139,12 @@ def _check_parity(wrapped: nn.Module, example: dict[str, torch.Tensor], file: Pa
 
 
 def attach_card(file: Path, card: ModelCard) -> None:
-    """Write the card into the file's metadata: the last thing that happens to it."""
+    """Write the card into the file's metadata, with what the network says of the self-test: its last change."""
+    run = session(file)
+    names = [output.name for output in run.get_outputs()]
+    tested = make_self_test(card, lambda inputs: dict(zip(names, run.run(names, inputs), strict=True)))
     model = onnx.load(str(file))
     del model.metadata_props[:]
-    onnx.helper.set_model_props(model, card.to_props())
+    onnx.helper.set_model_props(model, card.model_copy(update={"self_test": tested}).to_props())
     onnx.save(model, str(file))
-    ModelCard.from_props(onnxruntime.InferenceSession(str(file)).get_modelmeta().custom_metadata_map, file.name)
+    open_model(file)

@@ -1,6 +1,7 @@
 """``python -m export tradeoff`` and ``choose``: what accuracy costs in time, and the best network for a budget."""
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -8,82 +9,119 @@ from rich.progress import track
 
 from export.candidates import FRAME_COUNTS, Candidate, Decision, find_candidates
 from export.measure import Timing
-from export.points import Point, Table, closed_loop_trials, load_networks, physics_points, save, slip_points, wilson
+from export.points import (
+    Point,
+    Table,
+    closed_loop_trials,
+    load_networks,
+    mean_interval,
+    physics_points,
+    save,
+    tracker_points,
+    wilson,
+)
 from export.runtime import cpu_name
+from export.scores import Score, Scores, score
 from export.tradeoff_report import NAME, draw, write
 from service.contract import ContractError
-from training.labels import class_of
 
-SHIPPED = {"direction.step.onnx": ("models", "belief"), "joint.step.onnx": ("models/joint", "joint")}
-"""Which contender of the closed-loop report played with which released files."""
+PLAYED = {"pair": "belief", "shared": "belief", "joint": "joint"}
+"""Which contender of the closed-loop report decides with which kind of released networks."""
+PAPER = "paper"
 
 
-def tradeoff(folders: list[Path], decisions: Iterable[Decision], split: str, docs: Path, seconds: float) -> Table:
-    """Measure every candidate, add slip and physics from their reports, write ``tradeoff`` .md .json .png into docs."""
+def tradeoff(
+    folders: list[Path],
+    decisions: Iterable[Decision],
+    about: dict[str, Any],
+    docs: Path,
+    seconds: float,
+    kept: Path | None = None,
+) -> Table:
+    """Measure every candidate, add trackers and physics from their reports, write ``tradeoff.*`` into docs.
+
+    ``about`` says what the decisions are (split, dataset) and goes into the report. ``kept`` is a file of answers of
+    earlier runs on the same decisions: a network whose files did not change is not asked again.
+    """
     candidates = find_candidates(folders)
-    hits, count = score(candidates, decisions)
+    scores = score(candidates, decisions, kept)
     networks: list[Point] = []
-    noise: list[float] = []
-    for candidate in candidates:
+    crowding: list[float] = []
+    for candidate in track(candidates, description="timing", transient=True):
         timing = candidate.time_step(seconds)
-        noise.append(timing.crowding)
-        networks += points_of(candidate, timing, hits[id(candidate)], count, docs)
+        crowding.append(timing.crowding)
+        networks += points_of(candidate, timing, scores[candidate.sha256], docs)
     table: Table = {
         "networks": networks,
-        "slip": slip_points(docs / "slip_report.json"),
+        "slip": tracker_points(docs),
         "physics": physics_points(docs / "accuracy.json"),
     }
-    about: dict[str, Any] = {"cpu": cpu_name(), "split": split, "decisions": count, "crowding": max(noise)}
+    about = about | {"cpu": cpu_name(), "decisions": networks[0].count, "crowding": max(crowding)}
+    about["agreement"] = agreements(candidates, scores)
     save(table, about, docs / f"{NAME}.json")
     draw(table, docs / f"{NAME}.png")
     write(table, about, docs / f"{NAME}.md")
     return table
 
 
-def score(candidates: list[Candidate], decisions: Iterable[Decision]) -> tuple[dict[int, dict[int, int]], int]:
-    """Right directions of each candidate (by id) after each number of frames, and how many decisions there were."""
-    hits = {id(candidate): dict.fromkeys(FRAME_COUNTS, 0) for candidate in candidates}
-    count = 0
-    for decision in track(decisions, description="deciding", transient=True):
-        count += 1
-        label = int(class_of(decision.truth[None])[0])
-        for candidate in candidates:
-            for frames, chosen in candidate.classes(decision).items():
-                hits[id(candidate)][frames] += int(chosen == label)
-    if not count:
-        raise ContractError("there is no decision to score the networks on")
-    return hits, count
+def agreements(candidates: list[Candidate], scores: Scores) -> list[dict[str, Any]]:
+    """Each int8 and fp16 twin against its fp32 source, by commands after all frames."""
+    sources = {c.origin: c for c in candidates if c.precision == "fp32"}
+    rows = []
+    for twin in candidates:
+        source = sources.get(twin.origin)
+        if source is None or source is twin:
+            continue
+        found = scores[source.sha256][_longest()].agreement(scores[twin.sha256][_longest()])
+        name = f"{twin.name} {twin.kind} {twin.precision}"
+        rows.append({"name": name, "verdict": str(found), "same_command": found.same_command, **asdict(found)})
+    return rows
 
 
-def points_of(candidate: Candidate, timing: Timing, hits: dict[int, int], count: int, docs: Path) -> list[Point]:
+def points_of(candidate: Candidate, timing: Timing, scores: dict[int, Score], docs: Path) -> list[Point]:
     """One point a number of frames. The cost is the processor time of the steps of a whole decision."""
-    trials = candidate.mean_trials()
-    home, who = SHIPPED[candidate.models[0].file.name]
-    if trials is None and candidate.folder == Path(home) and candidate.precision == "fp32":
-        trials = closed_loop_trials(docs / "closed_loop.json", who)
+    trials = _trials(candidate, docs)
+    card = candidate.models[0].card
     about = {
         "network": candidate.name,
+        "kind": candidate.kind,
         "precision": candidate.precision,
+        "input_px": [card.frame.height_px, card.frame.width_px],
+        "training_data": card.training_data_sha256[:12],
         "step_cpu_ms": timing.cpu_p50_ms,
         "step_p50_ms": timing.p50_ms,
         "step_p99_ms": timing.p99_ms,
+        "step_cpu_p99_ms": timing.cpu_p99_ms,
+        "size_mb": sum(model.file.stat().st_size for model in candidate.models) / 1e6,
         "folder": str(candidate.folder),
         "files": [model.file.name for model in candidate.models],
         "sha256": candidate.sha256,
     }
     return [
         Point(
-            f"{candidate.name} {candidate.precision}, {frames} frames",
-            *wilson(hits[frames], count),
+            f"{candidate.name} {candidate.kind} {candidate.precision}, {frames} frames",
+            *wilson(sum(said.hits), len(said.hits)),
             cost_ms=frames * timing.cpu_p50_ms,
             p50_ms=frames * timing.p50_ms,
             p99_ms=frames * timing.p99_ms,
-            count=count,
+            count=len(said.hits),
             mean_trials=trials if frames == max(FRAME_COUNTS) else None,
-            about=about | {"frames": frames},
+            about=about
+            | {"frames": frames, "mae_mm": mean_interval(said.off_mm), "mae_deg": mean_interval(said.off_deg)},
         )
-        for frames in FRAME_COUNTS
+        for frames, said in scores.items()
     ]
+
+
+def _trials(candidate: Candidate, docs: Path) -> tuple[float, float, float] | None:
+    """Mean trials of a closed loop that was played with these very networks, or with the same ones in another graph."""
+    trials = candidate.mean_trials()
+    if trials is not None or candidate.precision != "fp32":
+        return trials
+    if candidate.name.startswith("alexnet"):
+        return closed_loop_trials(docs / "closed_loop.json", PAPER)
+    released = candidate.folder.parts[:1] == ("models",)
+    return closed_loop_trials(docs / "closed_loop.json", PLAYED[candidate.kind]) if released else None
 
 
 def choose(budget_ms: float, report: Path, seconds: float) -> str:

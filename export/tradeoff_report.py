@@ -31,8 +31,9 @@ def write(table: Table, about: dict[str, Any], path: Path) -> None:
         "# What accuracy costs in time",
         "",
         "Written by `make tradeoff`. Every point is a trained network, a tracker or a solver setting that was really",
-        f"run; all data are simulated. Networks: {about['decisions']} collisions of the split `{about['split']}`, on",
-        f"{about['cpu']}, one thread; 95 % Wilson intervals. Quote processor time: wall times were",
+        "run. Accuracy and time of networks are measured on rendered frames of the simulator, not of a real gel:",
+        f"{about['decisions']} collisions of the split `{about['split']}` of data `{about['data']}`,",
+        f"on {about['cpu']}, one thread; 95 % intervals (Wilson's for shares). Quote processor time: wall times were",
         f"{about['crowding']:.2f} times it{' (noisy machine)' if about['crowding'] > NOISY else ''}.",
         "",
         f"![Quality against time]({NAME}.png)",
@@ -40,14 +41,17 @@ def write(table: Table, about: dict[str, Any], path: Path) -> None:
         "## Networks",
         "",
         "Fewer frames is the same network stopped early. `step` is what remains after the last frame; the camera's",
-        "wait (33 ms a frame at 30 fps) comes on top and is shorter with fewer frames. **Bold**: on the Pareto front.",
+        "wait (33 ms a frame at 30 fps) comes on top and is shorter with fewer frames. `pair`: two networks;",
+        "`shared`: both in one graph behind one backbone; `joint`: one density over (x, yaw). Mean trials: closed loop",
+        "on the four training objects. **Bold**: on the Pareto front.",
         "",
-        "| network | right direction | mean trials | step p50 / p99 ms | step CPU ms | decision CPU ms | camera ms |",
-        "|---|---|---|---|---|---|---|",
+        "| network | right direction | MAE mm, deg | mean trials | step p50 / p99 ms | its CPU | decision CPU | MB |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     front = {id(point) for point in pareto(table["networks"])}
     lines += [_network_row(point, id(point) in front) for point in sorted(table["networks"], key=lambda p: p.cost_ms)]
-    lines += ["", _default(table["networks"]), ""]
+    lines += ["", _default(table["networks"]), "", *_sizes(table["networks"]), ""]
+    lines += _agreements(about)
     lines += [
         "## Slip trackers",
         "",
@@ -75,10 +79,38 @@ def _share(point: Point) -> str:
 def _network_row(point: Point, front: bool) -> str:
     trials = "not run" if point.mean_trials is None else "{:.2f} [{:.2f}, {:.2f}]".format(*point.mean_trials)
     about = point.about
-    return (
-        f"| {_bold(point.name, front)} | {_share(point)} | {trials} | {about['step_p50_ms']:.2f} /"
-        f" {about['step_p99_ms']:.2f} | {about['step_cpu_ms']:.2f} | {point.cost_ms:.1f} | {about['frames'] * 33} |"
+    off = f"{about['mae_mm'][0]:.2f}, {about['mae_deg'][0]:.2f}"
+    step = f"{about['step_p50_ms']:.2f} / {about['step_p99_ms']:.2f} | {about['step_cpu_ms']:.2f}"
+    cells = (
+        _bold(point.name, front),
+        _share(point),
+        off,
+        trials,
+        step,
+        f"{point.cost_ms:.1f}",
+        f"{about['size_mb']:.2f}",
     )
+    return f"| {' | '.join(cells)} |"
+
+
+def _sizes(points: list[Point]) -> list[str]:
+    """Which input sizes were trained: a size without a trained network does not appear."""
+    sizes = sorted({tuple(point.about["input_px"]) for point in points})
+    shown = ", ".join(f"{height} x {width}" for height, width in sizes)
+    return [f"Input sizes with a trained network: {shown} px (pooled or resized inside the graph)."]
+
+
+def _agreements(about: dict[str, Any]) -> list[str]:
+    """int8 and fp16 judged by the commands they would change."""
+    return [
+        "## Do smaller weights change commands?",
+        "",
+        "Each twin against its fp32 source after 8 frames, by the command of the paper's rule. `int8` holds the layers",
+        "that may be int8 without that, `int8 whole` all of them.",
+        "",
+        *(f"- {row['name']}: {row['verdict']}" for row in about["agreement"]),
+        "",
+    ]
 
 
 def _default(points: list[Point]) -> str:

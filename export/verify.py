@@ -1,6 +1,8 @@
 """Checks of released files: card, graph, both forms equal, batches and threads equal, hard inputs bounded."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +13,17 @@ from numpy.typing import NDArray
 from export.golden import golden_frames, hard_frames
 from export.runtime import session
 from service.contract import ContractError, ModelCard
+from service.contract.self_test import check_self_test
 
 TOLERANCE = 1e-5
 INT8_TOLERANCE = 2e-2
 LARGEST_OUTPUT = 1e4
+OPSETS = (20, 21)
+"""Exported as 20; 21 is what the quantiser needs to store per-channel scales."""
+STREAM_STEPS = 10_000
+CROWD = {"step": 64, "sequence": 8}
+"""Batch against which a single decision is compared; 64 whole sequences would take gigabytes."""
+KINDS: dict[str, np.dtype[Any]] = {"tensor(uint8)": np.dtype(np.uint8), "tensor(float)": np.dtype(np.float32)}
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -31,10 +40,26 @@ class Model:
         """How far two equal computations may differ."""
         return TOLERANCE if self.card.quantisation == "none" else INT8_TOLERANCE
 
+    @cached_property
+    def _names(self) -> list[str]:
+        return [output.name for output in self.run.get_outputs()]
+
+    @cached_property
+    def _expected(self) -> dict[str, tuple[np.dtype[Any], list[Any]]]:
+        return {entry.name: (KINDS[entry.type], list(entry.shape)) for entry in self.run.get_inputs()}
+
     def __call__(self, inputs: Arrays) -> Arrays:
-        """Outputs by name."""
-        names = [output.name for output in self.run.get_outputs()]
-        return dict(zip(names, self.run.run(names, inputs), strict=True))
+        """Outputs by name; ContractError on an input that is missing, strange or of another dtype or shape."""
+        if set(inputs) != set(self._expected):
+            raise ContractError(f"{self.file.name} was given {sorted(inputs)}, expected {sorted(self._expected)}")
+        for name, (kind, shape) in self._expected.items():
+            given = inputs[name]
+            if given.dtype != kind or given.ndim != len(shape) or given.shape[1:] != tuple(shape[1:]):
+                wanted = ", ".join(["B", *map(str, shape[1:])])
+                raise ContractError(
+                    f"{self.file.name}: {name} is {given.dtype}{list(given.shape)}, expected {kind}[{wanted}]"
+                )
+        return dict(zip(self._names, self.run.run(self._names, inputs), strict=True))
 
 
 def open_model(file: Path, threads: int = 1) -> Model:
@@ -75,54 +100,98 @@ def decide(model: Model, frames: NDArray[np.uint8]) -> Arrays:
     return model({"frames": frames} | told(model.card, len(frames)))
 
 
-def verify(folder: Path) -> list[str]:
+def verify(folder: Path, stream_steps: int = STREAM_STEPS) -> list[str]:
     """Verify every model of a folder; one line a check, ContractError on the first that fails."""
     files = sorted(folder.glob("*.onnx"))
     if not files:
         raise ContractError(f"no .onnx file in {folder}; export with `python -m export onnx CHECKPOINT`")
     models = [open_model(file) for file in files]
-    lines = [f"{model.file.name}: card valid, graph checked" for model in models if _checked(model)]
+    lines = [f"{model.file.name}: {_check_file(model)}" for model in models]
     for model in models:
-        lines += [f"{model.file.name}: {line}" for line in verify_model(model)]
-    return lines + _verify_forms(models)
+        lines += [f"{model.file.name}: {line}" for line in verify_model(model, stream_steps)]
+    return lines + verify_forms(models)
 
 
-def _checked(model: Model) -> bool:
+def _check_file(model: Model) -> str:
     onnx.checker.check_model(str(model.file), full_check=True)
-    return True
+    opset = next(entry.version for entry in onnx.load(str(model.file)).opset_import if not entry.domain)
+    if opset not in OPSETS:
+        raise ContractError(f"{model.file.name} is of opset {opset}, expected one of {list(OPSETS)}; export it again")
+    check_self_test(model.card, model, model.file.name)
+    return f"card valid, graph checked (opset {opset}), self-test {'passed' if model.card.self_test else 'absent'}"
 
 
-def verify_model(model: Model) -> list[str]:
+def verify_model(model: Model, stream_steps: int = STREAM_STEPS) -> list[str]:
     """Batch, thread and hard-input checks of one file."""
     card = model.card
     frames = golden_frames(card.frame, card.frames_per_decision)[None]
     alone = decide(model, frames)
-    crowd = decide(model, np.repeat(frames, 4, 0))
-    batch_gap = max(_gap(alone[name][0], crowd[name][3]) for name in alone)
+    crowd = CROWD[card.form]
+    batch_gap = _batch_gap(model, frames, crowd)
     threads_gap = _gaps(alone, decide(open_model(model.file, threads=2), frames))
-    for what, gap in (("alone and in a batch", batch_gap), ("with one thread and two", threads_gap)):
+    for what, gap in ((f"alone and among {crowd}", batch_gap), ("with one thread and two", threads_gap)):
         if not gap <= model.tolerance:
             raise ContractError(
                 f"{model.file.name}: outputs {what} differ by {gap:.1e}, expected {model.tolerance:.0e}"
             )
-    for name, hard in hard_frames(card.frame, card.frames_per_decision).items():
-        _bounded(model, name, decide(model, hard[None]))
-    lines = [f"batch invariant to {batch_gap:.0e}, thread invariant to {threads_gap:.0e}, hard inputs bounded"]
+    hard = hard_frames(card.frame, card.frames_per_decision)
+    for name, strange in hard.items():
+        _bounded(model, name, decide(model, strange[None]))
+    lines = [
+        f"1 against {crowd} in a batch to {batch_gap:.0e}, 1 thread against 2 to {threads_gap:.0e}",
+        f"bounded on {', '.join(hard)}",
+    ]
     if card.form == "step":
-        lines.append(_verify_stream(model, frames))
+        lines += [_verify_states(model, frames), _verify_stream(model, frames, stream_steps)]
     return lines
 
 
-def _verify_stream(model: Model, frames: NDArray[np.uint8], steps: int = 500) -> str:
+def _batch_gap(model: Model, frames: NDArray[np.uint8], crowd: int) -> float:
+    """Difference of a decision alone and as one row among other ones; a step model is asked its last step."""
+    place = crowd // 2
+    if model.card.form == "sequence":
+        rows = np.stack([np.roll(frames[0], row - place, axis=-2) for row in range(crowd)])
+        alone, among = decide(model, frames), decide(model, rows)
+    else:
+        last = np.stack([np.roll(frames[0, -1], row - place, axis=-2) for row in range(crowd)])
+        reference = np.repeat(frames[:, 0], crowd, 0)
+        state = np.random.default_rng(3).uniform(-1, 1, (crowd, model.card.state_size)).astype(np.float32)
+        among = model({"frame": last, "reference": reference, "state": state} | told(model.card, crowd))
+        one: Arrays = {"frame": frames[:, -1], "reference": frames[:, 0], "state": state[place : place + 1]}
+        alone = model(one | told(model.card, 1))
+    return max(_gap(alone[name][0], among[name][place]) for name in alone)
+
+
+def _verify_states(model: Model, frames: NDArray[np.uint8]) -> str:
+    """Recurrent states no run should reach: +-1e4 (and so logits of that order), and denormals, which equal zero."""
+    seen = {}
+    states = {"zeros": 0.0, "denormals": 1e-40, "+1e4": 1e4, "-1e4": -1e4}
+    for name, value in states.items():
+        state = np.full((1, model.card.state_size), value, np.float32)
+        fed: Arrays = {"frame": frames[:, -1], "reference": frames[:, 0], "state": state}
+        seen[name] = model(fed | told(model.card, 1))
+        if not all(np.isfinite(output).all() for output in seen[name].values()):
+            raise ContractError(f"{model.file.name}: a state of {name} gives outputs that are not finite")
+    gap = _gaps(seen["denormals"], seen["zeros"])
+    if not gap <= model.tolerance:
+        raise ContractError(f"{model.file.name}: a denormal state differs from a zero one by {gap:.1e}")
+    return "finite on states of +-1e4, denormal states equal zero ones"
+
+
+def _verify_stream(model: Model, frames: NDArray[np.uint8], steps: int) -> str:
+    for outputs in stream(model, frames, steps):
+        _bounded(model, f"stream of {steps} steps", outputs)
+    return f"bounded at every step of a stream of {steps}"
+
+
+def stream(model: Model, frames: NDArray[np.uint8], steps: int) -> Iterator[Arrays]:
+    """Outputs after each of many steps without a fresh state; frames [1, T, 2, H, W, 3] come round again."""
     state = np.zeros((1, model.card.state_size), np.float32)
-    outputs: Arrays = {}
     for step in range(steps):
-        now = frames[:, step % frames.shape[1]]
-        fed: Arrays = {"frame": now, "reference": frames[:, 0], "state": state}
+        fed: Arrays = {"frame": frames[:, step % frames.shape[1]], "reference": frames[:, 0], "state": state}
         outputs = model(fed | told(model.card, 1))
         state = outputs["next_state"]
-    _bounded(model, f"stream of {steps} steps", outputs)
-    return f"bounded after a stream of {steps} steps"
+        yield outputs
 
 
 def _bounded(model: Model, what: str, outputs: Arrays) -> None:
@@ -131,7 +200,8 @@ def _bounded(model: Model, what: str, outputs: Arrays) -> None:
             raise ContractError(f"{model.file.name}: {name} is not finite and bounded on the hard input '{what}'")
 
 
-def _verify_forms(models: list[Model]) -> list[str]:
+def verify_forms(models: list[Model]) -> list[str]:
+    """Step and sequence form of one network agree; one line a pair, ContractError if not."""
     lines = []
     for step in (model for model in models if model.card.form == "step"):
         same = [m for m in models if m.card.form == "sequence" and m.card.name == step.card.name]

@@ -132,6 +132,8 @@ class DecisionRun:
         cards = {step.card.role: step.card for step in self._models.steps}
         if "joint" in by_role:
             return from_joint(cards["joint"], by_role["joint"])
+        if "pair" in by_role:
+            return from_pair(cards["pair"], cards["pair"], by_role["pair"], by_role["pair"])
         return from_pair(cards["direction"], cards["magnitude"], by_role["direction"], by_role["magnitude"])
 
 

@@ -11,10 +11,17 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from service.contract import ContractError, ModelCard
+from service.contract.self_test import check_self_test
 from service.contract.wire import ModelEntry
 
 Array = NDArray[Any]
-_OUTPUTS = {"direction": "logits", "magnitude": "error", "joint": "log_density"}
+_OUTPUTS = {
+    "direction": {"logits"},
+    "magnitude": {"error"},
+    "joint": {"log_density"},
+    "pair": {"logits", "error"},
+}
+_DECIDING = ({"direction", "magnitude"}, {"joint"}, {"pair"})
 _WARM_UP_STEPS = 3
 
 
@@ -80,7 +87,7 @@ class StepModel:
 
 @dataclass(frozen=True, slots=True)
 class ModelSet:
-    """What decides: either a direction and a magnitude network, or one joint density; plus every other file found."""
+    """What decides (direction and magnitude network, both in one graph, or a joint density), and every file found."""
 
     steps: tuple[StepModel, ...]
     models: tuple[LoadedModel, ...]
@@ -106,7 +113,7 @@ class ModelSet:
 
 
 def load_model(path: Path) -> LoadedModel:
-    """Open one ONNX file; raise ModelError if it is unreadable, card-less, or its graph is not what its card says."""
+    """Open one ONNX file; raise ModelError if it is unreadable, card-less, or not what its card says."""
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -121,6 +128,10 @@ def load_model(path: Path) -> LoadedModel:
     card = ModelCard.from_props(session.get_modelmeta().custom_metadata_map, str(path))
     model = LoadedModel(path, card, hashlib.sha256(content).hexdigest(), session)
     _check_graph(model)
+    try:
+        check_self_test(card, model.run, str(path))
+    except ContractError as error:
+        raise ModelError(str(error)) from error
     return model
 
 
@@ -139,7 +150,7 @@ def _check_graph(model: LoadedModel) -> None:
     if found != expected:
         raise ModelError(f"{model.path} takes inputs {found}, but its card says {expected}; export it again")
     outputs = {entry.name for entry in model.session.get_outputs()}
-    needed = {_OUTPUTS[card.role]} | ({"log_sigma"} if card.has_sigma else set())
+    needed = _OUTPUTS[card.role] | ({"log_sigma"} if card.has_sigma else set())
     needed |= {"next_state"} if card.form == "step" else set()
     if not needed <= outputs:
         raise ModelError(f"{model.path} gives outputs {sorted(outputs)}, but its card promises {sorted(needed)}")
@@ -169,11 +180,12 @@ def _choose_steps(folder: Path, candidates: Sequence[LoadedModel]) -> tuple[Step
         other = by_role.setdefault(model.card.role, model)
         if other is not model:
             raise ModelError(f"two {model.card.role} step models, {other.path.name} and {model.path.name}; keep one")
-    if "joint" in by_role and len(by_role) > 1:
-        raise ModelError(
-            f"{folder} holds a joint step model beside {sorted(by_role)}; keep the joint one or the others"
-        )
-    if "joint" not in by_role and set(by_role) != {"direction", "magnitude"}:
+    for whole in {"joint", "pair"} & set(by_role):
+        if len(by_role) > 1:
+            raise ModelError(
+                f"{folder} holds a {whole} step model beside {sorted(by_role)}; keep the {whole} one or the others"
+            )
+    if set(by_role) not in _DECIDING:
         missing = " and ".join(sorted({"direction", "magnitude"} - set(by_role)))
         raise ModelError(f"{folder} has no {missing} step model; export it with `python -m export onnx`")
     return tuple(StepModel(by_role[role]) for role in sorted(by_role))

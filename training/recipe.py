@@ -45,8 +45,7 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
         else:
             _pretrain(config, source, table, pair, log)
         rows = load_rows(config, source, table, pair.direction)
-        for role in pair.roles:
-            network = pair.of(role)
+        for role, network in (("direction", pair.direction), ("magnitude", pair.magnitude)):
             for parameter in network.alexnet.features.parameters():
                 parameter.requires_grad = False
             print(role, fit(network, _head_stage(config, network, role, rows), folder, config.seed, log))

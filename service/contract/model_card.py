@@ -14,7 +14,7 @@ from service.contract.frames import Contract, ContractError, FrameSpec
 CARD_KEY = "tactile_insertion.card"
 
 Sign = Literal[-1, 0, 1]
-Role = Literal["direction", "magnitude", "joint"]
+Role = Literal["direction", "magnitude", "joint", "pair"]
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -34,6 +34,13 @@ class Calibration(Contract):
     sigma_scale_theta: Positive = 1.0
 
 
+class SelfTest(Contract):
+    """What the network said of fixed frames where it was released; see :mod:`service.contract.self_test`."""
+
+    outputs: dict[str, tuple[float, ...]]
+    tolerance: Positive
+
+
 class ModelCard(Contract):
     """The card of one ONNX file.
 
@@ -47,8 +54,9 @@ class ModelCard(Contract):
 
     Outputs: ``direction`` -> ``logits`` float32 [B, len(classes)]; ``magnitude`` -> ``error`` float32 [B, 2]
     (dx in mm, dtheta in deg: the estimated position error) and, if ``has_sigma``, ``log_sigma`` float32 [B, 2];
-    ``joint`` -> ``log_density`` float32 [B, len(grid_x_mm), len(grid_theta_deg)], unnormalised. ``step`` adds
-    ``next_state`` float32 [B, state_size]. The two fingers are ordered left, right. A fresh state is all zeros.
+    ``pair`` -> all three, from one pass; ``joint`` -> ``log_density`` float32 [B, len(grid_x_mm),
+    len(grid_theta_deg)], unnormalised. ``step`` adds ``next_state`` float32 [B, state_size]. The two
+    fingers are ordered left, right. A fresh state is all zeros.
     """
 
     schema_version: Literal[1] = 1
@@ -74,11 +82,12 @@ class ModelCard(Contract):
     quantisation: Literal["none", "fp16", "int8"] = "none"
     validation: dict[str, float]
     verified_on_cpu: str
+    self_test: SelfTest | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.role == "direction" and len(self.classes) < 2:
-            raise ValueError("a direction network needs at least two classes")
+        if self.role in ("direction", "pair") and len(self.classes) < 2:
+            raise ValueError(f"a {self.role} network needs at least two classes")
         if len({c.name for c in self.classes}) != len(self.classes):
             raise ValueError("class names repeat")
         if self.role == "joint" and (len(self.grid_x_mm) < 2 or len(self.grid_theta_deg) < 2):

@@ -1,5 +1,9 @@
+import logging
+import shutil
+
 import pytest
 import torch
+from filelock import FileLock
 
 from export.to_onnx import export_checkpoint
 from training.checkpoint import Checkpoint
@@ -10,14 +14,26 @@ from training.networks import build
 
 
 @pytest.fixture(scope="session")
-def models(tmp_path_factory):
-    """A tiny untrained pair, exported in both forms."""
+def models(tmp_path_factory, worker_id):
+    """A tiny untrained pair, exported in all roles and forms: by one worker, for all of them."""
+    shared = tmp_path_factory.getbasetemp() if worker_id == "master" else tmp_path_factory.getbasetemp().parent
+    folder = shared / "tiny-models"
+    with FileLock(f"{folder}.lock"):
+        if not folder.is_dir():
+            _export(shared / "tiny-models.part")
+            shutil.move(shared / "tiny-models.part", folder)
+    return folder
+
+
+def _export(folder):
     torch.manual_seed(0)
-    folder = tmp_path_factory.mktemp("models")
     settings = NetworkConfig(front_width=8, trunk_width=8, feature_size=16, state_size=16)
     weights = build(settings, len(CLASSES)).state_dict()
     figures = {"validation/all": {"accuracy": 0.5}}
     scales = Scales(1.5, 1.1, 0.9)
     Checkpoint("tiny", settings, weights, scales, Scales(), figures, "0" * 64, "abc").save(folder / "c.pt")
-    export_checkpoint(folder / "c.pt", folder)
-    return folder
+    logging.disable(logging.INFO)  # pytest would format every line that torch traces
+    try:
+        export_checkpoint(folder / "c.pt", folder)
+    finally:
+        logging.disable(logging.NOTSET)

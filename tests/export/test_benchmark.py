@@ -5,30 +5,93 @@ import pytest
 
 from export import loadgen
 from export.benchmark import benchmark
-from export.measure import Timing, paired_ratio
+from export.candidates import Decision
+from export.fresh import measure_fresh
+from export.golden import golden_frames
+from export.limits import Peaks, Work, work_of
+from export.measure import Timing, quartiles, time_in_turn
+from export.peers import PeerAbsentError, peer, rebuild
 from export.verify import open_model
+from export.yardstick import CLAIMS
 from service.contract import ContractError
 
 
-def test_the_benchmark_reports_every_figure(models, tmp_path):
-    out = tmp_path / "benchmark.json"
-    benchmark([models / "direction.step.onnx"], seconds=0.05, out=out, with_loadgen=False)
-    (row,) = json.loads(out.read_text())["models"]
+@pytest.fixture(scope="module")
+def report(models, tmp_path_factory):
+    out = tmp_path_factory.mktemp("benchmark")
+    files = [models / "direction.step.onnx"]
+    benchmark(files, seconds=0.02, docs=out, compare=("torch",), with_loadgen=False)
+    return out
+
+
+def test_the_benchmark_reports_every_figure(report):
+    (row,) = json.loads((report / "benchmark.json").read_text())["models"]
     single = row["single"]
     assert 0 < single["p50_ms"] <= single["p90_ms"] <= single["p99_ms"] <= single["p999_ms"]
     assert row["operators_ms"]
-    assert set(row["threads"]) == {"1", "2"}
+    assert [(entry["threads"], entry["spinning"]) for entry in row["sweep"]] == [
+        (1, False),
+        (1, True),
+        (2, False),
+        (2, True),
+    ]
+    assert row["fresh"]["first_ms"] > 0
+    assert row["limit"]["limit_ms"] > 0
+    assert row["peers"]["torch"]["cpu_p50_ms"] > 0
+
+
+def test_one_page_and_one_figure_hold_it(report):
+    text = (report / "benchmark.md").read_text()
+    for heading in ("One call", "Threads and spinning", "Against the hardware's limit", "Against other runtimes"):
+        assert f"## {heading}" in text
+    assert (report / "benchmark.png").stat().st_size > 5_000
 
 
 def test_a_missing_model_is_named(tmp_path):
     with pytest.raises(ContractError, match="no model at"):
-        benchmark([tmp_path / "absent.onnx"], seconds=0.05, out=None, with_loadgen=False)
+        benchmark([tmp_path / "absent.onnx"], seconds=0.05, docs=None)
+    with pytest.raises(ContractError, match=r"absent\.onnx could not be measured"):
+        measure_fresh(tmp_path / "absent.onnx")
+
+
+def test_an_unknown_peer_is_named(models):
+    with pytest.raises(ContractError, match=r"no peer tensorflow, expected some of torch, torch\.compile, openvino"):
+        peer("tensorflow", open_model(models / "direction.step.onnx"))
+
+
+def test_torch_is_rebuilt_from_the_released_file_alone(models):
+    for name in ("magnitude.sequence.onnx", "joint/joint.step.onnx", "pair/pair.step.onnx"):
+        peer("torch", open_model(models / name))()
+
+
+def test_a_file_whose_weights_are_strangers_has_no_torch_twin(models):
+    model = open_model(models / "direction.step.onnx")
+    int8 = model.card.model_copy(update={"quantisation": "int8"})
+    with pytest.raises(PeerAbsentError, match="torch has no int8 twin"):
+        rebuild(type(model)(model.file, int8, model.run))
+
+
+def test_the_limit_counts_every_multiplication_once(models):
+    work = work_of(open_model(models / "direction.step.onnx"))
+    # front: 4 -> 8 channels of 5 x 5, twice 8 -> 8 of 3 x 3, 8 -> 3 of 1 x 1, on 20 x 21 cells of two fingers
+    front = 2 * 20 * 21 * (4 * 8 * 25 + 2 * 8 * 8 * 9 + 8 * 3)
+    # pooling: 64 rows of 975 values by 130 columns, for frame and reference of two fingers
+    pooling = 4 * 64 * 975 * 130
+    trunk = 2 * (10 * 11 * 8 * 3 * 9 + 5 * 6 * 16 * 8 * 9) + 2 * 480 * 16 + 35 * 48 + 16 * 48 + 16 * 9
+    assert sum(products for products, _, _ in work.layers) == front + pooling + trunk
+
+
+def test_a_layer_costs_the_slower_of_arithmetic_and_memory():
+    peaks = Peaks(fp32_gflops=1.0, int8_gops=10.0, read_gb_s=1.0)
+    work = Work(((5e6, 1e6, False), (5e6, 4e6, True)))
+    assert work.limit_ms(peaks) == pytest.approx(10.0 + 4.0)
 
 
 def test_a_model_costs_as_much_as_itself():
     values = np.random.default_rng(0).normal(size=(120, 120))
-    middle, low, high = paired_ratio(lambda: values @ values, lambda: values @ values)
-    assert 0.5 < middle < 2
+    rows = time_in_turn({"one": lambda: values @ values, "other": lambda: values @ values}, seconds=0.05)
+    middle, low, high = quartiles(rows["one"][1][1], rows["other"][1][1])
+    assert 0.3 < middle < 3
     assert low <= middle <= high
 
 
@@ -38,10 +101,34 @@ def test_a_crowded_machine_is_called_noisy():
     assert not Timing.of(cpu * 1.1, cpu).noisy
 
 
+def test_the_claims_are_those_of_the_design():
+    assert {1 / share for share in CLAIMS.values()} == {150.0, 25.0}
+
+
+needs_loadgen = pytest.mark.skipif(not loadgen.available(), reason="mlcommons-loadgen is not installed")
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(not loadgen.available(), reason="mlcommons-loadgen is not installed")
+@needs_loadgen
 @pytest.mark.parametrize("scenario", loadgen.SCENARIOS)
 def test_loadgen_accepts_a_run(models, scenario):
+    summary = loadgen.run_scenario(open_model(models / "direction.step.onnx"), scenario, seconds=0.5)
+    assert summary["Min duration satisfied"] == "Yes"
+    assert summary["Min queries satisfied"] == "Yes"
+
+
+@needs_loadgen
+def test_loadgen_scores_what_it_logged():
+    assert loadgen.run_accuracy(lambda index: index % 3, [0, 1, 2, 1]) == (3, 4)
+
+
+@pytest.mark.slow
+@needs_loadgen
+def test_accuracy_comes_from_the_same_run(models, tmp_path):
     model = open_model(models / "direction.step.onnx")
-    summary = loadgen.run_scenario(model, scenario, seconds=0.5, expected_ms=3.0)
-    assert summary["Result is"] == "VALID"
+    truth = np.array([8.0, 0.0], np.float32)
+    decisions = [
+        Decision(golden_frames(model.card.frame, 8, seed), 56.0, 30.0, truth, "rectangle") for seed in range(3)
+    ]
+    report = benchmark([model.file], seconds=0.05, docs=tmp_path, decisions=decisions)
+    assert report["models"][0]["loadgen"]["accuracy"]["decisions"] == 3

@@ -1,9 +1,16 @@
+from pathlib import Path
+
 import numpy as np
 import onnx
 import pytest
 
+from export.golden import golden_frames
+from export.to_onnx import attach_card
 from export.verify import decide, open_model, verify
 from service.contract import CARD_KEY, ContractError, ModelCard
+from service.contract.self_test import check_self_test
+from service.decision import DecisionRun
+from service.models import load_models
 
 
 def test_both_roles_and_forms_are_written_with_their_cards(models):
@@ -16,13 +23,46 @@ def test_both_roles_and_forms_are_written_with_their_cards(models):
     assert cards["direction.step.onnx"].validation == {"accuracy": 0.5}
 
 
+STEPS = 50
+
+
 def test_released_models_verify(models):
-    lines = verify(models)
-    assert sum("=" in line for line in lines) == 2
+    lines = verify(models, STEPS)
+    assert sum(" = " in line for line in lines) == 2
+    assert sum("1 against 64 in a batch" in line for line in lines) == 2
+    assert sum("self-test passed" in line for line in lines) == 4
+
+
+@pytest.mark.slow
+def test_the_shipped_networks_verify_over_a_stream_of_10000_steps():
+    for folder in ("models", "models/joint"):
+        assert any("stream of 10000" in line for line in verify(Path(folder)))
+
+
+def test_both_networks_in_one_graph_say_what_they_say_apart(models):
+    frames = golden_frames(open_model(models / "direction.step.onnx").card.frame, 8)[None]
+    together = decide(open_model(models / "pair" / "pair.step.onnx"), frames)
+    for role, names in (("direction", ["logits"]), ("magnitude", ["error", "log_sigma"])):
+        alone = decide(open_model(models / f"{role}.step.onnx"), frames)
+        for name in names:
+            np.testing.assert_allclose(together[name], alone[name], atol=1e-5)
+
+
+def test_the_service_decides_with_both_networks_in_one_graph(models):
+    chosen = load_models(models / "pair")
+    assert [step.card.role for step in chosen.steps] == ["pair"]
+    frames = golden_frames(chosen.card.frame, 8)
+    said = []
+    for folder in (models / "pair", models):
+        run = DecisionRun(load_models(folder), frames[0], 56.0)
+        for frame in frames:
+            run.step(frame)
+        said.append(run.evidence())
+    np.testing.assert_allclose(said[0].probabilities, said[1].probabilities, atol=1e-5)
 
 
 def test_the_joint_density_verifies_in_a_folder_of_its_own(models):
-    assert sum("=" in line for line in verify(models / "joint")) == 1
+    assert sum(" = " in line for line in verify(models / "joint", STEPS)) == 1
     card = open_model(models / "joint" / "joint.step.onnx").card
     assert (len(card.grid_x_mm), len(card.grid_theta_deg)) == (41, 40)
 
@@ -79,14 +119,57 @@ def test_a_model_whose_two_forms_differ_is_refused(models, tmp_path):
         if tensor.name.endswith("direction.bias"):
             shifted = onnx.numpy_helper.to_array(tensor) + 1
             tensor.CopyFrom(onnx.numpy_helper.from_array(shifted.astype(np.float32), tensor.name))
+    card = open_model(path).card
     onnx.save(model, str(path))
+    attach_card(path, card)
     with pytest.raises(ContractError, match="differ by"):
+        verify(tmp_path, STEPS)
+
+
+def test_a_wrong_dtype_or_shape_is_named(models):
+    model = open_model(models / "direction.sequence.onnx")
+    assert isinstance(model.card, ModelCard)
+    for bad, told in (
+        (np.zeros((1, 8, 2, 320, 327, 3), np.float32), r"frames is float32\[1, 8, 2, 320, 327, 3\], expected uint8"),
+        (np.zeros((1, 8, 2, 319, 327, 3), np.uint8), r"319.*expected uint8\[B, 8, 2, 320, 327, 3\]"),
+        (np.zeros((1, 8, 2, 320, 327), np.uint8), r"expected uint8\[B, 8, 2, 320, 327, 3\]"),
+    ):
+        with pytest.raises(ContractError, match=told):
+            decide(model, bad)
+    with pytest.raises(
+        ContractError, match=r"was given \['frame'\], expected \['frames', 'gap_width_mm', 'grasp_height_mm'\]"
+    ):
+        model({"frame": np.zeros((1, 2, 320, 327, 3), np.uint8)})
+
+
+def test_another_opset_is_named(models, tmp_path):
+    model = onnx.load(str(models / "direction.step.onnx"))
+    model.opset_import[0].version = 18
+    onnx.save(model, str(tmp_path / "old.onnx"))
+    with pytest.raises(ContractError, match=r"old\.onnx is of opset 18, expected one of \[20, 21\]"):
+        verify(tmp_path)
+    model.opset_import[0].version = 99
+    onnx.save(model, str(tmp_path / "old.onnx"))
+    with pytest.raises(ContractError, match=r"old\.onnx is not a model this runtime can open"):
         verify(tmp_path)
 
 
-def test_float_frames_and_other_heights_are_refused_by_the_graph(models):
-    model = open_model(models / "direction.sequence.onnx")
-    assert isinstance(model.card, ModelCard)
-    for bad in (np.zeros((1, 8, 2, 320, 327, 3), np.float32), np.zeros((1, 8, 2, 319, 327, 3), np.uint8)):
-        with pytest.raises(Exception, match=r"(?i)invalid|unexpected|dimension|reshape"):
-            decide(model, bad)
+def test_a_network_that_computes_otherwise_than_where_it_was_released_is_refused(models, tmp_path):
+    path = models / "magnitude.step.onnx"
+    card = open_model(path).card
+    test = card.self_test.model_copy(update={"outputs": {"error": (9.0, 9.0), "log_sigma": (0.0, 0.0)}})
+    model = onnx.load(str(path))
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, card.model_copy(update={"self_test": test}).to_props())
+    onnx.save(model, str(tmp_path / "magnitude.step.onnx"))
+    with pytest.raises(ContractError, match="self-test output error is off by"):
+        verify(tmp_path)
+    with pytest.raises(ContractError, match="computes otherwise than the one it was released on"):
+        load_models(tmp_path)
+
+
+def test_an_int8_file_without_a_self_test_is_refused(models):
+    card = open_model(models / "direction.step.onnx").card
+    bare = card.model_copy(update={"quantisation": "int8", "self_test": None})
+    with pytest.raises(ContractError, match=r"x\.onnx is int8 and its card holds no self-test"):
+        check_self_test(bare, lambda _: {}, "x.onnx")

@@ -8,9 +8,10 @@ from export import tradeoff as room
 from export.candidates import Decision, find_candidates
 from export.golden import golden_frames
 from export.measure import Timing
-from export.points import Point, closed_loop_trials, pareto, physics_points, slip_points, wilson
+from export.points import Point, closed_loop_trials, mean_interval, pareto, physics_points, tracker_points, wilson
 from export.quantize import store_fp16
-from export.tradeoff import choose, points_of, score
+from export.scores import score
+from export.tradeoff import agreements, choose, points_of
 from export.tradeoff_report import default_network, draw, write
 from export.verify import decide, open_model
 from service.contract import ContractError
@@ -29,7 +30,8 @@ def timing(ms):
 
 
 def point(name, better, cost):
-    return Point(name, better, better - 0.05, better + 0.05, cost, cost, cost, 10, None, {"frames": 8})
+    about = {"frames": 8, "input_px": [320, 327], "mae_mm": (1.0, 0.9, 1.1), "mae_deg": (2.0, 1.9, 2.1)}
+    return Point(name, better, better - 0.05, better + 0.05, cost, cost, cost, 10, None, about)
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +47,12 @@ def decisions(models):
 @pytest.fixture(scope="module")
 def table(models, decisions, tmp_path_factory):
     candidates = find_candidates([models, models / "joint"])
-    hits, count = score(candidates, decisions)
+    scores = score(candidates, decisions)
     empty = tmp_path_factory.mktemp("docs")
-    networks = [entry for c in candidates for entry in points_of(c, timing(1.0), hits[id(c)], count, empty)]
+    networks = [entry for c in candidates for entry in points_of(c, timing(1.0), scores[c.sha256], empty)]
     return {
         "networks": networks,
-        "slip": slip_points(DOCS / "slip_report.json"),
+        "slip": tracker_points(DOCS),
         "physics": physics_points(DOCS / "accuracy.json"),
     }
 
@@ -63,11 +65,31 @@ def test_a_pair_and_a_joint_density_give_a_point_for_each_number_of_frames(table
 def test_stopping_after_eight_frames_is_the_whole_decision(models, decisions):
     (pair,) = find_candidates([models])
     whole = decide(pair.models[0], decisions[0].frames[None])["logits"][0]
-    assert pair.classes(decisions[0])[8] == whole.argmax()
+    assert pair.answers(decisions[0])[8].chosen == whole.argmax()
+
+
+def test_a_network_is_not_asked_twice_and_its_answers_are_kept(models, decisions, tmp_path):
+    (joint,) = find_candidates([models / "joint"])
+    kept = tmp_path / "answers.json"
+    first = score([joint], decisions, kept)
+    assert score([joint], [], kept) == first
+    with pytest.raises(ContractError, match="no decision"):
+        score(find_candidates([models]), [], kept)
+    kept.write_text("[1]")
+    with pytest.raises(ContractError, match=r"answers\.json does not hold earlier answers"):
+        score([joint], decisions, kept)
+
+
+def test_a_twin_is_judged_by_the_commands_of_its_source(models, decisions, tmp_path):
+    store_fp16(models / "joint" / "joint.step.onnx", tmp_path / "joint.step.onnx")
+    candidates = find_candidates([models / "joint", tmp_path])
+    (row,) = agreements(candidates, score(candidates, decisions))
+    assert (row["decisions"], row["same_command"], row["sign_flips"]) == (2, 1.0, 0)
 
 
 def test_one_page_and_one_figure_show_all_three_rooms(table, tmp_path):
-    about = {"cpu": "a processor", "split": "validation", "decisions": 2, "crowding": 1.1}
+    about = {"cpu": "a processor", "split": "validation", "data": "abc", "decisions": 2, "crowding": 1.1}
+    about["agreement"] = [{"name": "a network int8", "verdict": "99 % of the commands"}]
     write(table, about, tmp_path / "tradeoff.md")
     draw(table, tmp_path / "tradeoff.png")
     text = (tmp_path / "tradeoff.md").read_text()
@@ -90,14 +112,20 @@ def test_a_share_lies_in_its_interval():
         assert 0 <= low <= share <= high <= 1
 
 
+def test_a_mean_lies_in_its_interval():
+    assert mean_interval([1.0, 2.0, 3.0])[0] == 2.0
+    assert mean_interval([2.0]) == (2.0, 2.0, 2.0)
+
+
 def test_a_point_without_a_number_is_refused():
     with pytest.raises(ContractError, match="not finite"):
         point("bad", float("nan"), 1)
 
 
 def test_mean_trials_of_a_closed_loop_are_pooled_by_insertions(tmp_path):
-    row = {"who": "belief", "condition": "", "eyes": "pictures", "mean_trials_standard_error": 0.1}
+    row = {"who": "belief", "scene": "circle", "condition": "", "eyes": "pictures", "mean_trials_standard_error": 0.1}
     rows = [row | {"mean_trials": 2.0, "insertions": 30}, row | {"mean_trials": 4.0, "insertions": 10}]
+    rows.append(row | {"mean_trials": 16.0, "insertions": 90, "scene": "mustard"})
     path = tmp_path / "closed_loop.json"
     path.write_text(json.dumps({"summaries": rows}))
     mean, low, high = closed_loop_trials(path, "belief")

@@ -116,16 +116,60 @@ class AlexNetLstm(nn.Module):
 class AlexNetPair(nn.Module):
     """DirectionNN and MagnitudeNN of the paper, trained independently, kept in one checkpoint."""
 
-    roles: tuple[Role, ...] = ("direction", "magnitude")
+    roles: tuple[Role, ...] = ("direction", "magnitude", "pair")
 
     def __init__(self, classes: int) -> None:
         super().__init__()
         self.direction = AlexNetLstm(classes)
         self.magnitude = AlexNetLstm(2)
 
-    def of(self, role: Role) -> AlexNetLstm:
-        """The network of one role; the paper has no joint density."""
+    def of(self, role: Role) -> "AlexNetLstm | SharedBackbone":
+        """The network of one role, or both behind one backbone; the paper has no joint density."""
+        if role == "pair":
+            return SharedBackbone(self)
         return self.direction if role == "direction" else self.magnitude
+
+
+class SharedBackbone(nn.Module):
+    """Both networks behind one set of convolutions, which the recipe froze alike: the same decisions, bit for bit.
+
+    Raises ContractError if the convolutions differ. The state is the direction network's, then the magnitude network's.
+    """
+
+    state_size = 2 * AlexNetLstm.state_size
+    uses_geometry = False
+
+    def __init__(self, pair: AlexNetPair) -> None:
+        super().__init__()
+        ours, theirs = (network.alexnet.features.state_dict() for network in (pair.direction, pair.magnitude))
+        if not all(torch.equal(ours[name], theirs[name]) for name in ours):
+            raise ContractError("the two networks' convolutions differ; expected the recipe's, which are frozen alike")
+        self.direction, self.magnitude = pair.direction, pair.magnitude
+
+    def features(self, frame: Tensor, reference: Tensor) -> Tensor:
+        """Frames uint8 [B, 2, 320, 327, 3] -> both networks' features of either finger: [B, 16384]."""
+        convolved = self.direction.convolved(difference_images(frame.flatten(0, 1), reference.flatten(0, 1)))
+        read = [network.alexnet.classifier(convolved) for network in (self.direction, self.magnitude)]
+        return torch.cat([features.reshape(-1, 2 * HIDDEN) for features in read], 1)
+
+    def advance(self, features: Tensor, told: Tensor | None, state: Tensor) -> Tensor:
+        """One step of both LSTMs."""
+        ours, theirs = features.chunk(2, 1)
+        first, second = state.chunk(2, 1)
+        moved = self.direction.advance(ours, told, first), self.magnitude.advance(theirs, told, second)
+        return torch.cat(moved, 1)
+
+    def logits(self, state: Tensor) -> Tensor:
+        """Class logits."""
+        return self.direction.logits(state.chunk(2, 1)[0])
+
+    def error(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Error (mm, deg) and its log sigma."""
+        return self.magnitude.error(state.chunk(2, 1)[1])
+
+    def log_density(self, state: Tensor) -> Tensor:
+        """The paper has none; raises ContractError."""
+        return self.direction.log_density(state)
 
 
 def load_imagenet(network: AlexNetLstm, path: Path) -> None:

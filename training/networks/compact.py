@@ -88,7 +88,7 @@ class CompactNetwork(nn.Module):
 
     field_scale: Tensor
     uses_geometry = True
-    roles: tuple[Role, ...] = ("direction", "magnitude", "joint")
+    roles: tuple[Role, ...] = ("direction", "magnitude", "joint", "pair")
 
     def __init__(self, settings: NetworkConfig, classes: int) -> None:
         super().__init__()

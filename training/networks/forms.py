@@ -1,7 +1,7 @@
 """The two forms in which every network is exported, from one set of weights.
 
-``SequenceForm`` reads a whole decision at once, ``StepForm`` one frame pair at a time; they are the same arithmetic in
-the same order, so that they agree to rounding. Inputs and outputs are those of :class:`service.contract.ModelCard`.
+``SequenceForm`` reads a whole decision at once, ``StepForm`` one frame pair at a time; they are the same arithmetic,
+so that they agree to rounding. Inputs and outputs are those of :class:`service.contract.ModelCard`.
 """
 
 from typing import Literal, Protocol
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from training.config import FRAMES_PER_DECISION
 
-Role = Literal["direction", "magnitude", "joint"]
+Role = Literal["direction", "magnitude", "joint", "pair"]
 
 
 class Recurrent(Protocol):
@@ -51,6 +51,8 @@ class _Form(nn.Module):
         """Outputs of this role."""
         if self.role == "joint":
             return (self.network.log_density(state),)
+        if self.role == "pair":
+            return (self.network.logits(state), *self.network.error(state))
         return (self.network.logits(state),) if self.role == "direction" else self.network.error(state)
 
 
@@ -84,10 +86,12 @@ class SequenceForm(_Form):
     def forward(
         self, frames: Tensor, gap_width_mm: Tensor | None = None, grasp_height_mm: Tensor | None = None
     ) -> tuple[Tensor, ...]:
-        """A whole decision."""
-        state = torch.zeros(frames.shape[0], self.network.state_size)
-        reference, told = frames[:, 0], _told(gap_width_mm, grasp_height_mm)
+        """A whole decision; features of all frames in one pass, so that large weights are read once."""
+        count = frames.shape[0]
+        reference, told = frames[:, :1].expand_as(frames), _told(gap_width_mm, grasp_height_mm)
+        features = self.network.features(frames.flatten(0, 1), reference.flatten(0, 1))
+        features = features.reshape(count, FRAMES_PER_DECISION, -1)
+        state = torch.zeros(count, self.network.state_size)
         for step in range(FRAMES_PER_DECISION):
-            features = self.network.features(frames[:, step], reference)
-            state = self.network.advance(features, told, state)
+            state = self.network.advance(features[:, step], told, state)
         return self.decide(state)

@@ -1,0 +1,58 @@
+"""A fresh process that opens one model: ``python -m export.fresh FILE`` prints load, first call and memory as JSON.
+
+What a model costs before its first answer cannot be seen from a process that already holds others.
+"""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from service.contract import ContractError
+
+
+def measure_fresh(file: Path) -> dict[str, float]:
+    """``load_ms``, ``first_ms`` and ``peak_mb`` (beyond the interpreter and its libraries) of a model in a new process.
+
+    Raises ContractError with the child's last line if it fails.
+    """
+    done = subprocess.run(
+        [sys.executable, "-m", "export.fresh", str(file)], capture_output=True, text=True, check=False, timeout=600
+    )
+    if done.returncode != 0:
+        raise ContractError(f"{file} could not be measured: {(done.stderr.strip().splitlines() or ['no output'])[-1]}")
+    figures: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return figures
+
+
+def _memory_mb(field: str) -> float:
+    status = Path("/proc/self/status").read_text()
+    return int(status.split(f"{field}:")[1].split()[0]) * 1024 / 1e6
+
+
+def main(file: Path) -> None:
+    """Open, call once, print."""
+    from export.measure import example_inputs
+    from export.runtime import session
+    from export.verify import open_model
+
+    model = open_model(file)
+    inputs = example_inputs(model)
+    del model
+    before_mb = _memory_mb("VmRSS")
+    started = time.perf_counter()
+    run = session(file)
+    loaded = time.perf_counter()
+    run.run(None, inputs)
+    first = time.perf_counter()
+    figures = {
+        "load_ms": (loaded - started) * 1e3,
+        "first_ms": (first - loaded) * 1e3,
+        "peak_mb": max(0.0, _memory_mb("VmHWM") - before_mb),
+    }
+    print(json.dumps(figures))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,166 @@
+"""The hardware limit of a graph: its multiplications at this core's GEMM peak, its weights read at this core's rate.
+
+Both peaks are probed here and now, by the same runtime. A graph cannot be faster than its layers one after the other,
+each at the slower of the two; pooling, activations and the runtime's own work come on top and are what a kernel could
+still save.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+from numpy.typing import NDArray
+from onnx import TensorProto, helper
+
+from export.measure import example_inputs, time_calls
+from export.verify import Arrays, Model
+
+MATMUL_SIZES = (512, 1024)
+CONV = (256, 28)
+"""Channels and side of the probed 3 x 3 convolution: AlexNet's later layers have this shape."""
+LEAST_BYTES = 1_000_000
+OPERATORS = ("Conv", "Gemm", "MatMul")
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """What one core does at best: multiplications and additions a second, in fp32 and int8, and bytes read."""
+
+    fp32_gflops: float
+    int8_gops: float
+    read_gb_s: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Plain numbers."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a graph must do at least, layer by layer as the runtime ran it: (multiplications, bytes, int8)."""
+
+    layers: tuple[tuple[float, float, bool], ...]
+
+    @property
+    def weight_bytes(self) -> float:
+        """Bytes of all weights and inputs of the counted layers."""
+        return sum(size for _, size, _ in self.layers)
+
+    def limit_ms(self, peaks: Peaks) -> float:
+        """Sum over the layers of the slower of arithmetic and memory."""
+        total = 0.0
+        for products, size, small in self.layers:
+            rate = peaks.int8_gops if small else peaks.fp32_gflops
+            total += max(2 * products / (rate * 1e6), size / (peaks.read_gb_s * 1e6))
+        return total
+
+
+def probe(working_set_bytes: float, seconds: float = 0.5) -> Peaks:
+    """Measure the peaks on one thread; memory is read from a buffer as large as the graph's weights."""
+    fp32 = max(_rate(run, operations, seconds) for run, operations in _probes(small=False))
+    int8 = max(_rate(run, operations, seconds) for run, operations in _probes(small=True))
+    buffer = np.ones(int(max(working_set_bytes, LEAST_BYTES)) // 4, np.float32)
+    timing = time_calls(buffer.max, seconds=seconds, least=5)
+    return Peaks(fp32, int8, buffer.nbytes / (timing.cpu_p50_ms * 1e6))
+
+
+def _rate(run: Callable[[], Any], operations: float, seconds: float) -> float:
+    return operations / (time_calls(run, seconds=seconds, least=5).cpu_p50_ms * 1e6)
+
+
+def _probes(*, small: bool) -> Iterator[tuple[Callable[[], Any], float]]:
+    rng = np.random.default_rng(0)
+    for size in MATMUL_SIZES:
+        yield _matmul(rng, size, small=small), 2.0 * size**3
+    channels, side = CONV
+    yield _convolution(rng, small=small), 2.0 * channels * channels * 9 * side * side
+
+
+def _matmul(rng: np.random.Generator, size: int, *, small: bool) -> Callable[[], Any]:
+    kind = TensorProto.UINT8 if small else TensorProto.FLOAT
+    weight = (
+        rng.integers(-60, 60, (size, size)).astype(np.int8) if small else rng.random((size, size), np.float32) - 0.5
+    )
+    given = rng.integers(0, 255, (size, size)).astype(np.uint8 if small else np.float32)
+    node = helper.make_node("MatMulInteger" if small else "MatMul", ["a", "b"], ["c"])
+    return _run([node], {"b": weight}, given, kind, TensorProto.INT32 if small else TensorProto.FLOAT)
+
+
+def _convolution(rng: np.random.Generator, *, small: bool) -> Callable[[], Any]:
+    channels, side = CONV
+    shape = (1, channels, side, side)
+    if not small:
+        weight = rng.random((channels, channels, 3, 3), np.float32) - 0.5
+        node = helper.make_node("Conv", ["a", "b"], ["c"], pads=[1, 1, 1, 1])
+        return _run([node], {"b": weight}, rng.random(shape, np.float32), TensorProto.FLOAT, TensorProto.FLOAT)
+    constants = {
+        "scale": np.float32(0.01),
+        "zero": np.uint8(128),
+        "b": rng.integers(-60, 60, (channels, channels, 3, 3)).astype(np.int8),
+        "b_scale": np.float32(0.01),
+        "b_zero": np.int8(0),
+    }
+    names = ["a", "scale", "zero", "b", "b_scale", "b_zero", "scale", "zero"]
+    node = helper.make_node("QLinearConv", names, ["c"], pads=[1, 1, 1, 1])
+    given = rng.integers(0, 255, shape).astype(np.uint8)
+    return _run([node], constants, given, TensorProto.UINT8, TensorProto.UINT8)
+
+
+def _run(nodes: list[Any], constants: dict[str, Any], given: NDArray[Any], kind: int, out: int) -> Callable[[], Any]:
+    graph = helper.make_graph(
+        nodes,
+        "probe",
+        [helper.make_tensor_value_info("a", kind, list(given.shape))],
+        [helper.make_tensor_value_info("c", out, None)],
+        [onnx.numpy_helper.from_array(np.asarray(value), name) for name, value in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.log_severity_level = 3
+    run = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    return lambda: run.run(None, {"a": given})
+
+
+def work_of(model: Model) -> Work:
+    """Multiplications and bytes of every layer with weights, for a batch of one.
+
+    Shapes are those of one real run whose intermediate results are asked for.
+    """
+    graph = onnx.load(str(model.file))
+    weights = _weights(graph.graph)
+    nodes = [node for node in graph.graph.node if node.op_type in OPERATORS and node.input[1] in weights]
+    made = _shapes(graph, [node.output[0] for node in nodes], example_inputs(model))
+    layers = []
+    for node in nodes:
+        shape, small = weights[node.input[1]]
+        out = made[node.output[0]]
+        size = float(np.prod(shape))
+        # A convolution multiplies each output by the weights of one filter, a product by one column of the matrix.
+        length = float(np.prod(shape[1:])) if node.op_type == "Conv" else size / out[-1]
+        layers.append((float(np.prod(out)) * length, size * (1 if small else 4), small))
+    return Work(tuple(layers))
+
+
+def _weights(graph: Any) -> dict[str, tuple[tuple[int, ...], bool]]:
+    """Shape of every constant a layer may multiply by, and whether it is int8; seen through widening nodes."""
+    stored = {tensor.name: (tuple(tensor.dims), tensor.data_type) for tensor in graph.initializer}
+    found = {name: (shape, False) for name, (shape, _) in stored.items()}
+    for node in graph.node:
+        if node.op_type in ("DequantizeLinear", "Cast") and node.input[0] in stored:
+            shape, kind = stored[node.input[0]]
+            found[node.output[0]] = (shape, kind in (TensorProto.INT8, TensorProto.UINT8))
+    return found
+
+
+def _shapes(graph: Any, names: list[str], inputs: Arrays) -> dict[str, tuple[int, ...]]:
+    del graph.graph.output[:]
+    graph.graph.output.extend(onnx.ValueInfoProto(name=name) for name in names)
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    options.log_severity_level = 3
+    run = onnxruntime.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    return {name: value.shape for name, value in zip(names, run.run(names, inputs), strict=True)}

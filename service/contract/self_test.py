@@ -1,0 +1,82 @@
+"""A network's own test: what it said of fixed frames where it was released, asked again wherever it is loaded.
+
+An int8 build that saturates on a processor without VNNI, or a runtime that computes otherwise, is wrong silently; this
+makes it loud. The frames are integers from integers, so every machine makes the same ones.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract.frames import ContractError, FrameSpec
+from service.contract.model_card import ModelCard, SelfTest
+
+Arrays = dict[str, NDArray[Any]]
+Run = Callable[[Arrays], Mapping[str, NDArray[Any]]]
+PITCH_PX, RADIUS_SQUARED = 15, 6
+TOLD_MM = {"gap_width_mm": 56.0, "grasp_height_mm": 40.0}
+MOST_VALUES = 32
+TOLERANCE = {"none": 1e-3, "fp16": 1e-3, "int8": 5e-2}
+"""Largest difference between two machines, relative to the largest output or one; rounding differs, arithmetic not."""
+
+
+def self_test_frames(spec: FrameSpec, count: int) -> NDArray[np.uint8]:
+    """Dotted frames that shear a pixel a frame, the fingers in opposite directions: uint8 [count, 2, H, W, 3]."""
+    v, u = np.mgrid[: spec.height_px, : spec.width_px]
+    step = np.arange(count)[:, None, None, None]
+    way = np.array([1, -1])[None, :, None, None]
+    off_u = (u + step * way) % PITCH_PX - PITCH_PX // 2
+    off_v = (v + step // 2) % PITCH_PX - PITCH_PX // 2
+    level = np.where(off_u**2 + off_v**2 <= RADIUS_SQUARED, 60, 140 + u // 32)
+    return np.stack([level - 30, level, level - 20], -1).astype(np.uint8)
+
+
+def run_self_test(card: ModelCard, run: Run) -> dict[str, tuple[float, ...]]:
+    """At most 32 values of each decision output on the fixed frames, by either form; ``run`` maps inputs to outputs."""
+    frames = self_test_frames(card.frame, card.frames_per_decision)[None]
+    asked = {"gap_width_mm": card.gap_width_input, "grasp_height_mm": card.grasp_height_input}
+    told: Arrays = {name: np.full((1, 1), TOLD_MM[name], np.float32) for name, wanted in asked.items() if wanted}
+    if card.form == "sequence":
+        outputs = dict(run({"frames": frames, **told}))
+    else:
+        state: NDArray[Any] = np.zeros((1, card.state_size), np.float32)
+        for step in range(card.frames_per_decision):
+            outputs = dict(run({"frame": frames[:, step], "reference": frames[:, 0], "state": state, **told}))
+            state = outputs.pop("next_state")
+    return {name: tuple(float(number) for number in _spread(value)) for name, value in outputs.items()}
+
+
+def make_self_test(card: ModelCard, run: Run) -> SelfTest:
+    """The test that goes into a card: run it where the network is released."""
+    return SelfTest(outputs=run_self_test(card, run), tolerance=TOLERANCE[card.quantisation])
+
+
+def check_self_test(card: ModelCard, run: Run, source: str) -> None:
+    """Raise ContractError, naming output and difference, if a network computes otherwise here than where it came from.
+
+    A card without a test passes unless it is int8: those builds are the ones that go wrong by processor.
+    """
+    if card.self_test is None:
+        if card.quantisation == "int8":
+            raise ContractError(f"{source} is int8 and its card holds no self-test; quantise it again")
+        return
+    got = run_self_test(card, run)
+    for name, wanted in card.self_test.outputs.items():
+        found = np.asarray(got.get(name, ()), np.float64)
+        expected = np.asarray(wanted, np.float64)
+        if found.shape != expected.shape:
+            raise ContractError(f"{source}: self-test gives {found.size} values of {name}, expected {expected.size}")
+        gap = float(np.abs(found - expected).max() / max(1.0, float(np.abs(expected).max())))
+        if not gap <= card.self_test.tolerance:
+            raise ContractError(
+                f"{source}: self-test output {name} is off by {gap:.1e}, expected at most {card.self_test.tolerance:g}:"
+                " this processor or runtime computes otherwise than the one it was released on"
+            )
+
+
+def _spread(value: NDArray[Any]) -> NDArray[np.float64]:
+    flat = np.asarray(value, np.float64).ravel()
+    chosen: NDArray[np.float64] = flat[np.linspace(0, flat.size - 1, min(flat.size, MOST_VALUES)).astype(int)]
+    return chosen
