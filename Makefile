@@ -32,6 +32,10 @@ $(VENV)/ready: requirements/test.txt requirements/torch.sh
 	$(BIN)/pip install -q --require-hashes --no-deps -r requirements/test.txt
 	@touch $@
 
+$(VENV)/bench: $(VENV)/ready requirements/bench.txt
+	$(BIN)/pip install -q --require-hashes --no-deps -r requirements/bench.txt
+	@touch $@
+
 # ---- the main job -------------------------------------------------------------------------------------------------
 
 run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= X_MM= THETA_DEG= SEED=)
@@ -58,6 +62,7 @@ CHECKPOINT ?= runs/compact-long/checkpoint.pt
 MODELS ?= models
 EVALUATION ?= runs/evaluation
 COUNT ?= 30
+ALEXNET ?= runs/alexnet
 
 collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; goes on after an interruption
 	$(BIN)/python -m simulation collect --trials-per-object $(TRIALS) --out $(PROBES)
@@ -79,11 +84,12 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 slip-report: $(RUN_VENV)/ready ## how well slip is seen and what seeing costs: docs/slip_report.md (REAL=folder judges recordings too)
 	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
 
-tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png
-	$(BIN)/python -m export tradeoff --data $(PROBES)
+tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png (FOLDERS= adds networks)
+	$(BIN)/python -m export tradeoff --data $(PROBES) $(FOLDERS)
 
-bench: $(VENV)/ready ## what a decision of each released network costs on this machine: runs/benchmark.json
-	$(BIN)/python -m export benchmark
+bench: $(VENV)/bench ## what a decision of each released network costs on this machine, beside peers: docs/benchmark.md, .json, .png
+	$(BIN)/python -m export benchmark --docs docs --compare torch,openvino --alexnet $(ALEXNET) \
+	  $(if $(wildcard $(PROBES)/manifest.json),--data $(PROBES))
 
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
 	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)

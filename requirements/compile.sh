@@ -16,3 +16,4 @@ pin run --extra service --extra robot --extra simulation
 pin test --extra service --extra robot --extra simulation --extra training --extra dev \
   --override requirements/no-torch.txt requirements/torch.in --no-emit-package torch
 pin ops --extra ops
+pin bench --extra bench -c requirements/test.txt
