@@ -166,7 +166,7 @@ def gap_widths_far_from_training(seed: int) -> float:
     "networks",
     why="kernels sum in another order for another batch",
     holds="a decision alone equals the same in a batch of 64: relative gap",
-    guard=(VERIFY, "batch_gap = max(_gap(alone[name][0], crowd[name][3]) for name in alone)"),
+    guard=(VERIFY, "batch_gap = _batch_gap(model, frames, crowd)"),
     limit=1e-5,
     quick=False,
 )
@@ -250,7 +250,7 @@ def _small(name: str, reduce: bool) -> Model:
     frames = np.stack([_frames(seed) for seed in range(4)])
     out = Path(tempfile.mkdtemp(prefix="hard-cases-")) / f"{name}.step.onnx"
     if reduce:
-        return open_model(quantize.quantize(ROOT / "models" / f"{name}.step.onnx", out, frames))
+        return open_model(quantize.quantize(ROOT / "models" / f"{name}.step.onnx", out, frames)[0])
     kept = ortq.quantize_static
 
     def without_reserve(*given: object, **named: object) -> None:
@@ -258,7 +258,7 @@ def _small(name: str, reduce: bool) -> Model:
 
     ortq.quantize_static = without_reserve
     try:
-        return open_model(quantize.quantize(ROOT / "models" / f"{name}.step.onnx", out, frames))
+        return open_model(quantize.quantize(ROOT / "models" / f"{name}.step.onnx", out, frames)[0])
     finally:
         ortq.quantize_static = kept
 
