@@ -40,6 +40,7 @@ class ReplayOptions:
     fps: float | None = None
     calibration: Path | None = None
     finger: Finger = "left"
+    untouched: bool = False
 
 
 def parse(arguments: Sequence[str]) -> ReplayOptions:
@@ -57,6 +58,7 @@ def parse(arguments: Sequence[str]) -> ReplayOptions:
     )
     parser.add_argument("--fps", type=float, help="frames a second at capture, where the file's header is wrong")
     parser.add_argument("--calibration", type=Path, help="rectify the frames with this file first")
+    parser.add_argument("--untouched", action="store_true", help="nothing touches the gel in the first frame: learn it")
     parser.add_argument("--finger", choices=FINGERS, default="left", help="whose calibration to use (%(default)s)")
     given = vars(parser.parse_args(arguments))
     crop = given.pop("crop")
@@ -129,6 +131,8 @@ def replay(path: Path, options: ReplayOptions) -> list[SlipState]:
         image = rectifier.apply(frame) if rectifier else _cropped(frame, options.crop, path)
         begun = time.process_time()
         field = tracker.update(image, stamp_ns)
+        if options.untouched and not states:
+            watch.free.learn(field)
         state = watch.update(field)
         spent_s += time.process_time() - begun
         states.append(state)

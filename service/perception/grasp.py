@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.perception.contact import FreeGel
 from service.perception.field import MarkerField
 from service.perception.rigid import carried_px
-from service.perception.slip import SlipDetector, SlipSettings, SlipState
+from service.perception.slip import SlipDetector, SlipSettings, SlipState, untouched
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +25,9 @@ class GraspSettings:
     settle_s: float = 0.4
 
 
-# A shaken soft object re-seats itself in real recordings without being lost; the insertion's own limit is lower.
-# `python -m simulation slip-report --real` fits it on held objects and says what it does on those it was not fitted on.
-WATCH_SLIP_PITCH = 0.28
+# The least limit that raises no alarm on real held objects, and a margin. `python -m simulation slip-report --real`
+# fits it and says what it does on those it was not fitted on.
+WATCH_SLIP_PITCH = 0.0625
 
 
 def watch_settings(slip_pitch: float) -> SlipSettings:
@@ -35,16 +36,21 @@ def watch_settings(slip_pitch: float) -> SlipSettings:
 
 
 class GraspWatch:
-    """Turns the fields of one finger into states, arming the slip detector whenever the grasp has settled."""
+    """Turns the fields of one finger into states, arming the slip detector whenever the grasp has settled.
+
+    ``free`` says when nothing touches the gel; let it learn the untouched gel where a frame of it is at hand.
+    """
 
     def __init__(self, slip: SlipSettings | None = None, settings: GraspSettings | None = None) -> None:
+        self.free = FreeGel()
         self.detector = SlipDetector(slip or watch_settings(WATCH_SLIP_PITCH))
         self.settings = settings or GraspSettings()
         self._anchor: MarkerField | None = None
         self._free = False
 
     def update(self, field: MarkerField) -> SlipState:
-        """Judge one field; until the grasp has settled the state is "grasping"."""
+        """Judge one field; until the grasp has settled the state is "grasping", without one "no_contact"."""
+        field = self.free.mark(field)
         settled = self._settled(field)
         reference = self.detector.reference
         if settled and not self._free and reference is not None and self._moved(reference, field):
@@ -54,7 +60,7 @@ class GraspWatch:
                 self._free = False
                 return self.detector.rearm(field)
             waiting = self.detector.update(field) if not self.detector.armed else self._grasping(field)
-            return replace(waiting, state="grasping") if field.usable else waiting
+            return replace(waiting, state="grasping") if field.usable and not untouched(field) else waiting
         state = self.detector.update(field)
         if state.state in {"incipient_slip", "gross_slip", "release", "lost", "unknown"}:
             self._free = True
@@ -62,6 +68,8 @@ class GraspWatch:
         return state
 
     def _grasping(self, field: MarkerField) -> SlipState:
+        if untouched(field):
+            return self.detector.rearm(field)
         state = self.detector.update(field)
         return replace(state, score=0.0, over_limit=False, reason="waiting for the grasp to settle")
 

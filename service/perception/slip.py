@@ -9,87 +9,18 @@ object for a while. A node outside lags from the start, by a constant share of t
 a node that slips follows first and then stops. The score measures that excess lag.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from collections import deque
 
 import numpy as np
 
-from service.perception.field import BoolArray, FloatArray, MarkerField
-from service.perception.rigid import Float64, Motion, carried_px, moving_patch, refine
+from service.perception.field import BoolArray, MarkerField
+from service.perception.rigid import MIN_NODES, Float64, Motion, carried_px, moving_patch, refine
+from service.perception.slip_state import FingerState, SlipSettings, SlipState
 
-FingerState = Literal[
-    "no_contact", "grasping", "hold", "contact", "incipient_slip", "gross_slip", "release", "lost", "unknown"
-]
-
-
-@dataclass(frozen=True, slots=True)
-class SlipSettings:
-    """Limits in shares of the marker pitch, so that they hold at every resolution; times in seconds.
-
-    Slip is declared when ``slip_share`` of the nodes known to have stuck (at least ``min_nodes``) lag the object by
-    more than ``slip_pitch`` beyond their elastic share. That is learned while the object has moved less than
-    ``learn_pitch``, and later from nodes whose lag grows by less than ``learn_share`` of the motion.
-
-    ``max_shift_pitch`` and ``max_angle_deg`` are the safety rule: a patch carried further than this must stop the arm
-    even if no node has slipped.
-
-    A patch that slides straight leaves no node behind: its motion, which followed the fingers, just stands still. That
-    is slip if within ``stall_s`` it goes on by less than ``stall_share`` of its fastest such stretch and was carried
-    by ``stall_pitch``, which takes about half of the friction that a grasp can bear. It holds while the arm descends.
-    """
-
-    slip_pitch: float = 0.10
-    slip_share: float = 0.25
-    min_nodes: int = 3
-    learn_pitch: float = 0.2
-    learn_share: float = 0.05
-    gross_share: float = 0.6
-    tolerance_pitch: float = 0.03
-    still_pitch: float = 0.02
-    contact_pitch: float = 0.06
-    follow_share: float = 0.35
-    fit_scale: bool = True
-    max_scale_change: float = 0.08
-    release_scale: float = 0.03
-    max_shift_pitch: float = 2.0
-    max_angle_deg: float = 15.0
-    lost_after_s: float = 0.2
-    stall_s: float = 0.08
-    stall_share: float = 0.15
-    stall_pitch: float = 0.5
+__all__ = ["FingerState", "SlipDetector", "SlipSettings", "SlipState", "untouched"]
 
 
-@dataclass(frozen=True, slots=True)
-class SlipState:
-    """What one finger feels now.
-
-    ``score`` is the slip evidence, slip at 1 and above. ``residual_px`` float32 [rows, cols, 2] is each marker's
-    deviation from the object's motion, ``slipping`` and ``sticking`` [rows, cols] the nodes judged so. The object's
-    motion since the reference is ``shift_px`` (of the patch's centre, u right, v down) and ``angle_rad`` (from u to v).
-    ``over_limit`` is the safety rule; ``stop`` says that the arm must not go on.
-    """
-
-    state: FingerState
-    score: float
-    residual_px: FloatArray
-    slipping: BoolArray
-    sticking: BoolArray
-    shift_px: tuple[float, float]
-    angle_rad: float
-    scale: float
-    over_limit: bool
-    captured_ns: int
-    reason: str
-
-    @property
-    def slip(self) -> bool:
-        """True on incipient or gross slip."""
-        return self.state in {"incipient_slip", "gross_slip"}
-
-    @property
-    def stop(self) -> bool:
-        """True on slip, on too large a motion of the patch, and where contact or sight is lost."""
-        return self.slip or self.over_limit or self.state in {"release", "lost"}
+_UNEVEN = 5.0  # how much more half of a shaken, soft patch deviates than its steadiest quarter, at most
 
 
 class SlipDetector:
@@ -119,10 +50,11 @@ class SlipDetector:
         self._weight = np.zeros(shape)  # elastic share of each node, by least squares
         self._slipped = np.zeros(shape, np.bool_)
         self._motion: Motion | None = None
+        self._noise: deque[tuple[int, float]] = deque()  # capture stamp and how far the core deviates, px
         self._way: list[tuple[int, float]] = []  # capture stamp and how far the patch was carried, px
         self._fastest = 0.0
         self._seen_ns = field.captured_ns
-        if _touches_nothing(field):
+        if untouched(field):
             self._reference = None
             self._last = self._plain("no_contact", field, "nothing touches the gel")
         elif self._reference is None:
@@ -133,7 +65,7 @@ class SlipDetector:
 
     def update(self, field: MarkerField) -> SlipState:
         """Judge one field; never raises for its content."""
-        if self._reference is None and _touches_nothing(field):
+        if self._reference is None and untouched(field):
             state = self._plain("no_contact", field, "nothing touches the gel")
         elif self._reference is None or field.valid.shape != self._reference.valid.shape:
             state = self._plain("unknown", field, "not armed" if self._reference is None else "the grid changed")
@@ -157,6 +89,8 @@ class SlipDetector:
             may = may & reference.contact
             if field.contact is not None and field.contact.sum() < 0.3 * reference.contact.sum():
                 return self._plain("release", field, f"contact area fell to {field.contact.sum()} nodes")
+        elif untouched(field):
+            return self._plain("release", field, "the markers are back where nothing touches the gel")
         if may.sum() < 4:
             return self._plain("unknown", field, f"{may.sum()} usable markers, expected at least 4")
         if carried_px(after - before, may) < limits.still_pitch * pitch:
@@ -208,14 +142,29 @@ class SlipDetector:
         residual = np.where(may[..., None], after - carried, 0.0)
         lag = np.linalg.norm(residual, axis=-1)
         moved = np.linalg.norm(carried - before, axis=-1)
+        limit = max(limits.slip_pitch * pitch, limits.stand_out * self._unsteady(field, lag, moved, may))
         excess = self._excess(lag, moved, may, pitch)
-        slipping = excess > limits.slip_pitch * pitch
+        slipping = excess > limit
         known = int((self._stuck & may).sum())
         need = max(limits.min_nodes, int(np.ceil(limits.slip_share * known)))
         ranked = np.sort(excess, axis=None)
-        score = float(ranked[-need] / (limits.slip_pitch * pitch)) if known >= need else 0.0
+        score = float(ranked[-need] / limit) if known >= need else 0.0
         self._slipped |= slipping
         return self._verdict(field, motion, residual, slipping, score, known)
+
+    def _unsteady(self, field: MarkerField, lag: Float64, moved: Float64, may: BoolArray) -> float:
+        """How far the sticking core deviates from what its motion and elastic shares explain, px, of late.
+
+        The median; where half of the core lets go at once, at most a multiple of what the steadier quarter shows.
+        """
+        core = may & self._stuck & ~self._slipped & (self._weight > 0)
+        if core.sum() >= MIN_NODES:
+            off = np.abs(lag[core] - self._lagged[core] / self._weight[core] * moved[core])
+            best, half = np.percentile(off, [25, 50])
+            self._noise.append((field.captured_ns, float(min(half, _UNEVEN * best))))
+        while self._noise and field.captured_ns - self._noise[0][0] > self.settings.noise_s * 1e9:
+            self._noise.popleft()
+        return float(np.mean([off for _, off in self._noise])) if self._noise else 0.0
 
     def _excess(self, lag: Float64, moved: Float64, may: BoolArray, pitch: float) -> Float64:
         """Lag in px beyond what each node's elastic share of the motion explains, 0 outside the contact."""
@@ -284,8 +233,8 @@ class SlipDetector:
         return SlipState(state, 0.0, residual, nobody, nobody, (0.0, 0.0), 0.0, 1.0, False, field.captured_ns, reason)
 
 
-def _touches_nothing(field: MarkerField) -> bool:
-    """True where the contact is known (simulated gels) and empty; from images alone it is not known."""
+def untouched(field: MarkerField) -> bool:
+    """True where it is known that nothing touches the gel, by the simulator's pressure or by `contact.FreeGel`."""
     return field.usable and field.contact is not None and not field.contact.any()
 
 

@@ -133,7 +133,7 @@ def rotations_far_from_the_origin(seed: int) -> float:
     "perception",
     why="a rotating patch carries its rim further than any slip threshold",
     holds="a twist to 60 deg at 5 deg a frame is never called slip: frames that are",
-    guard=(SLIP, "slip_pitch: float = 0.10"),
+    guard=("service/perception/slip_state.py", "slip_pitch: float = 0.10"),
     quick=False,
 )
 def twists_of_sixty_degrees(seed: int) -> float:

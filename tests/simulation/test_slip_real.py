@@ -7,12 +7,12 @@ from simulation import slip_real
 from simulation.__main__ import main
 from simulation.slip_real import GRID_PITCH, MARGIN, RealDataError, Recording, fitted, separation, upper_bound
 from simulation.slip_real_report import real_table
-from tests.service.perception.synthetic import patch_fields, rigid
+from tests.service.perception.synthetic import patch_fields, pressed, rigid
 
 
 def grasp(name, *, slips, seed):
-    still, _ = patch_fields(rigid(), frames=80, seed=seed)
-    moving, _ = patch_fields(rigid((0, 1.5), 0.7), hold_px=14, seed=seed)
+    still, _ = patch_fields(pressed(rigid()), frames=80, seed=seed)
+    moving, _ = patch_fields(pressed(rigid((0, 1.5), 0.7)), hold_px=14, seed=seed)
     fields = [*still, *moving] if slips else [*still, *still[:40]]
     for k, field in enumerate(fields):
         fields[k] = type(field)(

@@ -88,3 +88,13 @@ def patch_fields(
 def rigid(shift=(0.0, 0.0), degrees=0.0, centre=(150.0, 140.0)):
     """A motion for :func:`patch_fields`: per frame, turn by ``degrees`` about ``centre`` and move by ``shift`` px."""
     return lambda k, rest: twist(rest, degrees * k, centre, (shift[0] * k, shift[1] * k)) - rest
+
+
+def pressed(motion):
+    """The motion of markers that a grip has spread."""
+
+    def spread(k, rest):
+        from_middle = rest - rest.mean((0, 1))
+        return 0.01 * from_middle + 0.02 * np.abs(from_middle)[..., ::-1] + motion(k, rest)
+
+    return spread
