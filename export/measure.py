@@ -72,11 +72,12 @@ def time_calls(call: Callable[[], Any], *, seconds: float = 2.0, least: int = 30
 
 
 def time_in_turn(
-    calls: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, least: int = 30
+    calls: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, least: int = 30, warm: bool = False
 ) -> dict[str, tuple[Timing, NDArray[np.float64]]]:
     """Time several calls, one of each in turn, so that noise hits all alike; timing and (wall, CPU) ms [2, N] of each.
 
-    The processor time is that of all threads of this process: nothing else may run in it meanwhile.
+    ``warm`` calls each once untimed before its timed call, where others in turn would empty its caches. The processor
+    time is that of all threads of this process: nothing else may run in it meanwhile.
     """
     for call in calls.values():
         for _ in range(WARM_UP_CALLS):
@@ -85,6 +86,8 @@ def time_in_turn(
     end = time.perf_counter() + seconds
     while min(map(len, spent.values())) < least or time.perf_counter() < end:
         for name, call in calls.items():
+            if warm:
+                call()
             wall_before, cpu_before = time.perf_counter_ns(), time.process_time_ns()
             call()
             cpu_ms = (time.process_time_ns() - cpu_before) / 1e6

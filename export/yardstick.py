@@ -17,7 +17,8 @@ CLAIMS = {"compact": 1 / 150, "shared int8": 1 / 25}
 def ratios(steps: list[Model], folder: Path, seconds: float) -> dict[str, Any]:
     """Steps of the released networks and of the shared int8 AlexNet pair, over two fp32 AlexNet sequence passes.
 
-    All are called in turn on one thread; processor time, median and quartiles of the ratios. The released step is that
+    All are called in turn on one thread, each after an untimed call of its own; processor time, median and quartiles
+    of the ratios. The released step is that
     of all networks of one folder, as a service runs them.
     """
     found = files(folder)
@@ -30,7 +31,7 @@ def ratios(steps: list[Model], folder: Path, seconds: float) -> dict[str, Any]:
     peaks = probe(max(work_of(model).weight_bytes for model in sets["shared int8 step"]))
     inputs = {id(model): example_inputs(model) for model in everything}
     calls = {name: _all(models, inputs) for name, models in sets.items()}
-    rows = time_in_turn(calls, seconds=10 * seconds, least=12)
+    rows = time_in_turn(calls, seconds=10 * seconds, least=12, warm=True)
     base = rows["two fp32 passes"][1]
     claims = {name: _claim(name) for name in sets}
     return {

@@ -1,5 +1,6 @@
 """Train and evaluate networks: ``python -m training train training/configs/compact.toml``."""
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +13,8 @@ from service.contract import ContractError
 def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
     """Train one run from its TOML file; started again, it goes on where it stopped.
 
+    In several processes: ``torchrun --standalone --nproc-per-node 2 -m training train CONFIG``.
+
     Args:
         config: the run's TOML file, see training/configs/.
         data: dataset folder, instead of the one the config names.
@@ -22,8 +25,10 @@ def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = Non
     loaded = RunConfig.load(config)
     if data is not None:
         loaded = loaded.model_copy(update={"data": loaded.data.model_copy(update={"path": str(data)})})
-    print_table(run(loaded).figures)
-    print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
+    figures = run(loaded).figures
+    if int(os.environ.get("RANK", "0")) == 0:
+        print_table(figures)
+        print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
 
 
 def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:

@@ -16,6 +16,7 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LambdaLR
 
 from service.contract import ContractError
+from training import parallel
 from training.config import StageConfig
 
 WARM_UP = 0.05
@@ -30,10 +31,12 @@ class Log:
 
         folder.mkdir(parents=True, exist_ok=True)
         self._lines = folder / "log.jsonl"
-        self._board: Any = SummaryWriter(str(folder / "tensorboard"))
+        self._board: Any = SummaryWriter(str(folder / "tensorboard")) if parallel.first() else None
 
     def write(self, stage: str, epoch: int, scalars: dict[str, float]) -> None:
-        """Append one row."""
+        """Append one row; of several processes, the first does."""
+        if self._board is None:
+            return
         with self._lines.open("a") as file:
             file.write(json.dumps({"stage": stage, "epoch": epoch, **scalars}) + "\n")
         for name, value in scalars.items():
@@ -41,7 +44,8 @@ class Log:
 
     def close(self) -> None:
         """Flush TensorBoard."""
-        self._board.close()
+        if self._board is not None:
+            self._board.close()
 
 
 @dataclass
@@ -89,18 +93,20 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
     started = time.monotonic()
     scalars: dict[str, float] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
-    with Progress(*columns) as progress:
+    with Progress(*columns, disable=not parallel.first()) as progress:
         task = progress.add_task(stage.name, total=total, completed=at.epoch * stage.batches_per_epoch, note="")
         while at.epoch < config.epochs:
-            rng = np.random.default_rng([seed, at.epoch])
-            torch.manual_seed(seed * 1000 + at.epoch)
+            rng = np.random.default_rng(parallel.seeds(seed, at.epoch))
+            torch.manual_seed(seed * 1000 + at.epoch + 7919 * parallel.rank())
             loss = _epoch(network, stage, optimiser, schedule, rng, lambda: progress.advance(task))
             scalars = {"loss": loss, **_validate(network, stage), "minutes": (time.monotonic() - started) / 60}
+            scalars = parallel.agreed(scalars)
             log.write(stage.name, at.epoch, scalars)
             progress.update(task, note=" ".join(f"{name} {value:.3f}" for name, value in scalars.items()))
             _keep_best(at, scalars, network)
             at.epoch += 1
-            _save(path, network, optimiser, schedule, at)
+            if parallel.first():
+                _save(path, network, optimiser, schedule, at)
             if at.epoch - at.best_epoch > config.patience or scalars["minutes"] > config.max_minutes:
                 break
     if at.best_state:
@@ -124,6 +130,7 @@ def _epoch(
             raise ContractError(f"stage {stage.name}: the loss is {float(loss)}, expected a finite number")
         optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
+        parallel.average_gradients(stage.parameters)
         nn.utils.clip_grad_norm_(stage.parameters, MAX_GRADIENT)
         optimiser.step()
         schedule.step()

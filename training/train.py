@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from service.contract import ContractError
+from training import parallel
 from training.batches import Batch, decisions, epoch, frame_pairs
 from training.checkpoint import Checkpoint, git_commit
 from training.config import RunConfig
@@ -136,23 +137,35 @@ class Trainer:
 
 
 def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
-    """Run all stages, resuming where a killed run stopped, and save ``<runs>/<name>/checkpoint.pt``."""
+    """Run all stages, resuming where a killed run stopped, and save ``<runs>/<name>/checkpoint.pt``.
+
+    Under torchrun every process takes an equal share of the trials; the first one writes.
+    """
     if config.network.kind != "compact":
         raise ContractError(f"network.kind is {config.network.kind}, which `python -m training recipe` trains")
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     folder = config.folder
     folder.mkdir(parents=True, exist_ok=True)
-    _pin(folder, config)
-    trainer = _prepare(config, load_trials(config.data, source))
+    with parallel.group():
+        with parallel.first_goes_first():
+            _pin(folder, config)
+            trials = load_trials(config.data, source)
+        trainer = _prepare(config, trials)
+        _run_stages(trainer, folder)
+        return _finish(trainer, folder)
+
+
+def _run_stages(trainer: Trainer, folder: Path) -> None:
     log = Log(folder)
     try:
         for stage in _stages(trainer):
             if stage.config.epochs:
-                print(stage.name, {name: round(value, 4) for name, value in _run(trainer, stage, folder, log).items()})
+                scalars = _run(trainer, stage, folder, log)
+                if parallel.first():
+                    print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
     finally:
         log.close()
-    return _finish(trainer, folder)
 
 
 def _pin(folder: Path, config: RunConfig) -> None:
@@ -187,7 +200,7 @@ def _set_field_scale(network: CompactNetwork, trials: Trials) -> None:
 
 def _stages(trainer: Trainer) -> list[Stage]:
     config, trials, network = trainer.config, trainer.trials, trainer.network
-    everything, drawn = trials.of("train"), trials.of("train", rendered=True)
+    everything, drawn = parallel.share(trials.of("train")), parallel.share(trials.of("train", rendered=True))
     held, held_drawn = trials.of("validation"), trials.of("validation", rendered=True)
     decision = [*network.trunk.parameters(), *network.direction.parameters(), *network.magnitude.parameters()]
 
@@ -244,8 +257,9 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
         training_data_sha256=trainer.trials.sha256,
         git_commit=git_commit(),
     )
-    checkpoint.save(folder / "checkpoint.pt")
-    (folder / "figures.json").write_text(json.dumps(checkpoint.figures, indent=1))
+    if parallel.first():
+        checkpoint.save(folder / "checkpoint.pt")
+        (folder / "figures.json").write_text(json.dumps(checkpoint.figures, indent=1))
     return checkpoint
 
 
