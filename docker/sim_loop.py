@@ -26,6 +26,13 @@ def free_ports() -> dict[str, str]:
     return ports
 
 
+def free_port() -> str:
+    """One more free port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as each:
+        each.bind(("127.0.0.1", 0))
+        return str(each.getsockname()[1])
+
+
 class Loop:
     """The sim profile under podman-compose."""
 

@@ -1,4 +1,4 @@
-"""The other ways to deploy, tried for `make verify-images`: live profile, Kubernetes' pod, bundle without internet.
+"""The other ways to deploy, tried for `make verify-images`: live profile, monitoring, Kubernetes' pod, offline bundle.
 
 Cameras are the simulated cell's MJPEG streams, which a service cannot tell from an IP camera's.
 """
@@ -6,16 +6,25 @@ Cameras are the simulated cell's MJPEG streams, which a service cannot tell from
 import json
 import os
 import re
+import shutil
 import subprocess
 import tempfile
 import time
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from images import ROOT, base_image, call
-from sim_loop import Loop, waited
+from images import ROOT, VerificationError, base_image, buildah, call
+from sim_loop import Loop, free_port, waited
 
+LOCAL_PROMETHEUS = "localhost/prometheus:debian"
+PINNED = "0"
+PROMETHEUS_DOCKERFILE = """FROM {base}
+COPY prometheus /bin/prometheus
+WORKDIR /prometheus
+ENTRYPOINT ["/bin/prometheus"]
+"""
 POD = "verify-images-pod"
 Add = Callable[[str, str, bool], None]
 
@@ -47,16 +56,83 @@ def check_live(add: Add, loop: Loop) -> None:
     with tempfile.TemporaryDirectory() as folder:
         Path(folder).chmod(0o755)  # the container's user reads it
         (Path(folder) / "calibration.toml").write_text(calibration(loop))
-        os.environ.update(cameras(loop), CONFIG_DIR=folder)
+        os.environ.update(cameras(loop), CONFIG_DIR=folder, SERVICE_CPUSET=PINNED)
         live = [*loop.compose, "--profile", "live"]
         try:
             call([*live, "up", "--detach", "--no-build", "service"])
             seconds = loop.wait_healthy("service", 120)
             found = live_cameras(loop)
             add("live profile, cameras by URL: ready", f"after {seconds:.0f} s, {found} cameras live", found == 2)
+            status = Path(f"/proc/{loop.process('service')}/status").read_text()
+            cores = status.split("Cpus_allowed_list:")[1].split()[0]
+            add(f"live profile, SERVICE_CPUSET={PINNED}: runs on", f"processor {cores}", cores == PINNED)
         finally:
+            os.environ["SERVICE_CPUSET"] = ""
             call([*loop.compose, "stop", "service"], check=False)
             call(["podman", "rm", "--force", loop.container("service")], check=False)
+
+
+def check_monitoring(add: Add, loop: Loop) -> None:
+    """The `monitoring` profile's Prometheus scrapes the running service, loads every alert rule, and sees it die.
+
+    Without a registry of images Prometheus is Debian's, put on the base image; Grafana is in no Debian release, so its
+    container is started only where its image can be pulled.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        for path in (ROOT / "docker" / "prometheus").glob("*.yml"):
+            (Path(folder) / path.name).write_text(path.read_text().replace("8000", loop.ports["SERVICE_PORT"]))
+        os.environ.update(PROMETHEUS_DIR=folder, PROMETHEUS_PORT=free_port(), PROMETHEUS_IMAGE=prometheus_image())
+        monitoring = [*loop.compose, "--profile", "monitoring"]
+        try:
+            call([*monitoring, "up", "--detach", "--no-build", "prometheus"])
+            seconds = waited(lambda: scraped() == "1", 120, "the service scraped", lambda: loop.logs("prometheus"))
+            rules = prometheus("rules")["groups"][0]["rules"]
+            add("monitoring profile: service scraped", f"after {seconds:.0f} s, {len(rules)} alert rules", bool(rules))
+            call(["podman", "stop", "--time", "30", loop.container("service-sim")])
+            seconds = waited(lambda: pending("ServiceDown"), 90, "ServiceDown raised")
+            add("monitoring profile: service stopped, ServiceDown raised", f"after {seconds:.0f} s", True)
+        finally:
+            call([*monitoring, "stop", "prometheus"], check=False)
+            call(["podman", "rm", "--force", loop.container("prometheus")], check=False)
+            call([*loop.compose, "--profile", "sim", "up", "--detach", "--no-build", "service-sim"], check=False)
+
+
+def prometheus_image() -> str:
+    """The image that compose names if it can be had, otherwise one with this machine's own `prometheus` on the base."""
+    compose = (ROOT / "docker" / "compose.yaml").read_text()
+    named = re.findall(r"PROMETHEUS_IMAGE:-([^}]+)\}", compose)[0]
+    pull = subprocess.run(["timeout", "60", "podman", "pull", "-q", named], capture_output=True, check=False)
+    if pull.returncode == 0:
+        return str(named)
+    binary = shutil.which("prometheus")
+    if binary is None:
+        raise VerificationError(f"{named} cannot be pulled and there is no prometheus here: apt-get install prometheus")
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copy(binary, folder)
+        (Path(folder) / "Dockerfile").write_text(PROMETHEUS_DOCKERFILE.format(base=base_image()))
+        buildah(LOCAL_PROMETHEUS, Path(folder) / "Dockerfile", Path(folder))
+    return LOCAL_PROMETHEUS
+
+
+def prometheus(path: str) -> Any:
+    """The data of one answer of the started Prometheus."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{os.environ['PROMETHEUS_PORT']}/api/v1/{path}", timeout=3) as reply:
+        return json.load(reply)["data"]
+
+
+def scraped() -> str:
+    """The value of `up` for the cell, empty while there is none."""
+    try:
+        found = prometheus("query?query=up")["result"]
+    except OSError:
+        return ""
+    return str(found[0]["value"][1]) if found else ""
+
+
+def pending(alert: str) -> bool:
+    """Whether an alert is pending or firing."""
+    return any(entry["labels"]["alertname"] == alert for entry in prometheus("alerts")["alerts"])
 
 
 def check_pod(add: Add, loop: Loop) -> None:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from images import IMAGES, ROOT, VerificationError, build_all, call, prepare_engine, say
 from sim_loop import Loop, free_ports, waited
-from verify_deployments import check_bundle, check_live, check_pod
+from verify_deployments import check_bundle, check_live, check_monitoring, check_pod
 
 SERVICE_MB, IDLE_RSS_MB, IDLE_CPU_SHARE = 450.0, 300.0, 0.05
 FORBIDDEN = {
@@ -230,6 +230,7 @@ def verify(*, keep: bool, outside: str | None, bundle: Path | None) -> bool:
         took_s = time.monotonic() - started
         what = "from no images to an inserted object (cached layers are used again)"
         report.add(what, f"{took_s / 60:.1f} min, at most 10", inserted and took_s <= 600)
+        check_monitoring(report.add, loop)
         loop.up(X_MM="6", THETA_DEG="3")
         break_and_recover(report, loop)
         check_drain(report, loop)

@@ -105,7 +105,11 @@ def _empty(model: Model, weights: dict[str, Any]) -> Any:
     classes = len(model.card.classes)
     if any("alexnet" in name for name in weights):
         if model.card.role == "pair":
-            return AlexNetPair(classes).of("pair")
+            pair = AlexNetPair(classes)
+            apart = "magnitude.alexnet.classifier.1.weight" in weights
+            ours, theirs = pair.direction.alexnet, pair.magnitude.alexnet
+            (theirs.features if apart else theirs).load_state_dict((ours.features if apart else ours).state_dict())
+            return pair.of("pair")
         return AlexNetLstm(classes if model.card.role == "direction" else 2)
     try:
         settings = NetworkConfig(

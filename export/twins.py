@@ -12,7 +12,7 @@ from training.dataset import read_decisions
 
 CALIBRATION_DECISIONS, JUDGED_DECISIONS = 8, 40
 LARGE_BYTES = 50_000_000
-"""A larger network is made int8 as a whole: choosing its layers would take an hour."""
+"""A larger network is made int8 as a whole and nothing else: choosing its layers would take an hour."""
 
 
 def make_twins(folders: list[Path], out: Path, data: str) -> list[Path]:
@@ -51,12 +51,12 @@ def _make(source: Path, twin: Path, precision: str, frames: _Frames) -> bool:
     """Make one twin unless it is there; False where this precision does not apply."""
     if twin.is_file() and twin.stat().st_mtime >= source.stat().st_mtime:
         return True
+    large = source.stat().st_size > LARGE_BYTES
+    if large and precision != WHOLE:
+        return False
     if precision == "fp16":
         store_fp16(source, twin)
         return True
-    large = source.stat().st_size > LARGE_BYTES
-    if precision == "int8" and large:
-        return False
     calibrating, judged = frames()
     try:
         quantize(source, twin, calibrating, judged if precision == "int8" else None)

@@ -48,6 +48,23 @@ def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = No
     print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
 
 
+def share_backbone(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
+    """Put a finished recipe's two networks behind one AlexNet: trains the magnitude network's LSTM again, minutes.
+
+    Args:
+        config: the recipe's TOML file.
+        data: dataset folder, instead of the one the config names.
+    """
+    from training.recipe_data import RecipeConfig
+    from training.shared import share_backbone as share
+
+    loaded = RecipeConfig.load(config)
+    if data is not None:
+        loaded = loaded.model_copy(update={"data": str(data)})
+    print_table(share(loaded).figures)
+    print(f"checkpoint: {loaded.folder}_shared/checkpoint.pt")
+
+
 def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
     """Print the figures that a checkpoint carries.
 
@@ -85,7 +102,8 @@ def main() -> None:
     """Command line entry."""
     try:
         tyro.extras.subcommand_cli_from_dict(
-            {"train": train, "recipe": recipe, "show": show, "report": report}, prog="python -m training"
+            {"train": train, "recipe": recipe, "share-backbone": share_backbone, "show": show, "report": report},
+            prog="python -m training",
         )
     except ContractError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -51,7 +51,7 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
             print(role, fit(network, _head_stage(config, network, role, rows), folder, config.seed, log))
     finally:
         log.close()
-    return _finish(config, pair, rows, data_sha256(source))
+    return finish(config, pair, rows, data_sha256(source))
 
 
 # ---- convolutions --------------------------------------------------------------------------------------------------
@@ -146,7 +146,7 @@ def _batch(rows: Rows, chosen: NDArray[np.int64]) -> Tensor:
 # ---- figures -------------------------------------------------------------------------------------------------------
 
 
-def _finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> Checkpoint:
+def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> Checkpoint:
     """Constant spread and calibration from validation, figures of every split, checkpoint."""
     pair.eval()
     held = _predict(pair, rows, rows.of("validation"))

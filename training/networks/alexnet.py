@@ -131,9 +131,11 @@ class AlexNetPair(nn.Module):
 
 
 class SharedBackbone(nn.Module):
-    """Both networks behind one set of convolutions, which the recipe froze alike: the same decisions, bit for bit.
+    """Both networks behind one backbone: the same decisions as apart, bit for bit.
 
-    Raises ContractError if the convolutions differ. The state is the direction network's, then the magnitude network's.
+    The recipe froze the convolutions alike; the fully connected layers are shared, too, where they are equal
+    (``python -m training share-backbone``). Raises ContractError if the convolutions differ. The state is the direction
+    network's, then the magnitude network's.
     """
 
     state_size = 2 * AlexNetLstm.state_size
@@ -145,16 +147,20 @@ class SharedBackbone(nn.Module):
         if not all(torch.equal(ours[name], theirs[name]) for name in ours):
             raise ContractError("the two networks' convolutions differ; expected the recipe's, which are frozen alike")
         self.direction, self.magnitude = pair.direction, pair.magnitude
+        ours, theirs = (network.alexnet.classifier.state_dict() for network in (pair.direction, pair.magnitude))
+        both = [pair.direction, pair.magnitude]
+        self.readers = both[:1] if all(torch.equal(ours[name], theirs[name]) for name in ours) else both
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
-        """Frames uint8 [B, 2, 320, 327, 3] -> both networks' features of either finger: [B, 16384]."""
+        """Frames uint8 [B, 2, 320, 327, 3] -> features of either finger, [B, 8192] for each reader."""
         convolved = self.direction.convolved(difference_images(frame.flatten(0, 1), reference.flatten(0, 1)))
-        read = [network.alexnet.classifier(convolved) for network in (self.direction, self.magnitude)]
+        read = [network.alexnet.classifier(convolved) for network in self.readers]
         return torch.cat([features.reshape(-1, 2 * HIDDEN) for features in read], 1)
 
     def advance(self, features: Tensor, told: Tensor | None, state: Tensor) -> Tensor:
         """One step of both LSTMs."""
-        ours, theirs = features.chunk(2, 1)
+        ours, *others = features.chunk(len(self.readers), 1)
+        theirs = others[0] if others else ours
         first, second = state.chunk(2, 1)
         moved = self.direction.advance(ours, told, first), self.magnitude.advance(theirs, told, second)
         return torch.cat(moved, 1)
