@@ -21,6 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plate": ("simulation.plate:main", "what the simulated sensor sees, object by object, as one picture"),
     "export-dataset": ("simulation.export_dataset:main", "trials as a LeRobot v3.0 dataset or as MCAP files"),
     "slip-report": ("simulation.evaluate_slip:main", "how well slip is seen and what seeing costs: table, JSON, plot"),
+    "trackers": ("simulation.tracker_costs:main", "what accuracy of marker tracking costs in time: table, JSON, plot"),
     "stop-report": (
         "simulation.stop_report:main",
         "how soon the arm stops for slip, through the whole live loop: table",

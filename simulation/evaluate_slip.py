@@ -26,10 +26,9 @@ from service.perception.markers import MarkerTracker, TrackerSettings
 from service.perception.onset import OnsetDetector
 from service.perception.slip import SlipDetector, SlipSettings
 from simulation.imprint import Appearance, Renderer
-from simulation.slip_baselines import LucasKanade, NearestBlob, rule_2019
+from simulation.slip_baselines import rule_2019
 from simulation.slip_path import cost_ms
 from simulation.slip_trials import NO_SLIP_SHARE, SlipTrial, draw_trials
-from simulation.texture import MARKER_PITCH_PX, marker_rest_px
 
 LATE_N = 3
 STANDING = "images, arm also standing still"
@@ -41,18 +40,6 @@ class Tracker(Protocol):
 
     def update(self, image: Image, captured_ns: int) -> MarkerField:
         """One rectified frame in, the marker field out."""
-
-
-TRACKERS: dict[str, Callable[[], Tracker]] = {
-    "half resolution": lambda: MarkerTracker(TrackerSettings(shrink=2)),
-    "box filters": lambda: MarkerTracker(TrackerSettings(kernel="box")),
-    "standard": MarkerTracker,
-    "wide paraboloid": lambda: MarkerTracker(TrackerSettings(window=5)),
-    "no topology": lambda: MarkerTracker(TrackerSettings(recover=False)),
-    "nearest blob (baseline)": NearestBlob,
-    "Lucas-Kanade 15/2 (baseline)": lambda: LucasKanade(15, 2),
-    "Lucas-Kanade 21/3 (baseline)": lambda: LucasKanade(21, 3),
-}
 
 
 def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float, float]:
@@ -176,46 +163,11 @@ def onset_of(fields: Iterable[Sequence[MarkerField]]) -> int | None:
     return min(found, default=None)
 
 
-def displacement_error_px(trial: SlipTrial, fields: Sequence[Sequence[MarkerField]]) -> NDArray[np.float64]:
-    """Errors [n, 2] of the displacement since frame 0, at every tracked marker of every later frame."""
-    errors = []
-    scale = MARKER_PITCH_PX / trial.scene.marker_pitch_mm
-    for finger, sequence in enumerate(fields):
-        rest = sequence[0].rest_px
-        if rest.size == 0:
-            continue
-        nearest = np.rint((rest - marker_rest_px()[0, 0]) / MARKER_PITCH_PX).astype(int)
-        column, row = np.clip(nearest[..., 0], 0, 20), np.clip(nearest[..., 1], 0, 19)
-        for k, seen in enumerate(sequence[1:], 1):
-            truth = scale * (trial.gel[k, finger, ..., :2] - trial.gel[0, finger, ..., :2])[row, column]
-            off = seen.displacement_px - sequence[0].displacement_px - truth
-            errors.append(off[seen.valid & sequence[0].valid])
-    return np.concatenate(errors) if errors else np.zeros((0, 2))
-
-
-def accuracy_at_noise(make: Callable[[], Tracker], trials: Sequence[SlipTrial], noise: float) -> dict[str, float]:
-    """Displacement RMS (per axis, px) and share of wrong identities at a camera noise in grey levels."""
-    errors = []
-    for trial in trials:
-        noisy = SlipTrial(**{**_shallow(trial), "scene": trial.scene.varied({"camera.noise_grey": noise})})
-        errors.append(displacement_error_px(noisy, see(noisy, pictures(noisy), make, Tally())))
-    off = np.concatenate(errors)
-    wrong = np.linalg.norm(off, axis=1) > 0.25 * MARKER_PITCH_PX
-    rms = float(np.sqrt(np.square(off[~wrong]).mean())) if (~wrong).any() else math.nan
-    return {"rms_px": rms, "wrong_share": float(wrong.mean())}
-
-
-def _shallow(trial: SlipTrial) -> dict[str, Any]:
-    return {name: getattr(trial, name) for name in SlipTrial.__slots__}
-
-
-def evaluate(count: int, tradeoff: int, seed: int, fps: int, watch: Callable[[], None]) -> dict[str, Any]:
-    """Run everything: ``count`` trials by the standard tracker and on true fields, ``tradeoff`` by every tracker."""
+def evaluate(count: int, seed: int, fps: int, watch: Callable[[], None]) -> dict[str, Any]:
+    """``count`` trials by the standard tracker, on true fields and by the rule of 2019; what the slip path costs."""
     tallies = {name: Tally() for name in ("images", "held out, images", STANDING, "true fields", "2019 rule")}
     objects: dict[str, Tally] = {}
-    trackers = {name: Tally() for name in TRACKERS}
-    kept: list[SlipTrial] = []
-    for index, trial in enumerate(draw_trials(count, seed, fps)):
+    for trial in draw_trials(count, seed, fps):
         images = pictures(trial)
         fields = see(trial, images, MarkerTracker, tallies["images"])
         alarm, onset = alarm_of(fields), onset_of(fields)
@@ -229,22 +181,12 @@ def evaluate(count: int, tradeoff: int, seed: int, fps: int, watch: Callable[[],
         tallies[STANDING].judge(trial, without_stall, standing=True)
         tallies["true fields"].judge(trial, alarm_of(true_fields(trial)))
         tallies["2019 rule"].judge(trial, alarm_2019(fields))
-        if index % max(1, count // tradeoff) == 0:
-            for name, make in TRACKERS.items():
-                trackers[name].judge(trial, alarm_of(see(trial, images, make, trackers[name])))
-            if trial.label == "slip" and len(kept) < 6:
-                kept.append(trial)
         watch()
-    table = {name: trackers[name].summary() for name in TRACKERS}
-    for name, make in TRACKERS.items():
-        for noise in (2.0, 6.0):
-            table[name][f"noise_{noise:.0f}"] = accuracy_at_noise(make, kept, noise)
     return {
         "path_ms": cost_ms(4, seed, fps),
         "settings": asdict(TrackerSettings()) | {"seed": seed, "fps": fps, "late_frames": LATE_N},
         "slip": {name: tally.summary() for name, tally in tallies.items()},
         "objects": {name: tally.summary() for name, tally in sorted(objects.items())},
-        "trackers": table,
     }
 
 
@@ -252,7 +194,7 @@ def main(arguments: list[str]) -> int:
     """Evaluate, then write the JSON, the picture and the table."""
     parser = argparse.ArgumentParser(prog="python -m simulation slip-report", description=__doc__)
     parser.add_argument("--trials", type=int, default=320, help="trials in all (%(default)s)")
-    parser.add_argument("--tradeoff", type=int, default=80, help="of these, seen by every tracker (%(default)s)")
+    parser.add_argument("--tradeoff", type=int, default=80, help="trials seen by every tracker (%(default)s)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--fps", type=int, choices=(30, 60, 90), default=30)
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder for slip_report.* (%(default)s)")
@@ -263,7 +205,7 @@ def main(arguments: list[str]) -> int:
         raise ValueError(f"--trials {given.trials} --tradeoff {given.tradeoff}: expected at least 1")
     from rich.progress import Progress
 
-    from simulation import slip_real
+    from simulation import slip_real, tracker_costs
     from simulation.slip_report import write
 
     path = given.out / "slip_report.json"
@@ -278,7 +220,11 @@ def main(arguments: list[str]) -> int:
             real = slip_real.evaluate(given.real, lambda: progress.advance(clips))
         if not given.keep_trials:
             task = progress.add_task("trials", total=given.trials)
-            result = evaluate(given.trials, given.tradeoff, given.seed, given.fps, lambda: progress.advance(task))
+            result = evaluate(given.trials, given.seed, given.fps, lambda: progress.advance(task))
+            compared = progress.add_task("trackers", total=given.tradeoff)
+            result["trackers"] = tracker_costs.compare(
+                given.tradeoff, given.seed, given.fps, lambda: progress.advance(compared)
+            )
     result["real"] = real
     given.out.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

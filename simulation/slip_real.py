@@ -218,17 +218,34 @@ def separation(recordings: Sequence[Recording]) -> dict[str, Any]:
 
 
 def loop_closure(root: Path) -> dict[str, Any] | None:
-    """GelSlim 3: share of markers more than 0.25 pitch off when nothing touches the gel; None without the clip."""
+    """GelSlim 3, None without the clip: share of markers more than 0.25 pitch off when nothing touches the gel.
+
+    And whether that is seen: share of frames said to be untouched, its first frame learnt as such, where nothing
+    touches the gel and elsewhere (the labelled stretches are shorter than the true ones).
+    """
     clip = root / "gelslim3_press" / "sample_realtime_depth.mp4"
     if not clip.is_file():
         return None
-    tracker = MarkerTracker()
-    off = []
+    tracker, watch = MarkerTracker(), GraspWatch()
+    off, alone = [], []
     for k, image in enumerate(frames(clip, GELSLIM_CROP)):
         field = tracker.update(image, round(k * 1e9 / GELSLIM_FPS))
+        if k == 0:
+            watch.free.learn(field)
+        alone.append(watch.update(field).state == "no_contact")
         off.append(float((np.linalg.norm(field.displacement_px, axis=-1) > 0.25 * field.pitch_px).mean()))
     free = [max(off[begin:end]) for begin, end in CONTACT_FREE]
-    return {"frames": len(off), "worst_share": max(free), "end_share": off[CONTACT_FREE[-1][1] - 1]}
+    labelled = np.zeros(len(off), np.bool_)
+    for begin, end in CONTACT_FREE:
+        labelled[begin:end] = True
+    said = np.array(alone)
+    return {
+        "frames": len(off),
+        "worst_share": max(free),
+        "end_share": off[CONTACT_FREE[-1][1] - 1],
+        "untouched_seen": float(said[labelled].mean()),
+        "untouched_elsewhere": float(said[~labelled].mean()),
+    }
 
 
 def evaluate(root: Path, watch: Callable[[], None]) -> dict[str, Any]:
