@@ -78,13 +78,14 @@ def _against(against: dict[str, Any]) -> list[str]:
 def _home(home: dict[str, Any] | None) -> list[str]:
     if home is None:
         return []
-    end, worst = (f"{100 * home[key]:.1f} %" for key in ("end_share", "worst_share"))
+    keys = ("end_share", "worst_share", "untouched_seen", "untouched_elsewhere")
+    end, worst, seen, elsewhere = (f"{100 * home[key]:.1f} %" for key in keys)
     return [
         f"**Markers come home** (GelSlim 3, {home['frames']} frames): at the end {end} of all markers are more than a",
         f"quarter pitch off, at worst {worst} in any contact-free stretch (goal: at most 1 %).",
         "",
         "**No contact, from images alone** (the same clip, its first frame learnt as untouched): said of",
-        f"{100 * home['untouched_seen']:.1f} % of the frames labelled contact-free and of {100 * home['untouched_elsewhere']:.1f} % of",
+        f"{seen} of the frames labelled contact-free and of {elsewhere} of",
         "the others, which lie at the edges of the labelled stretches and in pauses too short to be labelled.",
         "",
     ]
