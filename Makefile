@@ -78,7 +78,8 @@ export: $(VENV)/ready ## write CHECKPOINT as ONNX files with their cards into MO
 	$(BIN)/python -m export onnx $(CHECKPOINT) --out $(MODELS)
 	$(BIN)/python -m export verify $(MODELS)
 
-accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png
+accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png; errors beside theory: docs/theory.md
+	$(BIN)/python -m simulation theory --out docs
 	$(BIN)/python -m simulation accuracy
 
 slip-report: $(RUN_VENV)/ready ## how well slip is seen and what seeing costs: docs/slip_report.md (REAL=folder judges recordings too)

@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "how soon the arm stops for slip, through the whole live loop: table",
     ),
     "hard-probes": ("simulation.cli.hard_probes:main", "10,000 random nasty contacts: solved, lost or refused by name"),
+    "theory": ("simulation.theory:main", "errors beside Hertz, Mindlin, Winkler and the paper's geometry: table"),
     "accuracy": ("simulation.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
 }
 

@@ -121,47 +121,47 @@ def descend(
     phase: when the first frame falls within a frame period, 0..1.
     """
     rate, speed = fps or cell.scene.camera.fps, speed_mm_s or cell.scene.speed_mm_s
-    if (
-        frames < DECISION_FRAMES + 1
-        or stop_delay_frames < 0
-        or not overtravel_mm >= 0.0
-        or not rate > 0
-        or not speed > 0.0
-    ):
+    _check(frames, rate, speed, stop_delay_frames, overtravel_mm)
+    if cell.coasting is not None:
+        cell.coasting.speed_mm_s = speed
+    record = _Recorder(cell.look())
+    slip, outcome = _lower(cell, record, speed / rate, phase, stop_delay_frames, overtravel_mm)
+    stop = len(record.states) - 1
+    while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
+        record.add(cell.wait(1.0 / rate) if cell.coasting else record.states[-1], record.depth_mm[-1])
+    return _keep(record, frames, slip, stop, outcome, x_mm, theta_deg)
+
+
+def _check(frames: int, rate: float, speed: float, stop_delay_frames: int, overtravel_mm: float) -> None:
+    sound = frames > DECISION_FRAMES and stop_delay_frames >= 0 and overtravel_mm >= 0.0
+    if not (sound and rate > 0 and speed > 0.0):
         raise ValueError(
             f"probe: expected frames > {DECISION_FRAMES}, fps and speed > 0, delay and overtravel >= 0, got "
             f"{frames}, {rate}, {speed}, {stop_delay_frames}, {overtravel_mm}"
         )
-    if cell.coasting is not None:
-        cell.coasting.speed_mm_s = speed
-    start = cell.pose.copy()
-    first = cell.look()
-    record = _Recorder(first)
-    pitch_mm = speed / rate
-    slip, stop_depth, outcome = -1, math.inf, "blocked"
+
+
+def _lower(
+    cell: Cell, record: _Recorder, pitch_mm: float, phase: float, stop_delay_frames: int, overtravel_mm: float
+) -> tuple[int, Outcome]:
+    """Go down by pitch_mm a frame until something ends it; gives the frame that truly slips (-1: none) and the end."""
+    start, limits = cell.pose.copy(), cell.scene.numerics
+    slip, stop_depth = -1, math.inf
     depth = -pitch_mm * (1.0 - phase)
     while True:
         depth = min(depth + pitch_mm, INSERTION_DEPTH_MM, stop_depth)
         state = cell.move_to(start[0], start[1], start[2] - max(depth, 0.0), math.degrees(start[3]))
         index = record.add(state, max(depth, 0.0))
         if state.grasp_lost:
-            outcome = "grasp_lost"
-            break
-        if slip < 0 and (
-            float(state.slipping_share.max()) >= cell.scene.numerics.slip_share
-            or state.wrench_n_nmm[2] > cell.scene.grasp.force_limit_n
-        ):
+            return slip, "grasp_lost"
+        slips = float(state.slipping_share.max()) >= limits.slip_share
+        if slip < 0 and (slips or state.wrench_n_nmm[2] > cell.scene.grasp.force_limit_n):
             slip = index
             stop_depth = min(INSERTION_DEPTH_MM, depth + stop_delay_frames * pitch_mm + overtravel_mm)
         if depth >= INSERTION_DEPTH_MM:
-            outcome = "inserted" if state.inserted else "blocked"
-            break
+            return slip, "inserted" if state.inserted else "blocked"
         if depth >= stop_depth:
-            break
-    stop = len(record.states) - 1
-    while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
-        record.add(cell.wait(1.0 / rate) if cell.coasting else record.states[-1], record.depth_mm[-1])
-    return _keep(record, frames, slip, stop, outcome, x_mm, theta_deg)  # type: ignore[arg-type]
+            return slip, "blocked"
 
 
 def _keep(

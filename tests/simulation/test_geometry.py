@@ -1,11 +1,15 @@
 """The geometry table of the paper: what inserts, how far off it may be, and the lever arm about the block's edge."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from simulation.__main__ import main
 from simulation.probe import Cell
 from simulation.scene import load_scene
 from simulation.shapes import half_width_mm
+from simulation.theory import INSERTS, inserting
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 
@@ -28,6 +32,23 @@ def test_the_geometry_table_holds(name: str, share: float, limits: tuple[float |
     wide = np.array([half_width_mm(scene.object.footprint_mm, t) for t in grid])
     inserts = np.clip(0.5 * scene.blocks.gap_mm - wide, 0, 15) / 15
     assert inserts.mean() == pytest.approx(share, abs=0.002)
+
+
+@pytest.mark.parametrize("name", INSERTS)
+def test_as_many_random_errors_insert_as_the_table_says(name: str) -> None:
+    """Within three standard errors of the draw, and the table's own rounding."""
+    share, error = inserting(name, 4000, seed=3)
+    assert abs(share - INSERTS[name]) < 3.0 * error + 0.0005
+
+
+def test_the_page_beside_theory_is_printed_and_written(tmp_path: Path, capsys) -> None:
+    assert main(["theory", "--grids", "8", "--draws", "50", "--out", str(tmp_path)]) == 0
+    page = (tmp_path / "theory.md").read_text()
+    assert page in capsys.readouterr().out
+    assert "| pressure, Hertz |" in page
+    assert "| hexagon | 18.6 % |" in page
+    assert main(["theory", "--grids", "2"]) == 2
+    assert "expected --grids" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("x", [4.0, 10.0, -7.0])

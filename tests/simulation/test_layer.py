@@ -9,79 +9,35 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from simulation import gel, layer
+from simulation import layer, theory
 from simulation.probe import Cell, CellState, run_probe
 from simulation.rig import PhysicsError
 from simulation.scene import SceneError, load_scene
 
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
-WIDTH_MM, CROWN_MM, FRICTION = 21.0, 0.5, 0.8
-CURVATURE_MM = (0.5 * WIDTH_MM) ** 2 / CROWN_MM
-HANGING = {
-    "object__centre_of_mass_height_mm": 30.0,
-    "effects__gravity": "on",
-    "gel__crown_mm": CROWN_MM,
-    "gel__friction": FRICTION,
-    **CLEAN,
-}
-
-
-def hang(nodes: int, tier: str, mass_kg: float, modulus: float = 1.0) -> Cell:
-    """A heavy flat box that hangs between two paraboloid pads; half-spaces of Poisson's ratio 0.5 in the layer tier."""
-    grid = {"gel__node_rows": nodes, "gel__node_columns": nodes, "gel__shear_modulus_n_per_mm2": modulus}
-    cell = Cell(load_scene("rectangle", gel__tier=tier, object__mass_kg=mass_kg, **grid, **HANGING))
-    cell.nodes = gel.make_nodes(nodes, nodes, WIDTH_MM, WIDTH_MM, CROWN_MM)
-    cell.constants["area"] = (WIDTH_MM / nodes) ** 2
-    if cell.layer is not None:
-        cells = layer.Grid(nodes, nodes, WIDTH_MM / nodes, WIDTH_MM / nodes)
-        cell.layer.use(layer.half_space(cells, modulus, 0.5), cell.nodes, cell.constants)
-    cell.regrasp(0.0, 0.0)
-    return cell
-
-
-def relative(found: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
-
-
-def dome(r: np.ndarray, a: float) -> np.ndarray:
-    return np.sqrt(np.clip(1.0 - (r / a) ** 2, 0.0, None))
+CLEAN = theory.STRAIGHT
 
 
 def test_pressure_and_partial_slip_on_a_half_space_follow_hertz_cattaneo_and_mindlin() -> None:
-    """Johnson, Contact Mechanics, 4.22-4.24, 7.38-7.42; errors allowed by the anchors at 64 x 64: 1, 0.1 and 3 %."""
-    force, load, shear = 20.0, 0.5 * 9.81, 1.0
-    cell = hang(64, "layer", mass_kg=1.0)
-    a = (3.0 * force * CURVATURE_MM / (4.0 * 4.0 * shear)) ** (1.0 / 3.0)  # E* = 2 G / (1 - nu) = 4 G
-    top, r = 1.5 * force / (math.pi * a * a), np.hypot(cell.nodes["x"], cell.nodes["z"])
-    assert cell._grips() == pytest.approx(force, rel=1e-5)
-    assert relative(cell.nodes["pressure"], top * dome(r, a)) < 0.01
-    share = load / (FRICTION * force)
-    c = a * (1.0 - share) ** (1.0 / 3.0)
-    traction = FRICTION * top * (dome(r, a) - c / a * dome(r, c))
-    assert relative(cell.constants["kt"] * np.abs(cell.nodes["sz"]), traction) < 0.03
-    sag = 3.0 * FRICTION * force * 1.5 / (16.0 * shear * a) * (1.0 - (1.0 - share) ** (2.0 / 3.0))
-    assert -cell.state["place"][2] == pytest.approx(sag, rel=1e-3)
-    slipped = cell.nodes["slipped"] > 0
+    cell = theory.hang(64, "layer")
+    assert cell._grips() == pytest.approx(theory.FORCE_N, rel=1e-5)
+    for compared in theory.half_space(64, cell):
+        assert compared.error < compared.limit, compared.what
+    a = (3.0 * theory.FORCE_N * theory.CURVATURE_MM / 16.0) ** (1.0 / 3.0)
+    c = a * (1.0 - theory.LOAD_N / (theory.FRICTION * theory.FORCE_N)) ** (1.0 / 3.0)
+    slipped, r = cell.nodes["slipped"] > 0, np.hypot(cell.nodes["x"], cell.nodes["z"])
     assert np.all(r[slipped] > 0.9 * c)
     assert np.all(r[(cell.nodes["pressure"] > 0) & ~slipped] < 1.1 * c)
 
 
 def test_a_sheared_paraboloid_on_bristles_sticks_where_winkler_says() -> None:
-    """Traction is kt s up to mu p: sag s and stick radius c / a = (1 - Q / (mu P))^(1/4) follow from Q and P."""
-    force, load = 20.0, 0.5 * 9.81
-    cell = hang(64, "bristle", mass_kg=1.0, modulus=0.5)
-    kn, kt = float(cell.constants["kn"][0]), float(cell.constants["kt"][0])
-    a = (4.0 * force * CURVATURE_MM / (math.pi * kn)) ** 0.25
-    top, r = kn * a * a / (2.0 * CURVATURE_MM), np.hypot(cell.nodes["x"], cell.nodes["z"])
-    assert a < 0.5 * WIDTH_MM
-    assert relative(cell.nodes["pressure"], top * dome(r, a) ** 2) < 0.005
-    c = a * (1.0 - load / (FRICTION * force)) ** 0.25
-    sag = FRICTION * top / kt * (1.0 - (c / a) ** 2)
-    assert -cell.state["place"][2] == pytest.approx(sag, rel=2e-3)
-    expected = np.minimum(kt * sag, FRICTION * top * dome(r, a) ** 2)
-    assert relative(kt * np.abs(cell.nodes["sz"]), expected) < 0.01
-    slipped = cell.nodes["slipped"] > 0
-    assert np.abs(r[slipped] - c).min() < 2.0 * WIDTH_MM / 64
+    cell = theory.hang(64, "bristle", modulus_n_per_mm2=0.5)
+    for compared in theory.bristles(64, cell):
+        assert compared.error < compared.limit, compared.what
+    a = (4.0 * theory.FORCE_N * theory.CURVATURE_MM / (math.pi * float(cell.constants["kn"][0]))) ** 0.25
+    assert a < 0.5 * theory.WIDTH_MM
+    c = a * (1.0 - theory.LOAD_N / (theory.FRICTION * theory.FORCE_N)) ** 0.25
+    slipped, r = cell.nodes["slipped"] > 0, np.hypot(cell.nodes["x"], cell.nodes["z"])
+    assert np.abs(r[slipped] - c).min() < 2.0 * theory.WIDTH_MM / 64
     assert np.all(r[slipped] > 0.98 * c)
 
 
@@ -135,9 +91,9 @@ def test_a_thin_layer_is_a_bed_of_bristles(name: str) -> None:
     thin = {"gel__thickness_mm": 0.3, "grasp__force_n": 10.0, "gel__crown_mm": 0.1}
     bristles, pads = (poke(tier, name, effects__gel_coupling="off" if tier == "bristle" else "auto", **thin)
                       for tier in ("bristle", "layer"))  # fmt: skip
-    assert relative(pads.wrench_n_nmm, bristles.wrench_n_nmm) < 0.03
-    assert relative(pads.in_hand, bristles.in_hand) < 0.01
-    assert relative(pads.gel[..., :2], bristles.gel[..., :2]) < 0.06
+    assert theory.relative(pads.wrench_n_nmm, bristles.wrench_n_nmm) < 0.03
+    assert theory.relative(pads.in_hand, bristles.in_hand) < 0.01
+    assert theory.relative(pads.gel[..., :2], bristles.gel[..., :2]) < 0.06
 
 
 def test_a_probe_runs_on_either_tier_and_a_thick_gel_tells_them_apart() -> None:
@@ -145,7 +101,7 @@ def test_a_probe_runs_on_either_tier_and_a_thick_gel_tells_them_apart() -> None:
     assert {probe.outcome for probe in found.values()} == {"blocked"}
     assert found["layer"].gel.shape == found["bristle"].gel.shape
     assert found["layer"].wrench[:, 2].max() == pytest.approx(found["bristle"].wrench[:, 2].max(), rel=0.3)
-    assert relative(found["layer"].gel[-1], found["bristle"].gel[-1]) > 0.02
+    assert theory.relative(found["layer"].gel[-1], found["bristle"].gel[-1]) > 0.02
 
 
 def test_the_layers_equilibrium_is_as_exact_as_the_bristles() -> None:
