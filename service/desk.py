@@ -15,6 +15,7 @@ from service.disk import make_room
 from service.hub import Hub
 from service.insertion import Insertion, Send
 from service.insertion_session import InsertionSession, ignore
+from service.memory import give_back
 from service.models import ModelSet
 from service.observation import Observation
 from service.perception.rectify import Calibration
@@ -161,5 +162,6 @@ class Desk:
             if insertion.send:
                 insertion.send(finished)
             self.hub.publish("recorded", finished)
+            give_back()
 
         threading.Thread(target=close, name="close-recording").start()

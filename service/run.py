@@ -16,6 +16,7 @@ from fastapi import FastAPI
 from service.app import create_app
 from service.contract import ContractError
 from service.event_log import log_events
+from service.memory import use_few_arenas
 from service.patience import PatientProtocol
 from service.settings import Settings, read_settings
 from service.station import open_station
@@ -81,6 +82,7 @@ def main(arguments: Sequence[str]) -> int:
     """Serve until interrupted; bad input raises ContractError or OSError before anything listens."""
     settings = read_settings(arguments)
     set_up_logs(settings)
+    use_few_arenas()
     cv2.setNumThreads(1)  # one thread a finger beats a pool that wakes for 2 ms of work
     with leaving_in_order(), contextlib.closing(bind(settings.host, settings.port)) as sock:
         station = open_station(settings)
