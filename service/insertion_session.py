@@ -153,6 +153,12 @@ class InsertionSession:
         """Whether an attempt is under way; frames between attempts (the arm moves freely) tell nothing."""
         return self.attempt is not None and self.attempt.stage is not Stage.DECIDED and self.finished is None
 
+    @property
+    def watches_slip(self) -> bool:
+        """Whether the arm may be moving: a slip seen late would be a collision."""
+        attempt = self.attempt
+        return attempt is not None and attempt.stage is Stage.ARMED and not attempt.slip_sent
+
     def prime(self, frame: TactileFrame) -> None:
         """Let a finger's tracker find its grid before time matters; the search costs some 0.2 s, following it 2 ms."""
         watch = self.left if frame.finger == "left" else self.right

@@ -7,7 +7,7 @@ _M_ARENA_MAX = -8
 
 
 def use_few_arenas() -> None:
-    """glibc gives each thread its own heap and keeps what they free; two heaps for all keep that small.
+    """Let all threads share two heaps: glibc makes one for each, and each keeps what its thread frees.
 
     Call it before threads start. Other C libraries are left as they are.
     """

@@ -27,6 +27,7 @@ from service.recovery import recover
 from service.settings import Settings
 
 BACKLOG_FRAMES = 8  # two fingers' worth of about 4 frames; older ones are dropped
+PERIOD_NS = 33_000_000  # of a camera whose rate is not known yet
 TICK_S = 0.05
 
 
@@ -163,7 +164,7 @@ class Station:
         self.post(self._next_frame)
 
     def _next_frame(self) -> None:
-        while len(self._frames) > BACKLOG_FRAMES:
+        while len(self._frames) > BACKLOG_FRAMES or self._is_outdated():
             self._frames.popleft()
             self.counters.frames_dropped_n += bool(self.active and self.active.wants_frames)
         if not self._frames:
@@ -172,6 +173,18 @@ class Station:
         if self.active and self.active.wants_frames:
             self.active.frame(frame, pair)
         self._tick_if_due()
+
+    def _is_outdated(self) -> bool:
+        """Whether the oldest waiting frame is older than a frame period while slip is watched and a newer one waits.
+
+        So the age of what slip is judged on stays within a frame and a step, however slow this machine is. While the
+        arm stands still nothing is urgent, and every frame is worth having for the decision.
+        """
+        if len(self._frames) <= len(FINGERS) or not (self.active and self.active.session.watches_slip):
+            return False
+        oldest = self._frames[0][0].frame
+        rate_hz = self.cameras[oldest.finger].frame_rate_hz
+        return now_ns() - oldest.captured_ns > (1e9 / rate_hz if rate_hz else PERIOD_NS)
 
     def _tick_if_due(self) -> None:
         now = now_ns()

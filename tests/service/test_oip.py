@@ -1,3 +1,4 @@
+import asyncio
 import gzip
 import json
 
@@ -60,6 +61,95 @@ def test_a_stock_client_gets_what_the_session_computes(
     )
     assert answer.get_response()["id"] == "seven"
     np.testing.assert_allclose(answer.as_numpy("logits"), expected(live)["logits"], rtol=1e-6)
+
+
+PACKINGS = [(binary, packing) for binary in (True, False) for packing in (None, "gzip", "deflate")]
+SLOW = pytest.mark.slow  # a million numbers as text, compressed, take the client a second or more
+
+
+@pytest.mark.filterwarnings("ignore:Sending a large body:ResourceWarning")  # the client's own affair
+@pytest.mark.parametrize("packings", [PACKINGS[:4], pytest.param(PACKINGS[4:], marks=SLOW)], ids=["fast", "slow"])
+def test_the_stock_asyncio_client_gets_the_same_in_every_packing(
+    live: LiveService, packings: list[tuple[bool, str | None]]
+) -> None:
+    aio = pytest.importorskip("tritonclient.http.aio")
+    wanted = expected(live)["logits"]
+
+    async def ask() -> list[np.ndarray]:
+        async with aio.InferenceServerClient(f"127.0.0.1:{live.port}") as asking:
+            answers = []
+            for binary, packing in packings:
+                answer = await asking.infer(
+                    MODEL,
+                    inputs(binary),
+                    outputs=[aio.InferRequestedOutput("logits", binary_data=binary)],
+                    request_compression_algorithm=packing,
+                    response_compression_algorithm=packing,
+                )
+                answers.append(answer.as_numpy("logits"))
+            return answers
+
+    for logits in asyncio.run(ask()):
+        np.testing.assert_allclose(logits, wanted, rtol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:Sending a large body:ResourceWarning")
+def test_the_stock_asyncio_client_finds_every_endpoint(live: LiveService) -> None:
+    aio = pytest.importorskip("tritonclient.http.aio")
+
+    async def ask() -> None:
+        async with aio.InferenceServerClient(f"127.0.0.1:{live.port}") as asking:
+            assert await asking.is_server_live()
+            assert await asking.is_server_ready()
+            assert await asking.is_model_ready(MODEL, "1")
+            assert not await asking.is_model_ready("none")
+            assert (await asking.get_server_metadata())["name"] == "tactile-insertion"
+            assert (await asking.get_model_metadata(MODEL))["platform"] == "onnxruntime_onnx"
+            assert (await asking.get_model_config(MODEL))["name"] == MODEL
+            assert len(await asking.get_model_repository_index()) == 2
+            assert (await asking.get_inference_statistics(MODEL))["model_stats"][0]["name"] == MODEL
+            await asking.load_model(MODEL)
+            for refused in (asking.unload_model(MODEL), asking.infer("none", inputs(binary=True))):
+                with pytest.raises(triton.InferenceServerException):
+                    await refused
+
+    asyncio.run(ask())
+
+
+def test_all_outputs_come_when_none_is_asked_for_and_one_may_be_binary_beside_one_in_json(
+    live: LiveService, client
+) -> None:
+    wanted = expected(live)
+    answer = client.infer(MODEL, inputs(binary=True))
+    for name, values in wanted.items():
+        np.testing.assert_allclose(answer.as_numpy(name), values, rtol=1e-6)
+    mixed = [
+        triton.InferRequestedOutput("logits", binary_data=True),
+        triton.InferRequestedOutput("next_state", binary_data=False),
+    ]
+    answer = client.infer(MODEL, inputs(binary=False), outputs=mixed, model_version="1")
+    for name in ("logits", "next_state"):
+        np.testing.assert_allclose(answer.as_numpy(name), wanted[name], rtol=1e-6)
+
+
+def test_statistics_count_successes_and_failures(live: LiveService, client) -> None:
+    def counted() -> tuple[int, int]:
+        (stats,) = client.get_inference_statistics(MODEL)["model_stats"]
+        return stats["inference_stats"]["success"]["count"], stats["inference_stats"]["fail"]["count"]
+
+    before = counted()
+    client.infer(MODEL, inputs(binary=True))
+    with pytest.raises(triton.InferenceServerException, match="expected each of"):
+        client.infer(MODEL, inputs(binary=True)[:1] * 2)
+    assert counted() == (before[0] + 1, before[1] + 1)
+
+
+def test_several_stock_clients_at_once_get_their_own_answers(live: LiveService, client) -> None:
+    calls = [client.async_infer(MODEL, inputs(binary=True), request_id=str(number)) for number in range(8)]
+    answers = [call.get_result() for call in calls]
+    assert [answer.get_response()["id"] for answer in answers] == [str(number) for number in range(8)]
+    wanted = expected(live)["logits"]
+    assert all(np.allclose(answer.as_numpy("logits"), wanted, rtol=1e-6) for answer in answers)
 
 
 def test_a_stock_client_finds_every_endpoint(client) -> None:
