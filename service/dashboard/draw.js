@@ -39,15 +39,15 @@ export function drawPlane(canvas, state) {
   pen.strokeStyle = "#33404f";
   pen.fillStyle = "#a9b6c4";
   pen.lineWidth = 1;
-  pen.font = "20px system-ui";
-  for (let v = -15; v <= 15; v += 5) {
+  pen.font = "26px system-ui";
+  for (let v = -10; v <= 10; v += 10) {
     line1(pen, px(v), 0, px(v), height);
     line1(pen, 0, py(v), width, py(v));
-    pen.fillText(`${v}`, px(v) + 3, height - 6);
-    if (v) pen.fillText(`${v}`, 4, py(v) - 3);
+    pen.fillText(`${v}`, px(v) + 4, height - 8);
+    if (v) pen.fillText(`${v}`, 6, py(v) - 6);
   }
-  pen.fillText("x error, mm", width - 120, height - 30);
-  pen.fillText("yaw error, deg", 40, 24);
+  pen.fillText("x, mm", width - 84, height - 40);
+  pen.fillText("yaw, deg", 8, 30);
   pen.strokeStyle = "#57d18b";
   pen.lineWidth = 4;
   line1(pen, px(-1), py(0), px(1), py(0));
@@ -59,7 +59,8 @@ export function drawPlane(canvas, state) {
     pen.ellipse(px(a.x), py(a.theta), ((a.sx ?? 0.5) / (2 * RANGE)) * width, ((a.st ?? 0.5) / (2 * RANGE)) * height, 0, 0, 7);
     pen.stroke();
     pen.fillStyle = "#f2f5f8";
-    pen.fillText(`${a.number}`, px(a.x) - 5, py(a.theta) + 6);
+    pen.font = "bold 28px system-ui";
+    pen.fillText(`${a.number}`, px(a.x) - 8, py(a.theta) + 10);
   }
 }
 

@@ -31,14 +31,15 @@ function bars(place, entries, unit, best) {
   }));
 }
 
+const STAGES = { networks_last_step: "networks", since_last_frame: "from last frame", rectify: "rectify", markers: "markers", slip: "slip", controller: "controller" };
 const signed = (value) => (value >= 0 ? "+" : "") + value.toFixed(1);
 
 function told(message) {
   switch (message.type) {
     case "hello": return `connected, controller ${message.controller}`;
     case "armed": return `attempt ${message.attempt} armed`;
-    case "slip": return `attempt ${message.attempt}: slip at the ${message.finger} finger, ${message.age_ms.toFixed(0)} ms after the frame`;
-    case "correction": return `attempt ${message.attempt}: move ${signed(message.dx_mm)} mm, ${signed(message.dtheta_deg)} deg`;
+    case "slip": return `attempt ${message.attempt}: slip, ${message.finger} finger, seen after ${message.age_ms.toFixed(0)} ms`;
+    case "correction": return `attempt ${message.attempt}: move ${signed(message.dx_mm)} mm, turn ${signed(message.dtheta_deg)}°`;
     case "no_decision": return `attempt ${message.attempt}: no decision, ${message.detail}`;
     case "finished": return `${message.outcome} after ${message.attempts} attempts`;
     default: return `${message.code ?? message.type}: ${message.detail ?? ""}`;
@@ -49,10 +50,10 @@ function onMessage(message) {
   const line = document.createElement("li");
   line.className = message.type;
   const when = document.createElement("time");
-  when.textContent = new Date().toLocaleTimeString();
+  when.textContent = new Date().toLocaleTimeString("en-GB");
   line.append(when, told(message));
   at("timeline").prepend(line);
-  if (message.type === "hello") { state.attempts = []; state.belief = null; at("timeline").replaceChildren(line); }
+  if (message.type === "hello") { state.attempts = []; state.belief = null; at("timeline").replaceChildren(line); at("move").textContent = "none yet"; at("reason").textContent = ""; }
   if (message.type === "armed") say(`Attempt ${message.attempt}: feeling`, "good");
   if (message.type === "slip") say(`Attempt ${message.attempt}: slip, stopped`, "warn");
   if (message.type === "fault") say(message.code.replaceAll("_", " "), "bad");
@@ -65,22 +66,27 @@ function onMessage(message) {
 function onCorrection(message) {
   say(`Attempt ${message.attempt}: corrected`, "good");
   const e = message.estimate;
-  at("decision").textContent = `Error ${signed(e.dx_mm)} mm, ${signed(e.dtheta_deg)} deg. Move ${signed(message.dx_mm)} mm, ${signed(message.dtheta_deg)} deg. ${message.reason}`;
+  at("move").textContent = `Move ${signed(message.dx_mm)} mm\nturn ${signed(message.dtheta_deg)}°`;
+  at("reason").textContent = `Felt ${signed(e.dx_mm)} mm, ${signed(e.dtheta_deg)}°. ${message.reason}`;
   const classes = Object.entries(message.class_probabilities);
   bars(at("bars"), classes, "%", classes.reduce((a, b) => (b[1] > a[1] ? b : a))[0]);
-  bars(at("latency"), Object.entries(message.latency_ms), "ms");
+  bars(at("latency"), Object.entries(message.latency_ms).map(([name, ms]) => [STAGES[name] ?? name, ms]), "ms");
   state.attempts.push({ x: e.dx_mm, theta: e.dtheta_deg, sx: e.sigma_x_mm, st: e.sigma_theta_deg, number: message.attempt });
 }
 
 function onHealth(health) {
-  const cameras = Object.entries(health.cameras).map(([finger, c]) => `${finger} ${c.state} ${c.frame_rate_hz ? c.frame_rate_hz.toFixed(0) + " Hz" : ""}`);
-  at("health").textContent = `${cameras.join(" · ")} · robot ${health.driver ?? "not connected"} · dropped ${health.frames_dropped_n}`;
+  const cameras = Object.entries(health.cameras).map(([finger, c]) => [c.state === "live" ? "good" : "bad", `${finger} ${c.state === "live" && c.frame_rate_hz ? c.frame_rate_hz.toFixed(0) + " Hz" : c.state}`]);
+  const robot = [health.driver ? "good" : "off", health.driver ? `robot ${health.driver}` : "no robot"];
+  const dropped = [health.frames_dropped_n ? "bad" : "good", `dropped ${health.frames_dropped_n}`];
+  at("health").replaceChildren(...[...cameras, robot, dropped].map(([kind, text]) => Object.assign(document.createElement("li"), { className: kind, textContent: text })));
   if (!health.ready) say("cameras not live", "bad");
   else if (!health.driver && at("status").className === "") say("ready", "good");
 }
 
 function onFinger(content) {
-  at(`${content.finger}-state`).textContent = `${content.state.replaceAll("_", " ")}, slip score ${content.score.toFixed(2)}`;
+  const state = at(`${content.finger}-state`);
+  state.textContent = `${content.state.replaceAll("_", " ")}, slip ${content.score.toFixed(2)}`;
+  state.className = content.state.includes("slip") ? "slip" : "";
   const image = new Image();
   image.onload = () => drawFinger(at(content.finger), image, content);
   image.src = `data:image/jpeg;base64,${content.jpeg}`;

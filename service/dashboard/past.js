@@ -11,7 +11,8 @@ export async function listPast() {
   at("past").replaceChildren(...recordings.map((recording) => {
     const button = document.createElement("button");
     button.type = "button";
-    button.textContent = `${recording.started}  ${recording.insertion_id}: ${recording.outcome}, ${recording.attempts} attempts`;
+    button.textContent = `${recording.started.slice(5, 16)} ${recording.outcome}, ${recording.attempts}: ${recording.insertion_id}`;
+    button.title = `${recording.started} UTC, insertion ${recording.insertion_id}: ${recording.outcome} after ${recording.attempts} attempts`;
     button.onclick = () => choose(recording);
     return button;
   }));
@@ -19,7 +20,12 @@ export async function listPast() {
 
 function choose(recording) {
   chosen = recording;
-  at("player").hidden = recording.decided.length === 0;
+  at("player-title").textContent = `${recording.started} UTC · ${recording.insertion_id}: ${recording.outcome} after ${recording.attempts} attempts`;
+  at("download").href = withToken(`/v1/recordings/${recording.name}`);
+  at("past-decision").textContent = recording.decided.length ? "" : "No attempt of this insertion was decided.";
+  at("still").hidden = recording.decided.length === 0;
+  at("scrub").value = 0;
+  at("player").showModal();
   at("attempt").replaceChildren(...recording.decided.map((number) => new Option(number, number)));
   show();
 }
@@ -29,6 +35,7 @@ async function show() {
   const base = `/v1/recordings/${chosen.name}/attempts/${at("attempt").value}`;
   at("still").src = withToken(`${base}/frames/${at("scrub").value}.jpg`);
   at("frame").textContent = `frame ${Number(at("scrub").value) + 1}`;
+  at("scrub").setAttribute("aria-valuetext", at("frame").textContent);
   const answer = await fetch(withToken(base));
   const attempt = await answer.json();
   at("scrub").max = attempt.frames_n - 1;
@@ -36,6 +43,8 @@ async function show() {
 }
 
 at("scrub").oninput = show;
+at("close").onclick = () => at("player").close();
+at("player").onclose = () => clearInterval(timer);
 at("attempt").onchange = () => { at("scrub").value = 0; show(); };
 at("play").onclick = () => {
   clearInterval(timer);

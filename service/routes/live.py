@@ -22,7 +22,7 @@ from service.station import Station
 FOLDER = Path(__file__).parent.parent / "dashboard"
 PERIOD_S = 0.15
 HEALTH_S = 1.0
-FRESH_NS = 300_000_000  # an older observation is of an earlier attempt: show the camera instead
+FRESH_NS = 2_000_000_000  # what was felt last stays so long, then the camera's own view is shown
 MAX_WAITING = 64
 _display = ThreadPoolExecutor(1, "display")  # drawing for people never delays deciding for the robot
 
@@ -103,6 +103,10 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.get("/")
     async def page() -> FileResponse:
         return FileResponse(FOLDER / "index.html")
+
+    @routes.get("/favicon.ico")
+    async def icon() -> FileResponse:
+        return FileResponse(FOLDER / "icon.svg", media_type="image/svg+xml")
 
     @routes.websocket("/v1/live")
     async def live(socket: WebSocket) -> None:
