@@ -11,7 +11,7 @@ export async function listPast() {
   at("past").replaceChildren(...recordings.map((recording) => {
     const button = document.createElement("button");
     button.type = "button";
-    button.textContent = `${recording.started.slice(5, 16)} ${recording.outcome}, ${recording.attempts}: ${recording.insertion_id}`;
+    button.textContent = `${recording.started.slice(11, 16)} ${recording.outcome} ${recording.attempts}: ${recording.insertion_id}`;
     button.title = `${recording.started} UTC, insertion ${recording.insertion_id}: ${recording.outcome} after ${recording.attempts} attempts`;
     button.onclick = () => choose(recording);
     return button;
