@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -88,15 +88,24 @@ class Candidate:
             raise ContractError(f"{path}: mean_trials {found[0]} lies outside its interval {found[1:]}")
         return found
 
-    def answers(self, decision: Decision, counts: tuple[int, ...] = FRAME_COUNTS) -> dict[int, Answer]:
-        """Class and estimated error after each number of frames, by really stopping there."""
+    def answers(self, asked: Sequence[Decision], counts: tuple[int, ...] = FRAME_COUNTS) -> list[dict[int, Answer]]:
+        """Of each decision, class, error and command after each number of frames, by really stopping there.
+
+        Decisions are asked together: large weights are then read once for all of them.
+        """
         outputs: dict[int, Arrays] = {count: {} for count in counts}
         for model in self.models:
-            for seen, stepped in enumerate(_steps(model, decision), 1):
+            for seen, stepped in enumerate(_steps(model, asked), 1):
                 if seen in counts:
                     outputs[seen] |= stepped
         card = self.models[0].card
-        return {seen: answer(card, said) for seen, said in outputs.items()}
+        return [
+            {
+                seen: answer(card, {name: value[row : row + 1] for name, value in said.items()})
+                for seen, said in outputs.items()
+            }
+            for row in range(len(asked))
+        ]
 
     def time_step(self, seconds: float) -> Timing:
         """One step of all its models, one after the other, on one thread: what remains after the last frame."""
@@ -152,9 +161,9 @@ def estimate(card: ModelCard, outputs: Arrays) -> NDArray[np.float64]:
 def decided_class(model: Model, decision: Decision) -> int:
     """The class one network of either form decides for after all frames."""
     if model.card.form == "step":
-        *_, outputs = _steps(model, decision)
+        *_, outputs = _steps(model, [decision])
     else:
-        outputs = model({"frames": decision.frames[None]} | _told(model, decision))
+        outputs = model({"frames": decision.frames[None]} | _told(model, [decision]))
     return most_likely_class(model.card, outputs)
 
 
@@ -175,14 +184,17 @@ def _collided(trial: object, split: str) -> bool:
     return getattr(trial, "split", "") == split and getattr(trial, "outcome", "") == "blocked"
 
 
-def _told(model: Model, decision: Decision) -> Arrays:
-    return told(model.card, 1, decision.gap_width_mm, decision.grasp_height_mm)
+def _told(model: Model, asked: Sequence[Decision]) -> Arrays:
+    rows = [told(model.card, 1, one.gap_width_mm, one.grasp_height_mm) for one in asked]
+    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
 
-def _steps(model: Model, decision: Decision) -> Iterator[Arrays]:
-    state = np.zeros((1, model.card.state_size), np.float32)
-    said = _told(model, decision)
-    for frame in decision.frames:
-        outputs = model({"frame": frame[None], "reference": decision.frames[:1], "state": state} | said)
+def _steps(model: Model, asked: Sequence[Decision]) -> Iterator[Arrays]:
+    state = np.zeros((len(asked), model.card.state_size), np.float32)
+    said = _told(model, asked)
+    frames = np.stack([one.frames for one in asked])
+    for step in range(frames.shape[1]):
+        fed: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
+        outputs = model(fed | said)
         state = outputs["next_state"]
         yield outputs

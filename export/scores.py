@@ -1,8 +1,9 @@
 """What networks said of recorded collisions, kept between runs: asking a large one again takes minutes."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from export.candidates import FRAME_COUNTS, Answer, Candidate, Decision
 from export.quantize import Agreement
 from service.contract import ContractError
 from training.labels import class_of
+
+ASKED_TOGETHER = 8
 
 
 @dataclass
@@ -52,11 +55,12 @@ def score(candidates: list[Candidate], decisions: Iterable[Decision], kept: Path
     known = _read(kept)
     missing = [candidate for candidate in candidates if candidate.sha256 not in known]
     fresh: Scores = {c.sha256: {frames: Score() for frames in FRAME_COUNTS} for c in missing}
-    for decision in track(decisions, description="deciding", transient=True) if missing else ():
-        label = int(class_of(decision.truth[None])[0])
+    for asked in _together(track(decisions, description="deciding", transient=True)) if missing else ():
+        labels = [int(label) for label in class_of(np.stack([decision.truth for decision in asked]))]
         for candidate in missing:
-            for frames, answer in candidate.answers(decision).items():
-                fresh[candidate.sha256][frames].add(answer, decision, label)
+            for decision, label, said in zip(asked, labels, candidate.answers(asked), strict=True):
+                for frames, answer in said.items():
+                    fresh[candidate.sha256][frames].add(answer, decision, label)
     scores = {c.sha256: (known | fresh)[c.sha256] for c in candidates}
     if not all(said.hits for by_frames in scores.values() for said in by_frames.values()):
         raise ContractError("there is no decision to score the networks on")
@@ -65,6 +69,12 @@ def score(candidates: list[Candidate], decisions: Iterable[Decision], kept: Path
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_text(json.dumps(rows))
     return scores
+
+
+def _together(decisions: Iterable[Decision]) -> Iterator[list[Decision]]:
+    iterator = iter(decisions)
+    while asked := list(islice(iterator, ASKED_TOGETHER)):
+        yield asked
 
 
 def _read(kept: Path | None) -> Scores:

@@ -65,7 +65,7 @@ def test_a_pair_and_a_joint_density_give_a_point_for_each_number_of_frames(table
 def test_stopping_after_eight_frames_is_the_whole_decision(models, decisions):
     (pair,) = find_candidates([models])
     whole = decide(pair.models[0], decisions[0].frames[None])["logits"][0]
-    assert pair.answers(decisions[0])[8].chosen == whole.argmax()
+    assert pair.answers(decisions)[0][8].chosen == whole.argmax()
 
 
 def test_a_network_is_not_asked_twice_and_its_answers_are_kept(models, decisions, tmp_path):
