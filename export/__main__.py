@@ -91,7 +91,8 @@ def benchmark(
         compare: runtimes to measure side by side, of torch, torch.compile and openvino, separated by commas.
         data: collected dataset whose collisions LoadGen's accuracy mode asks; without one that column stays empty.
         decisions: how many collisions.
-        alexnet: folder of the paper's networks as exported; made with random weights if absent. Adds the speed claims.
+        alexnet: folder of the paper's networks as exported (and, with ``_shared`` after its name, behind one backbone);
+            made with random weights if absent. Adds the speed claims.
         loadgen: run MLPerf LoadGen's SingleStream, Offline, Server and accuracy scenarios.
     """
     from export import loadgen as lg
@@ -108,6 +109,7 @@ def benchmark(
         compare=tuple(name.strip() for name in compare.split(",") if name.strip()),
         decisions=asked,
         alexnet=alexnet,
+        data=str(data) if data is not None else None,
         with_loadgen=loadgen and lg.available(),
     )
     print(f"{docs / 'benchmark.md'}")

@@ -1,6 +1,6 @@
 """The paper's two AlexNet networks, the yardstick of speed, in the forms that the speed claims name.
 
-Speed does not depend on weights, so without a trained checkpoint random ones of the same shapes are exported, and the
+Speed does not depend on weights, so without trained checkpoints random ones of the same shapes are exported, and the
 report says so.
 """
 
@@ -15,43 +15,52 @@ from export.verify import open_model
 from service.contract import ContractError
 
 SEQUENCES = ("direction.sequence.onnx", "magnitude.sequence.onnx")
-SHARED = "pair/pair.step.onnx"
-SHARED_INT8 = "pair/int8/pair.step.onnx"
+PAIR = Path("pair") / "pair.step.onnx"
 RANDOM = "random-weights"
 
 
 def files(folder: Path, data: str | None = None) -> dict[str, Path]:
-    """Files of the yardstick by name; what ``folder`` lacks is made: exported with random weights, then quantised.
+    """Files of the yardstick by name; what is lacking is made: exported with random weights, then quantised.
 
-    Calibration takes real frames where ``data`` names a dataset, golden ones otherwise (speed is the same). Raises
-    ContractError if the folder holds a part of a trained export only.
+    ``folder`` holds the recipe as exported, ``<folder>_shared`` the same behind one whole AlexNet. Calibration takes
+    real frames where ``data`` names a dataset, golden ones otherwise (speed is the same). Raises ContractError if one
+    of the folders holds a part of a trained export only.
     """
-    wanted = [folder / name for name in (*SEQUENCES, SHARED)]
+    shared = folder.with_name(f"{folder.name}_shared")
+    _ensure(folder, [folder / name for name in (*SEQUENCES, PAIR)], shared=False)
+    _ensure(shared, [shared / PAIR], shared=True)
+    found = {"direction": folder / SEQUENCES[0], "magnitude": folder / SEQUENCES[1]}
+    for name, home in (("shared convolutions", folder), ("shared backbone", shared)):
+        small = home / "pair" / "int8" / "pair.step.onnx"
+        if not small.is_file():
+            quantize(home / PAIR, small, _frames(home / PAIR, data))
+        found |= {f"{name} fp32": home / PAIR, f"{name} int8": small}
+    return found
+
+
+def trained(found: dict[str, Path]) -> bool:
+    """Whether all of the yardstick is of trained networks."""
+    return not any(open_model(file).card.name.startswith(RANDOM) for file in found.values())
+
+
+def _ensure(folder: Path, wanted: list[Path], *, shared: bool) -> None:
     missing = [file for file in wanted if not file.is_file()]
     if missing and len(missing) < len(wanted):
         raise ContractError(f"{missing[0]} is missing; export the checkpoint again into {folder}")
     if missing:
-        _export_random(folder)
-    if not (folder / SHARED_INT8).is_file():
-        quantize(folder / SHARED, folder / SHARED_INT8, _frames(folder, data))
-    return {"direction": wanted[0], "magnitude": wanted[1], "shared": wanted[2], "int8": folder / SHARED_INT8}
+        _export_random(folder, shared=shared)
 
 
-def trained(folder: Path) -> bool:
-    """Whether the folder holds trained networks."""
-    return open_model(folder / SHARED).card.name != f"{RANDOM}-pair"
-
-
-def _frames(folder: Path, data: str | None) -> NDArray[np.uint8]:
+def _frames(file: Path, data: str | None) -> NDArray[np.uint8]:
     from training.dataset import read_decisions
 
     if data is not None:
         return read_decisions(data, 8)
-    spec = open_model(folder / SHARED).card.frame
+    spec = open_model(file).card.frame
     return np.stack([golden_frames(spec, 8, seed) for seed in range(2)])
 
 
-def _export_random(folder: Path) -> None:
+def _export_random(folder: Path, *, shared: bool) -> None:
     import torch
 
     from export.to_onnx import export_checkpoint
@@ -63,7 +72,8 @@ def _export_random(folder: Path) -> None:
 
     torch.manual_seed(0)
     pair = AlexNetPair(len(CLASSES))
-    pair.magnitude.alexnet.features.load_state_dict(pair.direction.alexnet.features.state_dict())
+    ours, theirs = pair.direction.alexnet, pair.magnitude.alexnet
+    (theirs if shared else theirs.features).load_state_dict((ours if shared else ours.features).state_dict())
     settings = NetworkConfig(kind="alexnet_lstm")
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint = Checkpoint(RANDOM, settings, pair.state_dict(), Scales(), Scales(), {}, "0" * 64, "none")

@@ -28,6 +28,7 @@ def benchmark(
     compare: tuple[str, ...] = (),
     decisions: list[Decision] | None = None,
     alexnet: Path | None = None,
+    data: str | None = None,
     with_loadgen: bool = True,
 ) -> dict[str, Any]:
     """Measure every file, print one line each, write ``benchmark`` .md .json .png into ``docs``; returns the report.
@@ -47,7 +48,7 @@ def benchmark(
         report["models"].append(row)
         print(line(row))
     if alexnet is not None:
-        report["alexnet"] = ratios([model for model in models if model.card.form == "step"], alexnet, seconds)
+        report["alexnet"] = ratios([model for model in models if model.card.form == "step"], alexnet, seconds, data)
     if docs is not None:
         docs.mkdir(parents=True, exist_ok=True)
         write(report, docs)

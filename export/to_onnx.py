@@ -35,8 +35,8 @@ OUTPUTS: dict[Role, list[str]] = {
 }
 
 
-def export_checkpoint(path: Path, out: Path) -> list[Path]:
-    """Write ``<role>.<form>.onnx`` of every role and form; raise ContractError if any parity fails.
+def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list[Path]:
+    """Write ``<role>.<form>.onnx`` of every role and form, or of those in ``only``; ContractError if any parity fails.
 
     The two networks go to ``out``, the joint density to ``out/joint``, and both networks in one step graph to
     ``out/pair``: a service loads one folder and decides with it. Torch and ONNX, and step and sequence, agree to 1e-5.
@@ -49,6 +49,8 @@ def export_checkpoint(path: Path, out: Path) -> list[Path]:
         for role in network.roles:
             for form in FORMS if role != "pair" else FORMS[1:]:
                 file = Path(scratch) / f"{role}.{form}.onnx"
+                if only and file.name.removesuffix(".onnx") not in only:
+                    continue
                 _export(network.of(role), checkpoint, role, form, file)
                 written.append(file)
         verify_forms([open_model(file) for file in written])

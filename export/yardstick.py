@@ -10,53 +10,47 @@ from export.measure import example_inputs, quartiles, time_in_turn
 from export.profile import operators, profile
 from export.verify import Model, open_model
 
-CLAIMS = {"compact": 1 / 150, "shared int8": 1 / 25}
+SHARED = "shared backbone int8"
+CLAIMS = {"released": 1 / 150, SHARED: 1 / 25}
 """At most these shares of two fp32 AlexNet sequence passes, in processor time (design, section 7)."""
+PASSES = "two fp32 passes"
 
 
-def ratios(steps: list[Model], folder: Path, seconds: float) -> dict[str, Any]:
-    """Steps of the released networks and of the shared int8 AlexNet pair, over two fp32 AlexNet sequence passes.
+def ratios(steps: list[Model], folder: Path, seconds: float, data: str | None = None) -> dict[str, Any]:
+    """Steps of the released networks and of AlexNet behind one backbone, over two fp32 AlexNet sequence passes.
 
     All are called in turn on one thread, each after an untimed call of its own; processor time, median and quartiles
-    of the ratios. The released step is that
-    of all networks of one folder, as a service runs them.
+    of the ratios. A released step is that of all networks of one folder, as a service runs them.
     """
-    found = files(folder)
-    passes = [open_model(found["direction"]), open_model(found["magnitude"])]
-    sets = {f"compact: {home}": [m for m in steps if m.file.parent == home] for home in {m.file.parent for m in steps}}
-    sets |= {"two fp32 passes": passes, "shared int8 step": [open_model(found["int8"])]}
-    sets |= {"shared fp32 step": [open_model(found["shared"])]}
+    found = files(folder, data)
+    homes = sorted({model.file.parent for model in steps})
+    sets = {f"released: {home}": [model for model in steps if model.file.parent == home] for home in homes}
+    sets[PASSES] = [open_model(found["direction"]), open_model(found["magnitude"])]
+    sets |= {name: [open_model(file)] for name, file in found.items() if name.startswith("shared")}
     everything = list(chain(*sets.values()))
-    profiles = {id(model): profile(model) for model in everything}
-    peaks = probe(max(work_of(model).weight_bytes for model in sets["shared int8 step"]))
+    peaks = probe(max(work_of(model).weight_bytes for model in sets[SHARED]))
     inputs = {id(model): example_inputs(model) for model in everything}
     calls = {name: _all(models, inputs) for name, models in sets.items()}
     rows = time_in_turn(calls, seconds=10 * seconds, least=12, warm=True)
-    base = rows["two fp32 passes"][1]
-    claims = {name: _claim(name) for name in sets}
+    base = rows.pop(PASSES)
     return {
-        "trained": trained(folder),
+        "trained": trained(found),
         "peaks": peaks.as_dict(),
-        "passes_cpu_ms": rows["two fp32 passes"][0].cpu_p50_ms,
+        "passes_cpu_ms": base[0].cpu_p50_ms,
         "rows": [
             {
                 "what": name,
                 "files": [model.file.name for model in sets[name]],
                 "cpu_p50_ms": timing.cpu_p50_ms,
-                "ratio": quartiles(spent[1], base[1]),
-                "claim": claims[name],
+                "ratio": quartiles(spent[1], base[1][1]),
+                "claim": next((claim for start, claim in CLAIMS.items() if name.startswith(start)), None),
                 "limit_ms": sum(work_of(model).limit_ms(peaks) for model in sets[name]),
-                "operators_ms": operators([event for model in sets[name] for event in profiles[id(model)]]),
             }
             for name, (timing, spent) in rows.items()
-            if name != "two fp32 passes"
         ],
+        "operators_ms": operators(profile(sets[SHARED][0])),
     }
 
 
 def _all(models: list[Model], inputs: dict[int, Any]) -> Any:
     return lambda: [model(inputs[id(model)]) for model in models]
-
-
-def _claim(name: str) -> float | None:
-    return next((claim for start, claim in CLAIMS.items() if name.startswith(start)), None)

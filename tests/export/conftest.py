@@ -12,20 +12,23 @@ from training.evaluate import Scales
 from training.labels import CLASSES
 from training.networks import build
 
+EXPORTED = ("direction.step", "direction.sequence", "magnitude.step", "joint.step", "pair.step")
+
 
 @pytest.fixture(scope="session")
 def models(tmp_path_factory, worker_id):
-    """A tiny untrained pair, exported in all roles and forms: by one worker, for all of them."""
+    """A tiny untrained network, exported in all roles and both forms: by one worker, for all of them."""
     shared = tmp_path_factory.getbasetemp() if worker_id == "master" else tmp_path_factory.getbasetemp().parent
     folder = shared / "tiny-models"
     with FileLock(f"{folder}.lock"):
         if not folder.is_dir():
-            _export(shared / "tiny-models.part")
+            export_tiny(shared / "tiny-models.part", EXPORTED)
             shutil.move(shared / "tiny-models.part", folder)
     return folder
 
 
-def _export(folder):
+def export_tiny(folder, only=()):
+    """Export takes two seconds a file; most tests need no second file in sequence form."""
     torch.manual_seed(0)
     settings = NetworkConfig(front_width=8, trunk_width=8, feature_size=16, state_size=16)
     weights = build(settings, len(CLASSES)).state_dict()
@@ -34,6 +37,6 @@ def _export(folder):
     Checkpoint("tiny", settings, weights, scales, Scales(), figures, "0" * 64, "abc").save(folder / "c.pt")
     logging.disable(logging.INFO)  # pytest would format every line that torch traces
     try:
-        export_checkpoint(folder / "c.pt", folder)
+        export_checkpoint(folder / "c.pt", folder, only)
     finally:
         logging.disable(logging.NOTSET)

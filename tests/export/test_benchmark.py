@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from export import loadgen
+from export.alexnet import files
 from export.benchmark import benchmark
+from export.benchmark_report import write
 from export.candidates import Decision
 from export.fresh import measure_fresh
 from export.golden import golden_frames
@@ -12,7 +14,7 @@ from export.limits import Peaks, Work, work_of
 from export.measure import Timing, quartiles, time_in_turn
 from export.peers import PeerAbsentError, peer, rebuild
 from export.verify import open_model
-from export.yardstick import CLAIMS
+from export.yardstick import CLAIMS, SHARED
 from service.contract import ContractError
 
 
@@ -60,7 +62,7 @@ def test_an_unknown_peer_is_named(models):
 
 
 def test_torch_is_rebuilt_from_the_released_file_alone(models):
-    for name in ("magnitude.sequence.onnx", "joint/joint.step.onnx", "pair/pair.step.onnx"):
+    for name in ("direction.sequence.onnx", "joint/joint.step.onnx", "pair/pair.step.onnx"):
         peer("torch", open_model(models / name))()
 
 
@@ -99,6 +101,33 @@ def test_a_crowded_machine_is_called_noisy():
     cpu = np.full(100, 2.0)
     assert Timing.of(cpu * 2, cpu).noisy
     assert not Timing.of(cpu * 1.1, cpu).noisy
+
+
+def test_the_page_says_which_speed_claim_holds_and_how_far_the_limit_is_missed(report):
+    page = json.loads((report / "benchmark.json").read_text())
+    row = {"files": ["x.onnx"], "cpu_p50_ms": 12.0, "limit_ms": 8.0}
+    page["alexnet"] = {
+        "trained": False,
+        "peaks": page["peaks"],
+        "passes_cpu_ms": 300.0,
+        "operators_ms": {"QGemm": 6.0},
+        "rows": [
+            row | {"what": "released: models", "ratio": (0.005, 0.004, 0.006), "claim": 1 / 150},
+            row | {"what": SHARED, "ratio": (0.05, 0.04, 0.06), "claim": 1 / 25},
+        ],
+    }
+    write(page, report)
+    text = (report / "benchmark.md").read_text()
+    assert "of random weights (speed only)" in text
+    assert "| 1/200 [1/167, 1/250] | 1/150: holds |" in text
+    assert "| 1/20 [1/17, 1/25] | 1/25: does not hold |" in text
+    assert "it takes 1.50 times it" in text
+
+
+def test_half_an_export_of_the_paper_s_networks_is_named(tmp_path):
+    (tmp_path / "direction.sequence.onnx").touch()
+    with pytest.raises(ContractError, match=r"magnitude\.sequence\.onnx is missing; export the checkpoint again"):
+        files(tmp_path)
 
 
 def test_the_claims_are_those_of_the_design():

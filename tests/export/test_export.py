@@ -11,11 +11,20 @@ from service.contract import CARD_KEY, ContractError, ModelCard
 from service.contract.self_test import check_self_test
 from service.decision import DecisionRun
 from service.models import load_models
+from tests.export.conftest import export_tiny
 
 
-def test_both_roles_and_forms_are_written_with_their_cards(models):
+@pytest.mark.slow
+def test_every_role_is_written_in_its_forms(tmp_path):
+    export_tiny(tmp_path)
+    found = {str(file.relative_to(tmp_path)) for file in tmp_path.rglob("*.onnx")}
+    pair = {f"{role}.{form}.onnx" for role in ("direction", "magnitude") for form in ("step", "sequence")}
+    assert found == pair | {"joint/joint.step.onnx", "joint/joint.sequence.onnx", "pair/pair.step.onnx"}
+    assert sum(" = " in line for line in verify(tmp_path, STEPS) + verify(tmp_path / "joint", STEPS)) == 3
+
+
+def test_files_are_written_with_their_cards(models):
     cards = {file.name: open_model(file).card for file in models.glob("*.onnx")}
-    assert set(cards) == {f"{role}.{form}.onnx" for role in ("direction", "magnitude") for form in ("step", "sequence")}
     assert cards["direction.step.onnx"].disagreements(cards["magnitude.step.onnx"]) == []
     assert cards["magnitude.step.onnx"].has_sigma
     assert cards["direction.step.onnx"].state_size == 16
@@ -28,9 +37,9 @@ STEPS = 50
 
 def test_released_models_verify(models):
     lines = verify(models, STEPS)
-    assert sum(" = " in line for line in lines) == 2
+    assert sum(" = " in line for line in lines) == 1
     assert sum("1 against 64 in a batch" in line for line in lines) == 2
-    assert sum("self-test passed" in line for line in lines) == 4
+    assert sum("self-test passed" in line for line in lines) == 3
 
 
 @pytest.mark.slow
@@ -62,7 +71,7 @@ def test_the_service_decides_with_both_networks_in_one_graph(models):
 
 
 def test_the_joint_density_verifies_in_a_folder_of_its_own(models):
-    assert sum(" = " in line for line in verify(models / "joint", STEPS)) == 1
+    assert any("stream of 50" in line for line in verify(models / "joint", STEPS))
     card = open_model(models / "joint" / "joint.step.onnx").card
     assert (len(card.grid_x_mm), len(card.grid_theta_deg)) == (41, 40)
 
