@@ -125,7 +125,7 @@ def find_candidates(folders: list[Path]) -> list[Candidate]:
             wrong = models[0].card.disagreements(models[-1].card)
             if wrong:
                 raise ContractError(f"{folder}: {wrong[0]}")
-            name = models[0].card.name.removesuffix("-direction")
+            name = models[0].card.name.removesuffix(f"-{models[0].card.role}")
             found.append(Candidate(name, kind, folder, models))
     return found
 

@@ -13,7 +13,7 @@ TITLES = {
     "physics": "physics: marker error against the reference, um",
 }
 COSTS = {
-    "networks": "CPU ms of a whole decision, one thread",
+    "networks": "CPU ms of a whole decision, one thread: p50, whisker to p99",
     "slip": "CPU ms a frame of one finger",
     "physics": "CPU ms a poke",
 }
@@ -145,7 +145,7 @@ def draw(table: Table, path: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, panels = plt.subplots(1, 3, figsize=(18, 6), layout="constrained")
+    figure, panels = plt.subplots(1, 3, figsize=(21, 7), layout="constrained", width_ratios=[1.5, 1, 1])
     for (section, points), axes in zip(table.items(), panels, strict=True):
         _panel(axes, points, section, -1 if section == "physics" else 1)
     figure.savefig(path, dpi=80)
@@ -153,26 +153,43 @@ def draw(table: Table, path: Path) -> None:
 
 
 def _panel(axes: Any, points: list[Point], section: str, sign: int) -> None:
-    cost = [point.cost_ms for point in points]
-    better = [sign * point.better for point in points]
-    spread = [[abs(p.better - p.low) for p in points], [abs(p.high - p.better) for p in points]]
-    axes.errorbar(
-        cost, better, spread if sign > 0 else spread[::-1], fmt="o", color="steelblue", ecolor="lightsteelblue"
-    )
+    groups: dict[str, list[Point]] = {}
+    for point in points:
+        about = point.about
+        groups.setdefault(f"{about['network']} {about['kind']}" if "kind" in about else "", []).append(point)
+    for colour, (name, members) in enumerate(groups.items()):
+        _points(axes, members, sign, f"C{colour}", name)
     front = pareto(points)
-    axes.step(
-        [p.cost_ms for p in front],
-        [sign * p.better for p in front],
-        where="post",
-        color="firebrick",
-        label="Pareto front",
-    )
-    for point in front:
-        axes.annotate(
-            point.name, (point.cost_ms, sign * point.better), fontsize=7, xytext=(3, 3), textcoords="offset points"
-        )
+    cost, better = [p.cost_ms for p in front], [sign * p.better for p in front]
+    axes.step(cost, better, where="post", color="firebrick", linewidth=1, label="Pareto front")
+    for number, point in enumerate(front):
+        # Neighbours on the front lie close together: their names alternate above and below it.
+        place = {"xytext": (4, 5 if number % 2 else -11), "textcoords": "offset points"}
+        name = point.name.split(" ", 1)[1] if "kind" in point.about else point.name
+        axes.annotate(name, (point.cost_ms, sign * point.better), fontsize=7, **place)
     axes.set(xscale="log", xlabel=COSTS[section], title=TITLES[section])
     if sign < 0:
         axes.invert_yaxis()
     axes.grid(visible=True, which="both", alpha=0.2)
-    axes.legend(loc="lower right")
+    axes.legend(loc="lower right", fontsize=8)
+
+
+def _points(axes: Any, points: list[Point], sign: int, colour: str, name: str) -> None:
+    """Points of one kind: the interval upright, p50 to p99 of the processor time along, mean trials written beside."""
+    cost, better = [p.cost_ms for p in points], [sign * p.better for p in points]
+    spread = [[abs(p.better - p.low) for p in points], [abs(p.high - p.better) for p in points]]
+    tail = [_tail_ms(point) for point in points]
+    style = {"fmt": "o", "color": colour, "elinewidth": 0.8, "alpha": 0.8, "label": name or None}
+    axes.errorbar(cost, better, spread if sign > 0 else spread[::-1], [[0.0] * len(tail), tail], **style)
+    for point in points:
+        if point.mean_trials is not None:
+            said, place = f"{point.mean_trials[0]:.2f} trials", (point.cost_ms, sign * point.better)
+            axes.annotate(said, place, fontsize=8, color=colour, xytext=(4, 8), textcoords="offset points")
+
+
+def _tail_ms(point: Point) -> float:
+    """How much longer than its p50 the decision's p99 is, in processor time; 0 where only one time was measured."""
+    about = point.about
+    if "step_cpu_p99_ms" not in about:
+        return 0.0
+    return float(max(0.0, about["frames"] * (about["step_cpu_p99_ms"] - about["step_cpu_ms"])))
