@@ -61,6 +61,12 @@ def reading(rows: list[Row]) -> str:
     )
 
 
+IMAGES = (
+    "One core. Images are camera frames of 427 x 320 px of both fingers, drawn and rectified. A frame whose gel\n"
+    "has not moved since the one before, as most of a probe's, is lit once and only grained anew."
+)
+
+
 def as_markdown(rows: list[Row], times: dict[str, dict[str, float]]) -> str:
     """The whole of docs/accuracy.md."""
     lines = [_line(COLUMNS), "|---|---|" + "---:|" * (len(COLUMNS) - 2)]
@@ -71,7 +77,8 @@ def as_markdown(rows: list[Row], times: dict[str, dict[str, float]]) -> str:
     probes = [_line(["scene", *kinds]), "|---|" + "---:|" * len(kinds)]
     probes += [_line([scene, *(f"{found[kind]:.1f}" for kind in kinds)]) for scene, found in times.items()]
     table, costs = "\n".join(lines), "\n".join(probes)
-    return f"{HEAD}{reading(rows)}\n\n{table}\n\n## A whole probe, CPU ms\n\n{costs}\n\nMade by `make accuracy`.\n"
+    whole = f"## A whole probe, CPU ms\n\n{costs}\n\n{IMAGES}"
+    return f"{HEAD}{reading(rows)}\n\n{table}\n\n{whole}\n\nMade by `make accuracy`.\n"
 
 
 def draw(rows: list[Row], path: Path) -> None:
