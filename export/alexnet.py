@@ -71,15 +71,16 @@ def _export_random(folder: Path, *, shared: bool) -> None:
     from training.networks.alexnet import AlexNetPair
 
     torch.manual_seed(0)
-    pair = AlexNetPair(len(CLASSES))
-    ours, theirs = pair.direction.alexnet, pair.magnitude.alexnet
+    both = AlexNetPair(len(CLASSES))
+    ours, theirs = both.direction.alexnet, both.magnitude.alexnet
     (theirs if shared else theirs.features).load_state_dict((ours if shared else ours.features).state_dict())
     settings = NetworkConfig(kind="alexnet_lstm")
     folder.mkdir(parents=True, exist_ok=True)
-    checkpoint = Checkpoint(RANDOM, settings, pair.state_dict(), Scales(), Scales(), {}, "0" * 64, "none")
+    checkpoint = Checkpoint(RANDOM, settings, both.state_dict(), Scales(), Scales(), {}, "0" * 64, "none")
     path = folder / "random.pt"
     checkpoint.save(path)
     try:
-        export_checkpoint(path, folder)
+        pair = ("pair.step",)
+        export_checkpoint(path, folder, pair if shared else ("direction.sequence", "magnitude.sequence", *pair))
     finally:
         path.unlink()
