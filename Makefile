@@ -85,7 +85,7 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 slip-report: $(RUN_VENV)/ready ## how well slip is seen and what seeing costs: docs/slip_report.md (REAL=folder judges recordings too)
 	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
 
-tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png (FOLDERS= adds networks)
+tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png (FOLDERS= names others than models/)
 	$(BIN)/python -m export tradeoff --data $(PROBES) $(FOLDERS)
 
 bench: $(VENV)/bench ## what a decision of each released network costs on this machine, beside peers: docs/benchmark.md, .json, .png

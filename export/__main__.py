@@ -128,8 +128,8 @@ def tradeoff(
     """Write docs/tradeoff.md, .json and .png: accuracy against time of networks, slip trackers and physics settings.
 
     Args:
-        folders: folders of exported fp32 step models (a pair, a joint density or both); models, models/joint and
-            models/pair if none is named. An ``evaluation.json`` in a folder adds its mean trials of a closed loop.
+        folders: folders of exported fp32 step models (a pair, a joint density or both); models and its own folders if
+            none is named. An ``evaluation.json`` in a folder adds its mean trials of a closed loop.
         data: collected dataset.
         split: trials on which the networks are scored: validation, or test (held-out ranges).
         decisions: how many collisions of the split.
@@ -143,8 +143,7 @@ def tradeoff(
     from export.twins import make_twins
     from training.dataset import data_sha256, open_source
 
-    released = [Path("models"), Path("models/joint"), Path("models/pair")]
-    named = folders or [folder for folder in released if any(folder.glob("*.step.onnx"))]
+    named = folders or sorted({file.parent for file in Path("models").rglob("*.step.onnx")})
     every = named + make_twins(named, twins, str(data))
     digest = data_sha256(open_source(str(data)))[:12]
     about = {"split": split, "data": digest}

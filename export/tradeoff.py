@@ -25,8 +25,8 @@ from export.scores import Score, Scores, score
 from export.tradeoff_report import NAME, draw, write
 from service.contract import ContractError
 
-PLAYED = {"pair": "belief", "shared": "belief", "joint": "joint"}
-"""Which contender of the closed-loop report decides with which kind of released networks."""
+PLAYED = {("models", "pair"): "belief", ("models/pair", "shared"): "belief", ("models/joint", "joint"): "joint"}
+"""Which contender of the closed-loop report decides with which released networks (folder, kind)."""
 PAPER = "paper"
 
 
@@ -120,8 +120,8 @@ def _trials(candidate: Candidate, docs: Path) -> tuple[float, float, float] | No
         return trials
     if candidate.name.startswith("alexnet"):
         return closed_loop_trials(docs / "closed_loop.json", PAPER)
-    released = candidate.folder.parts[:1] == ("models",)
-    return closed_loop_trials(docs / "closed_loop.json", PLAYED[candidate.kind]) if released else None
+    who = PLAYED.get((str(candidate.folder), candidate.kind))
+    return closed_loop_trials(docs / "closed_loop.json", who) if who else None
 
 
 def choose(budget_ms: float, report: Path, seconds: float) -> str:
