@@ -76,6 +76,22 @@ def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
     print_table(Checkpoint.load(checkpoint).figures)
 
 
+def stress(
+    run: Annotated[Path, tyro.conf.Positional], trials: int = 300, new: Path | None = None, layer: Path | None = None
+) -> None:
+    """Score a finished run under noise, on new objects and in the dearer physics; `report` then shows it.
+
+    Args:
+        run: folder of the run, such as runs/compact-long.
+        trials: validation collisions to draw again at each noise (1/4 x to 4 x).
+        new: dataset of objects that training never saw.
+        layer: dataset of scenes with ``tier = "layer"`` in their ``[gel]``.
+    """
+    from training.stress import stress as run_stress
+
+    print_table(run_stress(run, trials, new, layer))
+
+
 def report(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs"), recipe: Path | None = None) -> None:
     """Write the training report of a finished run: tables, confusion matrix, calibration curve.
 
@@ -102,7 +118,14 @@ def main() -> None:
     """Command line entry."""
     try:
         tyro.extras.subcommand_cli_from_dict(
-            {"train": train, "recipe": recipe, "share-backbone": share_backbone, "show": show, "report": report},
+            {
+                "train": train,
+                "recipe": recipe,
+                "share-backbone": share_backbone,
+                "show": show,
+                "stress": stress,
+                "report": report,
+            },
             prog="python -m training",
         )
     except ContractError as error:

@@ -57,11 +57,11 @@ def decisions(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generato
         pooled=None if pooled is None else torch.from_numpy(pooled),
         error=torch.from_numpy(error),
         label=torch.from_numpy(class_of(error)),
-        told=torch.from_numpy(_told(trials.told[chosen], rng)),
+        told=torch.from_numpy(told_in_training(trials.told[chosen], rng)),
     )
 
 
-def _told(told: NDArray[np.float32], rng: np.random.Generator | None) -> NDArray[np.float32]:
+def told_in_training(told: NDArray[np.float32], rng: np.random.Generator | None) -> NDArray[np.float32]:
     """What the cell says of gap and grasp; in training a little wrong, and at times nothing of the grasp."""
     if rng is None:
         return told

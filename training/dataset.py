@@ -19,7 +19,7 @@ from training.networks.preprocessing import CHANNELS, COLS, ROWS, pool_frames
 
 SPLITS = ("train", "validation", "test")
 FIELD_SHAPE = (2, 20, 21, 3)
-_FORMAT = 2
+_TABLE, _POOLED = 3, 2  # formats of the two caches
 
 
 class Source(Protocol):
@@ -44,7 +44,8 @@ class Trials:
 
     ``error`` float32 [N, 2] (mm, deg); ``told`` float32 [N, 2], gap width and grasp height in mm, 0 where it is not
     known; ``fields`` float16 [N, WINDOW, 2, 20, 21, 3] (du_mm, dv_mm, N/mm2) from one
-    frame before the onset; ``pooled`` uint16 [M, WINDOW, 2, 2, 64, 65] block sums; ``picture`` int64 [N] row or -1.
+    frame before the onset; ``motion`` float32 [N, WINDOW, 6], pose of the object in the hand (mm, rad); ``pooled``
+    uint16 [M, WINDOW, 2, 2, 64, 65] block sums; ``picture`` int64 [N] row or -1.
     """
 
     error: NDArray[np.float32]
@@ -53,6 +54,7 @@ class Trials:
     objects: NDArray[np.str_]
     groups: NDArray[np.str_]
     fields: NDArray[np.float16]
+    motion: NDArray[np.float32]
     picture: NDArray[np.int64]
     pooled: NDArray[np.uint16]
     sha256: str
@@ -66,12 +68,12 @@ class Trials:
         return np.flatnonzero(chosen & (self.picture >= 0) if rendered else chosen)
 
 
-def open_source(path: str) -> Source:
-    """Open a collected dataset; raise ContractError naming the path if there is none."""
+def open_source(path: str, noise_scale: float = 1.0) -> Source:
+    """Open a collected dataset, its cameras' noise multiplied; raise ContractError naming the path if there is none."""
     from simulation.dataset import Dataset
 
     try:
-        source: Source = Dataset(path)
+        source: Source = Dataset(path, noise_scale=noise_scale)
     except (OSError, ValueError) as error:
         raise ContractError(f"cannot read the dataset {path}: {error}") from error
     return source
@@ -123,6 +125,7 @@ def load_trials(config: DataConfig, source: Source | None = None) -> Trials:
         objects=table["objects"],
         groups=table["groups"],
         fields=table["fields"],
+        motion=table["motion"],
         picture=picture,
         pooled=pooled,
         sha256=digest,
@@ -144,14 +147,14 @@ def _window_start(trial: Any, index: int) -> int:
 def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[Any]]:
     """Labels, windows and fields of the first ``count`` trials that collided, cached in ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"table-{_FORMAT}-{count}.npz"
+    path = folder / f"table-{_TABLE}-{count}.npz"
     if path.exists():
         with np.load(path) as stored:
             return {name: stored[name] for name in stored.files}
     rows: dict[str, list[Any]] = {
         name: [] for name in ("key", "index", "start", "error", "told", "split", "objects", "groups")
     }
-    fields = []
+    fields, motion = [], []
     for index in track(range(count), description="reading trials", transient=True):
         trial = source.trial(index)
         if trial.outcome != "blocked" or trial.onset_frame is None or trial.onset_frame < 0:
@@ -166,22 +169,22 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
         rows["objects"].append(trial.object_name)
         rows["groups"].append(f"{trial.object_name}/{trial.group}")
         fields.append(np.asarray(trial.gel[start : start + WINDOW], np.float16))
+        motion.append(np.asarray(trial.in_hand[start : start + WINDOW], np.float32))
     if not fields:
         raise ContractError(f"none of the {count} trials is a collision; expected outcome 'blocked' with an onset")
-    table = _as_arrays(rows, np.stack(fields))
+    table = _as_arrays(rows) | {"fields": np.stack(fields), "motion": np.stack(motion)}
     _check(table)
     _write(path, table)
     return table
 
 
-def _as_arrays(rows: dict[str, list[Any]], fields: NDArray[np.float16]) -> dict[str, NDArray[Any]]:
+def _as_arrays(rows: dict[str, list[Any]]) -> dict[str, NDArray[Any]]:
     kinds = {"error": np.float32, "told": np.float32, "index": np.int64, "start": np.int64, "split": np.int64}
-    table: dict[str, NDArray[Any]] = {name: np.array(values, kinds.get(name, np.str_)) for name, values in rows.items()}
-    return table | {"fields": fields}
+    return {name: np.array(values, kinds.get(name, np.str_)) for name, values in rows.items()}
 
 
 def _check(table: dict[str, NDArray[Any]]) -> None:
-    for name in ("error", "told", "fields"):
+    for name in ("error", "told", "fields", "motion"):
         if not np.isfinite(table[name]).all():
             bad = int(np.flatnonzero(~np.isfinite(table[name].reshape(len(table[name]), -1)).all(1))[0])
             raise ContractError(f"trial {int(table['index'][bad])}: {name} is not finite")
@@ -203,7 +206,7 @@ def _load_pictures(
     """Pooled pictures of a fixed choice of trials, one file a trial: a kill or a growing dataset costs none of them."""
     wanted = _choose(table, config)
     drawer = _renderer_sha256(source) if len(wanted) else "none"
-    folder = Path(config.cache) / f"pooled-{_FORMAT}-{drawer}"
+    folder = Path(config.cache) / f"pooled-{_POOLED}-{drawer}"
     folder.mkdir(parents=True, exist_ok=True)
     pooled = np.empty((len(wanted), WINDOW, 2, CHANNELS, ROWS, COLS), np.uint16)
     for row, trial in enumerate(track(wanted, description="drawing pictures", disable=not len(wanted), transient=True)):

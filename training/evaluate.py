@@ -134,10 +134,12 @@ def figures(predictions: Predictions) -> dict[str, float]:
     covered = np.abs(residual) <= Z90 * sigma
     wrong_side = SIGNS[chosen] * SIGNS[labels] < 0
     count = len(labels)
+    low, high = wilson(float(right.mean()), count)
     return {
         "trials": float(count),
         "accuracy": float(right.mean()),
-        "accuracy_interval": 1.96 * float(np.sqrt(right.mean() * (1 - right.mean()) / count)),
+        "accuracy_low": low,
+        "accuracy_high": high,
         "accuracy_without_near": float(right[outside].mean()) if outside.any() else 0.0,
         "chance": float(np.bincount(labels).max() / count),
         "nll": _nll(p, labels),
@@ -153,8 +155,17 @@ def figures(predictions: Predictions) -> dict[str, float]:
     }
 
 
+def wilson(share: float, count: int, z: float = 1.959964) -> tuple[float, float]:
+    """95 % interval of a share seen in ``count`` trials (Wilson 1927)."""
+    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
+    half = z / (1 + z**2 / count) * float(np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2)))
+    return middle - half, middle + half
+
+
 def by_object(predictions: Predictions) -> dict[str, dict[str, float]]:
-    """Figures of every object, and of ``all``."""
+    """Figures of every object, of ``all``, and of all but the circle, whose yaw nothing blocks."""
     names = sorted(set(predictions.objects.tolist()))
     table = {"all": figures(predictions)}
+    if "circle" in names and len(names) > 1:
+        table["all but circle"] = figures(predictions.take(predictions.objects != "circle"))
     return table | {name: figures(predictions.take(predictions.objects == name)) for name in names}

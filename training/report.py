@@ -1,5 +1,6 @@
 """``python -m training report RUN``: the training report, its tables and its two pictures, from a finished run."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from training.evaluate import (
     rescaled,
 )
 from training.labels import CLASSES, class_of
+from training.oracle import oracle_figures
+from training.stress import STRESS_FILE
 from training.train import MOST_SCORED, Trainer
 
 COLUMNS = {
@@ -62,7 +65,11 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
     tables = {name: row for name, row in checkpoint.figures.items() if not name.startswith("joint/")}
     joint = {name[6:]: row for name, row in checkpoint.figures.items() if name.startswith("joint/")}
     page = out / "training.md"
-    page.write_text(_page(checkpoint, len(trials), tables, joint, _limits(trainer)) + recipe_section(recipe))
+    told = oracle_figures(trials, run / "oracle")
+    limits = _limits(trainer) | {name.replace("/", "/oracle, "): row for name, row in told.items()}
+    page.write_text(
+        _page(checkpoint, len(trials), tables, joint, limits) + stress_section(run) + recipe_section(recipe)
+    )
     return page
 
 
@@ -102,14 +109,32 @@ stiffness and noise that training never saw, with the calibration of `validation
 
 {_table({name: row for name, row in joint.items() if name.endswith("/all")})}
 
-## The same trunk on true marker fields
+## The information limit
 
-What is lost between these rows and those above is lost in reading the pictures. The trunk was last trained on what the
-front reads, not on true fields, so this bounds the loss from one side only.
+"true fields": the same trunk on the gel's true motion and pressure instead of pictures; what is lost between these rows
+and those above is lost in reading the pictures (the trunk was last trained on what the front reads, so it bounds the
+loss from one side only). The oracle is a network of the same size that sees the object's true motion in the hand, which
+is all that a gel can tell; what it gets wrong, no tactile network is to be blamed for.
 
 {_table(limits)}
 
 ![Confusion matrix and calibration curve on validation](training.png)
+"""
+
+
+def stress_section(run: Path) -> str:
+    """Noise, new objects and the dearer physics, as a section; empty where `training stress` has not run."""
+    path = run / STRESS_FILE
+    if not path.exists():
+        return ""
+    return f"""
+## Where it was not trained
+
+Validation collisions drawn again with the noise of the cameras multiplied; objects that training never saw, in the
+same ranges of size, grasp and friction; and the training objects in the `layer` tier, whose gel couples its nodes: the
+honest stand-in here for another world than the one trained in. Calibration is that of the validation split.
+
+{_table(json.loads(path.read_text()))}
 """
 
 
@@ -145,7 +170,7 @@ def _cell(key: str, row: dict[str, float]) -> str:
     if key == "trials":
         return f"{row[key]:.0f}"
     if key == "accuracy":
-        return f"{100 * row[key]:.1f} ± {100 * row['accuracy_interval']:.1f} %"
+        return f"{100 * row[key]:.1f} % ({100 * row['accuracy_low']:.0f} .. {100 * row['accuracy_high']:.0f})"
     return f"{100 * row[key]:.1f} %" if key in SHARES else f"{row[key]:.2f}"
 
 

@@ -113,7 +113,7 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
     "networks",
     why="the state of a step comes from outside the graph and may be anything a float holds",
     holds="states of +-1e4 give finite, bounded outputs: largest",
-    guard=("training/networks/compact.py", "following: Tensor = self.cell(torch.cat([features, geometry], 1), state)"),
+    guard=("training/networks/compact.py", "following: Tensor = self.cell(torch.cat([features, geometry_of(told)], 1), state)"),
     limit=1e6,
 )
 def states_of_ten_thousand(seed: int) -> float:
@@ -150,7 +150,7 @@ def states_of_denormals(seed: int) -> float:
     "networks",
     why="a gap width is an input too, and a cell may ask for any",
     holds="gap widths from 5 to 250 mm give finite, bounded outputs: largest",
-    guard=("training/networks/compact.py", "geometry = torch.cat([(gap - 56.0) / 10.0"),
+    guard=("training/networks/compact.py", "return torch.cat([(gap - 56.0) / 10.0"),
     limit=LARGEST,
 )
 def gap_widths_far_from_training(seed: int) -> float:

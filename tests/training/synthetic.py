@@ -33,6 +33,7 @@ class SyntheticTrial:
     object_name: str = "rectangle"
     gap_width_mm: float = 56.0
     grasp_height_mm: float = 30.0
+    in_hand: np.ndarray = field(default_factory=lambda: np.zeros((30, 6), np.float32))
     onset_frame: int = 18
     stop_frame: int = 20
     outcome: str = "blocked"

@@ -26,6 +26,13 @@ TOLD = 3
 """Gap width, whether the grasp height is known, grasp height: what the cell says beside the pictures."""
 
 
+def geometry_of(told: Tensor) -> Tensor:
+    """Gap width and grasp height [B, 2] in mm, height 0 if unknown -> [B, TOLD] of order one."""
+    gap, height = told[:, :1], told[:, 1:]
+    known = (height > 0).to(height.dtype)
+    return torch.cat([(gap - 56.0) / 10.0, known, known * (height - 60.0) / 30.0], 1)
+
+
 class Front(nn.Module):
     """Pooled frame and reference [N, 2, 64, 65] (block sums) -> normalised field change [N, 3, 20, 21]."""
 
@@ -75,11 +82,8 @@ class Trunk(nn.Module):
         return kept
 
     def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
-        """One step of the recurrent cell; ``told`` [B, 2] is gap width and grasp height in mm, height 0 if unknown."""
-        gap, height = told[:, :1], told[:, 1:]
-        known = (height > 0).to(height.dtype)
-        geometry = torch.cat([(gap - 56.0) / 10.0, known, known * (height - 60.0) / 30.0], 1)
-        following: Tensor = self.cell(torch.cat([features, geometry], 1), state)
+        """One step of the recurrent cell; ``told`` as in :func:`geometry_of`."""
+        following: Tensor = self.cell(torch.cat([features, geometry_of(told)], 1), state)
         return following
 
 
