@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from export.measure import Timing, example_inputs, time_calls
 from export.quantize import GAIN, density_mean, paper_rule
 from export.verify import Arrays, Model, open_model, told
 from service.contract import ContractError, ModelCard
+from service.perception.sequence import track_pairs
 from training.dataset import open_source
 from training.labels import class_of
 
@@ -36,6 +38,15 @@ class Decision:
     grasp_height_mm: float
     truth: NDArray[np.float32]
     name: str
+
+    @cached_property
+    def markers(self) -> NDArray[np.float32]:
+        """Markers tracked in the frames: float32 [T, 2, rows, columns, 3]."""
+        return track_pairs(self.frames)
+
+    def seen_by(self, card: ModelCard) -> NDArray[Any]:
+        """The decision as a card's graph reads it."""
+        return self.markers if card.markers else self.frames
 
 
 @dataclass(frozen=True)
@@ -163,7 +174,7 @@ def decided_class(model: Model, decision: Decision) -> int:
     if model.card.form == "step":
         *_, outputs = _steps(model, [decision])
     else:
-        outputs = model({"frames": decision.frames[None]} | _told(model, [decision]))
+        outputs = model({"frames": decision.seen_by(model.card)[None]} | _told(model, [decision]))
     return most_likely_class(model.card, outputs)
 
 
@@ -192,7 +203,7 @@ def _told(model: Model, asked: Sequence[Decision]) -> Arrays:
 def _steps(model: Model, asked: Sequence[Decision]) -> Iterator[Arrays]:
     state = np.zeros((len(asked), model.card.state_size), np.float32)
     said = _told(model, asked)
-    frames = np.stack([one.frames for one in asked])
+    frames = np.stack([one.seen_by(model.card) for one in asked])
     for step in range(frames.shape[1]):
         fed: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
         outputs = model(fed | said)

@@ -1,9 +1,11 @@
 """Golden frames: the fixed inputs on which torch and ONNX Runtime must agree, and the hard ones that break graphs."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import FrameSpec
+from service.contract import FrameSpec, MarkerSpec, ModelCard
 
 PITCH_PX, RADIUS_PX = 15, 2.5
 
@@ -43,3 +45,49 @@ def hard_frames(spec: FrameSpec, count: int) -> dict[str, NDArray[np.uint8]]:
         "black and white in turn": flash,
         "noise": np.random.default_rng(1).integers(0, 256, shape, dtype=np.uint8),
     }
+
+
+def golden_markers(spec: MarkerSpec, count: int, seed: int = 0) -> NDArray[np.float32]:
+    """Marker fields that shear and twist over time, a few markers unseen: float32 [count, 2, rows, columns, 3]."""
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[: spec.rows, : spec.columns].astype(np.float32)
+    motion = rng.uniform(-1.0, 1.0, (2, 3, 1, 1))
+    fields = np.ones((count, 2, spec.rows, spec.columns, 3), np.float32)
+    for index in range(count):
+        for finger in range(2):
+            shift_u, shift_v, twist = motion[finger] * index
+            fields[index, finger, ..., 0] = shift_u - 0.15 * twist * (v - spec.rows / 2)
+            fields[index, finger, ..., 1] = shift_v + 0.15 * twist * (u - spec.columns / 2)
+    fields[..., :2] += rng.normal(0, 0.05, fields[..., :2].shape)
+    fields[rng.random(fields.shape[:-1]) < 0.02] = 0.0
+    return fields
+
+
+def hard_markers(spec: MarkerSpec, count: int) -> dict[str, NDArray[np.float32]]:
+    """Fields no tracker should give but some day one will; each float32 [count, 2, rows, columns, 3]."""
+    still = np.repeat(golden_markers(spec, 1), count, axis=0)
+    spark, torn = still.copy(), still.copy()
+    spark[1:, 0, spec.rows // 2, spec.columns // 2, 0] = 100.0
+    torn[1::2, ..., :2] = 1e4
+    return {
+        "no difference": still,
+        "single leaping marker": spark,
+        "nothing seen": np.zeros_like(still),
+        "torn off and back in turn": torn,
+        "denormals": still * np.float32(1e-40),
+        "noise": np.random.default_rng(1).normal(0, 300, still.shape).astype(np.float32),
+    }
+
+
+def golden_input(card: ModelCard, seed: int = 0) -> NDArray[Any]:
+    """A golden decision as the card's graph reads it: [frames_per_decision, 2, *input_shape]."""
+    if card.markers:
+        return golden_markers(card.markers, card.frames_per_decision, seed)
+    return golden_frames(card.frame, card.frames_per_decision, seed)
+
+
+def hard_input(card: ModelCard) -> dict[str, NDArray[Any]]:
+    """The hard decisions of the card's kind of input, by name."""
+    if card.markers:
+        return dict(hard_markers(card.markers, card.frames_per_decision))
+    return dict(hard_frames(card.frame, card.frames_per_decision))

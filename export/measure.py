@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from export.golden import golden_frames
+from export.golden import golden_input
 from export.verify import Arrays, Model, told
 
 WARM_UP_CALLS = 10
@@ -64,7 +64,7 @@ class Timing:
 def example_inputs(model: Model, batch: int = 1) -> Arrays:
     """Golden inputs of a model, as the service would feed them."""
     card = model.card
-    frames = np.repeat(golden_frames(card.frame, card.frames_per_decision)[None], batch, 0)
+    frames = np.repeat(golden_input(card)[None], batch, 0)
     if card.form == "sequence":
         return {"frames": frames} | told(card, batch)
     state = np.zeros((batch, card.state_size), np.float32)

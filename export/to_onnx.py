@@ -11,19 +11,23 @@ import onnx
 import torch
 from torch import nn
 
-from export.golden import golden_frames
+from export.golden import golden_frames, golden_markers
 from export.runtime import cpu_name, session
 from export.verify import open_model, verify_forms
-from service.contract import Calibration, ContractError, FrameSpec, ModelCard
+from service.contract import Calibration, ContractError, FrameSpec, MarkerSpec, ModelCard
 from service.contract.self_test import make_self_test
 from training.checkpoint import Checkpoint
 from training.config import FRAMES_PER_DECISION
 from training.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
+from training.networks.decider import MARKER_COLS, MARKER_ROWS
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import Role, SequenceForm, StepForm
+from training.networks.markers import MARKER_PITCH_PX
 from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
 
 OPSET = 20
+PICTURES = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX, colour="bgr", rectified=True)
+MARKERS = MarkerSpec(rows=MARKER_ROWS, columns=MARKER_COLS, pitch_px=MARKER_PITCH_PX)
 TOLERANCE = 1e-5
 Form = Literal["sequence", "step"]
 FORMS: tuple[Form, Form] = ("sequence", "step")
@@ -72,7 +76,8 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         name=f"{checkpoint.name}-{role}",
         role=role,
         form=form,
-        frame=FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX, colour="bgr", rectified=True),
+        frame=PICTURES,
+        markers=MARKERS if network.reads_markers else None,
         frames_per_decision=FRAMES_PER_DECISION,
         state_size=network.state_size if form == "step" else 0,
         classes=CLASSES,
@@ -94,8 +99,12 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
 
 
 def _example(network: Any, form: Form, batch: int) -> dict[str, torch.Tensor]:
-    spec = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX)
-    frames = torch.from_numpy(golden_frames(spec, FRAMES_PER_DECISION))
+    golden = (
+        golden_markers(MARKERS, FRAMES_PER_DECISION)
+        if network.reads_markers
+        else golden_frames(PICTURES, FRAMES_PER_DECISION)
+    )
+    frames = torch.from_numpy(golden)
     told = {"gap_width_mm": torch.full((batch, 1), 57.0), "grasp_height_mm": torch.full((batch, 1), 40.0)}
     told = told if network.uses_geometry else {}
     if form == "sequence":

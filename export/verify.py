@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
-from export.golden import golden_frames, hard_frames
+from export.golden import golden_input, hard_input
 from export.runtime import session
 from service.contract import ContractError, ModelCard
 from service.contract.self_test import check_self_test
@@ -81,7 +81,7 @@ def told(card: ModelCard, batch: int, gap_width_mm: float = 56.0, grasp_height_m
     return {name: np.full((batch, 1), value, np.float32) for name, value in said.items()}
 
 
-def run_steps(model: Model, frames: NDArray[np.uint8]) -> Arrays:
+def run_steps(model: Model, frames: NDArray[Any]) -> Arrays:
     """Run a step model over frames [B, T, 2, H, W, 3], the first one being the reference."""
     state = np.zeros((len(frames), model.card.state_size), np.float32)
     outputs: Arrays = {}
@@ -92,7 +92,7 @@ def run_steps(model: Model, frames: NDArray[np.uint8]) -> Arrays:
     return outputs
 
 
-def decide(model: Model, frames: NDArray[np.uint8]) -> Arrays:
+def decide(model: Model, frames: NDArray[Any]) -> Arrays:
     """The decision of either form on frames [B, T, 2, H, W, 3]."""
     if model.card.form == "step":
         outputs = run_steps(model, frames)
@@ -124,7 +124,7 @@ def _check_file(model: Model) -> str:
 def verify_model(model: Model, stream_steps: int = STREAM_STEPS) -> list[str]:
     """Batch, thread and hard-input checks of one file."""
     card = model.card
-    frames = golden_frames(card.frame, card.frames_per_decision)[None]
+    frames = golden_input(card)[None]
     alone = decide(model, frames)
     crowd = CROWD[card.form]
     batch_gap = _batch_gap(model, frames, crowd)
@@ -134,7 +134,7 @@ def verify_model(model: Model, stream_steps: int = STREAM_STEPS) -> list[str]:
             raise ContractError(
                 f"{model.file.name}: outputs {what} differ by {gap:.1e}, expected {model.tolerance:.0e}"
             )
-    hard = hard_frames(card.frame, card.frames_per_decision)
+    hard = hard_input(card)
     for name, strange in hard.items():
         _bounded(model, name, decide(model, strange[None]))
     lines = [
@@ -146,7 +146,7 @@ def verify_model(model: Model, stream_steps: int = STREAM_STEPS) -> list[str]:
     return lines
 
 
-def _batch_gap(model: Model, frames: NDArray[np.uint8], crowd: int) -> float:
+def _batch_gap(model: Model, frames: NDArray[Any], crowd: int) -> float:
     """Difference of a decision alone and as one row among other ones; a step model is asked its last step."""
     place = crowd // 2
     if model.card.form == "sequence":
@@ -162,7 +162,7 @@ def _batch_gap(model: Model, frames: NDArray[np.uint8], crowd: int) -> float:
     return max(_gap(alone[name][0], among[name][place]) for name in alone)
 
 
-def _verify_states(model: Model, frames: NDArray[np.uint8]) -> str:
+def _verify_states(model: Model, frames: NDArray[Any]) -> str:
     """Recurrent states no run should reach: +-1e4 (and so logits of that order), and denormals, which equal zero."""
     seen = {}
     states = {"zeros": 0.0, "denormals": 1e-40, "+1e4": 1e4, "-1e4": -1e4}
@@ -178,13 +178,13 @@ def _verify_states(model: Model, frames: NDArray[np.uint8]) -> str:
     return "finite on states of +-1e4, denormal states equal zero ones"
 
 
-def _verify_stream(model: Model, frames: NDArray[np.uint8], steps: int) -> str:
+def _verify_stream(model: Model, frames: NDArray[Any], steps: int) -> str:
     for outputs in stream(model, frames, steps):
         _bounded(model, f"stream of {steps} steps", outputs)
     return f"bounded at every step of a stream of {steps}"
 
 
-def stream(model: Model, frames: NDArray[np.uint8], steps: int) -> Iterator[Arrays]:
+def stream(model: Model, frames: NDArray[Any], steps: int) -> Iterator[Arrays]:
     """Outputs after each of many steps without a fresh state; frames [1, T, 2, H, W, 3] come round again."""
     state = np.zeros((1, model.card.state_size), np.float32)
     for step in range(steps):
@@ -206,7 +206,7 @@ def verify_forms(models: list[Model]) -> list[str]:
     for step in (model for model in models if model.card.form == "step"):
         same = [m for m in models if m.card.form == "sequence" and m.card.name == step.card.name]
         for sequence in (m for m in same if m.card.quantisation == step.card.quantisation):
-            frames = golden_frames(step.card.frame, step.card.frames_per_decision, seed=2)[None]
+            frames = golden_input(step.card, seed=2)[None]
             gap = _gaps(decide(step, frames), decide(sequence, frames))
             if not gap <= step.tolerance:
                 raise ContractError(f"{step.file.name} and {sequence.file.name} differ by {gap:.1e} on golden frames")

@@ -88,14 +88,14 @@ class Evidence:
 class DecisionRun:
     """The networks over one attempt: fed pair by pair as they arrive, so that one step remains after the last frame.
 
-    ``reference`` and every frame are uint8 [2, H, W, 3] of the card's frame spec, left finger first. Not thread
+    ``reference`` and every frame are [2, *card.input_shape], left finger first: pictures or marker fields. Not thread
     safe: one thread feeds a run.
     """
 
     def __init__(
         self,
         models: ModelSet,
-        reference: NDArray[np.uint8],
+        reference: NDArray[np.uint8] | NDArray[np.float32],
         gap_width_mm: float,
         grasp_height_mm: float | None = None,
     ) -> None:
@@ -107,16 +107,15 @@ class DecisionRun:
         self.frames_n = 0
         self.step_ms = 0.0
 
-    def step(self, frame: NDArray[np.uint8]) -> None:
+    def step(self, frame: NDArray[np.uint8] | NDArray[np.float32]) -> None:
         """Advance every network by one pair; raise ContractError on a frame of the wrong shape."""
-        for finger in frame:
-            self._models.card.frame.check(finger)
+        self._models.card.check(frame)
         started = time.perf_counter()
         self._outputs = [self._advance(index, step, frame) for index, step in enumerate(self._models.steps)]
         self.step_ms = (time.perf_counter() - started) * 1e3
         self.frames_n += 1
 
-    def _advance(self, index: int, step: StepModel, frame: NDArray[np.uint8]) -> dict[str, Array]:
+    def _advance(self, index: int, step: StepModel, frame: NDArray[np.uint8] | NDArray[np.float32]) -> dict[str, Array]:
         outputs, self._states[index] = step.step(frame, self._reference, self._states[index], *self._told)
         return outputs
 

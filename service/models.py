@@ -62,13 +62,13 @@ class StepModel:
 
     def step(
         self,
-        frame: NDArray[np.uint8],
-        reference: NDArray[np.uint8],
+        frame: Array,
+        reference: Array,
         state: NDArray[np.float32],
         gap_width_mm: float,
         grasp_height_mm: float | None = None,
     ) -> tuple[dict[str, Array], NDArray[np.float32]]:
-        """Outputs after one pair; ``frame`` and ``reference`` are uint8 [2, H, W, 3], left finger first."""
+        """Outputs after one pair; ``frame`` and ``reference`` are [2, *card.input_shape], left finger first."""
         inputs: dict[str, Array] = {"frame": frame[None], "reference": reference[None], "state": state}
         if self.card.gap_width_input:
             inputs["gap_width_mm"] = np.array([[gap_width_mm]], np.float32)
@@ -78,11 +78,11 @@ class StepModel:
         return outputs, outputs.pop("next_state")
 
     def warm_up(self) -> None:
-        """Run a few steps on grey frames, so that the first real decision is as fast as the later ones."""
-        grey = np.full((2, *self.card.frame.shape), 128, np.uint8)
+        """Run a few steps on nothing, so that the first real decision is as fast as the later ones."""
+        still = np.zeros((2, *self.card.input_shape), self.card.input_dtype)
         state = self.fresh_state()
         for _ in range(_WARM_UP_STEPS):
-            _, state = self.step(grey, grey, state, 50.0)
+            _, state = self.step(still, still, state, 50.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ def load_model(path: Path) -> LoadedModel:
 
 def _check_graph(model: LoadedModel) -> None:
     card = model.card
-    shape = [2, *card.frame.shape]
+    shape = [2, *card.input_shape]
     if card.form == "step":
         expected: dict[str, list[int]] = {"frame": shape, "reference": shape, "state": [card.state_size]}
     else:

@@ -10,6 +10,7 @@ from service.deadlines import Deadlines
 from service.decision import DecisionRun, Evidence, Refusal
 from service.models import ModelSet
 from service.observation import Observation, PairObservation
+from service.seen import seen_by
 
 MIN_VALID_MARKERS = 0.5  # of a finger's markers, in the last frame decided on
 
@@ -25,15 +26,15 @@ class Work:
 def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work:
     """The networks' step on one pair of the attempt's decision; the step on its last pair returns the result."""
     if attempt.run is None:
-        reference = attempt.network_reference or pair
-        attempt.run = DecisionRun(models, reference.pixels(), attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm)
+        reference = seen_by(models.card, attempt.network_reference or pair)
+        attempt.run = DecisionRun(models, reference, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm)
     run, pairs = attempt.run, attempt.decision_pairs
     complete = pair is pairs[-1] and len(pairs) >= models.card.frames_per_decision
     number, generation = attempt.arm.attempt, attempt.generation
 
     def compute() -> WorkResult | None:
         try:
-            run.step(pair.pixels())
+            run.step(seen_by(models.card, pair))
             if not complete:
                 return None
             return WorkResult(number, generation, run.evidence(), None, latencies(run, pair))

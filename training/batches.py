@@ -20,13 +20,13 @@ HEIGHT_UNKNOWN_SHARE = 0.15  # of training decisions without a grasp height: cel
 class Batch:
     """A batch of decisions.
 
-    ``fields`` float32 [B, 8, 2, 3, 20, 21], change against the first frame in physical units; ``pooled`` block sums
-    float32 [B, 8, 2, 2, 64, 65] or None; ``error`` [B, 2]; ``label`` [B]; ``told`` [B, 2], gap width and
-    grasp height in mm, 0 where it is not known.
+    ``fields`` float32 [B, 8, 2, 3, 20, 21], change against the first frame in physical units; ``drawn`` float32 [B, 8,
+    2, ...], block sums of pictures or markers tracked in them, or None; ``error`` [B, 2]; ``label`` [B]; ``told``
+    [B, 2], gap width and grasp height in mm, 0 where it is not known.
     """
 
     fields: Tensor
-    pooled: Tensor | None
+    drawn: Tensor | None
     error: Tensor
     label: Tensor
     told: Tensor
@@ -46,15 +46,15 @@ def decisions(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generato
     lines = np.arange(count)[:, None]
     fields = trials.fields[chosen][lines, steps].astype(np.float32)
     fields -= fields[:, :1]
-    pooled = None
+    drawn = None
     if pictures:
-        pooled = trials.pooled[trials.picture[chosen]][lines, steps].astype(np.float32)
+        drawn = trials.drawn[trials.picture[chosen]][lines, steps].astype(np.float32)
     error = trials.error[chosen].copy()
     if rng is not None:
-        _apply_symmetries(fields, pooled, error, rng)
+        _apply_symmetries(fields, drawn, error, rng)
     return Batch(
         fields=torch.from_numpy(np.moveaxis(fields, -1, -3).copy()),
-        pooled=None if pooled is None else torch.from_numpy(pooled),
+        drawn=None if drawn is None else torch.from_numpy(drawn),
         error=torch.from_numpy(error),
         label=torch.from_numpy(class_of(error)),
         told=torch.from_numpy(told_in_training(trials.told[chosen], rng)),
@@ -111,7 +111,7 @@ def frame_pairs(
         reference = rng.integers(0, 2 * JITTER + 1, (len(part), 1))
         frame = np.minimum(reference + rng.integers(1, FRAMES_PER_DECISION, (len(part), pairs)), WINDOW - 1)
         lines = np.arange(len(part))[:, None]
-        pooled = trials.pooled[trials.picture[part]]
+        pooled = trials.drawn[trials.picture[part]]
         fields = trials.fields[part].astype(np.float32)
         late, early = pooled[lines, frame], np.broadcast_to(pooled[lines, reference], pooled[lines, frame].shape)
         change = fields[lines, frame] - fields[lines, reference]

@@ -26,14 +26,19 @@ class DataConfig(Contract):
 
 
 class NetworkConfig(Contract):
-    """Sizes of the compact network."""
+    """Kind and sizes of a network."""
 
-    kind: Literal["compact", "alexnet_lstm"] = "compact"
+    kind: Literal["compact", "markers", "alexnet_lstm"] = "compact"
     front_width: int = Field(default=32, ge=4)
     trunk_width: int = Field(default=24, ge=4)
     feature_size: int = Field(default=96, ge=8)
     state_size: int = Field(default=128, ge=8)
     dropout: float = Field(default=0.1, ge=0, lt=1)
+
+    @property
+    def reads(self) -> Literal["pictures", "markers"]:
+        """What the network is shown of a frame."""
+        return "markers" if self.kind == "markers" else "pictures"
 
 
 class StageConfig(Contract):
@@ -70,9 +75,9 @@ class RunConfig(Contract):
     data: DataConfig
     network: NetworkConfig = NetworkConfig()
     loss: LossConfig = LossConfig()
-    front: StageConfig
+    front: StageConfig = StageConfig(epochs=0)
     trunk: StageConfig
-    tune: StageConfig
+    tune: StageConfig = StageConfig(epochs=0)
 
     @classmethod
     def load(cls, path: Path) -> Self:

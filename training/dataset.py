@@ -7,19 +7,22 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.progress import track
 
 from service.contract import ContractError
+from service.perception.sequence import track_pairs
 from training.config import FRAMES_PER_DECISION, JITTER, WINDOW, DataConfig
-from training.networks.preprocessing import CHANNELS, COLS, ROWS, pool_frames
+from training.networks.preprocessing import pool_frames
 
 SPLITS = ("train", "validation", "test")
 FIELD_SHAPE = (2, 20, 21, 3)
-_TABLE, _POOLED = 3, 2  # formats of the two caches
+Reads = Literal["pictures", "markers"]
+_TABLE = 3  # format of the cached table
+_KEPT: dict[Reads, str] = {"pictures": "pooled-2", "markers": "tracked-1"}  # folders of what is kept of pictures
 
 
 class Source(Protocol):
@@ -40,12 +43,13 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Collided trials. All arrays share their first axis except ``pooled``, found through ``picture``.
+    """Collided trials. All arrays share their first axis except ``drawn``, found through ``picture``.
 
     ``error`` float32 [N, 2] (mm, deg); ``told`` float32 [N, 2], gap width and grasp height in mm, 0 where it is not
     known; ``fields`` float16 [N, WINDOW, 2, 20, 21, 3] (du_mm, dv_mm, N/mm2) from one
-    frame before the onset; ``motion`` float32 [N, WINDOW, 6], pose of the object in the hand (mm, rad); ``pooled``
-    uint16 [M, WINDOW, 2, 2, 64, 65] block sums; ``picture`` int64 [N] row or -1.
+    frame before the onset; ``motion`` float32 [N, WINDOW, 6], pose of the object in the hand (mm, rad); ``drawn``
+    what a network is shown of the pictures: block sums uint16 [M, WINDOW, 2, 2, 64, 65], or markers tracked in them
+    float32 [M, WINDOW, 2, 20, 21, 3]; ``picture`` int64 [N] row or -1.
     """
 
     error: NDArray[np.float32]
@@ -56,7 +60,7 @@ class Trials:
     fields: NDArray[np.float16]
     motion: NDArray[np.float32]
     picture: NDArray[np.int64]
-    pooled: NDArray[np.uint16]
+    drawn: NDArray[Any]
     sha256: str
 
     def __len__(self) -> int:
@@ -108,7 +112,7 @@ def _renderer_sha256(source: Source) -> str:
     return hashlib.sha256(np.ascontiguousarray(source.frames(0, 0, 1)).tobytes()).hexdigest()[:12]
 
 
-def load_trials(config: DataConfig, source: Source | None = None) -> Trials:
+def load_trials(config: DataConfig, source: Source | None = None, reads: Reads = "pictures") -> Trials:
     """Read labels and fields, and draw the pictures asked for, from the cache where it already holds them.
 
     Raises ContractError on non-finite labels, on trials without their window, and on groups spread over splits.
@@ -117,7 +121,7 @@ def load_trials(config: DataConfig, source: Source | None = None) -> Trials:
     digest = data_sha256(source)
     folder = Path(config.cache) / digest[:16]
     table = load_table(source, folder, min(len(source), config.max_trials))
-    picture, pooled = _load_pictures(source, table, config)
+    picture, drawn = _load_pictures(source, table, config, reads)
     return Trials(
         error=table["error"],
         told=table["told"],
@@ -127,7 +131,7 @@ def load_trials(config: DataConfig, source: Source | None = None) -> Trials:
         fields=table["fields"],
         motion=table["motion"],
         picture=picture,
-        pooled=pooled,
+        drawn=drawn,
         sha256=digest,
     )
 
@@ -201,25 +205,25 @@ def _write(path: Path, table: dict[str, NDArray[Any]]) -> None:
 
 
 def _load_pictures(
-    source: Source, table: dict[str, NDArray[Any]], config: DataConfig
-) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
-    """Pooled pictures of a fixed choice of trials, one file a trial: a kill or a growing dataset costs none of them."""
+    source: Source, table: dict[str, NDArray[Any]], config: DataConfig, reads: Reads
+) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    """What is kept of the pictures of a fixed choice of trials, a file each: a kill or a growing dataset costs none."""
     wanted = _choose(table, config)
     drawer = _renderer_sha256(source) if len(wanted) else "none"
-    folder = Path(config.cache) / f"pooled-{_POOLED}-{drawer}"
+    folder = Path(config.cache) / f"{_KEPT[reads]}-{drawer}"
     folder.mkdir(parents=True, exist_ok=True)
-    pooled = np.empty((len(wanted), WINDOW, 2, CHANNELS, ROWS, COLS), np.uint16)
-    for row, trial in enumerate(track(wanted, description="drawing pictures", disable=not len(wanted), transient=True)):
+    kept = []
+    for trial in track(wanted, description="drawing pictures", disable=not len(wanted), transient=True):
         path = folder / f"{table['key'][trial]}.npy"
         if not path.exists():
-            drawn = pool_frames(source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW))
+            frames = source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW)
             temporary = path.with_suffix(".tmp.npy")
-            np.save(temporary, drawn)
+            np.save(temporary, track_pairs(frames) if reads == "markers" else pool_frames(frames))
             temporary.replace(path)
-        pooled[row] = np.load(path)
+        kept.append(np.load(path))
     picture = np.full(len(table["split"]), -1, np.int64)
     picture[wanted] = np.arange(len(wanted))
-    return picture, pooled
+    return picture, np.stack(kept) if kept else np.zeros((0, WINDOW, 2), np.uint16)
 
 
 def _choose(table: dict[str, NDArray[Any]], config: DataConfig) -> NDArray[np.int64]:

@@ -19,7 +19,7 @@ from training.dataset import SPLITS, Trials
 from training.evaluate import Predictions, by_object, calibrate, cross_calibrated, rescaled
 from training.fit import Log, Stage, fit
 from training.labels import CLASSES, HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
-from training.networks.compact import ERROR_SCALE, geometry_of
+from training.networks.decider import ERROR_SCALE, geometry_of
 
 STAGE = StageConfig(epochs=60, batch=64, learning_rate=3e-3, patience=15)
 # Hand frame: place x, y, z in mm, turn about x, y, z in rad

@@ -54,7 +54,7 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
         raise ContractError(f"{run} is not the folder of a training run: no valid config.json") from error
     checkpoint = Checkpoint.load(run / "checkpoint.pt")
     torch.set_num_threads(config.threads)
-    trials = load_trials(config.data, source)
+    trials = load_trials(config.data, source, config.network.reads)
     trainer = Trainer(config, trials, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
     held = trials.of("validation", rendered=True)[:MOST_SCORED]
     if not len(held):

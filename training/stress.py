@@ -38,7 +38,7 @@ def stress(run: Path, trials: int = 300, new: Path | None = None, layer: Path | 
     rows: Rows = {}
 
     def score(name: str, data: DataConfig, source: Source) -> None:
-        drawn = load_trials(data, source)
+        drawn = load_trials(data, source, config.network.reads)
         rows.update({f"{name}/{row}": values for row, values in _scored(config, checkpoint, drawn).items()})
 
     few = config.data.model_copy(update={"rendered_training": 0, "rendered_validation": trials, "rendered_test": 0})

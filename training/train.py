@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
 from service.contract import ContractError
@@ -28,6 +28,7 @@ from training.joint import calibrate_density, calibrated_density, cross_calibrat
 from training.labels import CLASSES, class_of
 from training.networks import build
 from training.networks.compact import CompactNetwork
+from training.networks.decider import Decider
 
 EVALUATION_BATCH = 32
 MOST_SCORED = 2000
@@ -39,13 +40,13 @@ class Trainer:
 
     config: RunConfig
     trials: Trials
-    network: CompactNetwork
+    network: Decider
     class_weights: Tensor
     front_error: Tensor
 
     def normalised(self, batch: Batch) -> Tensor:
         """True field changes in the network's units."""
-        return batch.fields * self.network.field_scale[:, None, None]
+        return self.network.normalised(batch.fields)
 
     def decision_loss(self, fields: Tensor, batch: Batch) -> Tensor:
         """Cross entropy of the class, and negative log likelihood of the error under one Gaussian and the mixture."""
@@ -61,26 +62,20 @@ class Trainer:
     def front_loss(self, pair: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         """Mean square error of the field change, in normalised units."""
         frame, reference, change = pair
+        assert isinstance(self.network, CompactNetwork)
         return functional.mse_loss(self.network.front(frame, reference), self._scaled(change))
 
     def trunk_loss(self, batch: Batch) -> Tensor:
-        """Decision loss on true fields with the front's error added."""
-        return self.decision_loss(self.disturbed(self.normalised(batch)), batch)
+        """Decision loss on true fields with the error added with which they are read."""
+        fields = self.network.disturbed(self.normalised(batch), self.front_error)
+        return self.decision_loss(fields, batch)
 
     def tune_loss(self, batch: Batch) -> Tensor:
         """Decision loss on pictures, with the field still held to the truth."""
-        assert batch.pooled is not None
-        fields = self.network.read_pooled(batch.pooled)
+        assert batch.drawn is not None
+        fields = self.network.read_drawn(batch.drawn)
         held = functional.mse_loss(fields, self.normalised(batch))
         return self.decision_loss(fields, batch) + self.config.loss.field * held
-
-    def disturbed(self, fields: Tensor) -> Tensor:
-        """Fields as the front would have read them: white and smooth error of its measured size."""
-        white = torch.randn_like(fields)
-        smooth = torch.randn(*fields.shape[:-2], 1, 1)
-        strength = torch.rand(fields.shape[0], 1, 1, 1, 1, 1) * 1.5
-        spread = self.front_error[:, :, None, None]
-        return fields + strength * (white * spread[0] + smooth * spread[1])
 
     def _scaled(self, change: Tensor) -> Tensor:
         return change * self.network.field_scale[:, None, None]
@@ -92,7 +87,7 @@ class Trainer:
         with torch.inference_mode():
             for start in range(0, len(chosen), EVALUATION_BATCH):
                 batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
-                fields = self.normalised(batch) if batch.pooled is None else self.network.read_pooled(batch.pooled)
+                fields = self.normalised(batch) if batch.drawn is None else self.network.read_drawn(batch.drawn)
                 states.append(self.network.read_fields(fields, batch.told))
         return torch.cat(states)
 
@@ -123,9 +118,9 @@ class Trainer:
 
     def front_score(self, chosen: NDArray[np.int64]) -> dict[str, float]:
         """Front's mean square error on validation pictures; also keeps the size of its error for the trunk."""
-        rng = np.random.default_rng(0)
+        front, rng = self.network.get_submodule("front"), np.random.default_rng(0)
         residuals = [
-            self.network.front(frame, reference) - self._scaled(change)
+            front(frame, reference) - self._scaled(change)
             for frame, reference, change in frame_pairs(self.trials, chosen, 256, rng)
         ]
         residual = torch.cat(residuals)
@@ -141,8 +136,8 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
 
     Under torchrun every process takes an equal share of the trials; the first one writes.
     """
-    if config.network.kind != "compact":
-        raise ContractError(f"network.kind is {config.network.kind}, which `python -m training recipe` trains")
+    if config.network.kind == "alexnet_lstm":
+        raise ContractError("network.kind is alexnet_lstm, which `python -m training recipe` trains")
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     folder = config.folder
@@ -150,7 +145,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
     with parallel.group():
         with parallel.first_goes_first():
             _pin(folder, config)
-            trials = load_trials(config.data, source)
+            trials = load_trials(config.data, source, config.network.reads)
         trainer = _prepare(config, trials)
         _run_stages(trainer, folder)
         return _finish(trainer, folder)
@@ -191,7 +186,7 @@ def _prepare(config: RunConfig, trials: Trials) -> Trainer:
     return Trainer(config, trials, network, torch.tensor(weights, dtype=torch.float32), torch.full((2, 3), 0.1))
 
 
-def _set_field_scale(network: CompactNetwork, trials: Trials) -> None:
+def _set_field_scale(network: Decider, trials: Trials) -> None:
     """Normalise field changes by their spread over training decisions."""
     chosen = trials.of("train")[:: max(1, len(trials.of("train")) // 500)]
     fields = decisions(trials, chosen, None, pictures=False).fields
@@ -202,37 +197,38 @@ def _stages(trainer: Trainer) -> list[Stage]:
     config, trials, network = trainer.config, trainer.trials, trainer.network
     everything, drawn = parallel.share(trials.of("train")), parallel.share(trials.of("train", rendered=True))
     held, held_drawn = trials.of("validation"), trials.of("validation", rendered=True)
-    decision = [*network.trunk.parameters(), *network.direction.parameters(), *network.magnitude.parameters()]
-
-    def stage(name: str, parameters: list[nn.Parameter], **rest: object) -> Stage:
-        return Stage(name, getattr(config, name), parameters, **rest)  # type: ignore[arg-type]
-
-    return [
-        stage(
-            "front",
-            list(network.front.parameters()),
-            batches=lambda rng: frame_pairs(trials, drawn, config.front.batch, rng),
-            batches_per_epoch=-(-len(drawn) // max(1, config.front.batch // 8)),
-            loss=trainer.front_loss,
-            validate=lambda: trainer.front_score(held_drawn),
-        ),
-        stage(
-            "trunk",
-            decision,
-            batches=lambda rng: epoch(trials, everything, config.trunk.batch, rng, pictures=False),
-            batches_per_epoch=-(-len(everything) // config.trunk.batch),
-            loss=trainer.trunk_loss,
-            validate=lambda: trainer.score(held, pictures=False),
-        ),
-        stage(
-            "tune",
-            list(network.parameters()),
-            batches=lambda rng: epoch(trials, drawn, config.tune.batch, rng, pictures=True),
-            batches_per_epoch=-(-len(drawn) // config.tune.batch),
-            loss=trainer.tune_loss,
-            validate=lambda: trainer.score(held_drawn, pictures=True),
-        ),
-    ]
+    heads = (network.direction, network.magnitude, network.density)
+    decision = [*network.trunk.parameters(), *(p for head in heads for p in head.parameters())]
+    trunk = Stage(
+        "trunk",
+        config.trunk,
+        decision,
+        batches=lambda rng: epoch(trials, everything, config.trunk.batch, rng, pictures=False),
+        batches_per_epoch=-(-len(everything) // config.trunk.batch),
+        loss=trainer.trunk_loss,
+        validate=lambda: trainer.score(held, pictures=False),
+    )
+    if not isinstance(network, CompactNetwork):
+        return [trunk]
+    front = Stage(
+        "front",
+        config.front,
+        list(network.front.parameters()),
+        batches=lambda rng: frame_pairs(trials, drawn, config.front.batch, rng),
+        batches_per_epoch=-(-len(drawn) // max(1, config.front.batch // 8)),
+        loss=trainer.front_loss,
+        validate=lambda: trainer.front_score(held_drawn),
+    )
+    tune = Stage(
+        "tune",
+        config.tune,
+        list(network.parameters()),
+        batches=lambda rng: epoch(trials, drawn, config.tune.batch, rng, pictures=True),
+        batches_per_epoch=-(-len(drawn) // config.tune.batch),
+        loss=trainer.tune_loss,
+        validate=lambda: trainer.score(held_drawn, pictures=True),
+    )
+    return [front, trunk, tune]
 
 
 def _run(trainer: Trainer, stage: Stage, folder: Path, log: Log) -> dict[str, float]:

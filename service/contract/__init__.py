@@ -13,7 +13,7 @@ from service.contract.frames import (
     decode_frame,
     encode_frame,
 )
-from service.contract.model_card import CARD_KEY, Calibration, ErrorClass, ModelCard
+from service.contract.model_card import CARD_KEY, Calibration, ErrorClass, MarkerSpec, ModelCard
 
 __all__ = [
     "CARD_KEY",
@@ -24,6 +24,7 @@ __all__ = [
     "Finger",
     "FramePair",
     "FrameSpec",
+    "MarkerSpec",
     "ModelCard",
     "TactileFrame",
     "decode_frame",

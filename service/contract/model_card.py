@@ -7,6 +7,8 @@ unknown is accepted. The service refuses a model without a valid card, and two m
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from service.contract.frames import Contract, ContractError, FrameSpec
@@ -41,6 +43,14 @@ class SelfTest(Contract):
     tolerance: Positive
 
 
+class MarkerSpec(Contract):
+    """The marker grid a network reads in place of pictures, as tracked in rectified frames of the card's spec."""
+
+    rows: int = Field(ge=2, le=256)
+    columns: int = Field(ge=2, le=256)
+    pitch_px: Positive
+
+
 class ModelCard(Contract):
     """The card of one ONNX file.
 
@@ -49,6 +59,8 @@ class ModelCard(Contract):
     - ``sequence``: ``frames`` uint8 [B, frames_per_decision, 2, H, W, 3]
     - ``step``: ``frame`` uint8 [B, 2, H, W, 3], ``reference`` uint8 [B, 2, H, W, 3],
       ``state`` float32 [B, state_size]
+    - with ``markers``, fingers are not pictures but marker fields: float32 [.., 2, rows, columns, 3] in place of uint8
+      [.., 2, H, W, 3], each marker (du_px, dv_px, 1 or 0 if it was not seen), displaced since any one instant
     - both, if ``gap_width_input``: ``gap_width_mm`` float32 [B, 1]
     - both, if ``grasp_height_input``: ``grasp_height_mm`` float32 [B, 1], 0 where it is not known
 
@@ -64,6 +76,7 @@ class ModelCard(Contract):
     role: Role
     form: Literal["sequence", "step"]
     frame: FrameSpec
+    markers: MarkerSpec | None = None
     frames_per_decision: int = Field(ge=1, le=64)
     state_size: int = Field(ge=0, default=0)
     reference_rule: Literal["first_of_sequence", "before_onset"] = "first_of_sequence"
@@ -96,6 +109,24 @@ class ModelCard(Contract):
             raise ValueError("a step network needs a state_size")
         return self
 
+    @property
+    def input_shape(self) -> tuple[int, int, int]:
+        """What the graph reads of one finger at one instant: (H, W, 3) or (rows, columns, 3)."""
+        return (self.markers.rows, self.markers.columns, 3) if self.markers else self.frame.shape
+
+    @property
+    def input_dtype(self) -> type[np.uint8 | np.float32]:
+        """Of pictures uint8, of markers float32."""
+        return np.float32 if self.markers else np.uint8
+
+    def check(self, pair: NDArray[np.uint8] | NDArray[np.float32]) -> None:
+        """Raise ContractError unless ``pair`` is [2, *input_shape] of the right dtype, and finite."""
+        if pair.shape != (2, *self.input_shape) or pair.dtype != self.input_dtype:
+            expected = f"{np.dtype(self.input_dtype)} {[2, *self.input_shape]}"
+            raise ContractError(f"a pair is {pair.dtype} {list(pair.shape)}, {self.name} reads {expected}")
+        if self.markers and not np.isfinite(pair).all():
+            raise ContractError(f"a marker field holds a number that is not finite, {self.name} cannot read it")
+
     @classmethod
     def from_props(cls, props: Mapping[str, str], source: str = "model") -> Self:
         """Read the card out of ONNX ``metadata_props``; raise ContractError if it is absent or invalid."""
@@ -114,7 +145,15 @@ class ModelCard(Contract):
 
     def disagreements(self, other: Self) -> list[str]:
         """Fields on which two cards that must serve one decision differ, as sentences; empty if they agree."""
-        shared = ("frame", "frames_per_decision", "reference_rule", "threshold_x_mm", "threshold_theta_deg", "form")
+        shared = (
+            "frame",
+            "markers",
+            "frames_per_decision",
+            "reference_rule",
+            "threshold_x_mm",
+            "threshold_theta_deg",
+            "form",
+        )
         return [
             f"{field}: {self.name} says {getattr(self, field)}, {other.name} says {getattr(other, field)}"
             for field in shared

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract.frames import ContractError, FrameSpec
-from service.contract.model_card import ModelCard, SelfTest
+from service.contract.model_card import MarkerSpec, ModelCard, SelfTest
 
 Arrays = dict[str, NDArray[Any]]
 Run = Callable[[Arrays], Mapping[str, NDArray[Any]]]
@@ -33,9 +33,26 @@ def self_test_frames(spec: FrameSpec, count: int) -> NDArray[np.uint8]:
     return np.stack([level - 30, level, level - 20], -1).astype(np.uint8)
 
 
+def self_test_markers(spec: MarkerSpec, count: int) -> NDArray[np.float32]:
+    """The same motion as marker fields, every 19th marker unseen: float32 [count, 2, rows, columns, 3]."""
+    v, u = np.mgrid[: spec.rows, : spec.columns]
+    step = np.arange(count)[:, None, None, None]
+    way = np.array([1, -1])[None, :, None, None]
+    seen = np.broadcast_to((v * spec.columns + u) % 19 != 0, (count, 2, spec.rows, spec.columns))
+    du, dv = -(step * way) * (1 + v / spec.rows), step / 2 + u * 0
+    return np.asarray(np.stack(np.broadcast_arrays(du, dv, seen), -1) * seen[..., None], np.float32)
+
+
+def self_test_input(card: ModelCard) -> NDArray[Any]:
+    """The fixed decision as the card's graph reads it: [frames_per_decision, 2, *input_shape]."""
+    if card.markers:
+        return self_test_markers(card.markers, card.frames_per_decision)
+    return self_test_frames(card.frame, card.frames_per_decision)
+
+
 def run_self_test(card: ModelCard, run: Run) -> dict[str, tuple[float, ...]]:
     """At most 32 values of each decision output on the fixed frames, by either form; ``run`` maps inputs to outputs."""
-    frames = self_test_frames(card.frame, card.frames_per_decision)[None]
+    frames = self_test_input(card)[None]
     asked = {"gap_width_mm": card.gap_width_input, "grasp_height_mm": card.grasp_height_input}
     told: Arrays = {name: np.full((1, 1), TOLD_MM[name], np.float32) for name, wanted in asked.items() if wanted}
     if card.form == "sequence":

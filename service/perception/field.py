@@ -38,6 +38,12 @@ class MarkerField:
         return self.status in {"tracking", "partial"}
 
 
+def marker_array(field: MarkerField) -> FloatArray:
+    """Float32 [rows, cols, 3]: (du_px, dv_px, 1) of each marker, zeros where it was not seen. What networks read."""
+    valid = field.valid[..., None]
+    return np.concatenate([np.where(valid, field.displacement_px, 0.0), valid], -1).astype(np.float32)
+
+
 def empty_field(captured_ns: int, status: TrackStatus, reason: str) -> MarkerField:
     """A field without a grid: no marker was ever found."""
     nothing = np.zeros((0, 0, 2), np.float32)

@@ -11,6 +11,7 @@ from service.contract import FINGERS, ContractError, decode_frame
 from service.decision import DecisionRun
 from service.routes.access import Access
 from service.routes.gate import whole_body
+from service.seen import seen_in
 from service.station import Station
 
 VERSION = "0.1.0"
@@ -29,9 +30,12 @@ def decide(
     station: Station, frames: np.ndarray[Any, np.dtype[np.uint8]], gap_width_mm: float, grasp_height_mm: float | None
 ) -> dict[str, Any]:
     """What the networks say of a recorded sequence uint8 [n, 2, H, W, 3]; the first pair is the reference."""
-    run = DecisionRun(station.models, frames[0], gap_width_mm, grasp_height_mm)
-    for frame in frames[: station.models.card.frames_per_decision]:
-        run.step(frame)
+    card = station.models.card
+    frames = frames[: card.frames_per_decision]
+    seen = seen_in(card, frames)
+    run = DecisionRun(station.models, seen[0], gap_width_mm, grasp_height_mm)
+    for pair in seen:
+        run.step(pair)
     evidence = run.evidence()
     return {
         "class_probabilities": evidence.class_probabilities(),

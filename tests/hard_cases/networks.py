@@ -91,7 +91,7 @@ def differences_of_minus_one(seed: int) -> float:
     why="a recurrent state may grow step by step where nobody resets it",
     holds="after a stream of 10,000 steps state and outputs are finite and bounded: largest",
     guard=(
-        "training/networks/compact.py",
+        "training/networks/decider.py",
         "self.cell = nn.GRUCell(2 * settings.feature_size + TOLD, settings.state_size)",
     ),
     limit=LARGEST,
@@ -113,7 +113,10 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
     "networks",
     why="the state of a step comes from outside the graph and may be anything a float holds",
     holds="states of +-1e4 give finite, bounded outputs: largest",
-    guard=("training/networks/compact.py", "following: Tensor = self.cell(torch.cat([features, geometry_of(told)], 1), state)"),
+    guard=(
+        "training/networks/decider.py",
+        "following: Tensor = self.cell(torch.cat([features, geometry_of(told)], 1), state)",
+    ),
     limit=1e6,
 )
 def states_of_ten_thousand(seed: int) -> float:
@@ -150,7 +153,7 @@ def states_of_denormals(seed: int) -> float:
     "networks",
     why="a gap width is an input too, and a cell may ask for any",
     holds="gap widths from 5 to 250 mm give finite, bounded outputs: largest",
-    guard=("training/networks/compact.py", "return torch.cat([(gap - 56.0) / 10.0"),
+    guard=("training/networks/decider.py", "return torch.cat([(gap - 56.0) / 10.0"),
     limit=LARGEST,
 )
 def gap_widths_far_from_training(seed: int) -> float:
@@ -212,7 +215,7 @@ def steps_against_sequences(seed: int) -> float:
     why="float32 keeps seven digits; a network that loses three of them is ill-conditioned",
     holds="the released architecture, with fresh weights, decides in float32 as in float64: relative gap",
     guard=(
-        "training/networks/compact.py",
+        "training/networks/decider.py",
         "self.cell = nn.GRUCell(2 * settings.feature_size + TOLD, settings.state_size)",
     ),
     limit=1e-4,

@@ -39,19 +39,19 @@ def test_the_cache_returns_what_was_read(config, small, monkeypatch):
     monkeypatch.setattr(small, "frames", _counting(small, calls))
     again = load_trials(config.data, small)
     assert calls == [0]  # one pair of pictures tells that the renderer is the same; none is drawn for training
-    for name in ("error", "fields", "picture", "pooled"):
+    for name in ("error", "fields", "picture", "drawn"):
         assert np.array_equal(getattr(first, name), getattr(again, name))
 
 
 def test_pictures_of_another_renderer_are_drawn_anew(config, small, monkeypatch):
     few = config.data.model_copy(update={"rendered_training": 1, "rendered_validation": 0, "rendered_test": 0})
-    first = load_trials(few, small).pooled
+    first = load_trials(few, small).drawn
     monkeypatch.setattr(small, "frames", lambda *where: SyntheticSource.frames(small, *where) // 2)
-    assert load_trials(few, small).pooled.mean() < 0.6 * first.mean()
+    assert load_trials(few, small).drawn.mean() < 0.6 * first.mean()
 
 
 def test_an_interrupted_drawing_goes_on_where_it_stopped(config, small, monkeypatch):
-    whole = load_trials(config.data, small).pooled.copy()
+    whole = load_trials(config.data, small).drawn.copy()
     calls = []
     other = config.data.model_copy(update={"cache": config.data.cache + "-2"})
 
@@ -65,14 +65,14 @@ def test_an_interrupted_drawing_goes_on_where_it_stopped(config, small, monkeypa
     with pytest.raises(KeyboardInterrupt):
         load_trials(other, small)
     monkeypatch.undo()
-    assert np.array_equal(load_trials(other, small).pooled, whole)
+    assert np.array_equal(load_trials(other, small).drawn, whole)
 
 
 def test_pictures_belong_to_their_trials(trials, small):
     index = int(trials.of("validation", rendered=True)[0])
     trial = next(i for i, t in enumerate(small.trials) if np.allclose((t.x_mm, t.theta_deg), trials.error[index]))
     start = small.trials[trial].onset_frame - 1
-    assert np.array_equal(trials.pooled[trials.picture[index]], pool_frames(small.frames(trial, start, WINDOW)))
+    assert np.array_equal(trials.drawn[trials.picture[index]], pool_frames(small.frames(trial, start, WINDOW)))
 
 
 def test_no_group_is_shared_between_splits(trials):
@@ -98,9 +98,9 @@ def test_a_decision_starts_at_the_onset_and_is_relative_to_it(trials):
     batch = decisions(trials, trials.of("train")[:4], None, pictures=True)
     assert batch.fields.shape == (4, FRAMES_PER_DECISION, 2, 3, 20, 21)
     assert not batch.fields[:, 0].any()
-    window = trials.pooled[trials.picture[trials.of("train")[0]]]
+    window = trials.drawn[trials.picture[trials.of("train")[0]]]
     if trials.picture[trials.of("train")[0]] >= 0:
-        assert np.array_equal(batch.pooled[0].numpy(), window[1 : 1 + FRAMES_PER_DECISION])
+        assert np.array_equal(batch.drawn[0].numpy(), window[1 : 1 + FRAMES_PER_DECISION])
 
 
 def test_augmented_labels_follow_the_error(trials):

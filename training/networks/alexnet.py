@@ -67,6 +67,7 @@ class AlexNetLstm(nn.Module):
 
     state_size = 2 * LSTM
     uses_geometry = False
+    reads_markers = False
     log_sigma: Tensor
 
     def __init__(self, outputs: int) -> None:

@@ -15,10 +15,14 @@ Role = Literal["direction", "magnitude", "joint", "pair"]
 
 
 class Recurrent(Protocol):
-    """What an exportable network offers; ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3]."""
+    """What an exportable network offers.
+
+    ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3], or marker fields float32 [B, 2, 20, 21, 3].
+    """
 
     state_size: int
     uses_geometry: bool
+    reads_markers: bool
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
         """Features of a frame pair against its reference."""

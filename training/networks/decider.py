@@ -1,0 +1,122 @@
+"""What all our networks share: marker motion of both fingers, frame after frame, to a decision.
+
+``Trunk`` reads the fields of both fingers with a recurrent cell; ``Decider`` adds the heads. What differs is how the
+fields are read from what the cameras gave; see :mod:`training.networks.compact` and :mod:`training.networks.markers`.
+"""
+
+from typing import Self
+
+import torch
+from torch import Tensor, nn
+
+from training.config import NetworkConfig
+from training.networks.density import MixtureDensity
+from training.networks.forms import Role
+
+FIELD_CHANNELS = 3
+MARKER_ROWS, MARKER_COLS = 20, 21
+ERROR_SCALE = 5.0
+"""Heads speak in units of 5 mm and 5 deg, so that their outputs are of order one."""
+LOG_SIGMA_SPAN = 3.0
+TOLD = 3
+"""Gap width, whether the grasp height is known, grasp height: what the cell says beside the pictures."""
+
+
+def geometry_of(told: Tensor) -> Tensor:
+    """Gap width and grasp height [B, 2] in mm, height 0 if unknown -> [B, TOLD] of order one."""
+    gap, height = told[:, :1], told[:, 1:]
+    known = (height > 0).to(height.dtype)
+    return torch.cat([(gap - 56.0) / 10.0, known, known * (height - 60.0) / 30.0], 1)
+
+
+class Trunk(nn.Module):
+    """Normalised field changes of both fingers [B, 2, 3, 20, 21], what the cell told and state -> next state."""
+
+    def __init__(self, settings: NetworkConfig) -> None:
+        super().__init__()
+        width = settings.trunk_width
+        self.convolutions = nn.Sequential(
+            nn.Conv2d(FIELD_CHANNELS, width, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(width, 2 * width, 3, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Flatten(),
+        )
+        self.project = nn.Linear(2 * width * 5 * 6, settings.feature_size)
+        self.dropout = nn.Dropout(settings.dropout)
+        self.cell = nn.GRUCell(2 * settings.feature_size + TOLD, settings.state_size)
+
+    def encode(self, fields: Tensor) -> Tensor:
+        """Fields [N, 2, 3, 20, 21] -> features [N, 2 * feature_size], left finger first."""
+        count = fields.shape[0]
+        maps = fields.reshape(count * 2, FIELD_CHANNELS, MARKER_ROWS, MARKER_COLS)
+        features = torch.relu(self.project(self.convolutions(maps)))
+        kept: Tensor = self.dropout(features.reshape(count, -1))
+        return kept
+
+    def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
+        """One step of the recurrent cell; ``told`` as in :func:`geometry_of`."""
+        following: Tensor = self.cell(torch.cat([features, geometry_of(told)], 1), state)
+        return following
+
+
+class Decider(nn.Module):
+    """Trunk and heads. ``field_scale`` [3] turns a field's (mm, mm, third channel) into numbers of order one."""
+
+    field_scale: Tensor
+    uses_geometry = True
+    reads_markers = False
+    roles: tuple[Role, ...] = ("direction", "magnitude", "joint", "pair")
+
+    def __init__(self, settings: NetworkConfig, classes: int) -> None:
+        super().__init__()
+        self.state_size = settings.state_size
+        self.trunk = Trunk(settings)
+        self.direction = nn.Linear(settings.state_size, classes)
+        self.magnitude = nn.Linear(settings.state_size, 4)
+        self.density = MixtureDensity(settings.state_size)
+        self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
+
+    def normalised(self, fields: Tensor) -> Tensor:
+        """True field changes [.., 3, 20, 21] in (mm, mm, N/mm2) as the trunk takes them, read without error."""
+        raise NotImplementedError
+
+    def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:
+        """Normalised fields [B, T, 2, 3, 20, 21] as they are really read; ``front_error`` [2, 3] as measured."""
+        raise NotImplementedError
+
+    def read_drawn(self, drawn: Tensor) -> Tensor:
+        """What was kept of pictures, [B, T, 2, ...], -> normalised field changes against the first frame."""
+        raise NotImplementedError
+
+    def of(self, _role: Role) -> Self:
+        """The network of one role: this one, roles share all but the head."""
+        return self
+
+    def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
+        """One recurrent step."""
+        return self.trunk.advance(features, told, state)
+
+    def logits(self, state: Tensor) -> Tensor:
+        """Class logits [B, classes]."""
+        logits: Tensor = self.direction(state)
+        return logits
+
+    def error(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Estimated position error [B, 2] in (mm, deg) and its log sigma [B, 2] (of mm, deg)."""
+        out: Tensor = self.magnitude(state)
+        log_sigma = LOG_SIGMA_SPAN * torch.tanh(out[:, 2:] / LOG_SIGMA_SPAN)
+        return out[:, :2] * ERROR_SCALE, log_sigma + 1.0
+
+    def log_density(self, state: Tensor) -> Tensor:
+        """Log density of the position error on the joint grid [B, 41, 40]."""
+        return self.density.on_grid(state)
+
+    def read_fields(self, fields: Tensor, told: Tensor) -> Tensor:
+        """Decision state after normalised field changes [B, T, 2, 3, 20, 21]."""
+        count, steps = fields.shape[:2]
+        features = self.trunk.encode(fields.flatten(0, 1)).reshape(count, steps, -1)
+        state = torch.zeros(count, self.state_size, device=fields.device)
+        for step in range(steps):
+            state = self.advance(features[:, step], told, state)
+        return state
