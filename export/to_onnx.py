@@ -16,18 +16,17 @@ from export.runtime import cpu_name, session
 from export.verify import open_model, verify_forms
 from service.contract import Calibration, ContractError, FrameSpec, MarkerSpec, ModelCard
 from service.contract.self_test import make_self_test
+from service.perception.field import LATTICE
 from training.checkpoint import Checkpoint
 from training.config import FRAMES_PER_DECISION
 from training.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
-from training.networks.decider import MARKER_COLS, MARKER_ROWS
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import Role, SequenceForm, StepForm
-from training.networks.markers import MARKER_PITCH_PX
 from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
 
 OPSET = 20
 PICTURES = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX, colour="bgr", rectified=True)
-MARKERS = MarkerSpec(rows=MARKER_ROWS, columns=MARKER_COLS, pitch_px=MARKER_PITCH_PX)
+MARKERS = MarkerSpec(rows=LATTICE.rows, columns=LATTICE.columns, pitch_px=LATTICE.pitch_px, first_px=LATTICE.first_px)
 TOLERANCE = 1e-5
 Form = Literal["sequence", "step"]
 FORMS: tuple[Form, Form] = ("sequence", "step")

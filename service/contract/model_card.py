@@ -44,11 +44,15 @@ class SelfTest(Contract):
 
 
 class MarkerSpec(Contract):
-    """The marker grid a network reads in place of pictures, as tracked in rectified frames of the card's spec."""
+    """The marker grid a network reads in place of pictures, as tracked in rectified frames of the card's spec.
+
+    ``first_px`` (u, v) is where the marker of the first row and column rests, the others ``pitch_px`` apart.
+    """
 
     rows: int = Field(ge=2, le=256)
     columns: int = Field(ge=2, le=256)
     pitch_px: Positive
+    first_px: tuple[float, float]
 
 
 class ModelCard(Contract):

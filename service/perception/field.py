@@ -13,6 +13,21 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
+class Lattice:
+    """Where a sensor's markers rest in its rectified frame: the first one at (u, v) px, the others a pitch apart."""
+
+    rows: int = 20
+    columns: int = 21
+    pitch_px: float = 15.0
+    first_px: tuple[float, float] = (13.0, 17.0)
+
+
+LATTICE = Lattice()
+"""Of a GelSlim's rectified frame of 327 x 320 px."""
+_OTHER_PITCH = 0.15  # a grid whose pitch is this much off is another sensor's, not one with markers missing
+
+
+@dataclass(frozen=True, slots=True)
 class MarkerField:
     """Displacement of every marker of one finger at one instant, in pixels of the rectified image.
 
@@ -38,10 +53,27 @@ class MarkerField:
         return self.status in {"tracking", "partial"}
 
 
-def marker_array(field: MarkerField) -> FloatArray:
-    """Float32 [rows, cols, 3]: (du_px, dv_px, 1) of each marker, zeros where it was not seen. What networks read."""
-    valid = field.valid[..., None]
-    return np.concatenate([np.where(valid, field.displacement_px, 0.0), valid], -1).astype(np.float32)
+def marker_array(field: MarkerField, lattice: Lattice = LATTICE) -> FloatArray:
+    """Float32 [rows, columns, 3] on a sensor's lattice: (du_px, dv_px, 1) of each marker, zeros where it was not seen.
+
+    A tracker that found fewer rows or columns, at dark edges say, fills its part. What networks read. Raises ValueError
+    if the grid is none, of another pitch, or lies elsewhere.
+    """
+    rows, columns = field.valid.shape
+    if not rows or abs(field.pitch_px / lattice.pitch_px - 1) > _OTHER_PITCH:
+        raise ValueError(
+            f"a grid of {rows} x {columns} markers {field.pitch_px:.1f} px apart was found,"
+            f" expected {lattice.rows} x {lattice.columns} at {lattice.pitch_px:g} px"
+        )
+    place = np.rint((field.rest_px - np.array(lattice.first_px, np.float32)) / lattice.pitch_px).astype(int)
+    column, row = place[..., 0], place[..., 1]
+    inside = field.valid & (row >= 0) & (row < lattice.rows) & (column >= 0) & (column < lattice.columns)
+    if 2 * np.count_nonzero(inside) < np.count_nonzero(field.valid):
+        raise ValueError("most markers found lie outside the lattice of the rectified frame: calibrate the camera")
+    out = np.zeros((lattice.rows, lattice.columns, 3), np.float32)
+    out[row[inside], column[inside], :2] = field.displacement_px[inside]
+    out[row[inside], column[inside], 2] = 1.0
+    return out
 
 
 def empty_field(captured_ns: int, status: TrackStatus, reason: str) -> MarkerField:
@@ -61,14 +93,16 @@ def field_from_gel(
     """The true field of a simulated gel, so that slip and onset run without an image.
 
     ``gel`` [rows, cols, 3] is (du_mm, dv_mm, pressure_n_per_mm2) at the markers' rest positions in the finger frame;
-    one ``marker_pitch_mm`` is drawn as ``pitch_px``. Nodes pressed above the limit are in contact. Raises ValueError
+    one ``marker_pitch_mm`` is drawn as ``pitch_px``, the first marker where a GelSlim has it. Nodes pressed above the
+    limit are in contact. Raises ValueError
     if the shape is wrong; non-finite nodes come out invalid with zero displacement.
     """
     if gel.ndim != 3 or gel.shape[2] != 3 or not marker_pitch_mm > 0:
         raise ValueError(f"gel is {list(gel.shape)} at pitch {marker_pitch_mm} mm, expected [rows, cols, 3] and > 0")
     state = np.asarray(gel, np.float32)
     rows, cols = state.shape[:2]
-    rest = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), -1).astype(np.float32) * np.float32(pitch_px)
+    grid = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), -1).astype(np.float32) * np.float32(pitch_px)
+    rest = grid + np.array(LATTICE.first_px, np.float32)
     valid: BoolArray = np.asarray(np.isfinite(state).all(-1))
     displacement = np.where(valid[..., None], state[..., :2], 0.0) * np.float32(pitch_px / marker_pitch_mm)
     contact: BoolArray = valid & (state[..., 2] > contact_pressure_n_per_mm2)

@@ -71,7 +71,7 @@ def test_a_decision_run_needs_all_its_frames_and_their_shape(tmp_path: Path) -> 
     evidence = run.evidence()
     assert evidence.probabilities.sum() == pytest.approx(1)
     assert evidence.sigma is not None
-    with pytest.raises(ContractError, match="expected uint8"):
+    with pytest.raises(ContractError, match="reads uint8"):
         run.step(frame[:, :100])
 
 

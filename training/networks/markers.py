@@ -9,7 +9,6 @@ from torch import Tensor
 
 from training.networks.decider import Decider
 
-MARKER_PITCH_PX = 15.0
 MM_PER_PX = 0.07
 """Of the rectified frame. Any other camera is brought to this scale by its calibration, as its frame size is."""
 TRACKING_PX = 0.12
