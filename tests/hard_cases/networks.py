@@ -323,14 +323,14 @@ def int8_without_a_bit_in_reserve(seed: int) -> tuple[float, str]:
     "networks",
     why="a frame of another size or type fits a buffer of the same length",
     holds="frames of another shape are refused by name, too few frames give no decision: not refused",
-    guard=("service/decision.py", "self._models.card.frame.check(finger)", "pass"),
+    guard=("service/decision.py", "self._models.card.check(frame)", "pass"),
 )
 def frames_of_another_shape(seed: int) -> float:
     models = load_models(ROOT / "models")
     frames = _frames(seed)
     bad = [frames[0][:, :, :-1], frames[0].astype(np.float32), frames[0][:, :-1], frames[0][..., 0]]
     calls = [lambda f=f: DecisionRun(models, frames[0], 56.0).step(f) for f in bad]
-    return not_refused(calls, ContractError, "expected uint8") + not_refused(
+    return not_refused(calls, ContractError, "reads uint8") + not_refused(
         [DecisionRun(models, frames[0], 56.0).evidence], Refusal
     )
 
