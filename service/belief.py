@@ -1,8 +1,8 @@
 """A grid Bayes filter over the position error (x, theta) at the start of an insertion.
 
 The moves between attempts are commands, hence known: the belief stays in coordinates of the first attempt's error and
-an attempt's evidence is evaluated at first error + sum of moves. Only what moves cannot explain (the object creeping
-in the hand) is blurred in.
+an attempt's evidence is evaluated at first error + sum of moves. What moves cannot explain is that an object creeps in
+the hand each time it is blocked: its bottom goes outwards, which is expected before it is seen.
 
 Two hypotheses are weighed against each other, each with its own belief. Under "trusted" the networks' estimates hold
 with the spread they claim. Under "gain unknown" an estimate tells the side surely but its size only by a factor: so it
@@ -22,8 +22,11 @@ PRIOR_EDGE_X_MM, PRIOR_EDGE_THETA_DEG, PRIOR_SOFTNESS = 19.0, 16.0, 0.6
 TOLERANCE_X_MM, TOLERANCE_THETA_DEG = 2.0, 3.5
 SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7
 SURE_INSERT = 0.95  # probability of insertion at zero error
-# Standard deviation of in-hand creep an attempt: a blocked object is left tilted outwards, 0.3..0.6 mm as measured
-CREEP_X_MM, CREEP_THETA_DEG = 0.6, 0.5
+# A blocked object is left tilted outwards in the hand: by about half a millimetre, and by more the longer the lever
+# from its bottom to the fingers and the nearer the edge that it pivots on (measured in simulation, docs/closed_loop.md)
+CREEP_MM, CREEP_NEAR_MM_PER_MM, CREEP_NEAR_BELOW_MM = 0.45, 0.028, 5.0
+CREEP_SPREAD_MM, CREEP_NEAR_SPREAD_MM, CREEP_THETA_DEG = 0.35, 0.35, 0.3
+SHORT_LEVER_MM, UNKNOWN_LEVER_MM = 30.0, 45.0
 # Both networks see the same images, so their errors are correlated: each gets less than its full weight.
 DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.3, 0.9
 OUTLIER_SHARE = 0.02
@@ -40,8 +43,9 @@ def _sigmoid(value: Floats) -> Floats:
     return np.asarray(0.5 * (1.0 + np.tanh(0.5 * value)), np.float64)
 
 
-def _blur(cells: Floats, sigma: float) -> Floats:
-    kernel = np.exp(-0.5 * ((cells[:, None] - cells[None]) / sigma) ** 2)
+def _blurred(distance: Floats, sigma: Floats) -> Floats:
+    """[n, n]: probability of the row's cell where the column's has moved to ``distance`` from it, spread by sigma."""
+    kernel = np.exp(np.maximum(-0.5 * (distance / sigma) ** 2, -80.0))  # no denormals: they cost ten times as much
     return np.asarray(kernel / kernel.sum(0), np.float64)
 
 
@@ -62,7 +66,7 @@ class BeliefGrid:
     well under a millisecond: every kernel is separable, so each is two small matrix products.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, grasp_height_mm: float | None = None) -> None:
         self._cells = np.arange(-HALF_RANGE, HALF_RANGE + CELL / 2, CELL)
         edges = [_near(self._cells, edge, PRIOR_SOFTNESS) for edge in (PRIOR_EDGE_X_MM, PRIOR_EDGE_THETA_DEG)]
         self._prior = np.outer(*edges) / (edges[0].sum() * edges[1].sum())
@@ -72,7 +76,8 @@ class BeliefGrid:
         distance = self._cells[:, None] - self._cells[None]
         self._aim_x = _near(distance, TOLERANCE_X_MM, SOFT_X_MM)
         self._aim_theta = _near(distance, TOLERANCE_THETA_DEG, SOFT_THETA_DEG)
-        self._creep = _blur(self._cells, CREEP_X_MM), _blur(self._cells, CREEP_THETA_DEG)
+        self._lever_mm = max(0.0, (grasp_height_mm or UNKNOWN_LEVER_MM) - SHORT_LEVER_MM)
+        self._turned = _blurred(self._cells[:, None] - self._cells, np.array(CREEP_THETA_DEG))
 
     @property
     def probability(self) -> Floats:
@@ -99,7 +104,15 @@ class BeliefGrid:
         if not np.isfinite([dx_mm, dtheta_deg]).all():
             raise Refusal("non_finite", f"the belief was told a move of ({dx_mm} mm, {dtheta_deg} deg)")
         self.offset += (dx_mm, dtheta_deg)
-        self.layers = self._creep[0] @ self.layers @ self._creep[1].T
+
+    def creep(self) -> None:
+        """An attempt was blocked: the object has turned in the hand, its bottom outwards, before the next move."""
+        x_mm = self.current_x_mm
+        near = _sigmoid((CREEP_NEAR_BELOW_MM - np.abs(x_mm)) / 0.8)
+        outwards = (CREEP_MM + near * CREEP_NEAR_MM_PER_MM * self._lever_mm) * np.tanh(x_mm / 0.7)
+        spread = CREEP_SPREAD_MM + CREEP_NEAR_SPREAD_MM * near
+        crept = _blurred(self._cells[:, None] - (self._cells + outwards), spread)
+        self.layers = (crept @ self.layers) @ self._turned.T
 
     def absorb_failure(self) -> None:
         """The current pose did not insert, so the error is not near zero."""

@@ -96,7 +96,7 @@ class Heuristic:
 
 @dataclass(slots=True)
 class Belief:
-    """A Bayes filter over the error the insertion started with; moves between attempts are known, so nothing blurs.
+    """A Bayes filter over the error the insertion started with; moves are known, creep in the hand is expected.
 
     Where an attempt's evidence contradicts all the others, the belief starts anew from it and the heuristic moves.
     """
@@ -108,6 +108,7 @@ class Belief:
     def decide(self, evidence: Evidence, attempt: int) -> Command:
         """Multiply the evidence in, then aim where the next attempt and the one after are likeliest to insert."""
         consistent = self.grid.absorb(evidence)
+        self.grid.creep()
         if not consistent:
             fallback = Heuristic(self.limits).decide(evidence, attempt)
             reason = f"evidence contradicts the earlier attempts, heuristic used: {fallback.reason}"
@@ -121,6 +122,7 @@ class Belief:
     def blocked_without_evidence(self) -> None:
         """The pose failed; no move follows."""
         self.grid.absorb_failure()
+        self.grid.creep()
 
     def _picture(self, hit: float) -> BeliefPicture:
         return BeliefPicture(self.grid.current_x_mm, self.grid.current_theta_deg, self.grid.probability.copy(), hit)
@@ -135,6 +137,6 @@ def _pair(values: tuple[float, float]) -> str:
     return f"({values[0]:+.1f} mm, {values[1]:+.1f} deg)"
 
 
-def make_controller(name: ControllerName, limits: Limits) -> Controller:
-    """A fresh controller for one insertion."""
-    return Belief(limits) if name == "belief" else Heuristic(limits)
+def make_controller(name: ControllerName, limits: Limits, grasp_height_mm: float | None = None) -> Controller:
+    """A fresh controller for one insertion; the belief expects more creep of an object that is held high."""
+    return Belief(limits, grid=BeliefGrid(grasp_height_mm)) if name == "belief" else Heuristic(limits)

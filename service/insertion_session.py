@@ -94,8 +94,6 @@ class InsertionSession:
         if self.insertion_id is None:
             self.insertion_id = message.insertion_id
             self.controller_name = message.controller or self.controller_name
-            controller = make_controller(self.controller_name, self.limits)
-            self._judge = Judge(self.insertion_id, self.models, controller, self.deadlines)
         return [
             wire.ServiceHello(
                 insertion_id=self.insertion_id,
@@ -119,6 +117,9 @@ class InsertionSession:
         elif message.attempt != last + 1 or not decided:
             state = "decided" if decided else "not decided yet"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
+        if self._judge is None:
+            controller = make_controller(self.controller_name, self.limits, message.grasp_height_mm)
+            self._judge = Judge(message.insertion_id, self.models, controller, self.deadlines)
         self._generation += 1
         self.attempt = Attempt(message, now_ns, self._generation)
         return []

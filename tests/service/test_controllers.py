@@ -115,7 +115,17 @@ def test_a_joint_density_is_believed_where_it_peaks() -> None:
     density = Density(grid, grid, log_density)
     told = Evidence(CLASSES, np.full(9, 1 / 9), (-6.0, 9.0), (1.0, 1.0), density)
     command = Belief(LIMITS).decide(told, 1)
-    assert (command.dx_mm, command.dtheta_deg) == (pytest.approx(6.0, abs=0.5), pytest.approx(-9.0, abs=0.5))
+    assert (command.dx_mm, command.dtheta_deg) == (pytest.approx(6.45, abs=0.3), pytest.approx(-9.0, abs=0.3))
+
+
+@pytest.mark.parametrize("x_mm", [-3.0, 3.0])
+def test_an_object_held_high_is_expected_to_creep_outwards_where_it_pivots(x_mm: float) -> None:
+    moves = []
+    for height_mm in (30.0, 90.0):
+        told = certain("2" if x_mm > 0 else "1", x_mm, 0.0)
+        moves.append(make_controller("belief", LIMITS, height_mm).decide(told, 1).dx_mm)
+    assert np.sign(moves[0]) == np.sign(moves[1]) == -np.sign(x_mm)
+    assert 1.0 < abs(moves[1]) - abs(moves[0]) < 2.5
 
 
 def test_memory_saves_trials_in_a_toy_loop() -> None:
