@@ -44,7 +44,7 @@ def test_released_models_verify(models):
 
 @pytest.mark.slow
 def test_the_shipped_networks_verify_over_a_stream_of_10000_steps():
-    for folder in ("models", "models/joint"):
+    for folder in ("models", "models/joint", "models/pictures"):
         assert any("stream of 10000" in line for line in verify(Path(folder)))
 
 

@@ -22,7 +22,7 @@ DOCS = Path("docs")
 @pytest.fixture(scope="module")
 def models():
     """The released networks: opening them costs less than exporting tiny ones."""
-    return Path("models")
+    return Path("models/pictures")
 
 
 def timing(ms):
@@ -46,7 +46,7 @@ def decisions(models):
 
 @pytest.fixture(scope="module")
 def table(models, decisions, tmp_path_factory):
-    candidates = find_candidates([models, models / "joint"])
+    candidates = find_candidates([models, models.parent / "joint"])
     scores = score(candidates, decisions)
     empty = tmp_path_factory.mktemp("docs")
     networks = [entry for c in candidates for entry in points_of(c, timing(1.0), scores[c.sha256], empty)]
@@ -69,7 +69,7 @@ def test_stopping_after_eight_frames_is_the_whole_decision(models, decisions):
 
 
 def test_a_network_is_not_asked_twice_and_its_answers_are_kept(models, decisions, tmp_path):
-    (joint,) = find_candidates([models / "joint"])
+    (joint,) = find_candidates([models.parent / "joint"])
     kept = tmp_path / "answers.json"
     first = score([joint], decisions, kept)
     assert score([joint], [], kept) == first
@@ -81,8 +81,8 @@ def test_a_network_is_not_asked_twice_and_its_answers_are_kept(models, decisions
 
 
 def test_a_twin_is_judged_by_the_commands_of_its_source(models, decisions, tmp_path):
-    store_fp16(models / "joint" / "joint.step.onnx", tmp_path / "joint.step.onnx")
-    candidates = find_candidates([models / "joint", tmp_path])
+    store_fp16(models.parent / "joint" / "joint.step.onnx", tmp_path / "joint.step.onnx")
+    candidates = find_candidates([models.parent / "joint", tmp_path])
     (row,) = agreements(candidates, score(candidates, decisions))
     assert (row["decisions"], row["same_command"], row["sign_flips"]) == (2, 1.0, 0)
 

@@ -3,11 +3,12 @@
 import tempfile
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from export.golden import golden_frames, hard_frames
+from export.golden import golden_input, hard_input
 from export.verify import Arrays, Model, decide, open_model, run_steps, told
 from service.contract import ContractError
 from service.decision import DecisionRun, Refusal
@@ -15,8 +16,12 @@ from service.models import load_models
 from tests.hard_cases.registry import ROOT, case, non_finite, not_refused
 
 VERIFY, POOLING, FORMS = "export/verify.py", "training/networks/preprocessing.py", "training/networks/forms.py"
-NAMES = ("direction", "magnitude", "joint/joint")
+MARKERS = ("direction", "magnitude", "joint/joint")
+PICTURES = ("pictures/direction", "pictures/magnitude")
+NAMES = (*MARKERS, *PICTURES)
 LARGEST = 1e4
+POOLED = (POOLING, "rows = cut.float().sum(2)")
+CHANGE = ("training/networks/markers.py", "seen = (torch.minimum(frame[..., 2:], reference[..., 2:]) > SEEN)")
 
 
 @lru_cache
@@ -34,26 +39,27 @@ def _size(outputs: Arrays) -> float:
     return max(float(np.abs(value).max()) if np.isfinite(value).all() else np.inf for value in outputs.values())
 
 
-def _frames(seed: int) -> NDArray[np.uint8]:
-    card = released("direction").card
-    return golden_frames(card.frame, card.frames_per_decision, seed)
+def _frames(seed: int, name: str = "pictures/direction") -> NDArray[Any]:
+    """A golden decision as the released network reads it: pictures or marker fields."""
+    return golden_input(released(name).card, seed)
 
 
-def _hard_case(name: str, why: str) -> None:
+def _hard_case(name: str, why: str, networks: tuple[str, ...] = PICTURES) -> None:
     def measure(_seed: int) -> float:
         worst = 0.0
-        for network in NAMES:
+        for network in networks:
             model = released(network)
-            frames = hard_frames(model.card.frame, model.card.frames_per_decision)[name]
+            frames = hard_input(model.card)[name]
             worst = max(worst, _size(decide(model, frames[None])))
         return worst
 
-    measure.__name__ = "input_" + name.replace(" ", "_")
+    kind, guard = ("picture", POOLED) if networks == PICTURES else ("markers", CHANGE)
+    measure.__name__ = f"{kind}_{name.replace(' ', '_')}"
     case(
         "networks",
         why=why,
-        holds="every output of every released network is finite and bounded: largest",
-        guard=(POOLING, "rows = cut.float().sum(2)"),
+        holds=f"every output of every released network that reads {kind} is finite and bounded: largest",
+        guard=guard,
         limit=LARGEST,
     )(measure)
 
@@ -64,6 +70,12 @@ _hard_case("black", "no light at all: every contrast is 0")
 _hard_case("saturated", "every pixel is clipped at 255")
 _hard_case("black and white in turn", "the difference is the largest that uint8 holds, with either sign")
 _hard_case("noise", "nothing like a marker anywhere")
+_hard_case("no difference", "no marker moved: every displacement is exactly zero", MARKERS)
+_hard_case("single leaping marker", "one marker of 840, mistaken for another, leaps a hundred pixels", MARKERS)
+_hard_case("nothing seen", "every marker is lost, and a mean over those seen would divide by none", MARKERS)
+_hard_case("torn off and back in turn", "displacements of ten thousand pixels come and go", MARKERS)
+_hard_case("denormals", "displacements below 1e-38 have fewer digits", MARKERS)
+_hard_case("noise", "displacements of hundreds of pixels with no pattern", MARKERS)
 
 
 @case(
@@ -76,7 +88,7 @@ _hard_case("noise", "nothing like a marker anywhere")
 def differences_of_minus_one(seed: int) -> float:
     frames = _frames(seed)
     frames = np.clip(frames, 1, 254)
-    model, worst = released("magnitude"), 0.0
+    model, worst = released("pictures/magnitude"), 0.0
     still = np.repeat(frames[:1], len(frames), 0)
     for step in (1, -1):
         moved = still.copy()
@@ -98,8 +110,8 @@ def differences_of_minus_one(seed: int) -> float:
     quick=False,
 )
 def streams_of_ten_thousand_steps(seed: int) -> float:
-    frames = _frames(seed)[None]
-    model = released(NAMES[seed % 3])
+    name = NAMES[seed % len(NAMES)]
+    frames, model = _frames(seed, name)[None], released(name)
     state, worst = np.zeros((1, model.card.state_size), np.float32), 0.0
     for step in range(10_000):
         fed: Arrays = {"frame": frames[:, step % 8], "reference": frames[:, 0], "state": state}
@@ -120,9 +132,9 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
     limit=1e6,
 )
 def states_of_ten_thousand(seed: int) -> float:
-    frames, rng, worst = _frames(seed)[None], np.random.default_rng(seed), 0.0
+    rng, worst = np.random.default_rng(seed), 0.0
     for name in NAMES:
-        model = released(name)
+        frames, model = _frames(seed, name)[None], released(name)
         state = (rng.choice([-1.0, 1.0], (1, model.card.state_size)) * 1e4).astype(np.float32)
         fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
         worst = max(worst, _size(model(fed | told(model.card, 1))))
@@ -137,9 +149,9 @@ def states_of_ten_thousand(seed: int) -> float:
     limit=1e-5,
 )
 def states_of_denormals(seed: int) -> float:
-    frames, worst = _frames(seed)[None], 0.0
+    worst = 0.0
     for name in NAMES:
-        model = released(name)
+        frames, model = _frames(seed, name)[None], released(name)
         outputs = []
         for value in (0.0, 1e-40, -1e-44):
             state = np.full((1, model.card.state_size), value, np.float32)
@@ -157,10 +169,10 @@ def states_of_denormals(seed: int) -> float:
     limit=LARGEST,
 )
 def gap_widths_far_from_training(seed: int) -> float:
-    frames, worst = _frames(seed)[None], 0.0
+    worst = 0.0
     for name in NAMES:
+        frames, model = _frames(seed, name)[None], released(name, "sequence")
         for gap_mm in (5.0, 250.0):
-            model = released(name, "sequence")
             worst = max(worst, _size(model({"frames": frames} | told(model.card, 1, gap_mm, min(gap_mm, 500.0)))))
     return worst
 
@@ -174,9 +186,9 @@ def gap_widths_far_from_training(seed: int) -> float:
     quick=False,
 )
 def batches_of_one_and_of_sixty_four(seed: int) -> float:
-    frames, worst = _frames(seed)[None], 0.0
+    worst = 0.0
     for name in NAMES:
-        model = released(name)
+        frames, model = _frames(seed, name)[None], released(name)
         alone, crowd = run_steps(model, frames), run_steps(model, np.repeat(frames, 64, 0))
         worst = max(worst, *(_gap(alone, {n: v[row : row + 1] for n, v in crowd.items()}) for row in (0, 31, 63)))
     return worst
@@ -190,8 +202,11 @@ def batches_of_one_and_of_sixty_four(seed: int) -> float:
     limit=1e-5,
 )
 def threads_one_and_two(seed: int) -> float:
-    frames = _frames(seed)[None]
-    return max(_gap(decide(released(name), frames), decide(released(name, "step", 2), frames)) for name in NAMES)
+    worst = 0.0
+    for name in NAMES:
+        frames = _frames(seed, name)[None]
+        worst = max(worst, _gap(decide(released(name), frames), decide(released(name, "step", 2), frames)))
+    return worst
 
 
 @case(
@@ -205,7 +220,7 @@ def steps_against_sequences(seed: int) -> float:
     worst = 0.0
     for name in NAMES:
         step, sequence = released(name), released(name, "sequence")
-        inputs = [_frames(seed), *hard_frames(step.card.frame, 8).values()]
+        inputs = [_frames(seed, name), *hard_input(step.card).values()]
         worst = max(worst, *(_gap(decide(sequence, frames[None]), decide(step, frames[None])) for frames in inputs))
     return worst
 
@@ -251,7 +266,7 @@ def _small(name: str, reduce: bool) -> Model:
     from export import quantize
 
     frames = np.stack([_frames(seed) for seed in range(4)])
-    out = Path(tempfile.mkdtemp(prefix="hard-cases-")) / f"{name}.step.onnx"
+    out = Path(tempfile.mkdtemp(prefix="hard-cases-")) / f"{Path(name).name}.step.onnx"
     if reduce:
         return open_model(quantize.quantize(ROOT / "models" / f"{name}.step.onnx", out, frames)[0])
     kept = ortq.quantize_static
@@ -278,7 +293,7 @@ def int8_with_a_bit_in_reserve(seed: int) -> tuple[float, str]:
     flags = Path("/proc/cpuinfo").read_text()
     frames = np.stack([_frames(10 + seed)])
     worst = 0.0
-    for name in ("direction", "magnitude"):
+    for name in PICTURES:
         wanted, got = decide(released(name), frames), decide(_small(name, reduce=True), frames)
         worst = max(worst, *(float(np.abs(wanted[n] - got[n]).mean() / np.abs(wanted[n]).mean()) for n in wanted))
     return worst, "processor with VNNI" if "vnni" in flags else "processor without VNNI"
@@ -294,9 +309,9 @@ def int8_with_a_bit_in_reserve(seed: int) -> tuple[float, str]:
 )
 def int8_at_its_extremes(_seed: int) -> float:
     worst = 0.0
-    for name in ("direction", "magnitude"):
+    for name in PICTURES:
         model = _small(name, reduce=True)
-        for frames in hard_frames(model.card.frame, model.card.frames_per_decision).values():
+        for frames in hard_input(model.card).values():
             worst = max(worst, _size(decide(model, frames[None])))
     return worst
 
@@ -312,10 +327,10 @@ def int8_at_its_extremes(_seed: int) -> float:
 def int8_without_a_bit_in_reserve(seed: int) -> tuple[float, str]:
     frames = np.stack([_frames(10 + seed)])
     try:
-        full = _small("magnitude", reduce=False)
+        full = _small("pictures/magnitude", reduce=False)
     except ContractError as refusal:
         return 0.0, f"refused: {refusal}"
-    wanted, got = decide(_small("magnitude", reduce=True), frames)["error"], decide(full, frames)["error"]
+    wanted, got = decide(_small("pictures/magnitude", reduce=True), frames)["error"], decide(full, frames)["error"]
     return float(np.abs(wanted - got).mean() / np.abs(wanted).mean()), "both run here"
 
 
@@ -326,7 +341,7 @@ def int8_without_a_bit_in_reserve(seed: int) -> tuple[float, str]:
     guard=("service/decision.py", "self._models.card.check(frame)", "pass"),
 )
 def frames_of_another_shape(seed: int) -> float:
-    models = load_models(ROOT / "models")
+    models = load_models(ROOT / "models" / "pictures")
     frames = _frames(seed)
     bad = [frames[0][:, :, :-1], frames[0].astype(np.float32), frames[0][:, :-1], frames[0][..., 0]]
     calls = [lambda f=f: DecisionRun(models, frames[0], 56.0).step(f) for f in bad]
@@ -345,13 +360,13 @@ def outputs_that_are_no_numbers(seed: int) -> float:
     models = load_models(ROOT / "models")
     missed = 0.0
     for bad in (np.nan, np.inf):
-        run = DecisionRun(models, _frames(seed)[0], 56.0)
-        for frame in _frames(seed):
+        run = DecisionRun(models, _frames(seed, "direction")[0], 56.0)
+        for frame in _frames(seed, "direction"):
             run.step(frame)
         run._outputs[0] = {name: np.full_like(value, bad) for name, value in run._outputs[0].items()}
         missed += not_refused([run.evidence], Refusal)
-    good = DecisionRun(models, _frames(seed)[0], 56.0)
-    for frame in _frames(seed):
+    good = DecisionRun(models, _frames(seed, "direction")[0], 56.0)
+    for frame in _frames(seed, "direction"):
         good.step(frame)
     said = good.evidence()
     return missed + non_finite(said.probabilities, said.error, said.sigma)
