@@ -89,6 +89,8 @@ def rebuild(model: Model) -> Any:
     }
     network = _empty(model, weights)
     known = network.state_dict()
+    if "field_scale" in known and "field_scale" not in weights:
+        weights["field_scale"] = _folded_scale(model, known["field_scale"])
     try:
         network.load_state_dict(known | {name: value for name, value in weights.items() if name in known})
     except RuntimeError as error:
@@ -97,10 +99,22 @@ def rebuild(model: Model) -> Any:
     return form(network, model.card.role).eval()
 
 
+def _folded_scale(model: Model, otherwise: Any) -> Any:
+    """The spread of a marker's motion, which the exporter folds into the one nameless pair of numbers of the graph."""
+    import torch
+
+    graph = onnx.load(str(model.file)).graph
+    constants = [onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer]
+    pairs = [value for value in constants if value.shape == (2,) and value.dtype == np.float32]
+    if len(pairs) != 1:
+        return otherwise
+    return torch.cat([torch.from_numpy(pairs[0].copy()), otherwise[2:]])
+
+
 def _empty(model: Model, weights: dict[str, Any]) -> Any:
     from training.config import NetworkConfig
+    from training.networks import build
     from training.networks.alexnet import AlexNetLstm, AlexNetPair
-    from training.networks.compact import CompactNetwork
 
     classes = len(model.card.classes)
     if any("alexnet" in name for name in weights):
@@ -111,16 +125,18 @@ def _empty(model: Model, weights: dict[str, Any]) -> Any:
             (theirs.features if apart else theirs).load_state_dict((ours.features if apart else ours).state_dict())
             return pair.of("pair")
         return AlexNetLstm(classes if model.card.role == "direction" else 2)
+    front = weights.get("front.cells.weight")
     try:
         settings = NetworkConfig(
-            front_width=weights["front.cells.weight"].shape[0],
+            kind="markers" if front is None else "compact",
+            front_width=NetworkConfig().front_width if front is None else front.shape[0],
             trunk_width=weights["trunk.convolutions.0.weight"].shape[0],
             feature_size=weights["trunk.project.weight"].shape[0],
             state_size=weights["trunk.cell.weight_hh"].shape[1],
         )
     except KeyError as error:
         raise PeerAbsentError(f"{model.file.name} has no weights named {error}; torch cannot rebuild it") from error
-    return CompactNetwork(settings, classes)
+    return build(settings, classes)
 
 
 def _openvino(model: Model, inputs: Arrays) -> Peer:

@@ -1,5 +1,6 @@
 """Points of the trade-off: what each choice reaches, with its interval, and what it costs. Each one was measured."""
 
+import hashlib
 import json
 import math
 from dataclasses import asdict, dataclass
@@ -107,13 +108,18 @@ def physics_points(path: Path) -> list[Point]:
     return points
 
 
-def closed_loop_trials(path: Path, who: str) -> tuple[float, float, float] | None:
+def closed_loop_trials(path: Path, who: str, files: list[Path] | None = None) -> tuple[float, float, float] | None:
     """Mean trials on the training objects with a 95 % interval of one contender of the closed-loop report.
 
-    None if it was not run. All contenders played these objects, some others not.
+    None if it was not run, or, with ``files``, if it was played with other networks than these. All contenders played
+    these objects, some others not.
     """
     if not path.is_file():
         return None
+    if files is not None:
+        played = _read(path, "setup")
+        if any(played.get(f"{who}/{file.name}") != hashlib.sha256(file.read_bytes()).hexdigest() for file in files):
+            return None
     rows = [
         row
         for row in _read(path, "summaries")

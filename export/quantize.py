@@ -19,6 +19,7 @@ from export.runtime import session
 from export.to_onnx import attach_card
 from export.verify import Arrays, Model, decide, open_model, told
 from service.contract import ContractError, ModelCard
+from service.perception.sequence import track_pairs
 from training.labels import class_of
 
 OPERATORS = ["Conv", "Gemm", "MatMul"]
@@ -92,6 +93,7 @@ def quantize(
     model = open_model(file)
     if model.card.quantisation != "none":
         raise ContractError(f"{file.name} is already {model.card.quantisation}, expected an fp32 release")
+    frames, judged = seen(model.card, frames), None if judged is None else seen(model.card, judged)
     out.parent.mkdir(parents=True, exist_ok=True)
     prepared = out.with_suffix(".prepared.onnx")
     try:
@@ -109,6 +111,13 @@ def quantize(
     attach_card(out, model.card.model_copy(update={"quantisation": "int8", "self_test": None}))
     _self_test(model, open_model(out), frames)
     return out, layers
+
+
+def seen(card: ModelCard, frames: NDArray[Any]) -> NDArray[Any]:
+    """Decisions as a card's graph reads them: frames [N, T, 2, H, W, 3] tracked, if it reads markers."""
+    if not card.markers or frames.shape[3:] == card.input_shape:
+        return frames
+    return np.stack([track_pairs(decision) for decision in frames])
 
 
 def _build(prepared: Path, out: Path, layers: list[str], feeds: list[Arrays]) -> None:
@@ -221,7 +230,7 @@ def agreement(exact: tuple[Model, ...], small: tuple[Model, ...], frames: NDArra
 def _decided(models: tuple[Model, ...], frames: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     outputs: Arrays = {}
     for model in models:
-        outputs |= decide(model, frames)
+        outputs |= decide(model, seen(model.card, frames))
     card = models[0].card
     if card.role == "joint":
         commands = command(card, outputs)

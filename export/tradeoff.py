@@ -23,10 +23,10 @@ from export.points import (
 from export.runtime import cpu_name
 from export.scores import Score, Scores, score
 from export.tradeoff_report import NAME, draw, write
-from service.contract import ContractError
+from service.contract import ContractError, ModelCard
 
-PLAYED = {("models", "pair"): "belief", ("models/pair", "shared"): "belief", ("models/joint", "joint"): "joint"}
-"""Which contender of the closed-loop report decides with which released networks (folder, kind)."""
+PLAYED = {("models", "pair"): "belief", ("models/joint", "joint"): "joint"}
+"""Which contender of the closed-loop report decides with which released networks (folder, kind), if hashes agree."""
 PAPER = "paper"
 
 
@@ -86,7 +86,7 @@ def points_of(candidate: Candidate, timing: Timing, scores: dict[int, Score], do
         "network": candidate.name,
         "kind": candidate.kind,
         "precision": candidate.precision,
-        "input_px": [card.frame.height_px, card.frame.width_px],
+        "input": _input(card),
         "training_data": card.training_data_sha256[:12],
         "step_cpu_ms": timing.cpu_p50_ms,
         "step_p50_ms": timing.p50_ms,
@@ -113,6 +113,12 @@ def points_of(candidate: Candidate, timing: Timing, scores: dict[int, Score], do
     ]
 
 
+def _input(card: ModelCard) -> str:
+    if card.markers:
+        return f"{card.markers.rows} x {card.markers.columns} tracked markers"
+    return f"{card.frame.height_px} x {card.frame.width_px} px"
+
+
 def _trials(candidate: Candidate, docs: Path) -> tuple[float, float, float] | None:
     """Mean trials of a closed loop that was played with these very networks, or with the same ones in another graph."""
     trials = candidate.mean_trials()
@@ -121,7 +127,8 @@ def _trials(candidate: Candidate, docs: Path) -> tuple[float, float, float] | No
     if candidate.name.startswith("alexnet"):
         return closed_loop_trials(docs / "closed_loop.json", PAPER)
     who = PLAYED.get((str(candidate.folder), candidate.kind))
-    return closed_loop_trials(docs / "closed_loop.json", who) if who else None
+    files = [model.file for model in candidate.models]
+    return closed_loop_trials(docs / "closed_loop.json", who, files) if who else None
 
 
 def choose(budget_ms: float, report: Path, seconds: float) -> str:

@@ -94,10 +94,15 @@ def _network_row(point: Point, front: bool) -> str:
 
 
 def _sizes(points: list[Point]) -> list[str]:
-    """Which input sizes were trained: a size without a trained network does not appear."""
-    sizes = sorted({tuple(point.about["input_px"]) for point in points})
-    shown = ", ".join(f"{height} x {width}" for height, width in sizes)
-    return [f"Input sizes with a trained network: {shown} px (pooled or resized inside the graph)."]
+    """What the networks read: an input size without a trained network does not appear."""
+    readers: dict[str, set[str]] = {}
+    for point in points:
+        readers.setdefault(point.about["input"], set()).add(point.about["network"])
+    shown = "; ".join(f"{size} a finger: {', '.join(sorted(names))}" for size, names in sorted(readers.items()))
+    return [
+        f"Input sizes with a trained network: {shown}. Pictures are pooled or resized inside the graph; markers are",
+        "tracked for slip anyway, at the cost a frame that the slip trackers below have.",
+    ]
 
 
 def _agreements(about: dict[str, Any]) -> list[str]:

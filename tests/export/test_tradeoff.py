@@ -1,3 +1,4 @@
+import hashlib
 import json
 from pathlib import Path
 
@@ -30,7 +31,13 @@ def timing(ms):
 
 
 def point(name, better, cost):
-    about = {"frames": 8, "input_px": [320, 327], "mae_mm": (1.0, 0.9, 1.1), "mae_deg": (2.0, 1.9, 2.1)}
+    about = {
+        "frames": 8,
+        "network": "a",
+        "input": "320 x 327 px",
+        "mae_mm": (1.0, 0.9, 1.1),
+        "mae_deg": (2.0, 1.9, 2.1),
+    }
     return Point(name, better, better - 0.05, better + 0.05, cost, cost, cost, 10, None, about)
 
 
@@ -127,11 +134,15 @@ def test_mean_trials_of_a_closed_loop_are_pooled_by_insertions(tmp_path):
     rows = [row | {"mean_trials": 2.0, "insertions": 30}, row | {"mean_trials": 4.0, "insertions": 10}]
     rows.append(row | {"mean_trials": 16.0, "insertions": 90, "scene": "mustard"})
     path = tmp_path / "closed_loop.json"
-    path.write_text(json.dumps({"summaries": rows}))
+    path.write_text(json.dumps({"summaries": rows, "setup": {"belief/a.onnx": hashlib.sha256(b"a").hexdigest()}}))
     mean, low, high = closed_loop_trials(path, "belief")
     assert mean == pytest.approx(2.5)
     assert low < mean < high
     assert closed_loop_trials(path, "joint") is None
+    for name, content in (("a.onnx", b"a"), ("b.onnx", b"a")):
+        (tmp_path / name).write_bytes(content)
+    assert closed_loop_trials(path, "belief", [tmp_path / "a.onnx"]) is not None
+    assert closed_loop_trials(path, "belief", [tmp_path / "b.onnx"]) is None
 
 
 @pytest.mark.parametrize("text", ["{", "{}", '{"mean_trials": 3, "interval": [4, 5]}'])
