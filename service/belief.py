@@ -24,13 +24,17 @@ SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7
 SURE_INSERT = 0.95  # probability of insertion at zero error
 # A blocked object is left tilted outwards in the hand: by about half a millimetre, and by more the longer the lever
 # from its bottom to the fingers and the nearer the edge that it pivots on (measured in simulation, docs/closed_loop.md)
-CREEP_MM, CREEP_NEAR_MM_PER_MM, CREEP_NEAR_BELOW_MM = 0.45, 0.028, 5.0
+CREEP_MM, CREEP_NEAR_MM, CREEP_NEAR_MM_PER_MM, CREEP_NEAR_BELOW_MM = 0.45, 0.28, 0.022, 5.0
 CREEP_SPREAD_MM, CREEP_NEAR_SPREAD_MM, CREEP_THETA_DEG = 0.35, 0.35, 0.3
 SHORT_LEVER_MM, UNKNOWN_LEVER_MM = 30.0, 45.0
 # Both networks see the same images, so their errors are correlated: each gets less than its full weight.
 DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.3, 0.9
 OUTLIER_SHARE = 0.02
 DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
+# Spread of the errors the networks were trained on. A network states its belief after seeing the pictures, this spread
+# included; what the pictures alone say is that belief divided by it: an estimate no surer than this says nothing.
+TRAINED_SPREAD = (9.0, 8.7)
+SAYS_NOTHING = 100.0
 INCONSISTENT_BELOW = 0.05  # Bayes factor of all that was learnt against knowing nothing
 RANGE = 15.0  # of the errors the networks were trained on (mm and deg)
 GAIN_UNKNOWN_SHARE = 0.2  # of insertions, before anything is known
@@ -51,6 +55,14 @@ def _blurred(distance: Floats, sigma: Floats) -> Floats:
 
 def _near(values: Floats, tolerance: float, softness: float) -> Floats:
     return _sigmoid((tolerance - np.abs(values)) / softness)
+
+
+def stated(evidence: Evidence) -> tuple[float, float]:
+    """Sigma (mm, deg) of what an attempt's pictures say by themselves: the networks' own, freed of their prior."""
+    given = evidence.sigma or DEFAULT_SIGMA
+    alone = (s**-2 - spread**-2 for s, spread in zip(given, TRAINED_SPREAD, strict=True))
+    x_mm, theta_deg = (precision**-0.5 if precision > SAYS_NOTHING**-2 else SAYS_NOTHING for precision in alone)
+    return x_mm, theta_deg
 
 
 def _sign_membership(values: Floats, threshold: float, softness: float) -> Floats:
@@ -109,7 +121,8 @@ class BeliefGrid:
         """An attempt was blocked: the object has turned in the hand, its bottom outwards, before the next move."""
         x_mm = self.current_x_mm
         near = _sigmoid((CREEP_NEAR_BELOW_MM - np.abs(x_mm)) / 0.8)
-        outwards = (CREEP_MM + near * CREEP_NEAR_MM_PER_MM * self._lever_mm) * np.tanh(x_mm / 0.7)
+        far_mm, near_mm = CREEP_MM, CREEP_NEAR_MM + CREEP_NEAR_MM_PER_MM * self._lever_mm
+        outwards = (far_mm + near * (near_mm - far_mm)) * np.tanh(x_mm / 0.7)
         spread = CREEP_SPREAD_MM + CREEP_NEAR_SPREAD_MM * near
         crept = _blurred(self._cells[:, None] - (self._cells + outwards), spread)
         self.layers = (crept @ self.layers) @ self._turned.T
@@ -150,7 +163,7 @@ class BeliefGrid:
         for cells, said, sigma, start in zip(
             (self.current_x_mm, self.current_theta_deg),
             evidence.error,
-            evidence.sigma or DEFAULT_SIGMA,
+            stated(evidence),
             (GAIN_FROM_X_MM, GAIN_FROM_THETA_DEG),
             strict=True,
         ):
@@ -176,7 +189,7 @@ class BeliefGrid:
         return np.asarray(x_part.T @ table @ theta_part, np.float64)
 
     def _magnitude_likelihood(self, evidence: Evidence) -> Floats:
-        sigma = evidence.sigma or DEFAULT_SIGMA
+        sigma = stated(evidence)
         peaks = [
             np.exp(-0.5 * ((cells - centre) / width) ** 2)
             for cells, centre, width in zip(

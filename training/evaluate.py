@@ -134,12 +134,9 @@ def figures(predictions: Predictions) -> dict[str, float]:
     covered = np.abs(residual) <= Z90 * sigma
     wrong_side = SIGNS[chosen] * SIGNS[labels] < 0
     count = len(labels)
-    low, high = wilson(float(right.mean()), count)
     return {
         "trials": float(count),
         "accuracy": float(right.mean()),
-        "accuracy_low": low,
-        "accuracy_high": high,
         "accuracy_without_near": float(right[outside].mean()) if outside.any() else 0.0,
         "chance": float(np.bincount(labels).max() / count),
         "nll": _nll(p, labels),

@@ -20,6 +20,7 @@ from training.evaluate import (
     figures,
     probabilities,
     rescaled,
+    wilson,
 )
 from training.labels import CLASSES, class_of
 from training.oracle import oracle_figures
@@ -68,7 +69,9 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
     told = oracle_figures(trials, run / "oracle")
     limits = _limits(trainer) | {name.replace("/", "/oracle, "): row for name, row in told.items()}
     page.write_text(
-        _page(checkpoint, len(trials), tables, joint, limits) + stress_section(run) + recipe_section(recipe)
+        _page(checkpoint, len(trials), tables, joint, limits)
+        + stress_section(run)
+        + recipe_section(recipe, checkpoint.training_data_sha256)
     )
     return page
 
@@ -138,19 +141,21 @@ honest stand-in here for another world than the one trained in. Calibration is t
 """
 
 
-def recipe_section(recipe: Path | None) -> str:
+def recipe_section(recipe: Path | None, data_sha256: str) -> str:
     """The paper's own recipe in the same simulator, as a section of the report; empty without a run of it."""
     if recipe is None:
         return ""
     checkpoint = Checkpoint.load(recipe / "checkpoint.pt")
     rows = {name: row for name, row in checkpoint.figures.items() if name.endswith("/all") or name.startswith("valid")}
     trials = checkpoint.figures["train/all"]["trials"]
+    same = checkpoint.training_data_sha256 == data_sha256
+    which = "the same data" if same else "ANOTHER collection, so that its rows do not compare with those above,"
     return f"""
 ## The paper's own recipe, same simulator
 
 Two independent AlexNet-LSTM networks (`python -m training recipe`): frozen convolutions, here pretrained on simulated
-imprints because no ImageNet weights were at hand, classes 7 and 8 doubled, Adam. Trained on {trials:.0f} trials of the
-same data (`{checkpoint.training_data_sha256[:12]}`), what two cores allow in about an hour; the paper had 30,000 real
+imprints because no ImageNet weights were at hand, classes 7 and 8 doubled, Adam. Trained on {trials:.0f} trials of
+{which} (`{checkpoint.training_data_sha256[:12]}`), what two cores allow in about an hour; the paper had 30,000 real
 ones and reports 80.5 % on training and 74.4 % on validation trials. Its MagnitudeNN has no sigma: coverage is that of
 one constant spread.
 
@@ -170,7 +175,8 @@ def _cell(key: str, row: dict[str, float]) -> str:
     if key == "trials":
         return f"{row[key]:.0f}"
     if key == "accuracy":
-        return f"{100 * row[key]:.1f} % ({100 * row['accuracy_low']:.0f} .. {100 * row['accuracy_high']:.0f})"
+        low, high = wilson(row[key], int(row["trials"]))
+        return f"{100 * row[key]:.1f} % ({100 * low:.0f} .. {100 * high:.0f})"
     return f"{100 * row[key]:.1f} %" if key in SHARES else f"{row[key]:.2f}"
 
 
