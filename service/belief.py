@@ -34,7 +34,7 @@ DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
 # Spread of the errors the networks were trained on. A network states its belief after seeing the pictures, this spread
 # included; what the pictures alone say is that belief divided by it: an estimate no surer than this says nothing.
 TRAINED_SPREAD = (9.0, 8.7)
-SAYS_NOTHING = 100.0
+SAYS_NOTHING, FINEST = 100.0, 0.01  # mm and deg: a flat likelihood, and the sharpest that a half-millimetre grid needs
 INCONSISTENT_BELOW = 0.05  # Bayes factor of all that was learnt against knowing nothing
 RANGE = 15.0  # of the errors the networks were trained on (mm and deg)
 GAIN_UNKNOWN_SHARE = 0.2  # of insertions, before anything is known
@@ -60,7 +60,7 @@ def _near(values: Floats, tolerance: float, softness: float) -> Floats:
 def stated(evidence: Evidence) -> tuple[float, float]:
     """Sigma (mm, deg) of what an attempt's pictures say by themselves: the networks' own, freed of their prior."""
     given = evidence.sigma or DEFAULT_SIGMA
-    alone = (s**-2 - spread**-2 for s, spread in zip(given, TRAINED_SPREAD, strict=True))
+    alone = (max(s, FINEST) ** -2 - spread**-2 for s, spread in zip(given, TRAINED_SPREAD, strict=True))
     x_mm, theta_deg = (precision**-0.5 if precision > SAYS_NOTHING**-2 else SAYS_NOTHING for precision in alone)
     return x_mm, theta_deg
 
