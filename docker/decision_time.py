@@ -14,11 +14,12 @@ from service.models import load_models
 
 
 def main(folder: str, decisions: int) -> None:
-    """Time one step of every deciding network on random frames, the work that is left when the eighth frame arrives."""
+    """Time one step of every deciding network on random input, the work that is left when the eighth frame arrives."""
     models = load_models(Path(folder))
-    shape = (2, *models.card.frame.shape)
+    shape = (2, *models.card.input_shape)
     rng = np.random.default_rng(0)
-    frames = [rng.integers(0, 256, shape, np.uint8) for _ in range(4)]
+    levels = 2 if models.card.markers else 256
+    frames = [rng.integers(0, levels, shape).astype(models.card.input_dtype) for _ in range(4)]
     states = [step.fresh_state() for step in models.steps]
     wall_ms, cpu_ms = [], []
     for index in range(decisions):
