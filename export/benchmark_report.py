@@ -217,7 +217,7 @@ def _alexnet(report: dict[str, Any]) -> list[str]:
         "(`python -m training share-backbone`) the second LSTM is trained again.",
         "",
         "A network that reads markers is measured from the markers on: they are tracked for slip whatever decides, at",
-        "the cost a finger that the [slip report](slip_report.md) has. One that reads pictures starts from the pictures.",
+        "the cost a finger that the [slip report](slip_report.md) has. One that reads pictures starts there.",
         "",
         "| what remains after the last frame | CPU ms | share of two fp32 passes | bound | hardware limit |",
         "|---|---|---|---|---|",
