@@ -57,6 +57,7 @@ class Story:
     decided: bool = True
     corrections: int = 0
     finished: wire.Finished | None = None
+    opened: bool = False
     link: ClientConnection | None = None
     links: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
@@ -65,6 +66,7 @@ class Story:
         self.link = self.links.enter_context(connect(url, compression=None, max_size=None, open_timeout=ANSWER_S))
         self.send(wire.ClientHello(insertion_id=self.id, client="soak"))
         self.until({"hello"})
+        self.opened = True
 
     def send(self, message: object) -> None:
         if self.rng.random() < self.kill_share:
@@ -172,14 +174,14 @@ class Soak:
                 if story.rng.random() < 0.5:
                     self.seen["clients that came back"] += 1
                     continue
-                self.abandoned.append(story.id)
+                self.abandoned += [story.id] if story.opened else []
                 return
             except (ConnectionError, WebSocketException, TimeoutError) as error:
                 self.seen[f"given up: {type(error).__name__} {error}"[:60]] += 1
                 if str(error) == "busy":  # the client before is given up in a moment
                     time.sleep(0.5)
                     continue
-                self.abandoned.append(story.id)
+                self.abandoned += [story.id] if story.opened else []
                 return
             finally:
                 with contextlib.suppress(Exception):

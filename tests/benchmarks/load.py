@@ -1,0 +1,149 @@
+"""Loads for the serving benchmark: fast cameras, everything at once, and more frames than can be perceived."""
+
+import contextlib
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+from websockets.sync.client import ClientConnection, connect
+
+from service.contract import FINGERS, wire
+from service.models import load_models
+from service.settings import Settings
+from service.station import Station
+from tests.service import drawn
+from tests.service.mjpeg import FakeFinger
+from tests.service.process import ServiceProcess, service_process
+
+PATIENT = ["--max-frame-age-ms", "60000", "--reference-timeout-s", "30", "--client-timeout-s", "600"]
+
+
+@contextlib.contextmanager
+def busy_service(models: Path, rate_hz: float) -> Iterator[tuple[ServiceProcess, tuple[FakeFinger, FakeFinger]]]:
+    """A service with two MJPEG cameras at 427 x 320 and an armed attempt, so that every frame is perceived."""
+    fingers = FakeFinger("left", rate_hz), FakeFinger("right", rate_hz)
+    with tempfile.TemporaryDirectory() as folder:
+        calibration = Path(folder) / "calibration.toml"
+        drawn.calibration().save(calibration)
+        cameras = ["--camera-left", fingers[0].url, "--camera-right", fingers[1].url]
+        options = [*cameras, "--calibration", str(calibration), "--frame-rate-hz", str(rate_hz), *PATIENT]
+        with service_process(models, Path(folder) / "r", *options) as service, armed(service):
+            yield service, fingers
+    for finger in fingers:
+        finger.close()
+
+
+@contextlib.contextmanager
+def armed(service: ServiceProcess) -> Iterator[ClientConnection]:
+    with connect(service.url("/v1/insertions/ws", "ws"), compression=None) as link:
+        name = f"load-{time.monotonic_ns()}"
+        link.send(wire.ClientHello(insertion_id=name, client="bench").model_dump_json())
+        arm = wire.Arm(insertion_id=name, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+        link.send(arm.model_dump_json())
+        while wire.parse_service(link.recv(60)).type != "armed":
+            pass
+        yield link
+        link.send(wire.Abort(insertion_id=name, reason="done").model_dump_json())
+        with contextlib.suppress(TimeoutError):
+            link.recv(5)
+
+
+def metric(service: ServiceProcess, name: str) -> float:
+    lines = httpx.get(service.url("/metrics"), timeout=60).text.splitlines()
+    return sum(float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith(name))
+
+
+def flood(models: Path, rate_hz: float, seconds: float) -> dict[str, Any]:
+    """CPU of the whole service (cameras, perception, recording) while every frame of both fingers is perceived."""
+    with busy_service(models, rate_hz) as (service, _):
+        time.sleep(2.0)
+        names = ("tactile_frames_total", "tactile_frames_dropped", 'tactile_stage_seconds_count{stage="markers"}')
+        before, cpu, started = [metric(service, name) for name in names], service.cpu_s(), time.monotonic()
+        time.sleep(seconds)
+        wall = time.monotonic() - started
+        used = service.cpu_s() - cpu
+        frames, dropped, perceived = (metric(service, n) - b for n, b in zip(names, before, strict=True))
+    return {
+        "asked_hz": rate_hz,
+        "camera_frames_per_s": round(frames / wall, 1),
+        "perceived_per_s": round(perceived / wall, 1),
+        "dropped_share": round(dropped / max(frames, 1), 4),
+        "cores": round(used / wall, 3),
+        "cpu_ms_per_frame": round(1e3 * used / max(frames, 1), 2),
+        "cores_at_full_rate": round(2 * rate_hz * used / max(frames, 1), 3),
+    }
+
+
+def healthz_ms(models: Path, seconds: float) -> dict[str, Any]:
+    """/healthz while cameras run at 2 x 60 fps, an attempt is watched, inference is asked for and viewers look on."""
+    stop = threading.Event()
+    with busy_service(models, 60.0) as (service, _), contextlib.ExitStack() as stack:
+        viewers = [
+            stack.enter_context(connect(service.url(path, "ws"), compression=None, max_size=None, close_timeout=0.2))
+            for path in ("/v1/live", "/v1/cameras/left/frames?max_hz=60", "/v1/cameras/right/frames?form=jpeg")
+        ]
+        works = [threading.Thread(target=_look, args=(viewer, stop), daemon=True) for viewer in viewers]
+        works.append(threading.Thread(target=_infer, args=(service, stop), daemon=True))
+        for work in works:
+            work.start()
+        times: list[float] = []
+        until = time.monotonic() + seconds
+        with httpx.Client(timeout=60) as client:
+            while time.monotonic() < until:
+                started = time.perf_counter()
+                client.get(service.url("/healthz")).raise_for_status()
+                times.append((time.perf_counter() - started) * 1e3)
+                time.sleep(0.02)
+        stop.set()
+        for work in works:
+            work.join(10)
+    p50, p99 = np.percentile(times, (50, 99))
+    return {"p50_ms": round(p50, 2), "p99_ms": round(p99, 2), "most_ms": round(max(times), 2), "n": len(times)}
+
+
+def _look(viewer: ClientConnection, stop: threading.Event) -> None:
+    with contextlib.suppress(Exception):
+        while not stop.is_set():
+            viewer.recv(5)
+
+
+def _infer(service: ServiceProcess, stop: threading.Event) -> None:
+    pixels = np.zeros((1, 2, 320, 327, 3), np.uint8)
+    known = httpx.get(service.url("/v2/models/direction.step"), timeout=60).json()["inputs"]
+    entries, tail = [], b""
+    for entry in known:
+        shape = [1 if size < 0 else size for size in entry["shape"]]
+        values = pixels if entry["datatype"] == "UINT8" else np.ones(shape, np.float32)
+        size = {"binary_data_size": values.nbytes}
+        entries.append({"name": entry["name"], "datatype": entry["datatype"], "shape": shape, "parameters": size})
+        tail += values.tobytes()
+    head = httpx.Request("POST", "http://x", json={"inputs": entries}).content
+    headers = {"Inference-Header-Content-Length": str(len(head))}
+    with httpx.Client(timeout=60) as client, contextlib.suppress(httpx.HTTPError):
+        while not stop.is_set():
+            client.post(service.url("/v2/models/direction.step/infer"), content=head + tail, headers=headers)
+
+
+def overload(models: Path) -> dict[str, Any]:
+    """Frames at twice the rate that this machine perceives: how old is what slip is judged on?
+
+    The station's own threads and queue run; only the cameras are driven from here, so that "twice" is known.
+    """
+    from tests.benchmarks.overload import age_at_twice_the_load
+
+    settings = Settings(models=models, camera_left="push:", camera_right="push:", recordings=Path(tempfile.mkdtemp()))
+    settings = settings.model_copy(update={"reference_timeout_s": 30.0, "max_frame_age_ms": 60_000.0})
+    station = Station(settings, load_models(models), None)
+    station.start()
+    try:
+        return age_at_twice_the_load(station)
+    finally:
+        station.stop()
+
+
+__all__ = ["FINGERS", "flood", "healthz_ms", "overload"]

@@ -1,0 +1,133 @@
+"""`python -m tests.benchmarks.serving` (`make bench-serving`): what serving costs, beside its peers, in one run.
+
+Rows: WebSocket decision against in-process; Open Inference Protocol against MLServer gRPC and LitServe on the same ONNX
+file; /healthz under full load; the first decision after ready; age of results at twice the load this machine can take;
+cameras at 2 x 60 and 2 x 90 fps. Writes docs/serving.md and .json, and says where a target is missed.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+
+from service.models import load_models
+from tests.benchmarks.cell import SteppedCell, in_process_ms
+from tests.benchmarks.load import flood, healthz_ms, overload
+from tests.benchmarks.peers_run import peers
+from tests.service.process import service_process
+from tests.service.trouble import machine
+
+
+def quantiles(values: list[float]) -> dict[str, float]:
+    p50, p99 = np.percentile(values, (50, 99))
+    return {"p50_ms": round(float(p50), 2), "p99_ms": round(float(p99), 2), "n": len(values)}
+
+
+@contextlib.contextmanager
+def stepped_service(models: Path) -> Iterator[SteppedCell]:
+    """A fresh service process in front of stepped cameras."""
+    with tempfile.TemporaryDirectory() as folder, SteppedCell() as cell:
+        options = cell.options(Path(folder))
+        with service_process(models, Path(folder) / "r", *options) as cell.service:
+            yield cell
+
+
+def decisions(models: Path, trials: int) -> dict[str, Any]:
+    """The same decision over the WebSocket and in process, in turn, so that the machine's noise meets both alike."""
+    loaded = load_models(models)
+    over, within, lost = [], [], 0
+    with stepped_service(models) as cell:
+        in_process_ms(loaded)
+        for _ in range(trials):
+            try:
+                over.append(cell.decision_ms())
+            except RuntimeError:
+                lost += 1  # this machine was too busy to see eight frames of it
+            within.append(in_process_ms(loaded))
+    facts = {"websocket": quantiles(over), "in_process": quantiles(within), "trials_lost": lost}
+    first = over[0] / float(np.median(over[1:]))
+    return facts | {
+        "ratio_p50": ratio(facts["websocket"], facts["in_process"]),
+        "ratio_fastest_tenth": round(float(np.percentile(over, 10) / np.percentile(within, 10)), 3),
+        "first_over_steady_one_start": round(first, 3),
+    }
+
+
+def first_decision(models: Path, starts: int) -> dict[str, Any]:
+    """The first decision of a fresh process against the next two of the same process."""
+    ratios = []
+    for _ in range(starts):
+        with stepped_service(models) as cell:
+            try:
+                times = [cell.decision_ms() for _ in range(4)]
+            except RuntimeError:
+                continue
+        ratios.append(times[0] / float(np.median(times[1:])))
+    return {"ratios": [round(r, 2) for r in ratios], "median": round(float(np.median(ratios)), 3) if ratios else None}
+
+
+def ratio(of: dict[str, float], to: dict[str, float]) -> float:
+    return round(of["p50_ms"] / to["p50_ms"], 3)
+
+
+def arguments(given: list[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--models", type=Path, default=Path("models"))
+    parser.add_argument("--peers-python", type=Path, help="interpreter of an environment with the extra bench-serving")
+    parser.add_argument("--trials", type=int, default=30, help="decisions over the WebSocket")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each closed loop")
+    parser.add_argument("--docs", type=Path, default=Path("docs"))
+    parser.add_argument(
+        "--only", nargs="*", default=[], help="names of parts; the others keep what docs/serving.json has"
+    )
+    return parser.parse_args(given)
+
+
+def main() -> int:
+    from tests.benchmarks.serving_report import page
+
+    told = arguments()
+    parts: dict[str, Callable[[], dict[str, Any]]] = {
+        "peers": lambda: peers(told.models, told.peers_python, told.seconds),
+        "websocket": lambda: decisions(told.models, told.trials),
+        "first": lambda: first_decision(told.models, 5),
+        "cameras 60": lambda: flood(told.models, 60.0, told.seconds),
+        "cameras 90": lambda: flood(told.models, 90.0, told.seconds),
+        "health": lambda: healthz_ms(told.models, told.seconds),
+        "overload": lambda: overload(told.models),
+    }
+    out = told.docs / "serving.json"
+    facts: dict[str, Any] = json.loads(out.read_text()) if out.is_file() and told.only else {}
+    for name, measure in parts.items():
+        if told.only and name not in told.only:
+            continue
+        print(f"{name} ...", flush=True)
+        started = time.monotonic()
+        try:
+            found = measure()
+        except (RuntimeError, OSError, httpx.HTTPError, subprocess.SubprocessError) as error:
+            found = {"failed": f"{type(error).__name__}: {error}"[:500]}
+        facts[name] = found | {"load": round(os.getloadavg()[0], 1), "took_s": round(time.monotonic() - started)}
+        print(json.dumps(facts[name]), flush=True)
+        facts["machine"] = machine()
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps(facts, indent=1) + "\n")
+    (told.docs / "serving.md").write_text(page(facts))
+    print((told.docs / "serving.md").read_text())
+    return 0
+
+
+if __name__ == "__main__":
+    threading.excepthook = lambda _: None  # cameras whose service ended
+    sys.exit(main())

@@ -1,0 +1,142 @@
+"""docs/serving.md from what the serving benchmark found."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+Row = tuple[str, str, str, bool | None]
+
+
+def page(facts: dict[str, Any]) -> str:
+    machine = facts["machine"]
+    rows = [row for name, make in ROWS.items() for row in _rows(name, make, facts.get(name))]
+    missed = [row[0] for row in rows if row[3] is False]
+    unmeasured = [row[0] for row in rows if row[3] is None]
+    lines = [
+        "# What serving costs",
+        "",
+        where(machine),
+        "",
+        "| what | found | at least | reached | load |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {what} | {found} | {target} | {VERDICT[ok]} | {load} |"
+            for what, found, target, ok, load in _loaded(facts)
+        ),
+        "",
+        "**Missed here:** " + ("; ".join(missed) + "." if missed else "nothing."),
+        "",
+        *(["**Not measured:** " + "; ".join(unmeasured) + ".", ""] if unmeasured else []),
+        *_notes(facts),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def where(machine: dict[str, Any]) -> str:
+    """The machine, and how to read times from one that was busy."""
+    return (
+        f"Measured on {machine['cpu']}, {machine['cores']} cores, by `make bench-serving`. The machine was shared with"
+        " other work: the load of each row is the average number of runnable processes while it was measured, so times"
+        " are long, and ratios are between calls made in turn."
+    )
+
+
+VERDICT = {True: "yes", False: "**no**", None: "not measured"}
+
+
+def _loaded(facts: dict[str, Any]) -> list[tuple[str, str, str, bool | None, Any]]:
+    return [
+        (*row, (facts.get(name) or {}).get("load", "-"))
+        for name, make in ROWS.items()
+        for row in _rows(name, make, facts.get(name))
+    ]
+
+
+def _rows(name: str, make: Any, found: dict[str, Any] | None) -> list[Row]:
+    if not found or "failed" in found:
+        return [(name, (found or {}).get("failed", "not run"), "", None)]
+    rows: list[Row] = make(found)
+    return rows
+
+
+def both(ours: dict[str, float], theirs: dict[str, float]) -> str:
+    """Two medians with their 99 % quantiles."""
+    return f"{ours['p50_ms']:.1f} / {theirs['p50_ms']:.1f} ms (p99 {ours['p99_ms']:.0f} / {theirs['p99_ms']:.0f})"
+
+
+def _peers(found: dict[str, Any]) -> list[Row]:
+    ours = found["servers"]["service"]
+    rows: list[Row] = []
+    for peer, label, limit in (("mlserver", "MLServer gRPC", 0.5), ("litserve", "LitServe", 0.35)):
+        theirs, share = found["servers"][peer], found[f"ratio to {peer}"]
+        what = f"binary inference p50, service / {label} {found['versions'][peer]}"
+        rows.append((what, f"{both(ours, theirs)} = {share:.2f}", f"{limit}", share <= limit))
+    inside = found["servers"]["in process"]
+    rows.append(("the same in process, p50", f"{inside['p50_ms']:.2f} ms", "", True))
+    return rows
+
+
+def _websocket(found: dict[str, Any]) -> list[Row]:
+    over, within = found["websocket"], found["in_process"]
+    text = f"{both(over, within)} = {found['ratio_p50']:.2f}; fastest tenth {found['ratio_fastest_tenth']:.2f}"
+    return [("last frame pair to correction p50, WebSocket / in process", text, "1.25", found["ratio_p50"] <= 1.25)]
+
+
+def _first(found: dict[str, Any]) -> list[Row]:
+    if found["median"] is None:
+        return [("first decision after ready / steady", "no start gave four decisions", "1.1", None)]
+    text = f"{found['median']:.2f} (median of {len(found['ratios'])} starts: {found['ratios']})"
+    return [("first decision after ready / steady", text, "1.1", found["median"] <= 1.1)]
+
+
+def _cameras(found: dict[str, Any]) -> list[Row]:
+    text = f"{found['cores_at_full_rate']:.2f} cores ({found['cpu_ms_per_frame']:.2f} ms CPU a frame;"
+    text += f" {found['camera_frames_per_s']:.0f} frames/s came, {found['dropped_share']:.1%} dropped)"
+    what = f"2 x {found['asked_hz']:.0f} fps at 427 x 320, perceived and recorded: CPU of the whole service"
+    return [(what, text, "1 core", found["cores_at_full_rate"] <= 1.0)]
+
+
+def _health(found: dict[str, Any]) -> list[Row]:
+    text = f"p50 {found['p50_ms']:.1f}, p99 {found['p99_ms']:.1f}, most {found['most_ms']:.0f} ms"
+    return [("/healthz under full load", text, "50 ms (p99)", found["p99_ms"] <= 50)]
+
+
+def _overload(found: dict[str, Any]) -> list[Row]:
+    text = f"p50 {found['age_p50_ms']:.1f}, p99 {found['age_p99_ms']:.1f} ms against"
+    text += f" {found['one_frame_and_one_step_ms']:.1f}; within in {found['share_within']:.1%}"
+    return [("age of results at 2 x overload: 1 frame + 1 step", text, "p99 within", found["share_within"] >= 0.99)]
+
+
+ROWS = {
+    "peers": _peers,
+    "websocket": _websocket,
+    "first": _first,
+    "cameras 60": _cameras,
+    "cameras 90": _cameras,
+    "health": _health,
+    "overload": _overload,
+}
+
+
+NOTES = """How it was measured:
+
+- Inference: `direction.step.onnx`, {megabytes:.2f} MB of input a call, one closed loop of one client, ten calls to each
+  server in turn, one thread a session everywhere. The service is asked by `tritonclient[http]` with binary tensors,
+  MLServer by `tritonclient[grpc]` with raw tensors and without parallel workers, LitServe with base64 in JSON.
+- Decision: two MJPEG cameras; from showing the eighth pair of a stopped attempt to the correction in the client's hand,
+  against the same JPEGs through the same session in one thread, in turn.
+- Full load: 2 x 60 fps, an attempt under way, inference in a closed loop, three viewers.
+- Overload: the station is given a pair in half the time that perceiving one takes; age is counted from capture to the
+  slip judgement.
+- CPU is the process's own time from the kernel: it does not grow with what others use, though caches do suffer."""
+
+
+def _notes(facts: dict[str, Any]) -> list[str]:
+    payload = (facts.get("peers") or {}).get("payload_bytes", 0)
+    return NOTES.format(megabytes=payload / 1e6).splitlines()
+
+
+if __name__ == "__main__":
+    folder = Path("docs")
+    (folder / "serving.md").write_text(page(json.loads((folder / "serving.json").read_text())))
