@@ -1,5 +1,6 @@
 """A station given twice the frames it can perceive, and the age of each result it gives."""
 
+import sys
 import threading
 import time
 from typing import Any
@@ -10,6 +11,7 @@ from service.cameras import Capture, now_ns
 from service.contract import FINGERS, wire
 from service.observation import Observation
 from service.perception.rectify import Rectifier
+from service.run import SWITCH_S
 from service.station import Station
 from tests.service import drawn
 
@@ -40,6 +42,7 @@ def age_at_twice_the_load(station: Station) -> dict[str, Any]:
     still = {finger: rectifiers[finger].apply(drawn.raw(finger, 0, 10, 16)) for finger in FINGERS}
     rng = np.random.default_rng(0)
     ages = Ages(station)
+    sys.setswitchinterval(SWITCH_S)  # as `python -m service run` does
 
     def show() -> None:
         for finger in FINGERS:
@@ -73,7 +76,8 @@ def age_at_twice_the_load(station: Station) -> dict[str, Any]:
         time.sleep(max(0.0, due - time.monotonic()))
     age, step = np.array(ages.age_ms[seen:]), np.array(ages.step_ms[seen:])
     period_ms = SECONDS * 1e3 / shown
-    bound = period_ms + 2 * float(np.median(step))
+    # a step is what perceiving the two frames of a pair took at that moment, with whatever else ran on the machine
+    bound = period_ms + step + np.concatenate([step[:1], step[:-1]])
     return {
         "pair_costs_ms": round(pair_ms, 2),
         "pair_every_ms": round(period_ms, 2),
@@ -81,6 +85,8 @@ def age_at_twice_the_load(station: Station) -> dict[str, Any]:
         "frames_perceived": len(age),
         "age_p50_ms": round(float(np.median(age)), 2),
         "age_p99_ms": round(float(np.percentile(age, 99)), 2),
-        "one_frame_and_one_step_ms": round(bound, 2),
+        "times_overloaded": round(2 * shown / max(len(age), 1), 1),
+        "one_frame_and_one_step_ms": round(float(np.median(bound)), 2),
+        "one_frame_and_one_step_p99_ms": round(float(np.percentile(bound, 99)), 2),
         "share_within": round(float(np.mean(age <= bound)), 3),
     }

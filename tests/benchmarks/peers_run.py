@@ -26,7 +26,7 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def running(command: list[str], port: int, **options: Any) -> Iterator[None]:
-    """A server process in a group of its own (one session: the same share of the machine for all), ended with its children."""
+    """A server process, ended with its children; in our session, so that all get the same share of the machine."""
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, process_group=0, **options
     ) as process:
