@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 RUN_VENV ?= .venv-run
 OPS_VENV ?= .venv-ops
+PEERS_VENV ?= .venv-peers
+MINUTES ?= 30
 TORCH_VERSION = 2.13.0
 OUT ?= runs
 
@@ -10,7 +12,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all hard-cases accuracy slip-report tradeoff bench collect train export evaluate robustness requirements clean
+.PHONY: help run test test-all hard-cases accuracy slip-report tradeoff bench bench-serving soak collect train export evaluate robustness requirements clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -34,6 +36,11 @@ $(VENV)/ready: requirements/test.txt requirements/torch.sh
 
 $(VENV)/bench: $(VENV)/ready requirements/bench.txt
 	$(BIN)/pip install -q --require-hashes --no-deps -r requirements/bench.txt
+	@touch $@
+
+$(PEERS_VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(PEERS_VENV)
+	$(PEERS_VENV)/bin/pip install -q '.[bench-serving]' || echo "the peers cannot be installed here; their rows will say so" >&2
 	@touch $@
 
 # ---- the main job -------------------------------------------------------------------------------------------------
@@ -92,6 +99,12 @@ bench: $(VENV)/bench ## what a decision of each released network costs on this m
 	$(BIN)/python -m export benchmark --docs docs --compare torch,openvino --alexnet $(ALEXNET) \
 	  $(if $(wildcard $(PROBES)/manifest.json),--data $(PROBES))
 
+bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
+	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
+
+soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models and garbage make trouble: docs/soak.md, .json
+	$(BIN)/python -m tests.service.soak --minutes $(MINUTES) --models $(MODELS)
+
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
 	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)
 
@@ -144,4 +157,4 @@ requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
 clean: ## remove what the commands above made, but no data and no runs
-	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
