@@ -24,6 +24,8 @@ from service.models import ModelSet, load_models
 from service.models_worker import ModelsWorker
 from service.perception.rectify import Calibration
 from service.recovery import recover
+from service.rehearsal import rehearse
+from service.sessions import make_session
 from service.settings import Settings
 
 BACKLOG_FRAMES = 8  # two fingers' worth of about 4 frames; older ones are dropped
@@ -82,6 +84,8 @@ class Station:
             threading.Event().wait(0.02)
         for finger, camera in self.cameras.items():
             self._check_size(finger, camera.latest.frame.pixels.shape if camera.latest else ())
+        frames = [camera.latest.frame for camera in self.cameras.values() if camera.latest]
+        rehearse(make_session(self.models, self.desk.calibration), frames)
 
     def _check_size(self, finger: Finger, shape: tuple[int, ...]) -> None:
         card = self.models.card.frame

@@ -15,7 +15,7 @@ def router(station: Station, metrics: Metrics) -> APIRouter:
     async def healthz() -> dict[str, str]:
         return {"status": "ok"}
 
-    @routes.get("/readyz")
+    @routes.get("/readyz", responses={503: {"description": "not yet: the content says which camera is missing"}})
     async def readyz() -> JSONResponse:
         cameras = {finger: camera.state for finger, camera in station.cameras.items()}
         faults = {f: camera.last_fault for f, camera in station.cameras.items() if camera.state != "live"}

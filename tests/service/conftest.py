@@ -78,16 +78,20 @@ def live_service(folder: Path, models: Path, **changes: object) -> Iterator[Live
         recordings=folder / "recordings",
         **PATIENT | changes,
     )
-    station = open_station(settings)
-    station.start()
-    try:
-        station.wait_for_cameras(10)
-        with serve(station) as port:
-            yield LiveService(station, fingers, port, settings.recordings)
-    finally:
-        station.stop()
-        for finger in fingers:
-            finger.close()
+    with pytest.MonkeyPatch.context() as patient:
+        patient.setattr("service.cameras.STALL_S", 30.0)
+        patient.setattr("service.camera_sources.READ_TIMEOUT_S", 30.0)
+        patient.setattr("service.camera_sources.CONNECT_TIMEOUT_S", 10.0)
+        station = open_station(settings)
+        station.start()
+        try:
+            station.wait_for_cameras(60)
+            with serve(station) as port:
+                yield LiveService(station, fingers, port, settings.recordings)
+        finally:
+            station.stop()
+            for finger in fingers:
+                finger.close()
 
 
 @pytest.fixture(scope="module")
