@@ -14,7 +14,7 @@ REPEATS = 3
 
 
 def rehearse(session: InsertionSession, frames: Sequence[TactileFrame]) -> None:
-    """Perceive each finger's frame a few times, decide on grey pictures, move every controller; nothing is kept.
+    """Perceive each finger's frame a few times, decide on fingers that feel nothing, move every controller; nothing is kept.
 
     ``frames`` are what the cameras show now. Raises ContractError if a frame is neither raw nor rectified.
     """
@@ -24,14 +24,15 @@ def rehearse(session: InsertionSession, frames: Sequence[TactileFrame]) -> None:
             seen = np.bitwise_xor(frame.pixels, np.uint8(repeat))  # the tracker skips a picture that it has just seen
             watch.observe(replace(frame, pixels=seen, captured_ns=frame.captured_ns + repeat))
             watch.rearm()
-    grey = np.full((2, *session.models.card.frame.shape), 128, np.uint8)
-    run = DecisionRun(session.models, grey, gap_width_mm=50.0)
-    for _ in range(session.models.card.frames_per_decision):
-        run.step(grey)
+    card = session.models.card
+    still = np.zeros((2, *card.input_shape), np.uint8 if card.markers is None else np.float32)
+    run = DecisionRun(session.models, still, gap_width_mm=50.0)
+    for _ in range(card.frames_per_decision):
+        run.step(still)
     for name in ("heuristic", "belief"):
         try:
             evidence = run.evidence()
             command = make_controller(name, session.limits).decide(evidence, 1)
         except Refusal:
-            continue  # of grey pictures nothing has to follow
+            continue  # of fingers that feel nothing no move has to follow
         wire.Fault(insertion_id="rehearsal", code=command.controller, detail=command.reason).model_dump_json()
