@@ -14,7 +14,7 @@ REPEATS = 3
 
 
 def rehearse(session: InsertionSession, frames: Sequence[TactileFrame]) -> None:
-    """Perceive each finger's frame a few times, decide on fingers that feel nothing, move every controller; nothing is kept.
+    """Perceive each finger's frame a few times, decide on a still gel, move every controller; nothing is kept.
 
     ``frames`` are what the cameras show now. Raises ContractError if a frame is neither raw nor rectified.
     """
