@@ -58,10 +58,12 @@ def _make(source: Path, twin: Path, precision: str, frames: _Frames) -> bool:
         store_fp16(source, twin)
         return True
     calibrating, judged = frames()
+    unfinished = twin.with_suffix(".part")  # a killed run must not leave a half-made twin under its name
     try:
-        quantize(source, twin, calibrating, judged if precision == "int8" else None)
+        quantize(source, unfinished, calibrating, judged if precision == "int8" else None)
     except ContractError as error:
         print(f"{source}: no {precision} twin: {error}")
-        twin.unlink(missing_ok=True)
+        unfinished.unlink(missing_ok=True)
         return False
+    unfinished.replace(twin)
     return True
