@@ -64,8 +64,9 @@ test-all: $(VENV)/ready ## the fast tests and the long ones
 # ---- from probes to released models -------------------------------------------------------------------------------
 
 PROBES ?= data/probes
-TRIALS ?= 1500
-CHECKPOINT ?= runs/compact-long/checkpoint.pt
+TRIALS ?= 3000
+CHECKPOINT ?= runs/markers/checkpoint.pt
+PICTURES ?= runs/compact-long/checkpoint.pt
 MODELS ?= models
 EVALUATION ?= runs/evaluation
 COUNT ?= 30
@@ -77,13 +78,15 @@ collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; 
 hard-cases: $(VENV)/ready ## every hard case of every room on three seeds: one table, docs/hard_cases.md and .json
 	$(BIN)/python -m tests.hard_cases
 
-train: $(VENV)/ready ## train the released pair from PROBES in two runs; goes on after an interruption
+train: $(VENV)/ready ## train the released networks from PROBES, those that read markers and those that read pictures; goes on after an interruption
+	$(BIN)/python -m training train training/configs/markers.toml --data $(PROBES)
 	$(BIN)/python -m training train training/configs/compact.toml --data $(PROBES)
 	$(BIN)/python -m training train training/configs/compact-long.toml --data $(PROBES)
 
-export: $(VENV)/ready ## write CHECKPOINT as ONNX files with their cards into MODELS, and verify them
+export: $(VENV)/ready ## write CHECKPOINT and PICTURES as ONNX files with their cards into MODELS and MODELS/pictures, and verify them
 	$(BIN)/python -m export onnx $(CHECKPOINT) --out $(MODELS)
-	$(BIN)/python -m export verify $(MODELS)
+	$(BIN)/python -m export onnx $(PICTURES) --out $(MODELS)/pictures
+	for folder in $(MODELS) $(MODELS)/joint $(MODELS)/pictures; do $(BIN)/python -m export verify $$folder || exit 1; done
 
 accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png; errors beside theory: docs/theory.md
 	$(BIN)/python -m simulation theory --out docs
