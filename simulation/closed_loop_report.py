@@ -84,7 +84,7 @@ def _eyes(eyes: Sequence[str]) -> str:
     if eyes == ["gel"]:
         return (
             "Slip is judged by the service's detectors on the true marker field plus the tracker's measured error;"
-            " the frames that the networks decide on are drawn and rectified."
+            " networks that read markers see the same, and those that read pictures see frames drawn and rectified."
         )
     return "Every frame is drawn, rectified and tracked."
 
