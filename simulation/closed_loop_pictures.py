@@ -27,7 +27,7 @@ def draw_scatter(rows: list[Row], path: Path, who: str = "belief") -> None:
     """The paper's scatter picture: number of trials over the start error, one panel an object."""
     plt = _pyplot()
     names = [name for name in OBJECTS if any(row["scene"] == name and row["who"] == who for row in rows)]
-    figure, axes = plt.subplots(2, 4, figsize=(15, 7), sharex=True, sharey=True, squeeze=False)
+    figure, axes = plt.subplots(2, 4, figsize=(15, 7), sharex=True, sharey=True, squeeze=False, layout="constrained")
     dots = None
     for axis in axes.flat[len(names) :]:
         axis.set_visible(False)
@@ -36,7 +36,7 @@ def draw_scatter(rows: list[Row], path: Path, who: str = "belief") -> None:
         x, theta = [row["x_mm"] for row in mine], [row["theta_deg"] for row in mine]
         trials = [trials_of(row) for row in mine]
         dots = axis.scatter(x, theta, c=trials, vmin=1, vmax=FAILED_COUNTS_AS, cmap="viridis", s=18)
-        axis.set_title(f"{name} (simulated), n = {len(mine)}, mean {np.mean(trials):.2f}", fontsize=10)
+        axis.set_title(f"{name} (simulated)\nn = {len(mine)}, mean {np.mean(trials):.2f}", fontsize=10)
         axis.set_xlabel("x error, mm")
         axis.set_ylabel("yaw error, deg")
     if dots is not None:
