@@ -141,7 +141,7 @@ def _empty(model: Model, weights: dict[str, Any]) -> Any:
 
 def _openvino(model: Model, inputs: Arrays) -> Peer:
     try:
-        import openvino  # type: ignore[import-untyped]
+        import openvino
     except ImportError as error:
         raise PeerAbsentError('openvino is not installed: pip install "tactile-insertion[bench]"') from error
     core = openvino.Core()
