@@ -238,7 +238,7 @@ class Scene(Part):
             "object.corner_radius_mm": self.object.corner_radius_mm * scale,
             "object.mass_kg": math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))),
             "object.centre_of_mass_height_mm": height * float(rng.uniform(0.4, 0.95)),
-            "blocks.gap_mm": size_x + 2.0 * float(rng.uniform(1.5, 3.0)),
+            "blocks.gap_mm": size_x + 2.0 * self.clearance_mm / 2.5 * float(rng.uniform(1.5, 3.0)),
             "blocks.friction": draw(0.15, 0.35, 0.1),
             "gel.friction": draw(0.65, 0.95, 0.15),
             "gel.shear_modulus_n_per_mm2": 0.1 * math.exp(draw(-0.2, 0.2, 0.15)),

@@ -77,7 +77,10 @@ def router(station: Station, access: Access) -> APIRouter:
         finally:
             for task in (pump, talk):
                 task.cancel()
-            await asyncio.gather(pump, talk, return_exceptions=True)
+            ended = await asyncio.gather(pump, talk, return_exceptions=True)
+            for error in ended:
+                if isinstance(error, Exception) and not isinstance(error, WebSocketDisconnect):
+                    log.error("connection broke", error=repr(error))
             station.disconnect(connection.send)
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await socket.close()
