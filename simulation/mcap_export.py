@@ -17,7 +17,7 @@ from service.contract import FINGERS
 from simulation.dataset import Dataset
 from simulation.manifest import write_durably
 from simulation.texture import marker_rest_px
-from simulation.trial import FRAMES, Trial
+from simulation.trial import FRAMES, SCALARS, Trial
 
 FPS = 30
 _OBJECT = b'{"type":"object"}'
@@ -65,19 +65,7 @@ def export_trial(dataset: Dataset, number: int, path: Path) -> None:
 
 def truth(trial: Trial) -> dict[str, Any]:
     """What is known of a trial besides its frames."""
-    names = (
-        "x_mm",
-        "theta_deg",
-        "object_name",
-        "gap_width_mm",
-        "grasp_height_mm",
-        "group",
-        "poke",
-        "seed",
-        "outcome",
-        "split",
-    )
-    return {name: getattr(trial, name) for name in (*names, "onset_frame", "true_slip_frame", "stop_frame")}
+    return {name: getattr(trial, name) for name in SCALARS if name != "scene_sha256"}
 
 
 def _state(trial: Trial, k: int) -> dict[str, Any]:
