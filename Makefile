@@ -58,8 +58,8 @@ test: $(VENV)/ready ## lint, types, import rules and the fast tests
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n 2 -m "not slow"
 
-test-all: $(VENV)/ready ## the fast tests and the long ones
-	$(BIN)/python -m pytest --timeout=1800
+test-all: $(VENV)/ready ## the fast tests and the long ones; properties draw new examples each time
+	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest --timeout=1800
 
 # ---- from probes to released models -------------------------------------------------------------------------------
 

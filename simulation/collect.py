@@ -56,8 +56,8 @@ class Plan:
         return shard_file_name(self.scene_name, self.shard)
 
     def group_id(self, number: int) -> int:
-        """A number no other re-fixture of the collection has."""
-        object_id = int(hashlib.sha256(self.scene_name.encode()).hexdigest()[:6], 16)
+        """A number no other re-fixture of the collection has; wherever a scene's TOML file lies, it is the same."""
+        object_id = int(hashlib.sha256(Path(self.scene_name).stem.encode()).hexdigest()[:6], 16)
         return (object_id * _SHARDS_PER_OBJECT + self.shard) * _GROUPS_PER_SHARD + number
 
 

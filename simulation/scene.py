@@ -220,7 +220,7 @@ class Scene(Part):
 
         How high above its bottom the object is held, its weight, grip and clearance are drawn from all that the cell
         can do. Sizes, frictions, stiffness, crown, grip, noise and light of held-out draws come from ranges that no
-        training draw can reach.
+        training draw can reach. What a large scene scales past the limits of a scene stays at the limit.
         """
 
         def draw(low: float, high: float, margin: float) -> float:
@@ -230,25 +230,25 @@ class Scene(Part):
             return float(rng.uniform(*outer))
 
         scale = draw(0.9, 1.2, 0.05)
-        size_x = self.object.size_x_mm * scale
+        size_x = min(200.0, self.object.size_x_mm * scale)
         height = float(rng.uniform(25.0, 95.0))
         changes = {
             "object.size_x_mm": size_x,
             "object.size_y_mm": min(110.0, self.object.size_y_mm * scale * draw(0.96, 1.04, 0.04)),
-            "object.corner_radius_mm": self.object.corner_radius_mm * scale,
+            "object.corner_radius_mm": min(50.0, self.object.corner_radius_mm * scale),
             "object.mass_kg": math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))),
             "object.centre_of_mass_height_mm": height * float(rng.uniform(0.4, 0.95)),
-            "blocks.gap_mm": size_x + 2.0 * self.clearance_mm / 2.5 * float(rng.uniform(1.5, 3.0)),
+            "blocks.gap_mm": min(250.0, size_x + 2.0 * self.clearance_mm / 2.5 * float(rng.uniform(1.5, 3.0))),
             "blocks.friction": draw(0.15, 0.35, 0.1),
             "gel.friction": draw(0.65, 0.95, 0.15),
             "gel.shear_modulus_n_per_mm2": 0.1 * math.exp(draw(-0.2, 0.2, 0.15)),
             "gel.crown_mm": draw(0.06, 0.18, 0.06),
             "grasp.force_n": draw(16.0, 38.0, 4.0),
             "grasp.height_mm": height,
-            "camera.noise_grey": self.camera.noise_grey * draw(0.5, 1.5, 0.4),
+            "camera.noise_grey": min(30.0, self.camera.noise_grey * draw(0.5, 1.5, 0.4)),
             "camera.light": draw(0.85, 1.15, 0.15),
             "gel.wear": draw(0.1, 0.4, 0.1),
-            "x_range_mm": self.x_range_mm * scale,
+            "x_range_mm": min(60.0, self.x_range_mm * scale),
         }
         body = self.object
         if body.shape == "hexagon" or (body.shape == "ellipse" and body.size_x_mm == body.size_y_mm):

@@ -1,6 +1,13 @@
-"""For every test: properties are judged by what holds, never by how fast the machine shows it."""
+"""For every test: properties are judged by what holds, never by how fast the machine shows it.
+
+The fast tests draw the same examples on every machine, so that a change is judged by what it changed. `make test-all`
+sets HYPOTHESIS_PROFILE=explore and draws new ones each time.
+"""
+
+import os
 
 from hypothesis import HealthCheck, settings
 
-settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("any machine")
+settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("same everywhere", parent=settings.get_profile("explore"), derandomize=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same everywhere"))

@@ -170,6 +170,14 @@ def test_a_scene_that_never_collides_is_said_so(tmp_path: Path, monkeypatch: pyt
         make_shard(plan(tmp_path, scene_name=str(scene), trials=1))
 
 
+def test_a_scene_file_draws_the_same_wherever_it_lies(tmp_path: Path) -> None:
+    here, there = (
+        plan(tmp_path, scene_name="a/roomy.toml", trials=1),
+        plan(tmp_path, scene_name="b/roomy.toml", trials=1),
+    )
+    assert here.group_id(3) == there.group_id(3) != plan(tmp_path, scene_name="a/tight.toml", trials=1).group_id(3)
+
+
 def test_the_asked_size_is_rounded_up_to_whole_shards(tmp_path: Path) -> None:
     options = Options(out=tmp_path, trials_per_object=11, trials_per_shard=5, objects=("circle", "rectangle"))
     missing = asked_manifest(options).missing_shards()

@@ -39,6 +39,19 @@ def test_every_draw_of_every_object_can_exist(name: str) -> None:
     assert len({draw.grasp.height_mm for draw in draws}) == 60
 
 
+def test_every_draw_of_the_largest_scene_can_exist() -> None:
+    largest = {
+        "object.size_x_mm": 200.0,
+        "object.size_y_mm": 110.0,
+        "object.corner_radius_mm": 50.0,
+        "blocks.gap_mm": 250.0,
+        "camera.noise_grey": 30.0,
+        "x_range_mm": 60.0,
+    }
+    scene, rng = load_scene("rectangle").varied(largest), np.random.default_rng(2)
+    assert all(scene.randomised(rng, held_out=bool(index % 2)).blocks.gap_mm <= 250.0 for index in range(60))
+
+
 def test_held_out_draws_never_meet_training_draws() -> None:
     scene, rng = load_scene("circle"), np.random.default_rng(0)
     train = [scene.randomised(rng).gel.friction for _ in range(50)]
