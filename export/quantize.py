@@ -1,6 +1,8 @@
 """fp32 -> int8: static per-channel QDQ with real frames, judged by the robot commands it would change.
 
-Weights keep one bit in reserve (``reduce_range``): without VNNI, U8S8 products saturate in 16 bits, silently.
+Weights keep one bit in reserve (``reduce_range``): without VNNI, U8S8 products saturate in 16 bits, silently. The first
+layer stays fp32: it reads a frame beside its change, and of 256 steps over both the change, a few grey levels, gets
+hardly any.
 """
 
 from dataclasses import dataclass
@@ -23,6 +25,7 @@ from service.perception.sequence import track_pairs
 from training.labels import class_of
 
 OPERATORS = ["Conv", "Gemm", "MatMul"]
+PICTURED = {"frame", "frames", "reference"}
 SAME_MM, SAME_DEG = 0.1, 0.1
 CALIBRATION_DECISIONS = 16
 KEPT_SHARE = 0.995
@@ -136,13 +139,20 @@ def _build(prepared: Path, out: Path, layers: list[str], feeds: list[Arrays]) ->
 
 
 def _costliest_first(prepared: Path) -> list[str]:
-    """Names of the nodes with weights that could be int8, by the multiplications of a batch of one."""
+    """Names of the nodes with weights that could be int8, by the multiplications of a batch of one.
+
+    Layers that read the input itself are not among them.
+    """
     graph = onnx.load(str(prepared)).graph
     weights = {tensor.name: tuple(tensor.dims) for tensor in graph.initializer}
     places = {value.name: _places(value) for value in [*graph.value_info, *graph.output]}
     cost = {}
+    unread = set(PICTURED)
     for node in graph.node:
-        if node.op_type in OPERATORS and len(node.input) > 1 and node.input[1] in weights:
+        weighs = node.op_type in OPERATORS and len(node.input) > 1 and node.input[1] in weights
+        if unread & set(node.input):
+            unread |= set() if weighs else set(node.output)
+        elif weighs:
             size = float(np.prod(weights[node.input[1]]))
             cost[node.name] = size * (places.get(node.output[0], 1.0) if node.op_type == "Conv" else 1.0)
     return sorted(cost, key=lambda name: -cost[name])

@@ -15,6 +15,9 @@ from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
 
 INPUT_PX = 224
 FEATURES, HIDDEN, LSTM = 9216, 4096, 170
+HIDDEN_REACH, CELL_REACH = 1.001, 1e6
+"""What a stream can reach: a hidden unit is a gate times a tanh; a cell unit gains at most one a step, and a million
+steps are nine hours of frames."""
 MARGIN_PX = (WIDTH_PX - HEIGHT_PX) // 2
 IMAGENET_SPREAD = 0.226
 
@@ -69,6 +72,7 @@ class AlexNetLstm(nn.Module):
     uses_geometry = False
     reads_markers = False
     log_sigma: Tensor
+    state_reach: Tensor
 
     def __init__(self, outputs: int) -> None:
         super().__init__()
@@ -76,6 +80,8 @@ class AlexNetLstm(nn.Module):
         self.lstm = nn.LSTMCell(2 * HIDDEN, LSTM)
         self.output = nn.Linear(LSTM, outputs)
         self.register_buffer("log_sigma", torch.zeros(2))
+        reach = torch.tensor([HIDDEN_REACH, CELL_REACH]).repeat_interleave(LSTM)
+        self.register_buffer("state_reach", reach, persistent=False)
 
     def convolved(self, images: Tensor) -> Tensor:
         """Difference images [N, 3, 224, 224] -> frozen features [N, 9216]."""
@@ -141,6 +147,8 @@ class SharedBackbone(nn.Module):
 
     state_size = 2 * AlexNetLstm.state_size
     uses_geometry = False
+    reads_markers = False
+    state_reach: Tensor
 
     def __init__(self, pair: AlexNetPair) -> None:
         super().__init__()
@@ -150,6 +158,8 @@ class SharedBackbone(nn.Module):
         self.direction, self.magnitude = pair.direction, pair.magnitude
         ours, theirs = (network.alexnet.classifier.state_dict() for network in (pair.direction, pair.magnitude))
         both = [pair.direction, pair.magnitude]
+        reach = torch.cat([network.state_reach for network in both])
+        self.register_buffer("state_reach", reach, persistent=False)
         self.readers = both[:1] if all(torch.equal(ours[name], theirs[name]) for name in ours) else both
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:

@@ -18,6 +18,8 @@ MARKER_ROWS, MARKER_COLS = 20, 21
 ERROR_SCALE = 5.0
 """Heads speak in units of 5 mm and 5 deg, so that their outputs are of order one."""
 LOG_SIGMA_SPAN = 3.0
+STATE_REACH = 1.001
+"""A GRU's state is a mean of its last state and a tanh, so it cannot leave +-1 by more than rounding."""
 TOLD = 3
 """Gap width, whether the grasp height is known, grasp height: what the cell says beside the pictures."""
 
@@ -64,6 +66,7 @@ class Decider(nn.Module):
     """Trunk and heads. ``field_scale`` [3] turns a field's (mm, mm, third channel) into numbers of order one."""
 
     field_scale: Tensor
+    state_reach = STATE_REACH
     uses_geometry = True
     reads_markers = False
     roles: tuple[Role, ...] = ("direction", "magnitude", "joint", "pair")

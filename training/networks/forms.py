@@ -21,6 +21,7 @@ class Recurrent(Protocol):
     """
 
     state_size: int
+    state_reach: float | Tensor
     uses_geometry: bool
     reads_markers: bool
 
@@ -60,6 +61,15 @@ class _Form(nn.Module):
         return (self.network.logits(state),) if self.role == "direction" else self.network.error(state)
 
 
+def within_reach(state: Tensor, reach: float | Tensor) -> Tensor:
+    """A recurrent state [B, S] from outside, brought back to the magnitudes that the cell can reach.
+
+    Every state within reach leaves as it came, bit for bit (the factor is 1). What is no number stays none, infinity
+    becomes NaN: the service refuses both by name, a clamp would make a decision of them.
+    """
+    return state * torch.clamp(reach / state.abs(), max=1.0)
+
+
 def _told(gap_width_mm: Tensor | None, grasp_height_mm: Tensor | None) -> Tensor | None:
     if gap_width_mm is None or grasp_height_mm is None:
         return None
@@ -78,9 +88,8 @@ class StepForm(_Form):
         grasp_height_mm: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """One step; ``state`` [B, state_size], zeros at first."""
-        following = self.network.advance(
-            self.network.features(frame, reference), _told(gap_width_mm, grasp_height_mm), state
-        )
+        features, told = self.network.features(frame, reference), _told(gap_width_mm, grasp_height_mm)
+        following = self.network.advance(features, told, within_reach(state, self.network.state_reach))
         return (*self.decide(following), following)
 
 
