@@ -22,7 +22,8 @@ MATMUL_SIZES = (512, 1024)
 CONV = (256, 28)
 """Channels and side of the probed 3 x 3 convolution: AlexNet's later layers have this shape."""
 LEAST_BYTES = 1_000_000
-OPERATORS = ("Conv", "Gemm", "MatMul")
+OPERATORS = ("Conv", "Gemm", "MatMul", "MatMulInteger")
+BYTES = (TensorProto.INT8, TensorProto.UINT8)
 
 
 @dataclass(frozen=True)
@@ -148,11 +149,11 @@ def work_of(model: Model) -> Work:
 def _weights(graph: Any) -> dict[str, tuple[tuple[int, ...], bool]]:
     """Shape of every constant a layer may multiply by, and whether it is int8; seen through widening nodes."""
     stored = {tensor.name: (tuple(tensor.dims), tensor.data_type) for tensor in graph.initializer}
-    found = {name: (shape, False) for name, (shape, _) in stored.items()}
+    found = {name: (shape, kind in BYTES) for name, (shape, kind) in stored.items()}
     for node in graph.node:
         if node.op_type in ("DequantizeLinear", "Cast") and node.input[0] in stored:
             shape, kind = stored[node.input[0]]
-            found[node.output[0]] = (shape, kind in (TensorProto.INT8, TensorProto.UINT8))
+            found[node.output[0]] = (shape, kind in BYTES)
     return found
 
 

@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 import onnx
 import torch
+from onnx_ir.passes.common import DeduplicateInitializersPass
+from onnxscript import opset18 as op
 from torch import nn
 
 from export.golden import golden_frames, golden_markers
@@ -22,12 +24,15 @@ from training.config import FRAMES_PER_DECISION
 from training.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import Role, SequenceForm, StepForm
-from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
+from training.networks.preprocessing import BLOCK_PX, CHANNELS, COLS, HEIGHT_PX, ROWS, WIDTH_PX, selector
 
 OPSET = 20
 PICTURES = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX, colour="bgr", rectified=True)
 MARKERS = MarkerSpec(rows=LATTICE.rows, columns=LATTICE.columns, pitch_px=LATTICE.pitch_px, first_px=LATTICE.first_px)
 TOLERANCE = 1e-5
+FLOAT = onnx.TensorProto.FLOAT
+LARGEST_SHARED = 10**7
+"""Constants of up to this many elements are stored once, however often the graph names them."""
 Form = Literal["sequence", "step"]
 FORMS: tuple[Form, Form] = ("sequence", "step")
 OUTPUTS: dict[Role, list[str]] = {
@@ -129,12 +134,21 @@ def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: 
             input_names=list(example),
             output_names=outputs,
             dynamic_shapes={name: {0: batch} for name in example},
+            custom_translation_table={torch.ops.tactile_insertion.block_sums.default: _block_sums},
             verbose=False,
         )
     assert program is not None
+    DeduplicateInitializersPass(LARGEST_SHARED)(program.model)  # both frames are summed by the same matrix
     program.save(str(file))
     _check_parity(wrapped, example, file)
     attach_card(file, make_card(checkpoint, role, form, network))
+
+
+def _block_sums(frames: Any) -> Any:
+    """:func:`training.networks.preprocessing.block_sums` as one product of integers: exact on every processor."""
+    rows = op.Reshape(frames, op.Constant(value_ints=[-1, BLOCK_PX * WIDTH_PX * 3]))
+    sums = op.Cast(op.MatMulInteger(rows, op.Constant(value=onnx.numpy_helper.from_array(selector()))), to=FLOAT)
+    return op.Transpose(op.Reshape(sums, op.Constant(value_ints=[-1, ROWS, CHANNELS, COLS])), perm=[0, 2, 1, 3])
 
 
 def _check_parity(wrapped: nn.Module, example: dict[str, torch.Tensor], file: Path) -> None:

@@ -77,8 +77,8 @@ def test_the_limit_counts_every_multiplication_once(models):
     work = work_of(open_model(models / "direction.step.onnx"))
     # front: 4 -> 8 channels of 5 x 5, twice 8 -> 8 of 3 x 3, 8 -> 3 of 1 x 1, on 20 x 21 cells of two fingers
     front = 2 * 20 * 21 * (4 * 8 * 25 + 2 * 8 * 8 * 9 + 8 * 3)
-    # pooling: 64 rows of 975 values by 130 columns, for frame and reference of two fingers
-    pooling = 4 * 64 * 975 * 130
+    # pooling: 64 bands of five rows of 981 bytes by 130 columns, for frame and reference of two fingers
+    pooling = 4 * 64 * 4905 * 130
     trunk = 2 * (10 * 11 * 8 * 3 * 9 + 5 * 6 * 16 * 8 * 9) + 2 * 480 * 16 + 35 * 48 + 16 * 48 + 16 * 9
     assert sum(products for products, _, _ in work.layers) == front + pooling + trunk
 

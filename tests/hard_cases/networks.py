@@ -20,7 +20,7 @@ MARKERS = ("direction", "magnitude", "joint/joint")
 PICTURES = ("pictures/direction", "pictures/magnitude")
 NAMES = (*MARKERS, *PICTURES)
 LARGEST = 1e4
-POOLED = (POOLING, "rows = cut.float().sum(2)")
+POOLED = (POOLING, "blocks = cut.float().sum((2, 4))")
 CHANGE = ("training/networks/markers.py", "seen = (torch.minimum(frame[..., 2:], reference[..., 2:]) > SEEN)")
 
 
@@ -82,7 +82,7 @@ _hard_case("noise", "displacements of hundreds of pixels with no pattern", MARKE
     "networks",
     why="uint8 minus uint8 wraps: 0 - 1 is 255",
     holds="a darker frame reads as the mirror of a brighter one, not as white: outputs that jump",
-    guard=(POOLING, "rows = cut.float().sum(2)"),
+    guard=(POOLING, "blocks = cut.float().sum((2, 4))"),
     limit=0.5,
 )
 def differences_of_minus_one(seed: int) -> float:
@@ -125,10 +125,7 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
     "networks",
     why="the state of a step comes from outside the graph and may be anything a float holds",
     holds="states of +-1e4 give finite, bounded outputs: largest",
-    guard=(
-        "training/networks/decider.py",
-        "following: Tensor = self.cell(torch.cat([features, geometry_of(told)], 1), state)",
-    ),
+    guard=(FORMS, "return state * torch.clamp(reach / state.abs(), max=1.0)"),
     limit=1e6,
 )
 def states_of_ten_thousand(seed: int) -> float:
@@ -139,6 +136,25 @@ def states_of_ten_thousand(seed: int) -> float:
         fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
         worst = max(worst, _size(model(fed | told(model.card, 1))))
     return worst
+
+
+@case(
+    "networks",
+    why="a state is brought back within reach, and the clamp of a runtime may make a number of what is none",
+    holds="a state with one NaN or infinity leaves no network with finite outputs: networks that decide",
+    guard=(FORMS, "return state * torch.clamp(reach / state.abs(), max=1.0)"),
+)
+def states_that_are_no_numbers(seed: int) -> float:
+    decided = 0
+    for name in NAMES:
+        frames, model = _frames(seed, name)[None], released(name)
+        for value in (np.nan, np.inf, -np.inf):
+            state = np.zeros((1, model.card.state_size), np.float32)
+            state[0, seed] = value
+            fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
+            outputs = model(fed | told(model.card, 1))
+            decided += any(np.isfinite(output).all() for output in outputs.values())
+    return float(decided)
 
 
 @case(

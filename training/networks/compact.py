@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from training.config import NetworkConfig
 from training.networks.decider import FIELD_CHANNELS, MARKER_COLS, MARKER_ROWS, Decider
-from training.networks.preprocessing import BLOCK_MEAN, CHANNELS, IntegerPooling
+from training.networks.preprocessing import BLOCK_MEAN, CHANNELS, block_sums
 
 GREY_SPAN = 32.0
 
@@ -43,14 +43,13 @@ class CompactNetwork(Decider):
 
     def __init__(self, settings: NetworkConfig, classes: int) -> None:
         super().__init__(settings, classes)
-        self.pooling = IntegerPooling()
         self.front = Front(settings.front_width)
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
         """Frames uint8 [B, 2, 320, 327, 3] -> features of the pair."""
         count, *image = frame.shape[0], *frame.shape[2:]
-        pooled = self.pooling(frame.reshape(count * 2, *image))
-        base = self.pooling(reference.reshape(count * 2, *image))
+        pooled = block_sums(frame.reshape(count * 2, *image))
+        base = block_sums(reference.reshape(count * 2, *image))
         return self.trunk.encode(self.front(pooled, base).reshape(count, 2, FIELD_CHANNELS, MARKER_ROWS, MARKER_COLS))
 
     def normalised(self, fields: Tensor) -> Tensor:

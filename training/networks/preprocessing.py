@@ -7,7 +7,7 @@ in the graph and frames pooled once into the training cache are the same numbers
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 HEIGHT_PX, WIDTH_PX = 320, 327
 BLOCK_PX = 5
@@ -31,26 +31,31 @@ def pool_frames(frames: NDArray[np.uint8]) -> NDArray[np.uint16]:
     return pooled.reshape(*lead, CHANNELS, ROWS, COLS)
 
 
-class IntegerPooling(nn.Module):
+def selector() -> NDArray[np.int8]:
+    """Which bytes of five rows of a BGR frame belong to which sum: int8 [5 * 327 * 3, 2 * 65] of zeros and ones.
+
+    The last columns, which fill no block, belong to none.
+    """
+    row = np.zeros((WIDTH_PX, 3, CHANNELS, COLS), np.int8)
+    column = np.arange(COLS * BLOCK_PX)
+    row[column, 1, 0, column // BLOCK_PX] = 1
+    for colour in (0, 2):
+        row[column, colour, 1, column // BLOCK_PX] = 1
+    return np.tile(row.reshape(WIDTH_PX * 3, CHANNELS * COLS), (BLOCK_PX, 1))
+
+
+@torch.library.custom_op("tactile_insertion::block_sums", mutates_args=())
+def block_sums(frames: Tensor) -> Tensor:
     """Block sums of BGR frames inside the graph: uint8 [N, 320, 327, 3] -> float32 [N, 2, 64, 65].
 
-    Rows are summed first (contiguous), columns and colours by one matrix of zeros and ones: 0.2 ms a frame on a CPU.
+    An operator of its own, so that the exporter writes it as one product of integers (:func:`selector`): a quarter of
+    the time that casting and adding takes.
     """
+    cut = frames[:, :, : COLS * BLOCK_PX].reshape(-1, ROWS, BLOCK_PX, COLS, BLOCK_PX, 3)
+    blocks = cut.float().sum((2, 4))
+    return torch.stack([blocks[..., 1], blocks[..., 0] + blocks[..., 2]], 1)
 
-    selector: Tensor
 
-    def __init__(self) -> None:
-        super().__init__()
-        selector = torch.zeros(COLS * BLOCK_PX, 3, CHANNELS, COLS)
-        for column in range(COLS * BLOCK_PX):
-            selector[column, 1, 0, column // BLOCK_PX] = 1
-            selector[column, 0, 1, column // BLOCK_PX] = 1
-            selector[column, 2, 1, column // BLOCK_PX] = 1
-        self.register_buffer("selector", selector.reshape(COLS * BLOCK_PX * 3, CHANNELS * COLS), persistent=False)
-
-    def forward(self, frames: Tensor) -> Tensor:
-        """Pool frames [N, 320, 327, 3]; the cast comes before any arithmetic."""
-        count = frames.shape[0]
-        cut = frames[:, :, : COLS * BLOCK_PX].reshape(count, ROWS, BLOCK_PX, COLS * BLOCK_PX * 3)
-        rows = cut.float().sum(2)
-        return (rows @ self.selector).reshape(count, ROWS, CHANNELS, COLS).permute(0, 2, 1, 3)
+@block_sums.register_fake
+def _(frames: Tensor) -> Tensor:
+    return frames.new_empty((frames.shape[0], CHANNELS, ROWS, COLS), dtype=torch.float32)
