@@ -47,6 +47,9 @@ class Desk:
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
         """A client wants to drive: opens an insertion, or takes its own one up again after a lost connection."""
+        if refused := wire.unspoken(hello):
+            send(refused)
+            return
         active = self.active
         if active and active.session.insertion_id != hello.insertion_id:
             if active.send is not None:

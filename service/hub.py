@@ -4,22 +4,27 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import structlog
+
 from service.cameras import CameraFrame
 from service.contract import Finger
 from service.observation import Observation
 
 Listener = Callable[[str, Any], None]
+log = structlog.get_logger()
 
 
 class Hub:
     """Passes events to listeners and keeps the newest frame and observation of each finger. Thread safe.
 
-    Listeners are called in the publishing thread and must return at once (they hand over to their own loop).
+    Listeners are called in the publishing thread and must return at once (they hand over to their own loop). One that
+    raises is logged and counted: who watches an insertion cannot break it.
     """
 
     def __init__(self) -> None:
         self.frames: dict[Finger, CameraFrame] = {}
         self.observations: dict[Finger, Observation] = {}
+        self.errors_n = 0
         self._listeners: tuple[Listener, ...] = ()
         self._lock = threading.Lock()
 
@@ -37,7 +42,11 @@ class Hub:
     def publish(self, kind: str, content: Any) -> None:
         """Tell every listener."""
         for listener in self._listeners:
-            listener(kind, content)
+            try:
+                listener(kind, content)
+            except Exception as error:
+                self.errors_n += 1
+                log.error("listener", event_kind=kind, error=repr(error))  # noqa: TRY400 - one line, not a page, a frame
 
     def frame(self, frame: CameraFrame) -> None:
         """A new camera frame."""

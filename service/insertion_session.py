@@ -88,9 +88,8 @@ class InsertionSession:
         return replies
 
     def _hello(self, message: wire.ClientHello) -> Replies:
-        if message.protocol != wire.PROTOCOL:
-            detail = f"client speaks protocol {message.protocol}, this service {wire.PROTOCOL}; update the older one"
-            return [self._fault("protocol_version", detail, message.insertion_id, fatal=True)]
+        if refused := wire.unspoken(message):
+            return [refused]
         if self.insertion_id is None:
             self.insertion_id = message.insertion_id
             self.controller_name = message.controller or self.controller_name
@@ -293,7 +292,6 @@ class InsertionSession:
         )
         return [self.finished]
 
-    def _fault(self, code: str, detail: str, insertion_id: str | None = None, *, fatal: bool = False) -> wire.Fault:
-        return wire.Fault(
-            insertion_id=insertion_id or self.insertion_id or "none", code=code, detail=detail, fatal=fatal
-        )
+    def _fault(self, code: str, detail: str, insertion_id: str | None = None) -> wire.Fault:
+        named = insertion_id or self.insertion_id or "none"
+        return wire.Fault(insertion_id=named, code=code, detail=detail, fatal=False)

@@ -7,6 +7,7 @@ import socket
 import sys
 import threading
 from collections.abc import Iterator, Sequence
+from typing import TextIO, cast
 
 import cv2
 import structlog
@@ -16,8 +17,9 @@ from fastapi import FastAPI
 from service.app import create_app
 from service.contract import ContractError
 from service.event_log import log_events
+from service.log_lines import LogLines
 from service.memory import use_few_arenas
-from service.patience import PatientProtocol
+from service.patience import PatientProtocol, PatientWebSocket
 from service.settings import Settings, read_settings
 from service.station import open_station
 from service.tracing import Spans, make_tracer
@@ -46,8 +48,10 @@ def bind(host: str, port: int) -> socket.socket:
     return sock
 
 
-def set_up_logs(settings: Settings) -> None:
-    """Structured lines on standard error, JSON where asked for."""
+@contextlib.contextmanager
+def logging_to_standard_error(settings: Settings) -> Iterator[None]:
+    """Structured lines on standard error, JSON where asked for; afterwards the library's own defaults hold again."""
+    lines = LogLines(lambda: sys.stderr)
     renderer = structlog.processors.JSONRenderer() if settings.log_json else structlog.dev.ConsoleRenderer(colors=False)
     structlog.configure(
         processors=[
@@ -58,8 +62,13 @@ def set_up_logs(settings: Settings) -> None:
             renderer,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+        logger_factory=structlog.WriteLoggerFactory(cast("TextIO", lines)),
     )
+    try:
+        yield
+    finally:
+        structlog.reset_defaults()
+        lines.close()
 
 
 @contextlib.contextmanager
@@ -82,11 +91,14 @@ def leaving_in_order() -> Iterator[None]:
 def main(arguments: Sequence[str]) -> int:
     """Serve until interrupted; bad input raises ContractError or OSError before anything listens."""
     settings = read_settings(arguments)
-    set_up_logs(settings)
     use_few_arenas()
     sys.setswitchinterval(SWITCH_S)
     cv2.setNumThreads(1)  # one thread a finger beats a pool that wakes for 2 ms of work
-    with leaving_in_order(), contextlib.closing(bind(settings.host, settings.port)) as sock:
+    with (
+        leaving_in_order(),
+        logging_to_standard_error(settings),
+        contextlib.closing(bind(settings.host, settings.port)) as sock,
+    ):
         station = open_station(settings)
         log_events(station.hub)
         if settings.tracing != "off":
@@ -107,7 +119,7 @@ def web_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         http=PatientProtocol,
-        ws="websockets-sansio",
+        ws=PatientWebSocket,
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE_BYTES,
         ws_ping_interval=5.0,

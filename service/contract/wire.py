@@ -215,6 +215,15 @@ ServiceMessage = Annotated[
     Field(discriminator="type"),
 ]
 
+
+def unspoken(hello: ClientHello) -> Fault | None:
+    """Why a client of another protocol cannot be served, None if it speaks ours."""
+    if hello.protocol == PROTOCOL:
+        return None
+    detail = f"client speaks protocol {hello.protocol}, this service {PROTOCOL}; update the older one"
+    return Fault(insertion_id=hello.insertion_id, code="protocol_version", detail=detail, fatal=True)
+
+
 _CLIENT: TypeAdapter[Any] = TypeAdapter(ClientMessage)
 _SERVICE: TypeAdapter[Any] = TypeAdapter(ServiceMessage)
 

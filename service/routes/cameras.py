@@ -13,11 +13,11 @@ from fastapi.responses import StreamingResponse
 from service.cameras import CameraFrame
 from service.contract import ContractError, Finger, decode_frame, encode_frame
 from service.routes.access import Access
+from service.routes.ending import GOING_AWAY, TRY_AGAIN_LATER, UNSUPPORTED, Ending, close, until_gone, until_one_ends
 from service.station import Station
 
 BOUNDARY = "frame"
 MAX_VIEWERS = 16
-UNSUPPORTED, TRY_AGAIN_LATER = 1003, 1013
 _pictures = ThreadPoolExecutor(1, "pictures")  # encoding for viewers never delays deciding for the robot
 MaxHz = Annotated[float, Query(gt=0, le=240, allow_inf_nan=False, description="at most so many frames a second")]
 
@@ -108,20 +108,13 @@ async def _parts(station: Station, finger: Finger, max_hz: float) -> AsyncIterat
 
 
 async def _show(socket: WebSocket, station: Station, finger: Finger, max_hz: float, form: str) -> None:
-    async def send() -> None:
+    async def send() -> Ending:
         async with contextlib.aclosing(newest_frames(station, finger, max_hz)) as shown:  # type: ignore[type-var]
             async for frame in shown:
                 await socket.send_bytes(encode_frame(frame.frame) if form == "raw" else await _jpeg(frame))
+        return Ending(GOING_AWAY, "no more frames")
 
-    async def until_gone() -> None:
-        while (await socket.receive())["type"] != "websocket.disconnect":
-            pass
-
-    tasks = [asyncio.create_task(send()), asyncio.create_task(until_gone())]
-    await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
+    await close(socket, await until_one_ends(socket, send(), until_gone(socket)))
 
 
 async def _take_in(socket: WebSocket, station: Station, finger: Finger) -> None:

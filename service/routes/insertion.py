@@ -10,12 +10,20 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from service.contract import ContractError, wire
 from service.contract.wire import ServiceMessage
 from service.routes.access import Access
+from service.routes.ending import (
+    GOING_AWAY,
+    NORMAL,
+    POLICY_VIOLATION,
+    TRY_AGAIN_LATER,
+    Ending,
+    close,
+    until_gone,
+    until_one_ends,
+)
 from service.station import Station
 
 HELLO_TIMEOUT_S = 5.0
 MAX_WAITING = 256
-POLICY_VIOLATION = 1008
-TRY_AGAIN_LATER = 1013
 log = structlog.get_logger()
 
 
@@ -25,34 +33,49 @@ class Connection:
     def __init__(self, socket: WebSocket) -> None:
         self._socket = socket
         self._loop = asyncio.get_running_loop()
-        self._waiting: asyncio.Queue[str | None] = asyncio.Queue(MAX_WAITING)
-        self.overrun = False
+        self._waiting: asyncio.Queue[tuple[str, Ending | None]] = asyncio.Queue(MAX_WAITING)
+        self._overrun = asyncio.Event()
+        self.insertion_id = "none"
 
     def send(self, message: ServiceMessage) -> None:
         """Queue a message; may be called from any thread."""
-        text = message.model_dump_json()
-        last = isinstance(message, wire.Finished) or (isinstance(message, wire.Fault) and message.fatal)
+        text, ending = message.model_dump_json(), ending_of(message)
         with contextlib.suppress(RuntimeError):  # the loop is gone: so is the client
-            self._loop.call_soon_threadsafe(self._put, text, last)
+            self._loop.call_soon_threadsafe(self._put, text, ending)
 
-    def _put(self, text: str, last: bool) -> None:
+    def _put(self, text: str, ending: Ending | None) -> None:
         try:
-            self._waiting.put_nowait(text)
-            if last:
-                self._waiting.put_nowait(None)
+            self._waiting.put_nowait((text, ending))
         except asyncio.QueueFull:
-            self.overrun = True
+            self._overrun.set()
 
-    async def pump(self) -> None:
-        """Send what is queued until the last message or an overrun."""
-        while not self.overrun:
-            text = await self._waiting.get()
-            if text is None:
-                return
-            try:
-                await self._socket.send_text(text)
-            except WebSocketDisconnect:
-                return
+    def fault(self, code: str, detail: str, *, fatal: bool) -> None:
+        """Queue a fault of this connection."""
+        self.send(wire.Fault(insertion_id=self.insertion_id, code=code, detail=detail, fatal=fatal))
+
+    async def pump(self) -> Ending:
+        """Send what is queued, up to the message that ends the conversation."""
+        while True:
+            text, ending = await self._waiting.get()
+            await self._socket.send_text(text)
+            if ending is not None:
+                return ending
+
+    async def overrun(self) -> Ending:
+        """Wait until this client lets too much wait."""
+        await self._overrun.wait()
+        return Ending(POLICY_VIOLATION, f"{MAX_WAITING} messages wait for this client to read them")
+
+
+def ending_of(message: ServiceMessage) -> Ending | None:
+    """How a conversation ends with this message, None if it goes on."""
+    match message:
+        case wire.Finished():
+            return Ending(NORMAL, f"insertion {message.outcome}")
+        case wire.Fault(fatal=True):
+            code = TRY_AGAIN_LATER if message.code == "busy" else POLICY_VIOLATION
+            return Ending(code, f"{message.code}: {message.detail}")
+    return None
 
 
 def router(station: Station, access: Access) -> APIRouter:
@@ -67,67 +90,54 @@ def router(station: Station, access: Access) -> APIRouter:
             return
         await socket.accept()
         connection = Connection(socket)
-        pump = asyncio.create_task(connection.pump())
-        talk = asyncio.create_task(_talk(socket, connection, station, access))
+        ending = Ending(GOING_AWAY, "the service stops")
         try:
-            await asyncio.wait({pump, talk}, return_when=asyncio.FIRST_COMPLETED)
-            if talk.done():
-                with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(pump, 1.0)
+            talk = _talk(socket, connection, station, access)
+            ending = await until_one_ends(socket, connection.pump(), talk, connection.overrun())
         finally:
-            for task in (pump, talk):
-                task.cancel()
-            ended = await asyncio.gather(pump, talk, return_exceptions=True)
-            for error in ended:
-                if isinstance(error, Exception) and not isinstance(error, WebSocketDisconnect):
-                    log.error("connection broke", error=repr(error))
             station.disconnect(connection.send)
-            with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-                await socket.close()
+            log.info("client gone", insertion=connection.insertion_id, code=ending.code, reason=ending.reason)
+            await close(socket, ending)
 
     return routes
 
 
-async def _talk(socket: WebSocket, connection: Connection, station: Station, access: Access) -> None:
+async def _talk(socket: WebSocket, connection: Connection, station: Station, access: Access) -> Ending:
     """Read messages until the client leaves; anything that is no message is answered by a fault."""
     try:
         hello = wire.parse_client(await asyncio.wait_for(_text(socket), HELLO_TIMEOUT_S))
         if not isinstance(hello, wire.ClientHello):
             raise ContractError(f"first message is {hello.type}, expected hello")
     except (ContractError, TimeoutError) as error:
-        detail = str(error) or f"no hello within {HELLO_TIMEOUT_S:g} s"
-        connection.send(wire.Fault(insertion_id="none", code="bad_message", detail=detail, fatal=True))
-        return
+        connection.fault("bad_message", str(error) or f"no hello within {HELLO_TIMEOUT_S:g} s", fatal=True)
+        return await until_gone(socket)
+    connection.insertion_id = hello.insertion_id
     log.info("client", insertion=hello.insertion_id, client=hello.client, role=hello.role)
     if hello.role == "watch":
-        await _watch(socket, connection, station, hello)
-        return
+        return await _watch(socket, connection, station)
     if not access.allows(socket, "drive"):
-        detail = "this token may watch only; use the drive token"
-        connection.send(wire.Fault(insertion_id=hello.insertion_id, code="forbidden", detail=detail, fatal=True))
-        return
-    await _drive(socket, connection, station, hello)
+        connection.fault("forbidden", "this token may watch only; use the drive token", fatal=True)
+        return await until_gone(socket)
+    return await _drive(socket, connection, station, hello)
 
 
-async def _drive(socket: WebSocket, connection: Connection, station: Station, hello: wire.ClientHello) -> None:
-    send = connection.send
-    station.connect(hello, send)
+async def _drive(socket: WebSocket, connection: Connection, station: Station, hello: wire.ClientHello) -> Ending:
+    station.connect(hello, connection.send)
     while True:
         try:
             message: Any = wire.parse_client(await _text(socket))
         except ContractError as error:
-            send(wire.Fault(insertion_id=hello.insertion_id, code="bad_message", detail=str(error), fatal=False))
+            connection.fault("bad_message", str(error), fatal=False)
             continue
-        except WebSocketDisconnect:
-            return
-        station.receive(message, send)
+        station.receive(message, connection.send)
 
 
-async def _watch(socket: WebSocket, connection: Connection, station: Station, hello: wire.ClientHello) -> None:
+async def _watch(socket: WebSocket, connection: Connection, station: Station) -> Ending:
     """Everything the driving client hears; only heartbeats are answered."""
+    name = connection.insertion_id
     connection.send(
         wire.ServiceHello(
-            insertion_id=hello.insertion_id,
+            insertion_id=name,
             models=station.models.entries,
             cameras=station.camera_entries(),
             controller=station.settings.controller,
@@ -139,20 +149,14 @@ async def _watch(socket: WebSocket, connection: Connection, station: Station, he
         while True:
             message: Any = wire.parse_client(await _text(socket))
             if isinstance(message, wire.ClientHeartbeat):
-                connection.send(
-                    wire.ServiceHeartbeat(
-                        insertion_id=hello.insertion_id, count=message.count, frame_age_ms=station.frame_age_ms()
-                    )
-                )
+                age_ms = station.frame_age_ms()
+                connection.send(wire.ServiceHeartbeat(insertion_id=name, count=message.count, frame_age_ms=age_ms))
             else:
                 detail = f"a watching client may send heartbeats only, not {message.type}"
-                connection.send(
-                    wire.Fault(insertion_id=hello.insertion_id, code="watch_only", detail=detail, fatal=False)
-                )
+                connection.fault("watch_only", detail, fatal=False)
     except ContractError as error:
-        connection.send(wire.Fault(insertion_id=hello.insertion_id, code="bad_message", detail=str(error), fatal=True))
-    except WebSocketDisconnect:
-        return
+        connection.fault("bad_message", str(error), fatal=True)
+        return await until_gone(socket)
     finally:
         remove()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, WebSocket
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
@@ -17,6 +17,7 @@ from service.contract import FINGERS, Finger
 from service.controllers import Command
 from service.observation import Observation
 from service.routes.access import Access
+from service.routes.ending import Ending, close, until_gone, until_one_ends
 from service.station import Station
 
 FOLDER = Path(__file__).parent.parent / "dashboard"
@@ -113,23 +114,13 @@ def router(station: Station, access: Access) -> APIRouter:
         if not await access.admit(socket, "watch"):
             return
         await socket.accept()
-        tasks = [asyncio.create_task(work) for work in (_events(socket, station), _pictures(socket, station))]
-        tasks += [asyncio.create_task(_health(socket, station)), asyncio.create_task(_until_closed(socket))]
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        shown = _events(socket, station), _pictures(socket, station), _health(socket, station)
+        await close(socket, await until_one_ends(socket, *shown, until_gone(socket)))
 
     return routes
 
 
-async def _until_closed(socket: WebSocket) -> None:
-    with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-        while True:
-            await socket.receive_text()
-
-
-async def _events(socket: WebSocket, station: Station) -> None:
+async def _events(socket: WebSocket, station: Station) -> Ending:
     loop = asyncio.get_running_loop()
     waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue(MAX_WAITING)
 
@@ -159,7 +150,7 @@ async def _events(socket: WebSocket, station: Station) -> None:
         remove()
 
 
-async def _pictures(socket: WebSocket, station: Station) -> None:
+async def _pictures(socket: WebSocket, station: Station) -> Ending:
     loop = asyncio.get_running_loop()
     shown: dict[Finger, int] = {}
     while True:
@@ -173,7 +164,7 @@ async def _pictures(socket: WebSocket, station: Station) -> None:
         await asyncio.sleep(PERIOD_S)
 
 
-async def _health(socket: WebSocket, station: Station) -> None:
+async def _health(socket: WebSocket, station: Station) -> Ending:
     while True:
         await socket.send_json({"kind": "health", "content": health_of(station)})
         await asyncio.sleep(HEALTH_S)

@@ -99,7 +99,7 @@ def first_to_drive(live: LiveService) -> Driver:
 def is_well(live: LiveService) -> None:
     """Alive, ready, no exception inside, and a correct client gets through."""
     assert httpx.get(live.url("/healthz")).status_code == 200
-    assert live.station.counters.perception_errors_n == 0
+    assert live.station.counters.perception_errors_n == live.station.hub.errors_n == 0
     driver = first_to_drive(live)
     driver.attempt(1)
     assert driver.insert(2).outcome == "inserted"
