@@ -20,6 +20,7 @@ from service.contract import FINGERS, ContractError, Finger, FramePair, wire
 from service.desk import Desk
 from service.hub import Hub
 from service.insertion import Insertion, Send
+from service.memory import give_back
 from service.models import ModelSet, load_models
 from service.models_worker import ModelsWorker
 from service.perception.rectify import Calibration
@@ -224,7 +225,12 @@ class Station:
 
         Raises ContractError with what was wrong, or if an insertion is under way.
         """
-        fresh = load_models(self.settings.models)
+        try:
+            self._swap(load_models(self.settings.models))
+        finally:
+            give_back()  # a set of networks or two: some 30 MB that the allocator would keep
+
+    def _swap(self, fresh: ModelSet) -> None:
         if fresh.card.frame != self.models.card.frame:
             raise ContractError(
                 f"new models expect {fresh.card.frame.shape}, the service runs {self.models.card.frame.shape}"

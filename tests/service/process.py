@@ -31,9 +31,11 @@ class ServiceProcess:
         os.kill(self.process.pid, signal.SIGKILL)
         self.process.wait(10)
 
-    def rss_mb(self) -> float:
+    def memory_mb(self) -> dict[str, float]:
+        """Resident memory: ``all``, of which ``own`` (heaps, stacks) and ``files`` (libraries, mapped files)."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
-        return int(re.search(r"VmRSS:\s+(\d+)", status)[1]) / 1024
+        names = {"all": "VmRSS", "own": "RssAnon", "files": "RssFile"}
+        return {kind: int(re.search(rf"{name}:\s+(\d+)", status)[1]) / 1024 for kind, name in names.items()}
 
     def threads_n(self) -> int:
         return len(list(Path(f"/proc/{self.process.pid}/task").iterdir()))

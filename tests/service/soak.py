@@ -22,7 +22,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import httpx
-import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
@@ -31,11 +30,12 @@ from service.recording_reader import Recording, RecordingError
 from tests.service import drawn
 from tests.service.mjpeg import FakeFinger
 from tests.service.process import ServiceProcess, service_process
+from tests.service.soak_memory import Slope, slope
 from tests.service.trouble import Cuts, Garbage, Reloads, Trouble, machine, server_errors
 
 ANSWER_S = 60.0  # the machine may be busy with other things
-LEAK_MB_PER_H = 20.0
 SAMPLE_S = 5.0
+REST_S = 0.3  # from `finished` until what the insertion held is given back
 
 
 class Killed(Exception):  # noqa: N818 - an event of the story, no error
@@ -147,6 +147,7 @@ class Soak:
     lost: list[str] = field(default_factory=list)
     abandoned: list[str] = field(default_factory=list)
     samples: list[tuple[float, float, int, int]] = field(default_factory=list)
+    at_rest: list[tuple[float, dict[str, float]]] = field(default_factory=list)
     started: float = field(default_factory=time.monotonic)
     _stop: threading.Event = field(default_factory=threading.Event)
 
@@ -159,6 +160,7 @@ class Soak:
             number += 1
             share = rng.choice((0.0, 0.0, 0.05))
             self._tell(Story(self.service, self.fingers, f"soak-{number}", rng, share, self.seen, self.wrong))
+            self._rest()
             if number % 20 == 0:
                 print(f"{number} insertions, {self.samples[-1][1]:.0f} MB, {dict(self.seen)}", flush=True)
         self._stop.set()
@@ -189,6 +191,14 @@ class Soak:
             self._verify(story)
             return
 
+    def _rest(self) -> None:
+        """What the service holds while nothing is under way; an abandoned insertion may still be."""
+        time.sleep(REST_S)
+        with contextlib.suppress(httpx.HTTPError, OSError):
+            active = httpx.get(self.service.url("/v1/insertions"), timeout=60).json()["active"]
+            if active is None:
+                self.at_rest.append((time.monotonic() - self.started, self.service.memory_mb()))
+
     def _verify(self, story: Story) -> None:
         """What was finished is on the disk, whole, with every correction the client heard."""
         path = Path(story.finished.recording or "nowhere")
@@ -217,15 +227,14 @@ class Soak:
         while not self._stop.wait(SAMPLE_S):
             with contextlib.suppress(OSError):
                 now = time.monotonic() - self.started
-                self.samples.append((now, self.service.rss_mb(), self.service.threads_n(), self.service.files_n()))
+                self.samples.append(
+                    (now, self.service.memory_mb()["all"], self.service.threads_n(), self.service.files_n())
+                )
 
-    def slope(self) -> tuple[float, float]:
-        """Resident memory in MB an hour, and one standard error, after the first fifth of the run."""
-        settled = np.array([s[:2] for s in self.samples[len(self.samples) // 5 :]])
-        if len(settled) < 10:
-            return float("nan"), float("nan")
-        (slope, _), covariance = np.polyfit(settled[:, 0] / 3600, settled[:, 1], 1, cov=True)
-        return float(slope), float(np.sqrt(covariance[0, 0]))
+    def slope(self, kind: str) -> Slope:
+        """Growth of what is resident at rest: ``all``, ``own`` (heaps) or ``files`` (libraries)."""
+        at_s, memory = zip(*self.at_rest, strict=True) if self.at_rest else ((), ())
+        return slope(list(at_s), [m[kind] for m in memory], self.samples[-1][0] if self.samples else 0.0)
 
 
 def arguments(given: list[str] | None = None) -> argparse.Namespace:

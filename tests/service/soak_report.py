@@ -7,22 +7,24 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.service.soak import LEAK_MB_PER_H, Soak
+from tests.service.soak import Soak
+from tests.service.soak_memory import LEAK_MB_PER_H, Slope
 
 
 def report(
     soak: Soak, troubles: Counter[str], errors: list[str], code: object, told: argparse.Namespace, machine: dict
 ) -> int:
-    slope, error = soak.slope()
-    leaks = bool(slope - 2 * error > LEAK_MB_PER_H)
-    memory = [s[1] for s in soak.samples] or [float("nan")]
+    slopes = {kind: soak.slope(kind) for kind in ("all", "own", "files")}
+    leaks = slopes["all"].leaks
+    memory = [m["all"] for _, m in soak.at_rest] or [float("nan")]
     edge = max(1, len(memory) // 10)
     facts = {
         "minutes": round((soak.samples[-1][0] if soak.samples else 0) / 60, 1),
         "insertions": soak.seen["insertions"],
-        "rss_slope_mb_per_h": round(slope, 2),
-        "rss_slope_standard_error": round(error, 2),
-        "rss_mb": {"first tenth": median(memory[:edge]), "last tenth": median(memory[-edge:]), "most": max(memory)},
+        "slope_at_rest_mb_per_h": {kind: vars(found) for kind, found in slopes.items()},
+        "limit_mb_per_h": LEAK_MB_PER_H,
+        "at_rest_mb": {"first tenth": median(memory[:edge]), "last tenth": median(memory[-edge:])},
+        "most_mb": round(max([s[1] for s in soak.samples] or [float("nan")]), 1),
         "threads": extent([s[2] for s in soak.samples]),
         "open_files": extent([s[3] for s in soak.samples]),
         "wrong_attempt_messages": soak.wrong,
@@ -34,7 +36,8 @@ def report(
         "machine": machine,
         "seed": told.seed,
         "camera_rate_hz": told.rate_hz,
-        "rss_mb_by_minute": [round(s[1], 1) for s in soak.samples[:: max(1, len(soak.samples) // 60)]],
+        "at_rest_mb_by_s": [[round(at_s), round(m["all"], 1), round(m["own"], 1)] for at_s, m in soak.at_rest],
+        "memory_held": not leaks,
     }
     held = not (soak.wrong or soak.lost or errors or leaks) and code == 0
     told.docs.mkdir(parents=True, exist_ok=True)
@@ -53,8 +56,8 @@ def extent(values: list[int]) -> list[int]:
 
 
 def page(facts: dict, held: bool) -> str:
-    memory = facts["rss_mb"]
-    slope = f"{facts['rss_slope_mb_per_h']:+.1f} +- {facts['rss_slope_standard_error']:.1f} MB an hour"
+    memory, slopes = facts["at_rest_mb"], {k: Slope(**v) for k, v in facts["slope_at_rest_mb_per_h"].items()}
+    verdict = f"limit {facts['limit_mb_per_h']:g} for the upper end: {'held' if facts['memory_held'] else '**missed**'}"
     rows = [
         ("insertions", facts["insertions"]),
         ("clients killed / came back", f"{seen(facts, 'clients killed')} / {seen(facts, 'clients that came back')}"),
@@ -62,8 +65,10 @@ def page(facts: dict, held: bool) -> str:
         ("messages for a wrong attempt or insertion", len(facts["wrong_attempt_messages"])),
         ("finished recordings verified / lost", f"{seen(facts, 'finished recordings verified')} / {lost(facts)}"),
         ("abandoned insertions whose recording was closed", seen(facts, "abandoned recordings verified")),
-        ("slope of resident memory", slope),
-        ("resident memory, first and last tenth", f"{memory['first tenth']} and {memory['last tenth']} MB"),
+        ("slope of resident memory at rest", f"{slopes['all']}; {verdict}"),
+        ("of that heaps, libraries", f"{slopes['own'].mb_per_h:+.1f}, {slopes['files'].mb_per_h:+.1f} MB an hour"),
+        ("resident at rest, first and last tenth", f"{memory['first tenth']} and {memory['last tenth']} MB"),
+        ("most resident while an insertion is under way", f"{facts['most_mb']} MB"),
         ("threads, open files (least to most)", f"{facts['threads']}, {facts['open_files']}"),
         ("unexpected errors, answers 5xx", len(facts["unexpected_errors"])),
         ("exit code of the service when asked to stop", facts["exit_code_of_the_service"]),
