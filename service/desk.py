@@ -17,7 +17,6 @@ from service.insertion import Insertion, Send
 from service.insertion_session import InsertionSession, ignore
 from service.memory import give_back
 from service.models import ModelSet
-from service.observation import Observation
 from service.perception.rectify import Calibration
 from service.recording import Recorder
 from service.sessions import make_session
@@ -106,9 +105,7 @@ class Desk:
         session.cameras, session.submit = self.camera_entries, self.submit
         session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session)
-        insertion = Insertion(session, recorder, None, self._publish)
-        session.on_attempt = insertion.attempt_decided
-        session.on_observation = self._observed(recorder)
+        insertion = Insertion(session, recorder, None, self._publish, self.hub.observation)
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
         for camera in self.cameras.values():
@@ -133,14 +130,6 @@ class Desk:
         except OSError as error:
             self.hub.publish("error", f"cannot record into {root}: {error}")
             return None
-
-    def _observed(self, recorder: Recorder | None) -> Callable[[Observation], None]:
-        def observed(observation: Observation) -> None:
-            if recorder:
-                recorder.observation(observation)
-            self.hub.observation(observation)
-
-        return observed
 
     def _publish(self, kind: str, content: Any) -> None:
         self.hub.publish(kind, content)

@@ -8,7 +8,8 @@ from service.attempt import Attempt, WorkResult
 from service.cameras import CameraFrame, now_ns
 from service.contract import Finger, FramePair, wire
 from service.contract.wire import ServiceMessage
-from service.insertion_session import InsertionSession, Replies
+from service.insertion_session import InsertionSession, Replies, ignore
+from service.observation import Observation
 from service.recording import Recorder
 
 Send = Callable[[ServiceMessage], None]
@@ -19,16 +20,24 @@ class Insertion:
     """Feeds a session, records what it is told and what it says, and passes its messages on.
 
     Only the perception thread calls its methods. ``send`` is the driving client (None while it is away); ``publish``
-    takes (kind, content) for watchers and metrics.
+    takes (kind, content) for watchers and metrics, ``show`` each observation. The client hears first, then those who
+    watch, then it is written down: each of the three wakes a thread that may take this one's core.
     """
 
     session: InsertionSession
     recorder: Recorder | None
     send: Send | None
     publish: Callable[[str, Any], None]
+    show: Callable[[Observation], None] = ignore
     heard_ns: int = field(default_factory=now_ns)
     closing: bool = False
     recorded_seq: dict[Finger, int] = field(default_factory=dict)
+    _observed: list[Observation] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Listen to the session."""
+        self.session.on_attempt = self.attempt_decided
+        self.session.on_observation = self._observed.append
 
     @property
     def wants_frames(self) -> bool:
@@ -60,15 +69,21 @@ class Insertion:
     def frame(self, frame: CameraFrame, pair: FramePair | None) -> None:
         """A camera frame, and the pair it completes, if any."""
         now = now_ns()
-        self._record(frame)
-        self._call({"call": "frame", "finger": frame.frame.finger, "seq": frame.frame.seq}, now)
-        self._emit(self.session.on_frame(frame.frame, now), now)
+        slip: Replies = []
+        try:
+            slip = self._tell(self.session.on_frame(frame.frame, now))
+            self._show()
+        finally:
+            self._record(frame)
+            self._call({"call": "frame", "finger": frame.frame.finger, "seq": frame.frame.seq}, now)
+            self._write(slip, now)
         if pair is not None:
             for half in (pair.left, pair.right):
                 self._record(CameraFrame(half, None))
             now = now_ns()
             self._call({"call": "pair", "left": pair.left.seq, "right": pair.right.seq}, now)
             self._emit(self.session.on_pair(pair, now), now)
+            self._show()
 
     def result(self, result: WorkResult) -> None:
         """What the networks said."""
@@ -102,18 +117,37 @@ class Insertion:
 
     def _emit(self, replies: Replies, now: int) -> None:
         for answer in replies:
-            if isinstance(answer, wire.ServiceHeartbeat):
-                self._deliver(answer)
-                continue
-            reply = with_current_age(answer)
-            if self.recorder and not self.closing:
-                self.recorder.message("service", reply.model_dump(mode="json"), now)
-            self.publish("message", reply)
-            if isinstance(reply, wire.Finished):
+            if isinstance(answer, wire.Finished):
+                self._write([answer], now)
+                self.publish("message", answer)
                 self.closing = True
-                self.publish("finished", reply)
+                self.publish("finished", answer)
             else:
-                self._deliver(reply)
+                self._write(self._tell([answer]), now)
+
+    def _tell(self, replies: Replies) -> Replies:
+        """Send replies to the client and those who watch; returns what there is to write down, as it was sent."""
+        told: Replies = []
+        for answer in replies:
+            reply = with_current_age(answer)
+            self._deliver(reply)
+            if not isinstance(reply, wire.ServiceHeartbeat):
+                self.publish("message", reply)
+                told.append(reply)
+        return told
+
+    def _write(self, told: Replies, now: int) -> None:
+        if self.recorder and not self.closing:
+            for reply in told:
+                self.recorder.message("service", reply.model_dump(mode="json"), now)
+
+    def _show(self) -> None:
+        """Pass on what was observed; recorded, and shown to those who watch."""
+        for observation in self._observed:
+            self.show(observation)
+            if self.recorder:
+                self.recorder.observation(observation)
+        self._observed.clear()
 
     def _deliver(self, reply: ServiceMessage) -> None:
         if self.send is not None:

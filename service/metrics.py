@@ -27,6 +27,7 @@ class Metrics:
         self._finished = Counter("insertions", "Insertions by outcome", ["outcome"], **make)
         self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
         self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
+        self._result_age = Histogram("result_age_seconds", "Capture to slip judgement", buckets=_STAGE_BUCKETS, **make)
         age = Gauge("frame_age_seconds", "Age of the newest frame", ["finger"], **make)
         dropped = Gauge("frames_dropped", "Frames dropped by backlog", **make)
         unpaired = Gauge("frames_unpaired", "Frames without a partner in time", **make)
@@ -55,6 +56,7 @@ class Metrics:
         self._count(kind, content)
         match content:
             case Observation():
+                self._result_age.observe((now_ns() - content.captured_ns) * 1e-9)
                 for stage, cost_ms in content.cost_ms.items():
                     self._stages.labels(stage).observe(cost_ms / 1e3)
             case wire.Correction():

@@ -172,7 +172,7 @@ class Recorder:
 
     def _put_bulk(self, topic: str, schema: Schema, values: dict[str, Any], of: TactileFrame | Observation) -> None:
         """Queue what may be left out: nothing of it but the bytes to be written is kept."""
-        size = sum(len(value) for value in values.values() if isinstance(value, bytes))
+        size = sum(len(value) for value in values.values() if isinstance(value, bytes | memoryview))
         with self._lock:
             room = self._waiting_bytes + size <= MAX_WAITING_BYTES and not self.error
             self._waiting_bytes += size if room else 0
@@ -227,7 +227,8 @@ def image_message(camera_frame: CameraFrame) -> tuple[Schema, dict[str, Any]]:
         return COMPRESSED_IMAGE, {"frame_id": frame.finger, "data": camera_frame.jpeg, "format": "jpeg"}
     height, width = frame.pixels.shape[:2]
     size = {"width": width, "height": height, "encoding": "bgr8", "step": 3 * width}
-    return RAW_IMAGE, {"frame_id": frame.finger, "data": np.ascontiguousarray(frame.pixels).tobytes()} | size
+    data = np.ascontiguousarray(frame.pixels).data.cast("B")  # copied by the recorder's thread, not by the caller
+    return RAW_IMAGE, {"frame_id": frame.finger, "data": data} | size
 
 
 def markers_message(observation: Observation) -> dict[str, Any]:

@@ -161,12 +161,11 @@ class Station:
         return self.active is not None or self.viewers_n > 0
 
     def _on_camera_frame(self, frame: CameraFrame) -> None:
+        if self.active is not None:
+            pair = self.pairer.add(frame.frame)
+            self._frames.append((frame, pair))
+            self.post(self._next_frame)
         self.hub.frame(frame)
-        if self.active is None:
-            return
-        pair = self.pairer.add(frame.frame)
-        self._frames.append((frame, pair))
-        self.post(self._next_frame)
 
     def _next_frame(self) -> None:
         while len(self._frames) > BACKLOG_FRAMES or self._is_outdated():
