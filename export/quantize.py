@@ -1,7 +1,7 @@
 """fp32 -> int8: static per-channel QDQ with real frames, judged by the robot commands it would change.
 
-Weights keep one bit in reserve (``reduce_range``): without VNNI, U8S8 products saturate in 16 bits, silently. The first
-layer stays fp32: it reads a frame beside its change, and of 256 steps over both the change, a few grey levels, gets
+Weights keep one bit in reserve (``reduce_range``): without VNNI, U8S8 products saturate in 16 bits, silently. A first
+layer that reads a frame beside its change stays fp32: of 256 steps over both, the change, a few grey levels, would get
 hardly any.
 """
 
@@ -102,7 +102,7 @@ def quantize(
     try:
         quant_pre_process(str(file), str(prepared), skip_symbolic_shape=True)
         feeds = _feeds(model, frames)
-        layers = _costliest_first(prepared)
+        layers = int8_layers(prepared)
         if judged is not None:
             layers = _harmless(model, prepared, out, layers, feeds, judged)
         if not layers:
@@ -138,21 +138,23 @@ def _build(prepared: Path, out: Path, layers: list[str], feeds: list[Arrays]) ->
     )
 
 
-def _costliest_first(prepared: Path) -> list[str]:
-    """Names of the nodes with weights that could be int8, by the multiplications of a batch of one.
+def int8_layers(prepared: Path) -> list[str]:
+    """Names of the nodes with weights that could be int8, costliest first by the multiplications of a batch of one.
 
-    Layers that read the input itself are not among them.
+    A layer that reads several quantities of the input side by side, on one scale, is not among them.
     """
     graph = onnx.load(str(prepared)).graph
     weights = {tensor.name: tuple(tensor.dims) for tensor in graph.initializer}
     places = {value.name: _places(value) for value in [*graph.value_info, *graph.output]}
     cost = {}
-    unread = set(PICTURED)
+    seen_alone, side_by_side = set(PICTURED), set[str]()
     for node in graph.node:
+        given = set(node.input)
         weighs = node.op_type in OPERATORS and len(node.input) > 1 and node.input[1] in weights
-        if unread & set(node.input):
-            unread |= set() if weighs else set(node.output)
-        elif weighs:
+        if not weighs and node.op_type != "Shape" and given & (seen_alone | side_by_side):
+            mixed = node.op_type == "Concat" or given & side_by_side
+            (side_by_side if mixed else seen_alone).update(node.output)
+        elif weighs and not given & side_by_side:
             size = float(np.prod(weights[node.input[1]]))
             cost[node.name] = size * (places.get(node.output[0], 1.0) if node.op_type == "Conv" else 1.0)
     return sorted(cost, key=lambda name: -cost[name])

@@ -1,8 +1,9 @@
 import numpy as np
+import onnx
 import pytest
 
 from export.golden import golden_frames
-from export.quantize import Agreement, agreement, quantize, same_commands
+from export.quantize import Agreement, agreement, int8_layers, quantize, same_commands
 from export.verify import open_model
 from service.contract import ContractError
 
@@ -52,6 +53,12 @@ def test_only_layers_that_leave_the_commands_alone_become_int8(models, frames, t
     assert same_commands(
         exact.card, {"logits": np.eye(9), "error": np.ones((9, 2))}, {"logits": np.eye(9), "error": np.ones((9, 2))}
     ).all()
+
+
+def test_a_layer_that_reads_a_frame_beside_its_change_stays_fp32(models):
+    file = models / "pair" / "pair.step.onnx"
+    convolutions = [node.name for node in onnx.load(str(file)).graph.node if node.op_type == "Conv"]
+    assert set(convolutions) - set(int8_layers(file)) == {convolutions[0]}
 
 
 def test_an_int8_model_is_not_quantised_again(small, frames, tmp_path):
