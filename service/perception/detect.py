@@ -6,7 +6,7 @@ response is the maximum-likelihood position under white noise; a paraboloid over
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import cv2
 import numpy as np
@@ -31,10 +31,19 @@ SIGMA_PER_DIAMETER = 0.32  # flat optimum between 0.26 and 0.4 for a disk seen t
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """Marker-like spots, strongest first: ``xy_px`` float32 [n, 2] (u, v), ``strength`` float32 [n] in grey levels."""
+    """Marker-like spots, strongest first: ``xy_px`` float32 [n, 2] (u, v), ``strength`` float32 [n] in grey levels.
+
+    ``tightness`` float32 [n] is how sharply the response falls off along its flattest direction, as a share of its
+    height: small where a spot is smeared, torn long by the gel under it, or two markers run into one.
+    """
 
     xy_px: FloatArray
     strength: FloatArray
+    tightness: FloatArray
+
+    def only(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+        """The spots that a mask or indices choose."""
+        return type(self)(self.xy_px[keep], self.strength[keep], self.tightness[keep])
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,4 +107,6 @@ class MarkerDetector:
         centre = np.stack([flat % width, flat // width], 1) + shift
         # With INTER_AREA the centre of small pixel i is that of the block of `shrink` pixels it averages.
         full = (centre + 0.5) * self.shrink - 0.5
-        return Candidates(full.astype(np.float32), values[:, self.window**2 // 2])
+        strength = values[:, self.window**2 // 2]
+        flattest = -(xx + yy) - np.hypot(xx - yy, xy)
+        return Candidates(full.astype(np.float32), strength, flattest / np.maximum(strength, 1e-6))

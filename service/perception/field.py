@@ -24,6 +24,7 @@ class Lattice:
 
 LATTICE = Lattice()
 """Of a GelSlim's rectified frame of 327 x 320 px."""
+_CARRIED = 2  # steps; a grid further outside its lattice belongs to another camera
 _OTHER_PITCH = 0.15  # a grid whose pitch is this much off is another sensor's, not one with markers missing
 
 
@@ -56,8 +57,9 @@ class MarkerField:
 def marker_array(field: MarkerField, lattice: Lattice = LATTICE) -> FloatArray:
     """Float32 [rows, columns, 3] on a sensor's lattice: (du_px, dv_px, 1) of each marker, zeros where it was not seen.
 
-    A tracker that found fewer rows or columns, at dark edges say, fills its part. What networks read. Raises ValueError
-    if the grid is none, of another pitch, or lies elsewhere.
+    A tracker that found fewer rows or columns, at dark edges say, fills its part: the grid is laid where most of its
+    nodes rest, since a firm grasp bulges the gel by more than half a pitch before the tracker first sees it. What
+    networks read. Raises ValueError if the grid is none, of another pitch, or lies elsewhere.
     """
     rows, columns = field.valid.shape
     if not rows or abs(field.pitch_px / lattice.pitch_px - 1) > _OTHER_PITCH:
@@ -65,8 +67,10 @@ def marker_array(field: MarkerField, lattice: Lattice = LATTICE) -> FloatArray:
             f"a grid of {rows} x {columns} markers {field.pitch_px:.1f} px apart was found,"
             f" expected {lattice.rows} x {lattice.columns} at {lattice.pitch_px:g} px"
         )
-    place = np.rint((field.rest_px - np.array(lattice.first_px, np.float32)) / lattice.pitch_px).astype(int)
-    column, row = place[..., 0], place[..., 1]
+    away = (field.rest_px - np.array(lattice.first_px, np.float32)) / lattice.pitch_px
+    row, column = np.mgrid[0:rows, 0:columns]
+    column = column + _laid(float(np.median(away[..., 0] - column)), lattice.columns - columns)
+    row = row + _laid(float(np.median(away[..., 1] - row)), lattice.rows - rows)
     inside = field.valid & (row >= 0) & (row < lattice.rows) & (column >= 0) & (column < lattice.columns)
     if 2 * np.count_nonzero(inside) < np.count_nonzero(field.valid):
         raise ValueError("most markers found lie outside the lattice of the rectified frame: calibrate the camera")
@@ -74,6 +78,16 @@ def marker_array(field: MarkerField, lattice: Lattice = LATTICE) -> FloatArray:
     out[row[inside], column[inside], :2] = field.displacement_px[inside]
     out[row[inside], column[inside], 2] = 1.0
     return out
+
+
+def _laid(away: float, room: int) -> int:
+    """By how many whole steps a grid that rests ``away`` pitches off its lattice, with ``room`` to move, is laid off.
+
+    A grid that fits must lie inside, also where its object had been carried by a pitch when the tracker began.
+    """
+    near = round(away)
+    inside = min(max(near, 0), room)
+    return inside if room >= 0 and abs(inside - near) <= _CARRIED else near
 
 
 def empty_field(captured_ns: int, status: TrackStatus, reason: str) -> MarkerField:

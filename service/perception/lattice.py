@@ -137,7 +137,7 @@ def _strong(spots: Candidates) -> Candidates:
         return spots
     level = float(np.percentile(spots.strength, 80))
     keep = np.flatnonzero(spots.strength > 0.35 * level)[:1500]
-    return Candidates(spots.xy_px[keep], spots.strength[keep])
+    return spots.only(keep)
 
 
 def assemble(spots: Candidates, basis: FloatArray, diameter_px: float) -> Lattice | None:

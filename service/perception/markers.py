@@ -7,11 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.perception.detect import Candidates, Kernel, MarkerDetector
-from service.perception.field import FloatArray, MarkerField, TrackStatus, empty_field
+from service.perception.field import BoolArray, FloatArray, MarkerField, TrackStatus, empty_field
 from service.perception.lattice import Lattice, find_lattice
 from service.perception.matching import Match, View, match, reindex
 
 _CALM = 1.2  # misfit a node above the running level at which the grid is matched again by topology
+_WHOLE = 0.8  # diameter; a marker nearer to the image's border than this is cut
+_NEARER = 0.1  # diameter; and was carried there if it rests further inside by more than this
+_ROUND = 0.6  # of the typical tightness; a marker smeared or torn longer than this has no place
 _SETTLED = 0.6  # and above that level from which on a placement is looked for further away
 
 
@@ -113,11 +116,26 @@ class MarkerTracker:
             return self._lost(captured_ns, f"{best.valid.sum()} of {best.valid.size} markers matched")
         self._remember(best, spots, captured_ns)
         status: TrackStatus = "tracking" if share >= self.settings.partial_share else "partial"
+        valid = self._measured(best, spots, view)
         field = MarkerField(
-            lattice.xy_px, best.xy_px - lattice.xy_px, best.valid, None, lattice.pitch_px, captured_ns, status
+            lattice.xy_px, best.xy_px - lattice.xy_px, valid, None, lattice.pitch_px, captured_ns, status
         )
         self._last_field = field
         return field
+
+    def _measured(self, best: Match, spots: Candidates, view: View) -> BoolArray:
+        """Which markers [rows, cols] tell where they are: followed, not carried to the image's border, and round.
+
+        One cut by the border seems to lie further inside than it does (one that always was has its place all the
+        same), one smeared long where the gel is torn apart lies anywhere within.
+        """
+        assert self._lattice is not None
+        rest, diameter = self._lattice.xy_px, self._lattice.diameter_px
+        room = view.room_px(best.xy_px)
+        cut = (room < _WHOLE * diameter) & (room < view.room_px(rest) - _NEARER * diameter)
+        tight = spots.tightness[best.spot]
+        typical = float(np.median(tight[best.valid]))
+        return np.asarray(best.valid & ~cut & (tight > _ROUND * typical), np.bool_)
 
     def _bright_enough(self, spots: Candidates) -> Candidates:
         """Drop weak spots relative to this frame's own typical marker, so that an exposure jump changes nothing."""
@@ -126,7 +144,7 @@ class MarkerTracker:
             return spots
         typical = float(spots.strength[min(len(spots.strength) - 1, self._lattice.found.size // 2)])
         keep = spots.strength > self.settings.threshold * typical
-        return Candidates(spots.xy_px[keep], spots.strength[keep])
+        return spots.only(keep)
 
     def _best_match(self, points: FloatArray, view: View, captured_ns: int) -> Match:
         assert self._lattice is not None

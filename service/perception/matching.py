@@ -42,14 +42,13 @@ class View:
 
     def sees(self, xy: FloatArray) -> BoolArray:
         """Where a marker at ``xy`` [..., 2] would be visible."""
-        m = self.margin_px
-        inside: BoolArray = (
-            (xy[..., 0] > m)
-            & (xy[..., 1] > m)
-            & (xy[..., 0] < self.width_px - 1 - m)
-            & (xy[..., 1] < self.height_px - 1 - m)
-        )
+        inside: BoolArray = self.room_px(xy) > self.margin_px
         return inside
+
+    def room_px(self, xy: FloatArray) -> FloatArray:
+        """How far ``xy`` [..., 2] lies inside the image's border, negative outside."""
+        far = np.array([self.width_px - 1, self.height_px - 1], np.float32)
+        return np.asarray(np.minimum(xy, far - xy).min(-1), np.float32)
 
 
 def nearest_spot(predicted: FloatArray, points: FloatArray, reach: float) -> NDArray[np.intp]:

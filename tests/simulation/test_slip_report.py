@@ -5,9 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from service.perception.markers import MarkerTracker
 from simulation.__main__ import main
 from simulation.evaluate_slip import Tally, alarm_of, true_fields, wilson
 from simulation.slip_trials import draw_trials
+from simulation.tracker_costs import accuracy_at_noise
 
 
 def test_wilson_matches_the_textbook():
@@ -41,6 +43,17 @@ def test_slip_is_seen_on_true_fields_of_every_object():
     for trial in draw_trials(16, 5, 30):
         tally.judge(trial, alarm_of(true_fields(trial)))
     assert tally.right >= tally.trials - 1
+
+
+def test_displacements_are_within_the_limits_on_simulated_trials():
+    """Length of the error vector, RMS over all markers of two descents; `docs/slip_report.md` has more of them."""
+    trials = [trial for trial in draw_trials(3, 1, 30) if trial.label == "slip"]
+    assert len(trials) == 2
+    for noise, limit_px in ((2.0, 0.06), (6.0, 0.10)):
+        seen = accuracy_at_noise(trials, noise, {"standard": MarkerTracker})["standard"]
+        assert np.sqrt(2) * seen["rms_px"] < limit_px
+        assert seen["wrong_share"] < 0.001
+        assert seen["seen_share"] > 0.95
 
 
 def test_bad_counts_are_refused(capsys):

@@ -42,6 +42,37 @@ def test_displacement_is_found_to_a_few_hundredths_of_a_pixel(noise, limit_px):
     assert rms < limit_px
 
 
+def test_a_marker_carried_into_the_border_is_followed_but_is_no_evidence():
+    """Cut by the border it seems to lie further inside; one that rests there has its place all the same."""
+    rng = np.random.default_rng(5)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng)])
+    carried = 2.0 - rest[0, 0, 1]  # the first row, 2 px inside the upper border
+    for k in range(1, 6):
+        field = tracker.update(draw(rest + np.array([0, carried * k / 5]), rng), k * FRAME_NS)
+    assert not field.valid[0].any()
+    assert field.valid[1:].all()
+    beside = MarkerTracker()
+    low = rest + np.array([0, carried + 1.0])
+    first, second = follow(beside, [draw(low, rng), draw(low + 0.2, rng)])
+    assert first.valid[0].mean() > 0.9
+    assert second.valid[0].mean() > 0.9
+
+
+def test_a_marker_torn_long_is_no_evidence():
+    rng = np.random.default_rng(6)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng)])
+    image = draw(rest, rng)
+    u, v = np.rint(rest[10, 10]).astype(int)
+    image[v - 6 : v + 6, u - 1 : u + 2] = image[v, u]  # a bar more than twice as long as the marker
+    field = tracker.update(image, FRAME_NS)
+    assert not field.valid[10, 10]
+    assert field.valid.sum() == field.valid.size - 1
+
+
 def shifted(points, u, v):
     return points + np.array([u, v])
 

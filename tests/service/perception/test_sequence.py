@@ -1,5 +1,7 @@
 """Marker fields as networks read them: on the sensor's lattice, whatever part of it a tracker found."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -34,6 +36,18 @@ def test_a_part_of_the_grid_fills_its_part_of_the_lattice(top, left, rows, colum
     expected = np.zeros((20, 21, 3), np.float32)
     expected[cut] = marker_array(whole)[cut]
     assert np.array_equal(marker_array(part), expected)
+
+
+def test_a_gel_that_bulges_by_more_than_half_a_pitch_fills_every_node_of_the_lattice_once() -> None:
+    """Nearest places would lay two markers on one node; a firm grasp of a curved object bulges by up to 10 px."""
+    whole = true_field()
+    middle = whole.rest_px.mean((0, 1))
+    way = (whole.rest_px - middle) / 60.0
+    bulge = 10.0 * 1.6 * way * np.exp(0.5 - 0.5 * np.square(way).sum(-1, keepdims=True))
+    assert np.linalg.norm(bulge, axis=-1).max() > 7.5
+    for carried in (np.zeros(2), np.array([0.0, -14.0]), np.array([9.0, 20.0])):
+        rest = (whole.rest_px + bulge + carried).astype(np.float32)
+        assert np.array_equal(marker_array(replace(whole, rest_px=rest)), marker_array(whole))
 
 
 def test_no_grid_another_pitch_or_another_place_is_refused_by_name() -> None:
