@@ -61,9 +61,7 @@ class GelFinger:
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive the moment that the frame was taken at."""
         world = self._world
-        seen = field_from_gel(
-            world.state.gel[self._index], frame.captured_ns, marker_pitch_mm=world.scene.marker_pitch_mm
-        )
+        seen = field_from_gel(self._exposed(), frame.captured_ns, marker_pitch_mm=world.scene.marker_pitch_mm)
         rng = np.random.default_rng(hash_seed(world.seed, world.frame, self._index, 7))
         error = rng.normal(0.0, self._error_px, seen.displacement_px.shape).astype(np.float32)
         seen = dataclasses.replace(seen, displacement_px=seen.displacement_px + error, contact=None)
@@ -77,3 +75,10 @@ class GelFinger:
         picture = cast("NDArray[np.uint8]", LatePicture(world.picture_later(self._index), self._rectifier))
         onset_ns = None if onset is None else onset.captured_ns
         return Observation(self._finger, frame.seq, frame.captured_ns, picture, seen, slip, onset_ns, {})
+
+    def _exposed(self) -> NDArray[np.floating]:
+        """The gel as a picture shows it: a smeared marker is found in the middle of its way during the exposure."""
+        now: NDArray[np.floating] = self._world.state.gel[self._index]
+        late = np.float32(0.5 * self._world.renderers[self._index].appearance.motion_blur_share)
+        seen: NDArray[np.floating] = now - late * (now - self._world.previous.gel[self._index])
+        return seen

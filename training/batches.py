@@ -13,6 +13,7 @@ from training.dataset import Trials
 from training.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
 
 GAP_BLUR_MM, HEIGHT_BLUR_MM = 0.3, 1.5  # of what a cell engineer measures
+LAG_FRAMES = 0.25  # how far behind its time stamp a marker may be seen: it is found in the middle of its exposure
 HEIGHT_UNKNOWN_SHARE = 0.15  # of training decisions without a grasp height: cells may not know it
 
 
@@ -39,12 +40,15 @@ def mirror_fields(fields: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def decisions(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generator | None, *, pictures: bool) -> Batch:
-    """Cut the eight frames out of each window; with ``rng``, jitter the onset and apply random symmetries."""
+    """Cut the eight frames out of each window; with ``rng``, jitter the onset, delay what is seen, apply symmetries."""
     count = len(chosen)
     offset = rng.integers(0, 2 * JITTER + 1, count) if rng is not None else np.full(count, JITTER)
     steps = offset[:, None] + np.arange(FRAMES_PER_DECISION)
     lines = np.arange(count)[:, None]
     fields = trials.fields[chosen][lines, steps].astype(np.float32)
+    if rng is not None and not pictures:
+        before = trials.fields[chosen][lines, np.maximum(steps - 1, 0)].astype(np.float32)
+        fields -= rng.uniform(0, LAG_FRAMES, (count, 1, 1, 1, 1, 1)).astype(np.float32) * (fields - before)
     fields -= fields[:, :1]
     drawn = None
     if pictures:

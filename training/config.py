@@ -26,7 +26,10 @@ class DataConfig(Contract):
 
 
 class NetworkConfig(Contract):
-    """Kind and sizes of a network."""
+    """Kind and sizes of a network.
+
+    ``affine_fit`` puts the motion of the object as a whole, fitted to the field, beside what convolutions find.
+    """
 
     kind: Literal["compact", "markers", "alexnet_lstm"] = "compact"
     front_width: int = Field(default=32, ge=4)
@@ -34,6 +37,7 @@ class NetworkConfig(Contract):
     feature_size: int = Field(default=96, ge=8)
     state_size: int = Field(default=128, ge=8)
     dropout: float = Field(default=0.1, ge=0, lt=1)
+    affine_fit: bool = False
 
     @property
     def reads(self) -> Literal["pictures", "markers"]:

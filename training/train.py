@@ -187,10 +187,14 @@ def _prepare(config: RunConfig, trials: Trials) -> Trainer:
 
 
 def _set_field_scale(network: Decider, trials: Trials) -> None:
-    """Normalise field changes by their spread over training decisions."""
+    """Normalise field changes by their spread over training decisions; along u and v alike: turns stay turns."""
     chosen = trials.of("train")[:: max(1, len(trials.of("train")) // 500)]
     fields = decisions(trials, chosen, None, pictures=False).fields
-    network.field_scale.copy_(1.0 / fields.std((0, 1, 2, 4, 5)).clamp_min(1e-4))
+    spread = fields.std((0, 1, 2, 4, 5)).clamp_min(1e-4)
+    spread[:2] = spread[:2].square().mean().sqrt()
+    network.field_scale.copy_(1.0 / spread)
+    if network.trunk.affine is not None:
+        network.trunk.affine.set_spread(network.normalised(fields).flatten(0, 1))
 
 
 def _stages(trainer: Trainer) -> list[Stage]:

@@ -104,7 +104,7 @@ def differences_of_minus_one(seed: int) -> float:
     holds="after a stream of 10,000 steps state and outputs are finite and bounded: largest",
     guard=(
         "training/networks/decider.py",
-        "self.cell = nn.GRUCell(2 * settings.feature_size + TOLD, settings.state_size)",
+        "self.cell = nn.GRUCell(features + TOLD, settings.state_size)",
     ),
     limit=LARGEST,
     quick=False,
@@ -247,7 +247,7 @@ def steps_against_sequences(seed: int) -> float:
     holds="the released architecture, with fresh weights, decides in float32 as in float64: relative gap",
     guard=(
         "training/networks/decider.py",
-        "self.cell = nn.GRUCell(2 * settings.feature_size + TOLD, settings.state_size)",
+        "self.cell = nn.GRUCell(features + TOLD, settings.state_size)",
     ),
     limit=1e-4,
     quick=False,

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from training.config import NetworkConfig
+from training.networks.affine import AffineFit
 from training.networks.density import MixtureDensity
 from training.networks.forms import Role
 
@@ -17,6 +18,7 @@ FIELD_CHANNELS = 3
 MARKER_ROWS, MARKER_COLS = 20, 21
 ERROR_SCALE = 5.0
 """Heads speak in units of 5 mm and 5 deg, so that their outputs are of order one."""
+AFFINE_FEATURES = 64
 LOG_SIGMA_SPAN = 3.0
 STATE_REACH = 1.001
 """A GRU's state is a mean of its last state and a tanh, so it cannot leave +-1 by more than rounding."""
@@ -46,15 +48,17 @@ class Trunk(nn.Module):
         )
         self.project = nn.Linear(2 * width * 5 * 6, settings.feature_size)
         self.dropout = nn.Dropout(settings.dropout)
-        self.cell = nn.GRUCell(2 * settings.feature_size + TOLD, settings.state_size)
+        self.affine = AffineFit(AFFINE_FEATURES) if settings.affine_fit else None
+        features = 2 * settings.feature_size + (AFFINE_FEATURES if settings.affine_fit else 0)
+        self.cell = nn.GRUCell(features + TOLD, settings.state_size)
 
     def encode(self, fields: Tensor) -> Tensor:
-        """Fields [N, 2, 3, 20, 21] -> features [N, 2 * feature_size], left finger first."""
+        """Fields [N, 2, 3, 20, 21] -> features [N, F]: of the left finger, the right one, and of both together."""
         count = fields.shape[0]
         maps = fields.reshape(count * 2, FIELD_CHANNELS, MARKER_ROWS, MARKER_COLS)
         features = torch.relu(self.project(self.convolutions(maps)))
         kept: Tensor = self.dropout(features.reshape(count, -1))
-        return kept
+        return kept if self.affine is None else torch.cat([kept, self.affine(fields)], 1)
 
     def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
         """One step of the recurrent cell; ``told`` as in :func:`geometry_of`."""

@@ -1,0 +1,71 @@
+"""How the held object moved as a whole, fitted to a marker field: the few small numbers that a decision hangs on.
+
+A turn of the object about the vertical moves both fingers' markers by some hundredths of a millimetre, in a field that
+moves by tenths. A network finds that difference of differences slowly; written down it is there from the first epoch.
+"""
+
+import torch
+from torch import Tensor, nn
+
+ROWS, COLS = 20, 21
+NUMBERS = 41
+QUIET = 0.02
+"""Motion, in spreads of the fields, below which a field is not asked which way it goes."""
+_LEAST = 1e-6
+
+
+class AffineFit(nn.Module):
+    """Normalised fields [N, 2, 3, 20, 21] (du, dv, weight) -> features [N, size] of the numbers that ``raw`` gives."""
+
+    place: Tensor
+    spread: Tensor
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        rows, cols = torch.meshgrid(torch.linspace(-1, 1, ROWS), torch.linspace(-1, 1, COLS), indexing="ij")
+        self.register_buffer("place", torch.stack([cols, rows]), persistent=False)
+        self.register_buffer("spread", torch.ones(NUMBERS))
+        self.read = nn.Linear(NUMBERS, size)
+
+    def forward(self, fields: Tensor) -> Tensor:
+        """See class."""
+        return torch.relu(self.read(self.raw(fields) / self.spread))
+
+    def set_spread(self, fields: Tensor) -> None:
+        """Make each number of order one on fields like these."""
+        self.spread.copy_(self.raw(fields).std(0).clamp_min(_LEAST))
+
+    def raw(self, fields: Tensor) -> Tensor:
+        """[N, NUMBERS]: the affine motion of the whole field, and of the patch that moves with the object.
+
+        The latter is told by weights that rise with a marker's motion up to the field's mean. It comes once as it is
+        and once over its own size, which says which way the object goes before it has gone far; last the size's
+        logarithm and the centres of both patches.
+        """
+        seen = fields[:, :, 2:].clamp(0, 1)
+        motion = fields[:, :, :2].square().sum(2, keepdim=True)
+        rising = seen * motion / (motion + motion.mean((3, 4), keepdim=True) + _LEAST)
+        whole, _ = _affine(fields[:, :, :2], _shares(seen), self.place)
+        patch, centre = _affine(fields[:, :, :2], _shares(rising), self.place)
+        size = (_shares(rising) * motion).sum((2, 3, 4)).mean(1, keepdim=True).sqrt() + QUIET
+        return torch.cat([whole, patch, patch / size, size.log(), centre], 1)
+
+
+def _shares(weight: Tensor) -> Tensor:
+    return weight / (weight.sum((3, 4), keepdim=True) + _LEAST)
+
+
+def _affine(moved: Tensor, share: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
+    """Half the difference and half the sum of what both fingers see, [N, 12], and the centres of their weights [N, 4].
+
+    What a finger sees is its mean (du, dv) and how du and dv grow along u and along v. The fingers look at the object
+    from opposite sides: of its motion along x they see the difference, of its turn about z and its motion along z the
+    sum.
+    """
+    mean, centre = (share * moved).sum((3, 4)), (share * place).sum((3, 4))
+    arm, rest = place - centre[..., None, None], moved - mean[..., None, None]
+    along = [(share[:, :, 0] * arm[:, :, axis]) for axis in (0, 1)]
+    lever = [(share[:, :, 0] * arm[:, :, axis].square()).sum((2, 3)) + QUIET**2 for axis in (0, 1)]
+    grown = [(a[:, :, None] * rest).sum((3, 4)) / b[..., None] for a, b in zip(along, lever, strict=True)]
+    left, right = torch.cat([mean, *grown], 2).unbind(1)
+    return torch.cat([0.5 * (left - right), 0.5 * (left + right)], 1), centre.flatten(1)
