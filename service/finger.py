@@ -1,16 +1,21 @@
 """Perception of one finger as the session uses it: rectify, track, judge slip, notice the onset of motion."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import ContractError, Finger, FrameSpec, TactileFrame
 from service.observation import Observation
+from service.perception.contact import FreeGel
+from service.perception.field import MarkerField
 from service.perception.markers import MarkerTracker
 from service.perception.onset import OnsetDetector
 from service.perception.rectify import CameraCalibration, Rectifier
-from service.perception.slip import SlipDetector
+from service.perception.slip import SlipDetector, SlipState, untouched
+
+_PRESSED = 2.0  # times what an untouched gel may show; from there on a held object is surely told from none
 
 
 class TactileFinger:
@@ -26,7 +31,10 @@ class TactileFinger:
         self._tracker = MarkerTracker()
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
+        self._free = FreeGel()
         self._rearm = False
+        self._held = False
+        self._stopped = False
 
     def rearm(self) -> None:
         """The next frame becomes the reference of slip and onset; the tracker goes on."""
@@ -42,11 +50,13 @@ class TactileFinger:
         if self._rearm:
             slip = self._slip.rearm(field)
             self._onset.rearm(field)
-            self._rearm = False
+            self._held = (self._free.bulge(field) or 0.0) > _PRESSED
+            self._rearm = self._stopped = False
             onset = None
         else:
-            slip = self._slip.update(field)
+            slip = self._slip.update(self._free.mark(field) if self._held else field)
             onset = self._onset.update(field)
+        slip = self._felt(slip, field)
         cost_ms = {
             "rectify": (rectified - started) * 1e3,
             "markers": (tracked - rectified) * 1e3,
@@ -54,6 +64,17 @@ class TactileFinger:
         }
         onset_ns = None if onset is None else onset.captured_ns
         return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms)
+
+    def _felt(self, slip: SlipState, field: MarkerField) -> SlipState:
+        """The state, or "no_contact" where nothing touches the gel; the first one that stops the arm is always told.
+
+        An object too flat and too lightly held to bulge the gel looks just like none: then only the word changes, and
+        slip is watched from its reference all the same. From one that bulged it a gel back at home is a release.
+        """
+        first, self._stopped = slip.stop and not self._stopped, slip.stop or self._stopped
+        if first or not untouched(self._free.mark(field)):
+            return slip
+        return replace(slip, state="no_contact", reason="nothing touches the gel")
 
     def _rectified(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         if pixels.shape == self._spec.shape:

@@ -105,5 +105,8 @@ def overdue(attempt: Attempt, waited_s: float, needed: int, deadlines: Deadlines
     if waited_s <= deadlines.decision_frames_s:
         return None
     if not have:
-        return Refusal("no_motion", "neither finger saw the object move")
+        felt = attempt.ring[-1].fingers if attempt.ring else ()
+        empty = bool(felt) and all(finger.slip.state == "no_contact" for finger in felt)
+        why = "nothing touches the gels" if empty else "neither finger saw the object move"
+        return Refusal("no_motion", why)
     return Refusal("too_few_frames", f"{have} frame pairs since motion began, expected {needed}")

@@ -45,24 +45,31 @@ class FreeGel:
 
     def mark(self, field: MarkerField) -> MarkerField:
         """The field with an empty contact if nothing touches the gel, else as it is (its contact is not known)."""
-        if field.contact is not None or not field.usable:
+        if field.contact is not None:
             return field
+        bulge = self.bulge(field)
+        if bulge is None or bulge >= 1:
+            return field
+        return replace(field, contact=np.zeros_like(field.valid))
+
+    def bulge(self, field: MarkerField) -> float | None:
+        """How far the markers are from their places, RMS, in shares of what an untouched gel may show; None: unseen."""
+        if not field.usable:
+            return None
         may = field.valid
         home = self._home
         if home is not None:
             if home.valid.shape != may.shape:
-                return field
+                return None
             may = may & home.valid
         if may.sum() < max(12, self.settings.seen_share * may.size):
-            return field
+            return None
         now = (field.rest_px + field.displacement_px)[may].astype(np.float64)
         if home is None:
             off, limit = _off_print(np.argwhere(may).astype(np.float64), now), self.settings.print_pitch
         else:
             off, limit = now - (home.rest_px + home.displacement_px)[may], self.settings.home_pitch
-        if not _spread(off) < limit * field.pitch_px:
-            return field
-        return replace(field, contact=np.zeros_like(field.valid))
+        return _spread(off) / (limit * field.pitch_px)
 
 
 def _off_print(cells: Float64, points: Float64) -> Float64:
