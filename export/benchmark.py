@@ -1,5 +1,6 @@
 """``python -m export benchmark``: what a decision costs on this machine, in figures an engineer can act on."""
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from export.benchmark_report import line, write
 from export.candidates import Decision, decided_class
 from export.fresh import measure_fresh
 from export.limits import Peaks, Work, probe, work_of
-from export.measure import STEADY, example_inputs, noise, quartiles, time_calls, time_in_turn
+from export.measure import STEADY, example_inputs, machine_tail, noise, quartiles, time_calls, time_in_turn
 from export.profile import operators, profile
 from export.runtime import cpu_name, session
 from export.verify import Arrays, Model, open_model
@@ -39,7 +40,7 @@ def benchmark(
     report: dict[str, Any] = {"cpu": cpu_name(), "seconds": seconds, "models": []}
     print(f"{report['cpu']}, one thread")
     profiles = {model.file: profile(model) for model in models}
-    peaks = probe(max(work_of(model).weight_bytes for model in models))
+    peaks = probe(max(work_of(model).weight_bytes for model in models), seconds=min(0.5, seconds))
     report["peaks"] = peaks.as_dict()
     for model in models:
         row = measure(model, profiles[model.file], peaks, seconds=seconds, compare=compare)
@@ -60,7 +61,7 @@ def measure(
 ) -> dict[str, Any]:
     """Everything about one file but LoadGen's scenarios."""
     inputs, many = example_inputs(model), example_inputs(model, BATCH)
-    timing = time_calls(lambda: model(inputs), seconds=seconds)
+    timing = time_calls(lambda: model(inputs), seconds=seconds, clock=time.thread_time_ns)
     crowd = time_calls(lambda: model(many), seconds=seconds / 2, least=5)
     return {
         "file": str(model.file),
@@ -68,6 +69,7 @@ def measure(
         "size_mb": model.file.stat().st_size / 1e6,
         "single": timing.as_dict(),
         "steady": timing.cpu_tail <= STEADY,
+        "machine_tail": machine_tail(timing.cpu_p50_ms, seconds=seconds),
         "noise": noise(lambda: model(inputs), seconds=seconds / 2),
         "fresh": measure_fresh(model.file),
         "batch_per_s": BATCH * 1e3 / crowd.p50_ms,
@@ -80,8 +82,14 @@ def measure(
 
 
 def _limit(work: Work, peaks: Peaks, cpu_ms: float) -> dict[str, float]:
-    limit_ms = work.limit_ms(peaks)
-    return {"limit_ms": limit_ms, "weights_mb": work.weight_bytes / 1e6, "ratio": cpu_ms / max(limit_ms, 1e-9)}
+    limit_ms, shaped_ms = work.limit_ms(peaks), work.shaped_ms(peaks)
+    return {
+        "limit_ms": limit_ms,
+        "shaped_ms": shaped_ms,
+        "weights_mb": work.weight_bytes / 1e6,
+        "ratio": cpu_ms / max(limit_ms, 1e-9),
+        "shaped_ratio": cpu_ms / max(shaped_ms, 1e-9),
+    }
 
 
 def _sweep(file: Path, inputs: Arrays, seconds: float) -> list[dict[str, Any]]:

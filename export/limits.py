@@ -1,12 +1,15 @@
-"""The hardware limit of a graph: its multiplications at this core's GEMM peak, its weights read at this core's rate.
+"""The hardware limit of a graph: its multiplications at this core's GEMM rate, its weights read at this core's rate.
 
-Both peaks are probed here and now, by the same runtime. A graph cannot be faster than its layers one after the other,
-each at the slower of the two; pooling, activations and the runtime's own work come on top and are what a kernel could
-still save.
+Both are probed here and now, by the same runtime. A graph cannot be faster than its layers one after the other, each at
+the slower of the two; pooling, activations and the runtime's own work come on top and are what a kernel could still
+save. Two limits differ in the rate of multiplications: ``limit_ms`` takes the best that the core reaches on any large
+product, ``shaped_ms`` that of the plain matrix product of every layer's own rows, depth and columns, which a
+convolution can at best equal: it has to gather its patches besides. A shallow or narrow product cannot fill the units.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +25,7 @@ MATMUL_SIZES = (512, 1024)
 CONV = (256, 28)
 """Channels and side of the probed 3 x 3 convolution: AlexNet's later layers have this shape."""
 LEAST_BYTES = 1_000_000
+PROBE_S = 0.1
 OPERATORS = ("Conv", "Gemm", "MatMul", "MatMulInteger")
 BYTES = (TensorProto.INT8, TensorProto.UINT8)
 
@@ -40,23 +44,66 @@ class Peaks:
 
 
 @dataclass(frozen=True)
-class Work:
-    """What a graph must do at least, layer by layer as the runtime ran it: (multiplications, bytes, int8)."""
+class Layer:
+    """A layer with weights as the runtime ran it: ``times`` products of [rows, depth] by [depth, columns]."""
 
-    layers: tuple[tuple[float, float, bool], ...]
+    times: int
+    rows: int
+    depth: int
+    columns: int
+    small: bool
+    """int8, otherwise fp32."""
+    convolves: bool = False
+
+    @property
+    def products(self) -> float:
+        """Multiplications."""
+        return float(self.times * self.rows * self.depth * self.columns)
 
     @property
     def weight_bytes(self) -> float:
-        """Bytes of all weights and inputs of the counted layers."""
-        return sum(size for _, size, _ in self.layers)
+        """Bytes of the weights; they are read once."""
+        return float(self.depth * self.columns * (1 if self.small else 4))
 
     def limit_ms(self, peaks: Peaks) -> float:
-        """Sum over the layers of the slower of arithmetic and memory."""
-        total = 0.0
-        for products, size, small in self.layers:
-            rate = peaks.int8_gops if small else peaks.fp32_gflops
-            total += max(2 * products / (rate * 1e6), size / (peaks.read_gb_s * 1e6))
-        return total
+        """The slower of arithmetic at the core's peak and memory."""
+        rate = peaks.int8_gops if self.small else peaks.fp32_gflops
+        return max(2 * self.products / (rate * 1e6), self._read_ms(peaks))
+
+    def shaped_ms(self, peaks: Peaks) -> float:
+        """The slower of the plain matrix product of the same shape, probed now, and memory."""
+        return max(self.times * product_ms(self.rows, self.depth, self.columns, small=self.small), self._read_ms(peaks))
+
+    def _read_ms(self, peaks: Peaks) -> float:
+        return self.weight_bytes / (peaks.read_gb_s * 1e6)
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a graph must do at least, layer by layer as the runtime ran it."""
+
+    layers: tuple[Layer, ...]
+
+    @property
+    def weight_bytes(self) -> float:
+        """Bytes of all weights of the counted layers."""
+        return sum(layer.weight_bytes for layer in self.layers)
+
+    def limit_ms(self, peaks: Peaks) -> float:
+        """Sum over the layers, arithmetic at the core's peak."""
+        return sum(layer.limit_ms(peaks) for layer in self.layers)
+
+    def shaped_ms(self, peaks: Peaks, *, convolves: bool | None = None) -> float:
+        """Sum over the layers, or over the convolutions or products alone, each at the rate of its own shape."""
+        chosen = (layer for layer in self.layers if convolves in (None, layer.convolves))
+        return sum(layer.shaped_ms(peaks) for layer in chosen)
+
+
+@lru_cache(maxsize=256)
+def product_ms(rows: int, depth: int, columns: int, *, small: bool, seconds: float = PROBE_S) -> float:
+    """Processor time of one matrix product by constant weights, warm, on one thread: the runtime's own kernel."""
+    run = _matmul(np.random.default_rng(0), (rows, depth, columns), small=small)
+    return time_calls(run, seconds=seconds, least=5).cpu_p50_ms
 
 
 def probe(working_set_bytes: float, seconds: float = 0.5) -> Peaks:
@@ -75,17 +122,17 @@ def _rate(run: Callable[[], Any], operations: float, seconds: float) -> float:
 def _probes(*, small: bool) -> Iterator[tuple[Callable[[], Any], float]]:
     rng = np.random.default_rng(0)
     for size in MATMUL_SIZES:
-        yield _matmul(rng, size, small=small), 2.0 * size**3
+        yield _matmul(rng, (size, size, size), small=small), 2.0 * size**3
     channels, side = CONV
     yield _convolution(rng, small=small), 2.0 * channels * channels * 9 * side * side
 
 
-def _matmul(rng: np.random.Generator, size: int, *, small: bool) -> Callable[[], Any]:
+def _matmul(rng: np.random.Generator, shape: tuple[int, int, int], *, small: bool) -> Callable[[], Any]:
+    rows, depth, columns = shape
     kind = TensorProto.UINT8 if small else TensorProto.FLOAT
-    weight = (
-        rng.integers(-60, 60, (size, size)).astype(np.int8) if small else rng.random((size, size), np.float32) - 0.5
-    )
-    given = rng.integers(0, 255, (size, size)).astype(np.uint8 if small else np.float32)
+    size = (depth, columns)
+    weight = rng.integers(-60, 60, size).astype(np.int8) if small else rng.random(size, np.float32) - 0.5
+    given = rng.integers(0, 255, (rows, depth)).astype(np.uint8 if small else np.float32)
     node = helper.make_node("MatMulInteger" if small else "MatMul", ["a", "b"], ["c"])
     return _run([node], {"b": weight}, given, kind, TensorProto.INT32 if small else TensorProto.FLOAT)
 
@@ -138,12 +185,14 @@ def work_of(model: Model) -> Work:
     layers = []
     for node in nodes:
         shape, small = weights[node.input[1]]
-        out = made[node.output[0]]
-        size = float(np.prod(shape))
-        # A convolution multiplies each output by the weights of one filter, a product by one column of the matrix.
-        length = float(np.prod(shape[1:])) if node.op_type == "Conv" else size / out[-1]
-        layers.append((float(np.prod(out)) * length, size * (1 if small else 4), small))
+        layers.append(_layer(node.op_type == "Conv", shape, made[node.output[0]], small=small))
     return Work(tuple(layers))
+
+
+def _layer(convolves: bool, shape: tuple[int, ...], out: tuple[int, ...], *, small: bool) -> Layer:
+    if convolves:  # each image's places by the weights of every filter
+        return Layer(out[0], int(np.prod(out[2:])), int(np.prod(shape[1:])), out[1], small, convolves=True)
+    return Layer(1, int(np.prod(out[:-1])), int(np.prod(shape)) // out[-1], out[-1], small)
 
 
 def _weights(graph: Any) -> dict[str, tuple[tuple[int, ...], bool]]:

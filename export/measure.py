@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from export.golden import golden_input
 from export.verify import Arrays, Model, told
 
+Clock = Callable[[], int]
 WARM_UP_CALLS = 10
+TAIL_BLOCK = 64
 NOISY = 1.5
 """A machine whose wall time exceeds its CPU time by this factor at the median was busy with something else."""
 NOISY_SPREAD = 0.25
@@ -72,18 +74,43 @@ def example_inputs(model: Model, batch: int = 1) -> Arrays:
     return step | told(card, batch)
 
 
-def time_calls(call: Callable[[], Any], *, seconds: float = 2.0, least: int = 30) -> Timing:
+def time_calls(
+    call: Callable[[], Any], *, seconds: float = 2.0, least: int = 30, clock: Clock = time.process_time_ns
+) -> Timing:
     """Call repeatedly for ``seconds``, at least ``least`` times, after a warm-up that is not counted."""
-    return time_in_turn({"": call}, seconds=seconds, least=least)[""][0]
+    return time_in_turn({"": call}, seconds=seconds, least=least, clock=clock)[""][0]
+
+
+def machine_tail(cpu_ms: float, *, seconds: float) -> float:
+    """p99 over p50 of the processor time of work that is the same every time and takes about ``cpu_ms``.
+
+    Interrupts, a hypervisor's theft and caches that neighbours emptied are charged to whoever runs: a model cannot be
+    steadier than this.
+    """
+    block = np.full((TAIL_BLOCK, TAIL_BLOCK), 0.5, np.float32)
+    once = time_calls(lambda: block @ block, seconds=0.02, clock=time.thread_time_ns).cpu_p50_ms
+    repeats = max(1, round(cpu_ms / max(once, 1e-6)))
+
+    def work() -> None:
+        for _ in range(repeats):
+            block @ block
+
+    return time_calls(work, seconds=seconds, clock=time.thread_time_ns).cpu_tail
 
 
 def time_in_turn(
-    calls: Mapping[str, Callable[[], Any]], *, seconds: float = 2.0, least: int = 30, warm: bool = False
+    calls: Mapping[str, Callable[[], Any]],
+    *,
+    seconds: float = 2.0,
+    least: int = 30,
+    warm: bool = False,
+    clock: Clock = time.process_time_ns,
 ) -> dict[str, tuple[Timing, NDArray[np.float64]]]:
     """Time several calls, one of each in turn, so that noise hits all alike; timing and (wall, CPU) ms [2, N] of each.
 
     ``warm`` calls each once untimed before its timed call, where others in turn would empty its caches. The processor
-    time is that of all threads of this process: nothing else may run in it meanwhile.
+    time is that of all threads of this process, so that nothing else may run in it meanwhile, or with
+    ``clock=time.thread_time_ns`` of the calling thread alone, which is all there is where a session has one.
     """
     for call in calls.values():
         for _ in range(WARM_UP_CALLS):
@@ -94,9 +121,9 @@ def time_in_turn(
         for name, call in calls.items():
             if warm:
                 call()
-            wall_before, cpu_before = time.perf_counter_ns(), time.process_time_ns()
+            wall_before, cpu_before = time.perf_counter_ns(), clock()
             call()
-            cpu_ms = (time.process_time_ns() - cpu_before) / 1e6
+            cpu_ms = (clock() - cpu_before) / 1e6
             spent[name].append(((time.perf_counter_ns() - wall_before) / 1e6, cpu_ms))
     rows = {name: np.array(pairs).T for name, pairs in spent.items()}
     return {name: (Timing.of(row[0], row[1]), row) for name, row in rows.items()}

@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.progress import track
 
-from export.candidates import FRAME_COUNTS, Candidate, Decision, find_candidates
+from export.candidates import FRAME_COUNTS, PAIR, Candidate, Decision, find_candidates
 from export.measure import Timing
 from export.points import (
     Point,
@@ -25,9 +25,8 @@ from export.scores import Score, Scores, score
 from export.tradeoff_report import NAME, draw, write
 from service.contract import ContractError, ModelCard
 
-PLAYED = {("models", "pair"): "belief", ("models/joint", "joint"): "joint"}
-"""Which contender of the closed-loop report decides with which released networks (folder, kind), if hashes agree."""
-PAPER = "paper"
+PLAYERS = ("belief", "joint", "paper")
+"""Contenders of the closed-loop report that decide with networks: the controllers they were made for."""
 
 
 def tradeoff(
@@ -120,15 +119,20 @@ def _input(card: ModelCard) -> str:
 
 
 def _trials(candidate: Candidate, docs: Path) -> tuple[float, float, float] | None:
-    """Mean trials of a closed loop that was played with these very networks, or with the same ones in another graph."""
+    """Mean trials of a closed loop that was played with these very files.
+
+    Two networks in one graph are known by the hashes of the files they were written beside, one folder up.
+    """
     trials = candidate.mean_trials()
     if trials is not None or candidate.precision != "fp32":
         return trials
-    if candidate.name.startswith("alexnet"):
-        return closed_loop_trials(docs / "closed_loop.json", PAPER)
-    who = PLAYED.get((str(candidate.folder), candidate.kind))
     files = [model.file for model in candidate.models]
-    return closed_loop_trials(docs / "closed_loop.json", who, files) if who else None
+    if candidate.kind == "shared":
+        files = [candidate.folder.parent / name for name in PAIR]
+    if not all(file.is_file() for file in files):
+        return None
+    played = (closed_loop_trials(docs / "closed_loop.json", who, files) for who in PLAYERS)
+    return next((found for found in played if found is not None), None)
 
 
 def choose(budget_ms: float, report: Path, seconds: float) -> str:

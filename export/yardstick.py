@@ -33,6 +33,7 @@ def ratios(steps: list[Model], folder: Path, seconds: float, data: str | None = 
     calls = {name: _all(models, inputs) for name, models in sets.items()}
     rows = time_in_turn(calls, seconds=10 * seconds, least=12, warm=True)
     base = rows.pop(PASSES)
+    works = {name: [work_of(model) for model in sets[name]] for name in rows}
     return {
         "trained": trained(found),
         "peaks": peaks.as_dict(),
@@ -44,7 +45,9 @@ def ratios(steps: list[Model], folder: Path, seconds: float, data: str | None = 
                 "cpu_p50_ms": timing.cpu_p50_ms,
                 "ratio": quartiles(spent[1], base[1][1]),
                 "claim": next((claim for start, claim in CLAIMS.items() if name.startswith(start)), None),
-                "limit_ms": sum(work_of(model).limit_ms(peaks) for model in sets[name]),
+                "limit_ms": sum(work.limit_ms(peaks) for work in works[name]),
+                "shaped_ms": sum(work.shaped_ms(peaks) for work in works[name]),
+                "convolutions_ms": sum(work.shaped_ms(peaks, convolves=True) for work in works[name]),
             }
             for name, (timing, spent) in rows.items()
         ],

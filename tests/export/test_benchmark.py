@@ -10,7 +10,7 @@ from export.benchmark_report import write
 from export.candidates import Decision
 from export.fresh import measure_fresh
 from export.golden import golden_frames
-from export.limits import Peaks, Work, work_of
+from export.limits import Layer, Peaks, Work, work_of
 from export.measure import Timing, quartiles, time_in_turn
 from export.peers import PeerAbsentError, peer, rebuild
 from export.verify import open_model
@@ -38,6 +38,8 @@ def test_the_benchmark_reports_every_figure(report):
         (2, True),
     ]
     assert row["fresh"]["first_ms"] > 0
+    assert row["machine_tail"] >= 1.0
+    assert row["limit"]["shaped_ms"] > 0
     assert row["limit"]["limit_ms"] > 0
     assert row["peers"]["torch"]["cpu_p50_ms"] > 0
 
@@ -80,13 +82,22 @@ def test_the_limit_counts_every_multiplication_once(models):
     # pooling: 64 bands of five rows of 981 bytes by 130 columns, for frame and reference of two fingers
     pooling = 4 * 64 * 4905 * 130
     trunk = 2 * (10 * 11 * 8 * 3 * 9 + 5 * 6 * 16 * 8 * 9) + 2 * 480 * 16 + 35 * 48 + 16 * 48 + 16 * 9
-    assert sum(products for products, _, _ in work.layers) == front + pooling + trunk
+    assert sum(layer.products for layer in work.layers) == front + pooling + trunk
 
 
 def test_a_layer_costs_the_slower_of_arithmetic_and_memory():
     peaks = Peaks(fp32_gflops=1.0, int8_gops=10.0, read_gb_s=1.0)
-    work = Work(((5e6, 1e6, False), (5e6, 4e6, True)))
-    assert work.limit_ms(peaks) == pytest.approx(10.0 + 4.0)
+    slow, large = Layer(2, 10, 500, 500, small=False), Layer(1, 1, 2000, 2000, small=True)
+    assert Work((slow, large)).limit_ms(peaks) == pytest.approx(10.0 + 4.0)
+
+
+def test_a_layer_is_held_against_the_product_of_its_own_shape(monkeypatch):
+    peaks = Peaks(fp32_gflops=1e6, int8_gops=1e6, read_gb_s=1e6)
+    monkeypatch.setattr("export.limits.product_ms", lambda *_shape, small: 3.0 if small else 5.0)
+    work = Work((Layer(2, 10, 500, 500, small=True, convolves=True), Layer(1, 1, 2000, 2000, small=False)))
+    assert work.shaped_ms(peaks) == pytest.approx(2 * 3.0 + 5.0)
+    assert work.shaped_ms(peaks, convolves=True) == pytest.approx(6.0)
+    assert work.limit_ms(peaks) < 0.1
 
 
 def test_a_model_costs_as_much_as_itself():
@@ -113,7 +124,7 @@ def test_a_budget_is_held_against_the_wall_clock_unless_neighbours_stretch_it():
 
 def test_the_page_says_which_speed_claim_holds_and_how_far_the_limit_is_missed(report):
     page = json.loads((report / "benchmark.json").read_text())
-    row = {"files": ["x.onnx"], "cpu_p50_ms": 12.0, "limit_ms": 8.0}
+    row = {"files": ["x.onnx"], "cpu_p50_ms": 12.0, "limit_ms": 8.0, "shaped_ms": 10.0, "convolutions_ms": 4.0}
     page["alexnet"] = {
         "trained": False,
         "peaks": page["peaks"],
@@ -129,7 +140,7 @@ def test_the_page_says_which_speed_claim_holds_and_how_far_the_limit_is_missed(r
     assert "of random weights (speed only)" in text
     assert "| 1/200 [1/167, 1/250] | 1/150: holds |" in text
     assert "| 1/20 [1/17, 1/25] | 1/25: does not hold |" in text
-    assert "it takes 1.50 times it" in text
+    assert "it takes 1.50 times the peak limit and 1.20 times the shape limit" in text
 
 
 def test_half_an_export_of_the_paper_s_networks_is_named(tmp_path):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from export import tradeoff as room
-from export.candidates import Decision, find_candidates
+from export.candidates import Candidate, Decision, find_candidates
 from export.golden import golden_frames
 from export.measure import Timing
 from export.points import Point, closed_loop_trials, mean_interval, pareto, physics_points, tracker_points, wilson
 from export.quantize import store_fp16
-from export.scores import score
+from export.scores import Score, score
 from export.tradeoff import agreements, choose, points_of
 from export.tradeoff_report import default_network, draw, write
 from export.verify import decide, open_model
@@ -143,6 +143,22 @@ def test_mean_trials_of_a_closed_loop_are_pooled_by_insertions(tmp_path):
         (tmp_path / name).write_bytes(content)
     assert closed_loop_trials(path, "belief", [tmp_path / "a.onnx"]) is not None
     assert closed_loop_trials(path, "belief", [tmp_path / "b.onnx"]) is None
+
+
+def test_mean_trials_belong_to_the_very_files_that_played_wherever_they_lie(models, tmp_path):
+    (pair,) = find_candidates([models])
+    together = Candidate(pair.name, "shared", models / "pair", pair.models[:1])
+    row = {"who": "paper", "scene": "circle", "condition": "", "mean_trials": 2.0, "insertions": 30}
+    setup = {f"paper/{model.file.name}": hashlib.sha256(model.file.read_bytes()).hexdigest() for model in pair.models}
+    report = {"summaries": [row | {"mean_trials_standard_error": 0.1}], "setup": setup}
+    (tmp_path / "closed_loop.json").write_text(json.dumps(report))
+    for candidate in (pair, together):
+        *_, last = points_of(candidate, timing(1.0), {8: Score([True], [1.0], [1.0])}, tmp_path)
+        assert last.mean_trials[0] == 2.0
+    report["setup"]["paper/magnitude.step.onnx"] = "0" * 64
+    (tmp_path / "closed_loop.json").write_text(json.dumps(report))
+    (point,) = points_of(pair, timing(1.0), {8: Score([True], [1.0], [1.0])}, tmp_path)
+    assert point.mean_trials is None
 
 
 @pytest.mark.parametrize("text", ["{", "{}", '{"mean_trials": 3, "interval": [4, 5]}'])

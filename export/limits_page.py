@@ -1,0 +1,56 @@
+"""The page's sections on the hardware's limit: how far each model stays above it, and on what that is spent."""
+
+from collections.abc import Callable
+from typing import Any
+
+from export.yardstick import SHARED
+
+NEAR_LIMIT = 1.05
+"""How near to the hardware's limit the shared step should be."""
+
+
+def limits_section(
+    peaks: dict[str, float], rows: list[dict[str, Any]], name: Callable[[dict[str, Any]], str]
+) -> list[str]:
+    """Every model against both limits of :mod:`export.limits`."""
+    lines = [
+        "## Against the hardware's limit",
+        "",
+        f"Probed in this run, one core: {peaks['fp32_gflops']:.0f} GFLOPS fp32, {peaks['int8_gops']:.0f} GOPS int8,",
+        f"{peaks['read_gb_s']:.1f} GB/s read from a buffer as large as the largest model. Peak limit: every layer's",
+        "multiplications at that peak or its weights at that rate, whichever is slower. The shape limit takes for a",
+        "layer the plain matrix product of its own rows, depth and columns, run alone and warm by the same runtime: a",
+        "convolution has to gather its patches besides. Pooling, activations and the runtime's own work come on top.",
+        "",
+        "| model | CPU p50 ms | peak limit ms | times it | shape limit ms | times it |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        limit, cpu_ms = row["limit"], row["single"]["cpu_p50_ms"]
+        peak = f"{limit['limit_ms']:.3f} | {limit['ratio']:.2f}"
+        shaped = f"{limit['shaped_ms']:.3f} | {limit['shaped_ratio']:.2f}"
+        lines.append(f"| {name(row)} | {cpu_ms:.2f} | {peak} | {shaped} |")
+    return [*lines, ""]
+
+
+def missed(found: dict[str, Any]) -> list[str]:
+    """How far the shared int8 step stays from the limits, and on what the rest is spent."""
+    row = next(row for row in found["rows"] if row["what"] == SHARED)
+    over, over_shaped = row["cpu_p50_ms"] / row["limit_ms"], row["cpu_p50_ms"] / row["shaped_ms"]
+    peaks = found["peaks"]
+    probed = f"{peaks['int8_gops']:.0f} GOPS int8, {peaks['read_gb_s']:.1f} GB/s from a buffer of its weights' size"
+    if over_shaped <= NEAR_LIMIT:
+        return [f"The step behind one backbone in int8 is within {NEAR_LIMIT} of its shape limit ({probed})."]
+    spent = found["operators_ms"]
+    share = sum(spent.values())
+    costly = ", ".join(f"{name} {100 * ms / share:.0f} %" for name, ms in list(spent.items())[:8])
+    convolutions, products = row["convolutions_ms"], row["shaped_ms"] - row["convolutions_ms"]
+    return [
+        f"Behind one backbone in int8 it misses {NEAR_LIMIT} of either limit ({probed}):",
+        f"it takes {over:.2f} times the peak limit and {over_shaped:.2f} times the shape limit, of which",
+        f"{convolutions:.2f} ms are convolutions as plain products and {products:.2f} ms other layers and LSTMs,",
+        f"which read their weights once. Of the profiler's wall clock it spends {costly}.",
+        "What the kernels could still save is the gathering of patches and",
+        "the rescaling of every convolution's sums (QLinearConv against its plain product); resizing and casting the",
+        "frames, pooling and the LSTMs' gates have no share in the limit at all.",
+    ]
