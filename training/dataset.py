@@ -104,12 +104,14 @@ def _key(trial: Any) -> str:
     return hashlib.sha256(json.dumps(stated).encode() + trial.gel.tobytes()).hexdigest()[:24]
 
 
-def _renderer_sha256(source: Source) -> str:
-    """What draws the pictures, told by what it draws: the hash of the first trial's first pair of pictures.
+def _reader_sha256(source: Source, reads: Reads) -> str:
+    """What draws the pictures and reads them, told by what it makes of the first trial's first pictures: a hash.
 
-    Nobody has to remember a version number, and pictures drawn differently never meet in one cache.
+    Nobody has to remember a version number, and pictures drawn or tracked differently never meet in one cache.
     """
-    return hashlib.sha256(np.ascontiguousarray(source.frames(0, 0, 1)).tobytes()).hexdigest()[:12]
+    frames = source.frames(0, 0, FRAMES_PER_DECISION)
+    kept = track_pairs(frames) if reads == "markers" else frames[:1]
+    return hashlib.sha256(np.ascontiguousarray(kept).tobytes()).hexdigest()[:12]
 
 
 def load_trials(config: DataConfig, source: Source | None = None, reads: Reads = "pictures") -> Trials:
@@ -209,7 +211,7 @@ def _load_pictures(
 ) -> tuple[NDArray[np.int64], NDArray[Any]]:
     """What is kept of the pictures of a fixed choice of trials, a file each: a kill or a growing dataset costs none."""
     wanted = _choose(table, config)
-    drawer = _renderer_sha256(source) if len(wanted) else "none"
+    drawer = _reader_sha256(source, reads) if len(wanted) else "none"
     folder = Path(config.cache) / f"{_KEPT[reads]}-{drawer}"
     folder.mkdir(parents=True, exist_ok=True)
     kept = []
