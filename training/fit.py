@@ -171,10 +171,13 @@ def _save(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lambda
 def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: LambdaLR) -> _Progressed:
     if not path.exists():
         return _Progressed()
-    stored = torch.load(path, weights_only=True)
+    try:
+        stored = torch.load(path, weights_only=True)
+    except Exception as error:  # torch raises pickle, zip and end-of-file errors of many kinds on a damaged file
+        raise ContractError(f"{path} cannot be read ({type(error).__name__}); remove it to begin this stage") from error
     try:
         network.load_state_dict(stored["network"])
-    except RuntimeError as error:
+    except (RuntimeError, KeyError) as error:
         raise ContractError(f"{path} holds another architecture, expected this run's") from error
     optimiser.load_state_dict(stored["optimiser"])  # brings its learning rate along
     schedule.last_epoch = stored["schedule"]["last_epoch"]
