@@ -46,7 +46,7 @@ class SlipSettings:
     max_shift_pitch: float = 2.0
     max_angle_deg: float = 15.0
     lost_after_s: float = 0.2
-    stall_s: float = 0.08
+    stall_s: float = 0.045
     stall_share: float = 0.15
     stall_pitch: float = 0.5
 

@@ -67,6 +67,24 @@ def shaken(seed):
     return fields
 
 
+@pytest.mark.parametrize("fps", [25, 30, 60, 90])
+def test_a_patch_that_slides_straight_is_slip_within_three_frames_or_seventy_milliseconds(fps):
+    """Carried by 140 px a second, then left behind as one; one frame without motion alone is no slip."""
+    stops = round(0.15 * fps)
+    for missing in (1, stops):
+        fields, _ = patch_fields(
+            lambda k, _, missing=missing: np.array([0.0, min(k, stops) + max(0, k - stops - missing)]) * 140.0 / fps,
+            frames=stops + round(0.2 * fps),
+            noise_px=0.05,
+        )
+        fields = [replace(field, captured_ns=round(k * 1e9 / fps)) for k, field in enumerate(fields)]
+        seen = first_slip(fields)
+        if missing == 1:
+            assert seen is None
+        else:
+            assert stops < seen <= stops + max(3, 0.07 * fps)
+
+
 def test_a_soft_object_that_is_shaken_has_no_node_that_stands_out():
     alarms = {0.0: 0, SlipSettings().stand_out: 0}
     for seed in range(6):
