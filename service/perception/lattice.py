@@ -11,6 +11,7 @@ from service.perception.field import BoolArray, FloatArray
 
 _STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
 _LINK = 0.33  # a neighbour lies within this share of a pitch of where the last step says
+_AROUND = 12  # spots around one among which its neighbours in the grid are sought
 DIAMETERS_PX = (4.0, 5.0, 6.5, 8.5, 11.0, 14.5, 19.0, 25.0)
 
 
@@ -39,6 +40,7 @@ def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.
     ``basis`` [2, 2] starts the local basis, which then follows the grid's deformation from node to node.
     """
     count = len(points)
+    near = _neighbours(points)
     index = np.zeros((count, 2), np.intp)
     reached = np.zeros(count, np.bool_)
     local = np.repeat(basis[None].astype(np.float32), count, 0)
@@ -47,13 +49,15 @@ def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.
     wave = np.array([seed])
     while wave.size:
         step = np.einsum("sa,nax->nsx", _STEPS.astype(np.float32), local[wave])
-        at = (points[wave][:, None] + step).reshape(-1, 2)
-        distance = np.square(at[:, None] - points[None]).sum(-1)
-        nearest = distance.argmin(1)
-        reach = _LINK * np.sqrt(np.square(step).sum(-1)).reshape(-1)
-        hits = np.flatnonzero((distance[np.arange(len(at)), nearest] < reach**2) & ~reached[nearest])
+        off = (points[wave][:, None] + step)[:, :, None] - points[near[wave]][:, None]
+        squared = off[..., 0] ** 2 + off[..., 1] ** 2
+        which = squared.argmin(-1)
+        nearest = np.take_along_axis(near[wave], which, 1).reshape(-1)
+        distance = np.take_along_axis(squared, which[..., None], 2).reshape(-1)
+        reach = _LINK**2 * (step[..., 0] ** 2 + step[..., 1] ** 2).reshape(-1)
+        hits = np.flatnonzero((distance < reach) & ~reached[nearest])
         fresh = []
-        for hit in hits[np.argsort(distance[hits, nearest[hits]])].tolist():
+        for hit in hits[np.argsort(distance[hits])].tolist():
             child, parent, way = int(nearest[hit]), int(wave[hit // 4]), hit % 4
             cell = index[parent] + _STEPS[way]
             key = (int(cell[0]), int(cell[1]))
@@ -70,6 +74,13 @@ def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.
     return index, reached
 
 
+def _neighbours(points: FloatArray) -> NDArray[np.intp]:
+    """Indices [n, up to 12] of the spots around each: the grid's four neighbours are among them."""
+    apart = (points[:, None, 0] - points[None, :, 0]) ** 2 + (points[:, None, 1] - points[None, :, 1]) ** 2
+    np.fill_diagonal(apart, np.inf)
+    return np.argpartition(apart, min(_AROUND, len(points)) - 1, axis=1)[:, :_AROUND]
+
+
 def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatArray | None:
     """Typical steps to the next column and row, [2, 2], or None if the points hold no grid.
 
@@ -78,7 +89,7 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
     if len(points) < 9:
         return None
     apart = points[None] - points[:, None]
-    length = np.linalg.norm(apart, axis=-1)
+    length = np.hypot(apart[..., 0], apart[..., 1])
     np.fill_diagonal(length, np.inf)
     nearest = length.argmin(1)
     steps = apart[np.arange(len(points)), nearest]
@@ -102,7 +113,7 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
 def find_lattice(image: NDArray[np.uint8], diameters_px: tuple[float, ...] = DIAMETERS_PX) -> Lattice | None:
     """The marker grid of a frame at the scale that explains it best, or None if there is none of at least 5 x 5.
 
-    The grid's columns must run within 40 deg of the image's. About 50 ms; run once a recording.
+    The grid's columns must run within 40 deg of the image's. About 40 ms; run once a recording.
     """
     best: Lattice | None = None
     for diameter in diameters_px:
