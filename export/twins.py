@@ -10,7 +10,7 @@ from export.quantize import quantize, store_fp16
 from service.contract import ContractError
 from training.dataset import read_decisions
 
-CALIBRATION_DECISIONS, JUDGED_DECISIONS = 8, 40
+CALIBRATION_DECISIONS, JUDGED_DECISIONS = 8, 120
 LARGE_BYTES = 50_000_000
 """A larger network is made int8 as a whole and nothing else: choosing its layers would take an hour."""
 

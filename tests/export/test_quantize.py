@@ -4,7 +4,7 @@ import pytest
 
 from export.golden import golden_frames
 from export.quantize import Agreement, agreement, int8_layers, quantize, same_commands
-from export.verify import open_model
+from export.verify import open_model, verify_model
 from service.contract import ContractError
 
 
@@ -64,3 +64,9 @@ def test_a_layer_that_reads_a_frame_beside_its_change_stays_fp32(models):
 def test_an_int8_model_is_not_quantised_again(small, frames, tmp_path):
     with pytest.raises(ContractError, match="already int8"):
         quantize(small / "direction.step.onnx", tmp_path / "again.onnx", frames)
+
+
+def test_the_int8_twin_says_the_same_in_a_batch_on_two_threads_and_stays_bounded(small):
+    lines = verify_model(open_model(small / "direction.step.onnx"), stream_steps=20)
+    assert any("1 against 64 in a batch" in line for line in lines)
+    assert any("bounded on" in line for line in lines)
