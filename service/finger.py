@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from service.contract import ContractError, Finger, FrameSpec, TactileFrame
 from service.observation import Observation
 from service.perception.contact import FreeGel
-from service.perception.field import MarkerField
 from service.perception.markers import MarkerTracker
 from service.perception.onset import OnsetDetector
 from service.perception.rectify import CameraCalibration, Rectifier
@@ -47,6 +46,7 @@ class TactileFinger:
         rectified = time.perf_counter()
         field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
+        marked = self._free.mark(field)
         if self._rearm:
             slip = self._slip.rearm(field)
             self._onset.rearm(field)
@@ -54,9 +54,9 @@ class TactileFinger:
             self._rearm = self._stopped = False
             onset = None
         else:
-            slip = self._slip.update(self._free.mark(field) if self._held else field)
+            slip = self._slip.update(marked if self._held else field)
             onset = self._onset.update(field)
-        slip = self._felt(slip, field)
+        slip = self._felt(slip, empty=untouched(marked))
         cost_ms = {
             "rectify": (rectified - started) * 1e3,
             "markers": (tracked - rectified) * 1e3,
@@ -65,14 +65,14 @@ class TactileFinger:
         onset_ns = None if onset is None else onset.captured_ns
         return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms)
 
-    def _felt(self, slip: SlipState, field: MarkerField) -> SlipState:
+    def _felt(self, slip: SlipState, *, empty: bool) -> SlipState:
         """The state, or "no_contact" where nothing touches the gel; the first one that stops the arm is always told.
 
         An object too flat and too lightly held to bulge the gel looks just like none: then only the word changes, and
         slip is watched from its reference all the same. From one that bulged it a gel back at home is a release.
         """
         first, self._stopped = slip.stop and not self._stopped, slip.stop or self._stopped
-        if first or not untouched(self._free.mark(field)):
+        if first or not empty:
             return slip
         return replace(slip, state="no_contact", reason="nothing touches the gel")
 

@@ -1,4 +1,4 @@
-"""What the slip path costs a finger: rectify, track, judge slip and onset, frame by frame on raw simulated frames."""
+"""What the slip path costs a finger: rectify, track, judge contact, slip and onset, on raw simulated frames."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from service.contract import FINGERS
+from service.perception.contact import FreeGel
 from service.perception.markers import MarkerTracker
 from service.perception.onset import OnsetDetector
 from service.perception.rectify import CameraCalibration, Rectifier
@@ -22,7 +23,7 @@ def cost_ms(trials: int, seed: int, fps: int) -> dict[str, float]:
         for finger, name in enumerate(FINGERS):
             renderer = Renderer(Appearance.draw(trial.scene, name, trial.seed))
             rectifier = Rectifier(CameraCalibration(renderer.homography))
-            tracker, slip, onset = MarkerTracker(), SlipDetector(), OnsetDetector()
+            tracker, free, slip, onset = MarkerTracker(), FreeGel(), SlipDetector(), OnsetDetector()
             for k, gel in enumerate(trial.gel):
                 raw = renderer.raw(gel[finger], trial.seed + k)
                 begun = time.process_time()
@@ -31,7 +32,7 @@ def cost_ms(trials: int, seed: int, fps: int) -> dict[str, float]:
                     slip.rearm(field)
                     onset.rearm(field)
                     continue
-                slip.update(field)
+                slip.update(free.mark(field))
                 onset.update(field)
                 spent.append(1e3 * (time.process_time() - begun))
     return {"median": float(np.median(spent)), "p95": float(np.percentile(spent, 95)), "frames": len(spent)}

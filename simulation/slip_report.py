@@ -36,7 +36,7 @@ def table(result: dict[str, Any]) -> str:
     if "path_ms" in result:
         path = result["path_ms"]
         cost = f"{path['median']:.1f} ms CPU a frame, one thread (95 %: {path['p95']:.1f})"
-        lines += [f"Slip path of a finger (rectify, track, slip, onset): {cost}.", ""]
+        lines += [f"Slip path of a finger (rectify, track, contact, slip, onset): {cost}.", ""]
     lines += _trackers(result["trackers"])
     if result.get("real"):
         lines += real_table(result["real"])
