@@ -5,12 +5,14 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.contract import ContractError
 from service.metrics import Metrics
 from service.routes import api, cameras, health, insertion, live, oip, recordings
 from service.routes.access import Access
 from service.routes.gate import Gate
+from service.routes.shortcut import Shortcut, refusal
 from service.station import Station
 
 
@@ -20,9 +22,23 @@ class Refused(BaseModel):
     error: str
 
 
+class Application(FastAPI):
+    """FastAPI behind a front door of our own, which the framework's layers would come before."""
+
+    front: ASGIApp
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a connection."""
+        await self.front(scope, receive, send)
+
+    async def routed(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve it by its route."""
+        await super().__call__(scope, receive, send)
+
+
 def create_app(station: Station) -> FastAPI:
     """The application; the caller starts and stops the station."""
-    app = FastAPI(
+    app = Application(
         title="tactile-insertion",
         version="0.1.0",
         docs_url="/v1/docs",
@@ -34,10 +50,12 @@ def create_app(station: Station) -> FastAPI:
     app.include_router(health.router(station, Metrics(station)))
     app.include_router(insertion.router(station, access))
     app.include_router(live.router(station, access))
-    for module in (api, cameras, recordings, oip):
+    for module in (api, cameras, recordings):
         app.include_router(module.router(station, access))
+    served = oip.Served(station)
+    app.include_router(oip.router(served, access))
     app.mount("/dashboard", live.static_files())
-    app.add_middleware(Gate, requests_per_s=station.settings.requests_per_s)
+    app.front = Gate(Shortcut(app.routed, served, access), station.settings.requests_per_s)
     _refuse_in_one_form(app)
     return app
 
@@ -47,11 +65,11 @@ def _refuse_in_one_form(app: FastAPI) -> None:
 
     @app.exception_handler(ContractError)
     async def broken_contract(_: Request, error: ContractError) -> JSONResponse:
-        return JSONResponse({"error": str(error)}, 400)
+        return refusal(error)
 
     @app.exception_handler(HTTPException)
     async def refused(_: Request, error: HTTPException) -> JSONResponse:
-        return JSONResponse({"error": str(error.detail)}, error.status_code, error.headers)
+        return refusal(error)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_: Request, error: RequestValidationError) -> JSONResponse:

@@ -145,15 +145,19 @@ class Desk:
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)
 
-        def close() -> None:
-            if insertion.recorder:
-                insertion.recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
-                if insertion.recorder.error:
-                    self.hub.publish("error", f"recording {insertion.recorder.path}: {insertion.recorder.error}")
-            insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
-            if insertion.send:
-                insertion.send(finished)
-            self.hub.publish("recorded", finished)
-            give_back()
+        threading.Thread(target=_keep, args=(self.hub, [insertion], finished), name="close-recording").start()
 
-        threading.Thread(target=close, name="close-recording").start()
+
+def _keep(hub: Hub, ended: list[Insertion], finished: wire.Finished) -> None:
+    """Close an ended insertion's recording, tell its client, and let go of all it held before pages are given back."""
+    insertion = ended.pop()
+    if insertion.recorder:
+        insertion.recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
+        if insertion.recorder.error:
+            hub.publish("error", f"recording {insertion.recorder.path}: {insertion.recorder.error}")
+    insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
+    if insertion.send:
+        insertion.send(finished)
+    hub.publish("recorded", finished)
+    del insertion
+    give_back()

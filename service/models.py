@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,13 @@ class LoadedModel:
     card: ModelCard
     sha256: str
     session: Any
+    inputs: tuple[Any, ...] = field(init=False, repr=False)
+    outputs: tuple[Any, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Ask the session once what it takes and gives: each asking makes the descriptions anew."""
+        object.__setattr__(self, "inputs", tuple(self.session.get_inputs()))
+        object.__setattr__(self, "outputs", tuple(self.session.get_outputs()))
 
     @property
     def entry(self) -> ModelEntry:
@@ -45,7 +52,7 @@ class LoadedModel:
 
     def run(self, inputs: Mapping[str, Array]) -> dict[str, Array]:
         """All outputs by name for a batch of inputs that match the card's shapes."""
-        names = [output.name for output in self.session.get_outputs()]
+        names = [output.name for output in self.outputs]
         return dict(zip(names, self.session.run(names, dict(inputs)), strict=True))
 
 
@@ -146,10 +153,10 @@ def _check_graph(model: LoadedModel) -> None:
         expected["gap_width_mm"] = [1]
     if card.grasp_height_input:
         expected["grasp_height_mm"] = [1]
-    found = {entry.name: list(entry.shape[1:]) for entry in model.session.get_inputs()}
+    found = {entry.name: list(entry.shape[1:]) for entry in model.inputs}
     if found != expected:
         raise ModelError(f"{model.path} takes inputs {found}, but its card says {expected}; export it again")
-    outputs = {entry.name for entry in model.session.get_outputs()}
+    outputs = {entry.name for entry in model.outputs}
     needed = _OUTPUTS[card.role] | ({"log_sigma"} if card.has_sigma else set())
     needed |= {"next_state"} if card.form == "step" else set()
     if not needed <= outputs:

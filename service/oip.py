@@ -5,6 +5,7 @@ little-endian row-major tensors in the order of the JSON.
 """
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -25,8 +26,11 @@ DATATYPES: dict[str, Any] = {
     "FP32": np.float32,
     "FP64": np.float64,
 }
+_NAMES = {np.dtype(value): key for key, value in DATATYPES.items()}
 _ORT_NAMES = {"tensor(float)": "FP32", "tensor(uint8)": "UINT8", "tensor(int64)": "INT64", "tensor(double)": "FP64"}
 MAX_ELEMENTS = 1 << 27
+MAX_DESCRIBED = 64  # files whose tensors are remembered
+_described: dict[str, dict[str, Any]] = {}
 
 
 class TensorError(ContractError):
@@ -43,16 +47,21 @@ class InferRequest:
 
 
 def metadata(model: LoadedModel) -> dict[str, Any]:
-    """Names, types and shapes of a model's inputs and outputs; the batch is -1."""
+    """Names, types and shapes of a model's inputs and outputs; the batch is -1. Do not change what it returns."""
+    if (known := _described.get(model.sha256)) is not None:
+        return known
 
     def tensor(entry: Any) -> dict[str, Any]:
         shape = [size if isinstance(size, int) else -1 for size in entry.shape]
         return {"name": entry.name, "datatype": _ORT_NAMES.get(entry.type, "FP32"), "shape": shape}
 
-    return {
-        "inputs": [tensor(entry) for entry in model.session.get_inputs()],
-        "outputs": [tensor(entry) for entry in model.session.get_outputs()],
+    while len(_described) >= MAX_DESCRIBED:
+        _described.popitem()
+    described = {
+        "inputs": [tensor(entry) for entry in model.inputs],
+        "outputs": [tensor(entry) for entry in model.outputs],
     }
+    return _described.setdefault(model.sha256, described)
 
 
 def parse_request(body: bytes, header_length: str | None, model: LoadedModel) -> InferRequest:
@@ -111,7 +120,7 @@ def _tensor(entry: Mapping[str, Any], raw: memoryview | None, known: Mapping[str
     if not fits or any(n < 1 or (k >= 0 and n != k) for n, k in zip(shape or [], known["shape"], strict=False)):
         raise TensorError(f"input {name} has shape {shape}, expected {known['shape']}")
     assert isinstance(shape, list)
-    count = int(np.prod(shape, dtype=object))
+    count = math.prod(shape)
     dtype = np.dtype(DATATYPES[known["datatype"]])
     if count > MAX_ELEMENTS:
         raise TensorError(f"input {name} has {count} elements, expected at most {MAX_ELEMENTS}")
@@ -148,10 +157,9 @@ def encode_response(
     """Body and headers of an infer response."""
     described: list[dict[str, Any]] = []
     tail: list[bytes] = []
-    by_dtype = {np.dtype(value): key for key, value in DATATYPES.items()}
     for name, binary in request.binary.items():
         values = np.ascontiguousarray(outputs[name])
-        entry: dict[str, Any] = {"name": name, "datatype": by_dtype[values.dtype], "shape": list(values.shape)}
+        entry: dict[str, Any] = {"name": name, "datatype": _NAMES[values.dtype], "shape": list(values.shape)}
         if binary:
             tail.append(values.tobytes())
             entry["parameters"] = {"binary_data_size": len(tail[-1])}

@@ -33,9 +33,14 @@ class Unread:
             self._deadline = None
 
 
-class PatientProtocol(H11Protocol):
-    """HTTP/1.1 with a deadline on the head of each request: half a request cannot hold a connection for ever."""
+class Patient(asyncio.Protocol):
+    """The clocks of an HTTP connection: one on the head of each request, one on what its client does not read.
 
+    Mixed into a protocol of the web server, of which it uses ``loop`` and ``transport``.
+    """
+
+    loop: asyncio.AbstractEventLoop
+    transport: asyncio.Transport
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -54,6 +59,25 @@ class PatientProtocol(H11Protocol):
         super().resume_writing()
         self._unread.end()
 
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The client left."""
+        self._stop_waiting()
+        self._unread.end()
+        super().connection_lost(exc)
+
+    def _wait(self) -> None:
+        if self._deadline is None:
+            self._deadline = self.loop.call_later(HEAD_TIMEOUT_S, self.transport.close)
+
+    def _stop_waiting(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+
+class PatientH11(Patient, H11Protocol):
+    """HTTP/1.1 in Python alone: half a request cannot hold a connection for ever."""
+
     def data_received(self, data: bytes) -> None:
         """Bytes came; the clock stops while a request is under way and runs again while one is awaited."""
         super().data_received(data)
@@ -69,20 +93,14 @@ class PatientProtocol(H11Protocol):
         if self.conn.trailing_data[0] and not self.transport.is_closing():
             self._wait()
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        """The client left."""
-        self._stop_waiting()
-        self._unread.end()
-        super().connection_lost(exc)
 
-    def _wait(self) -> None:
-        if self._deadline is None:
-            self._deadline = self.loop.call_later(HEAD_TIMEOUT_S, self.transport.close)
-
-    def _stop_waiting(self) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-            self._deadline = None
+def http_protocol() -> type[asyncio.Protocol]:
+    """HTTP/1.1 with the parser in C where ``httptools`` is installed, else the one in Python."""
+    try:
+        from service.patience_c import PatientHttpTools
+    except ImportError:
+        return PatientH11
+    return PatientHttpTools
 
 
 class PatientWebSocket(WebSocketsSansIOProtocol):

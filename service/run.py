@@ -19,7 +19,7 @@ from service.contract import ContractError
 from service.event_log import log_events
 from service.log_lines import LogLines
 from service.memory import use_few_arenas
-from service.patience import PatientProtocol, PatientWebSocket
+from service.patience import PatientWebSocket, http_protocol
 from service.settings import Settings, read_settings
 from service.station import open_station
 from service.tracing import Spans, make_tracer
@@ -118,7 +118,7 @@ def web_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How the web server runs: bounded in time, size and number; no compression, which costs more than the network."""
     return uvicorn.Config(
         app,
-        http=PatientProtocol,
+        http=http_protocol(),
         ws=PatientWebSocket,
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE_BYTES,

@@ -56,15 +56,20 @@ class Access:
         await socket.close(FORBIDDEN_CLOSE)
         return False
 
+    def check(self, request: HTTPConnection, needed: Role) -> None:
+        """Raise HTTPException 401 or 403 unless a request may act in a role."""
+        if not self.same_origin(request):
+            raise HTTPException(403, "this page's origin is not allowed; see --allowed-origins")
+        role = self.role(request)
+        if role is None:
+            raise HTTPException(401, "a bearer token is needed", {"WWW-Authenticate": "Bearer"})
+        if _RANK[role] < _RANK[needed]:
+            raise HTTPException(403, f"this token does not give the role {needed}")
+
     def require(self, needed: Role) -> Any:
         """A FastAPI dependency that refuses with 401 or 403."""
 
-        def check(request: Request) -> None:
-            if not self.same_origin(request):
-                raise HTTPException(403, "this page's origin is not allowed; see --allowed-origins")
-            if self.role(request) is None:
-                raise HTTPException(401, "a bearer token is needed", {"WWW-Authenticate": "Bearer"})
-            if not self.allows(request, needed):
-                raise HTTPException(403, f"this token does not give the role {needed}")
+        async def check(request: Request) -> None:  # async, or every request would wait for a thread first
+            self.check(request, needed)
 
         return Depends(check)

@@ -77,7 +77,8 @@ def timed(receive: Receive) -> Receive:
         if whole:  # what follows is only the news that the client left
             return await receive()
         try:
-            message = await asyncio.wait_for(receive(), BODY_TIMEOUT_S)
+            async with asyncio.timeout(BODY_TIMEOUT_S):
+                message = await receive()
         except TimeoutError:
             raise HTTPException(408, f"no piece of the body for {BODY_TIMEOUT_S:g} s") from None
         whole = not message.get("more_body", False)

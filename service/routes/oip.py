@@ -21,6 +21,10 @@ from service.station import Station
 
 MAX_BODY_BYTES = 64 << 20
 MAX_WAITING = 32
+QUICK_BYTES, QUICK_S = (
+    64 << 10,
+    0.001,
+)  # calls this small are done by the event loop itself; it never waits for longer ones
 VERSION = "1"
 INFER_BODY = {"requestBody": {"required": True, "content": {"application/json": {"schema": INFER_SCHEMA}}}}
 _OPEN = ThreadPoolExecutor(1, "inference")  # one call at a time: the networks of the insertion keep their core
@@ -89,6 +93,16 @@ class Served:
     station: Station
     statistics: Statistics = field(default_factory=Statistics)
     waiting_n: int = 0
+    _took_s: dict[str, float] = field(default_factory=dict)
+
+    def took(self, name: str, body_bytes: int, seconds: float) -> None:
+        """What a small call to a model took just now."""
+        if body_bytes <= QUICK_BYTES:
+            self._took_s[name] = seconds
+
+    def is_quick(self, name: str, body_bytes: int) -> bool:
+        """Whether a call costs less than handing it to a thread and back; the last small one of its model tells."""
+        return body_bytes <= QUICK_BYTES and self._took_s.get(name, QUICK_S) < QUICK_S
 
     def models(self) -> dict[str, LoadedModel]:
         """Every loaded file by its name without ``.onnx`` (``direction.step``)."""
@@ -101,11 +115,27 @@ class Served:
             raise HTTPException(404, f"unknown model {name} version {version}, expected {list(self.models())}")
         return model
 
+    async def infer(self, request: Request, name: str, version: str) -> Response:
+        """Answer an inference request; raises HTTPException or ContractError with the reason if it cannot be done."""
+        model = self.model(name, version)
+        if self.waiting_n >= MAX_WAITING:
+            raise HTTPException(429, f"{MAX_WAITING} inferences wait already", {"Retry-After": "1"})
+        started = time.perf_counter_ns()
+        self.waiting_n += 1
+        try:
+            answer = await _infer(request, name, model, self)
+        except ContractError:
+            self.statistics.add(name, "fail", started)
+            raise
+        finally:
+            self.waiting_n -= 1
+        self.statistics.add(name, "success", started)
+        return answer
 
-def router(station: Station, access: Access) -> APIRouter:
+
+def router(served: Served, access: Access) -> APIRouter:
     """Routes under ``/v2``."""
     routes = APIRouter(prefix="/v2", tags=["open inference protocol"])
-    served = Served(station)
     for add in (_server_routes, _model_routes, _inference_routes):
         add(routes, served, access)
     return routes
@@ -177,27 +207,15 @@ def _inference_routes(routes: APIRouter, served: Served, access: Access) -> None
         "/models/{name}/versions/{version}/infer", dependencies=drive, openapi_extra=INFER_BODY, response_class=Inferred
     )
     async def infer(request: Request, name: str, version: str = VERSION) -> Response:
-        model = served.model(name, version)
-        if served.waiting_n >= MAX_WAITING:
-            raise HTTPException(429, f"{MAX_WAITING} inferences wait already", {"Retry-After": "1"})
-        started = time.perf_counter_ns()
-        served.waiting_n += 1
-        try:
-            answer = await _infer(request, name, model)
-        except ContractError:
-            served.statistics.add(name, "fail", started)
-            raise
-        finally:
-            served.waiting_n -= 1
-        served.statistics.add(name, "success", started)
-        return answer
+        return await served.infer(request, name, version)
 
 
-async def _infer(request: Request, name: str, model: LoadedModel) -> Response:
+async def _infer(request: Request, name: str, model: LoadedModel, served: Served) -> Response:
     body = await whole_body(request, MAX_BODY_BYTES)
     headers = request.headers
 
     def work() -> tuple[bytes, dict[str, str]]:
+        started = time.perf_counter()
         plain = inflate(body, headers.get("content-encoding", "").strip().lower())
         asked = oip.parse_request(plain, headers.get("inference-header-content-length"), model)
         try:
@@ -206,9 +224,13 @@ async def _infer(request: Request, name: str, model: LoadedModel) -> Response:
             raise ContractError(f"{name} refused the inputs: {str(error).splitlines()[0]}") from error
         content, described = oip.encode_response(name, asked, outputs)
         packed, encoding = deflate(content, headers.get("accept-encoding", "") if encoded(headers) else "")
+        served.took(name, len(body), time.perf_counter() - started)
         return packed, described | encoding
 
-    content, described = await asyncio.get_running_loop().run_in_executor(_OPEN, work)
+    if "content-encoding" not in headers and served.is_quick(name, len(body)):
+        content, described = work()
+    else:
+        content, described = await asyncio.get_running_loop().run_in_executor(_OPEN, work)
     return Response(content, headers=described)
 
 

@@ -99,4 +99,4 @@ def peers(models: Path, python: Path | None, seconds: float) -> dict[str, Any]:
     ours = facts["servers"]["service"]["p50_ms"]
     for name in ("mlserver", "litserve", "in process"):
         facts[f"ratio to {name}"] = round(ours / facts["servers"][name]["p50_ms"], 3)
-    return facts | {"versions": versions(python)}
+    return facts | {"versions": versions(python), "model": f"{models.name}/{model.name}"}

@@ -99,7 +99,8 @@ def main() -> int:
 
     told = arguments()
     parts: dict[str, Callable[[], dict[str, Any]]] = {
-        "peers": lambda: peers(told.models, told.peers_python, told.seconds),
+        "peers": lambda: peers(told.models / "pictures", told.peers_python, told.seconds),
+        "peers markers": lambda: peers(told.models, told.peers_python, told.seconds),
         "websocket": lambda: decisions(told.models, told.trials),
         "first": lambda: first_decision(told.models, 5),
         "cameras 60": lambda: flood(told.models, 60.0, told.seconds),

@@ -27,7 +27,7 @@ def page(facts: dict[str, Any]) -> str:
         "**Missed here:** " + ("; ".join(missed) + "." if missed else "nothing."),
         "",
         *(["**Not measured:** " + "; ".join(unmeasured) + ".", ""] if unmeasured else []),
-        *_notes(facts),
+        *_notes(),
         "",
     ]
     return "\n".join(lines)
@@ -70,7 +70,10 @@ def _peers(found: dict[str, Any]) -> list[Row]:
     rows: list[Row] = []
     for peer, label, limit in (("mlserver", "MLServer gRPC", 0.5), ("litserve", "LitServe", 0.35)):
         theirs, share = found["servers"][peer], found[f"ratio to {peer}"]
-        what = f"binary inference p50, service / {label} {found['versions'][peer]}"
+        what = (
+            f"binary inference p50, `{found['model']}`, {found['payload_bytes'] / 1e6:.2f} MB a call, service / {label}"
+        )
+        what += f" {found['versions'][peer]}"
         rows.append((what, f"{both(ours, theirs)} = {share:.2f}", f"{limit}", share <= limit))
     inside = found["servers"]["in process"]
     rows.append(("the same in process, p50", f"{inside['p50_ms']:.2f} ms", "", True))
@@ -115,6 +118,7 @@ def _overload(found: dict[str, Any]) -> list[Row]:
 
 ROWS = {
     "peers": _peers,
+    "peers markers": _peers,
     "websocket": _websocket,
     "first": _first,
     "cameras 60": _cameras,
@@ -126,8 +130,8 @@ ROWS = {
 
 NOTES = """How it was measured:
 
-- Inference: `direction.step.onnx`, {megabytes:.2f} MB of input a call, one closed loop of one client, ten calls to each
-  server in turn, one thread a session everywhere. The service is asked by `tritonclient[http]` with binary tensors,
+- Inference: one closed loop of one client, ten calls to each server in turn, one thread a session everywhere. The
+  service is asked by `tritonclient[http]` with binary tensors,
   MLServer by `tritonclient[grpc]` with raw tensors and without parallel workers, LitServe with base64 in JSON.
 - Decision: two MJPEG cameras; from showing the eighth pair of a stopped attempt to the correction in the client's hand,
   against the same JPEGs through the same session in one thread, in turn.
@@ -138,9 +142,8 @@ NOTES = """How it was measured:
 - CPU is the process's own time from the kernel: it does not grow with what others use, though caches do suffer."""
 
 
-def _notes(facts: dict[str, Any]) -> list[str]:
-    payload = (facts.get("peers") or {}).get("payload_bytes", 0)
-    return NOTES.format(megabytes=payload / 1e6).splitlines()
+def _notes() -> list[str]:
+    return NOTES.splitlines()
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
 While an insertion is under way the service holds its frames, some 10 to 30 MB that come and go: a line through such
 readings says how busy the last minutes were. At rest, after an insertion is closed and before the next opens, only
-what stays is left. Those readings are cut into twelve consecutive blocks; the line goes through the blocks' medians
-(an odd reading moves nothing) and its interval is Student's for these twelve, as neighbours are not independent.
+what stays is left, and on a busy machine what is about to be given back. Those readings are cut into twelve
+consecutive blocks; the line goes through the blocks' lower quartiles, the floor, which a reading taken too early does
+not move, and its interval is Student's for these twelve, as neighbours are not independent.
 """
 
 from dataclasses import dataclass
@@ -39,7 +40,9 @@ def slope(at_s: list[float], mb: list[float], run_s: float) -> Slope:
     settled = np.array([(t / 3600, value) for t, value in zip(at_s, mb, strict=True) if t >= SETTLING * run_s])
     if len(settled) < 2 * BLOCKS:
         return Slope(float("nan"), float("nan"), float("nan"), len(settled))
-    medians = np.array([np.median(block, axis=0) for block in np.array_split(settled, BLOCKS)])
-    (found, _), covariance = np.polyfit(*medians.T, 1, cov=True)
+    blocks = np.array_split(settled, BLOCKS)
+    hours = [np.mean(block[:, 0]) for block in blocks]
+    floor = [np.percentile(block[:, 1], 25) for block in blocks]
+    (found, _), covariance = np.polyfit(hours, floor, 1, cov=True)
     margin = T_95 * float(np.sqrt(covariance[0, 0]))
     return Slope(float(found), float(found) - margin, float(found) + margin, len(settled))

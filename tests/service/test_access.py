@@ -1,5 +1,6 @@
 """Who comes in, how fast, and over what: tokens, origins, rates, time limits, TLS. On real sockets."""
 
+import contextlib
 import itertools
 import shutil
 import socket
@@ -64,6 +65,18 @@ def test_half_a_request_is_not_waited_for(live: LiveService, monkeypatch: pytest
             while piece := link.recv(4096):  # ends when the service closes, else by the socket's own 20 s
                 heard += piece
             assert heard.count(b"200 OK") == said.count(b"\r\n\r\n")
+
+
+def test_a_head_without_end_is_refused(live: LiveService) -> None:
+    with socket.create_connection(("127.0.0.1", live.port), 20) as link:
+        heard = b""
+        with contextlib.suppress(ConnectionError):  # what it answers may be lost with the connection
+            link.sendall(b"GET /healthz HTTP/1.1\r\n")
+            for number in range(100):
+                link.sendall(f"X-{number}: {'x' * 4000}\r\n".encode())
+            while piece := link.recv(4096):  # the end of the connection, else this times out
+                heard += piece
+        assert heard == b"" or b" 400 " in heard.splitlines()[0]
 
 
 def test_a_body_that_does_not_come_is_408(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,3 +71,6 @@ def test_tokens_give_roles(tmp_path: Path, models_folder: Path) -> None:
         assert [code("GET", "/v1/models", token) for token in (None, "x", "w", "d", "a")] == [401, 401, 200, 200, 200]
         assert [code("POST", "/v1/decisions", token) for token in ("w", "d")] == [403, 400]
         assert [code("DELETE", "/v1/recordings/none", token) for token in ("d", "a")] == [403, 404]
+        infer = "/v2/models/direction.step/infer"
+        assert [code("POST", infer, token) for token in (None, "x", "w", "d")] == [401, 401, 403, 400]
+        assert [code("POST", infer.replace("direction", "no"), token) for token in ("w", "d")] == [403, 404]
