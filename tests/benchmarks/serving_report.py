@@ -70,7 +70,8 @@ def _peers(found: dict[str, Any]) -> list[Row]:
     rows: list[Row] = []
     for peer, label, limit in (("mlserver", "MLServer gRPC", 0.5), ("litserve", "LitServe", 0.35)):
         theirs, share = found["servers"][peer], found[f"ratio to {peer}"]
-        what = f"binary inference p50, `{found.get('model', 'direction.step.onnx')}`, {found['payload_bytes'] / 1e6:.2f} MB a call, service / {label}"
+        model, megabytes = found.get("model", "direction.step.onnx"), found["payload_bytes"] / 1e6
+        what = f"binary inference p50, `{model}`, {megabytes:.2f} MB a call, service / {label}"
         what += f" {found['versions'][peer]}"
         rows.append((what, f"{both(ours, theirs)} = {share:.2f}", f"{limit}", share <= limit))
     inside = found["servers"]["in process"]
