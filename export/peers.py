@@ -133,6 +133,7 @@ def _empty(model: Model, weights: dict[str, Any]) -> Any:
             trunk_width=weights["trunk.convolutions.0.weight"].shape[0],
             feature_size=weights["trunk.project.weight"].shape[0],
             state_size=weights["trunk.cell.weight_hh"].shape[1],
+            affine_fit="trunk.affine.read.weight" in weights,
         )
     except KeyError as error:
         raise PeerAbsentError(f"{model.file.name} has no weights named {error}; torch cannot rebuild it") from error

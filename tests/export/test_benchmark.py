@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from export.candidates import Decision
 from export.fresh import measure_fresh
 from export.golden import golden_frames
 from export.limits import Layer, Peaks, Work, work_of
-from export.measure import Timing, quartiles, time_in_turn
+from export.measure import Timing, example_inputs, quartiles, time_in_turn
 from export.peers import PeerAbsentError, peer, rebuild
 from export.verify import open_model
 from export.yardstick import CLAIMS, SHARED
@@ -66,6 +67,14 @@ def test_an_unknown_peer_is_named(models):
 def test_torch_is_rebuilt_from_the_released_file_alone(models):
     for name in ("direction.sequence.onnx", "joint/joint.step.onnx", "pair/pair.step.onnx"):
         peer("torch", open_model(models / name))()
+
+
+@pytest.mark.parametrize("name", ["direction", "magnitude", "joint/joint", "pictures/magnitude"])
+def test_the_torch_twin_of_a_released_step_says_what_the_file_says(name):
+    model = open_model(Path("models") / f"{name}.step.onnx")
+    said = model(example_inputs(model)).values()
+    for ours, theirs in zip(said, peer("torch", model)(), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
 
 
 def test_a_file_whose_weights_are_strangers_has_no_torch_twin(models):
