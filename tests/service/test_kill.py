@@ -24,7 +24,8 @@ def test_a_killed_service_has_kept_the_insertion_and_makes_it_whole_at_the_next_
     calibration, recordings = tmp_path / "calibration.toml", tmp_path / "recordings"
     drawn.calibration().save(calibration)
     options = ["--camera-left", fingers[0].url, "--camera-right", fingers[1].url, "--calibration", str(calibration)]
-    options += ["--max-frame-age-ms", "5000"]
+    options += ["--max-frame-age-ms", "20000", "--reference-timeout-s", "30"]  # the machine may be busy
+    options += ["--frames-timeout-s", "30", "--decision-timeout-s", "60", "--client-timeout-s", "60"]
 
     class Cell:
         def __init__(self, url):
