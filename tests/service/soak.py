@@ -36,7 +36,7 @@ from tests.service.trouble import Cuts, Garbage, Reloads, Trouble, machine, serv
 ANSWER_S = 60.0  # the machine may be busy with other things
 SAMPLE_S = 5.0
 REST_S = 0.3  # from `finished` until what the insertion held is given back, on a machine that is free
-REST_READINGS = 3
+REST_READINGS, CLOSED_S = 3, 5.0
 
 
 class Killed(Exception):  # noqa: N818 - an event of the story, no error
@@ -198,7 +198,9 @@ class Soak:
         A reading may catch models being loaded, or what an insertion held before it is given back. There is none if an
         abandoned insertion is still under way.
         """
-        readings = []
+        readings, until = [], time.monotonic() + CLOSED_S
+        while any(self.service.recordings.glob("*/*.part")) and time.monotonic() < until:
+            time.sleep(REST_S)  # a recording that is being closed is no rest either
         with contextlib.suppress(httpx.HTTPError, OSError):
             for _ in range(REST_READINGS):
                 time.sleep(REST_S)
