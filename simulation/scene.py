@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from simulation import shapes
+from simulation.scene_errors import describe
 
 SCENES = Path(__file__).parent / "scenes"
 BUILT_IN = ("rectangle", "circle", "ellipse", "hexagon", "white_box", "vitamin", "can", "mustard")
@@ -171,10 +172,12 @@ class Scene(Part):
         body = self.object
         if self.blocks.gap_mm <= body.size_x_mm:
             raise ValueError(f"blocks.gap_mm: {self.blocks.gap_mm} must exceed object.size_x_mm {body.size_x_mm}")
-        if 2.0 * body.corner_radius_mm > min(body.size_x_mm, body.size_y_mm):
-            raise ValueError("object.corner_radius_mm: must be at most half of the smaller size")
+        if body.corner_radius_mm > 0.5 * (least := min(body.size_x_mm, body.size_y_mm)):
+            raise ValueError(f"object.corner_radius_mm: must be 0 to {0.5 * least:g}, half of the smaller size")
+        if body.held_corner_radius_mm > 0.5 * (body.held_size_x_mm or body.size_x_mm):
+            raise ValueError("object.held_corner_radius_mm: must be at most half of the held section's width")
         if self.gel.crown_mm > 0.5 * self.gel.thickness_mm:
-            raise ValueError("gel.crown_mm: must be at most half of gel.thickness_mm")
+            raise ValueError(f"gel.crown_mm: must be 0 to {0.5 * self.gel.thickness_mm:g}, half of gel.thickness_mm")
         if self.gel.tier == "layer" and self.gel.normal_ratio < 2.0:
             raise ValueError("gel.normal_ratio: must be at least 2 in the layer tier, where rubber pushes sideways too")
         if self.gel.tier == "layer" and self.effects.gel_coupling == "on":
@@ -292,8 +295,4 @@ def _parse(data: Mapping[str, Any], source: str) -> Scene:
     try:
         return Scene.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        given = "" if first["type"] in {"value_error", "missing"} else f" (given: {first['input']!r})"
-        what = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
-        raise SceneError(f"{source}: {key + ': ' if key else ''}{what}{given}") from error
+        raise SceneError(f"{source}: {describe(error, Scene)}") from error
