@@ -145,9 +145,13 @@ def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: 
 
 
 def _block_sums(frames: Any) -> Any:
-    """:func:`training.networks.preprocessing.block_sums` as one product of integers: exact on every processor."""
+    """:func:`training.networks.preprocessing.block_sums` as one product of integers: exact on every processor.
+
+    The matrix for a block's rows is written as one row's and laid out when the file is loaded.
+    """
     rows = op.Reshape(frames, op.Constant(value_ints=[-1, BLOCK_PX * WIDTH_PX * 3]))
-    sums = op.Cast(op.MatMulInteger(rows, op.Constant(value=onnx.numpy_helper.from_array(selector()))), to=FLOAT)
+    row = op.Constant(value=onnx.numpy_helper.from_array(selector()))
+    sums = op.Cast(op.MatMulInteger(rows, op.Tile(row, op.Constant(value_ints=[BLOCK_PX, 1]))), to=FLOAT)
     return op.Transpose(op.Reshape(sums, op.Constant(value_ints=[-1, ROWS, CHANNELS, COLS])), perm=[0, 2, 1, 3])
 
 

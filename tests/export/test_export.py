@@ -35,6 +35,12 @@ def test_files_are_written_with_their_cards(models):
 STEPS = 50
 
 
+def test_the_released_networks_weigh_less_than_15_mb():
+    files = list((Path(__file__).parents[2] / "models").rglob("*.onnx"))
+    assert len(files) == 10
+    assert sum(file.stat().st_size for file in files) < 15e6
+
+
 def test_released_models_verify(models):
     lines = verify(models, STEPS)
     assert sum(" = " in line for line in lines) == 1

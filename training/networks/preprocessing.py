@@ -32,7 +32,7 @@ def pool_frames(frames: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 
 def selector() -> NDArray[np.int8]:
-    """Which bytes of five rows of a BGR frame belong to which sum: int8 [5 * 327 * 3, 2 * 65] of zeros and ones.
+    """Which bytes of a row of a BGR frame belong to which sum: int8 [327 * 3, 2 * 65] of zeros and ones.
 
     The last columns, which fill no block, belong to none.
     """
@@ -41,7 +41,7 @@ def selector() -> NDArray[np.int8]:
     row[column, 1, 0, column // BLOCK_PX] = 1
     for colour in (0, 2):
         row[column, colour, 1, column // BLOCK_PX] = 1
-    return np.tile(row.reshape(WIDTH_PX * 3, CHANNELS * COLS), (BLOCK_PX, 1))
+    return row.reshape(WIDTH_PX * 3, CHANNELS * COLS)
 
 
 @torch.library.custom_op("tactile_insertion::block_sums", mutates_args=())
