@@ -51,6 +51,16 @@ def test_interrupted_hard_probes_go_on_where_they_stopped(tmp_path: Path, capsys
     assert "60 hard probes" in capsys.readouterr().out
 
 
+def test_ten_thousand_published_hard_probes_kept_every_promise() -> None:
+    said = json.loads((DOCS / "hard_probes.bristle.json").read_text())
+    page = (DOCS / "hard_probes.md").read_text()
+    assert said["probes"] == sum(said["ended"].values()) == 10_000
+    assert all(name in ("solved", "grasp lost") or name.startswith("refused: ") for name in said["ended"])
+    assert all(f"| {name} | {count:,} |" in page for name, count in said["ended"].items())
+    assert said["worst_residual_n"] <= 1e-6
+    assert said["worst_cone_violation_n_per_mm2"] <= 1e-9
+
+
 @pytest.mark.parametrize("wrong", [["--count", "0"], ["--out", "/no/such/folder"]])
 def test_a_wrong_hard_probe_run_is_one_line(wrong: list[str], capsys) -> None:
     assert main(["hard-probes", *wrong]) == 2
