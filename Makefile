@@ -64,7 +64,7 @@ test-all: $(VENV)/ready ## the fast tests and the long ones; properties draw new
 # ---- from probes to released models -------------------------------------------------------------------------------
 
 PROBES ?= data/probes
-TRIALS ?= 3000
+TRIALS ?= 7500
 CHECKPOINT ?= runs/markers/checkpoint.pt
 PICTURES ?= runs/compact-long/checkpoint.pt
 MODELS ?= models
