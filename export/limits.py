@@ -196,13 +196,20 @@ def _layer(convolves: bool, shape: tuple[int, ...], out: tuple[int, ...], *, sma
 
 
 def _weights(graph: Any) -> dict[str, tuple[tuple[int, ...], bool]]:
-    """Shape of every constant a layer may multiply by, and whether it is int8; seen through widening nodes."""
+    """Shape of every constant a layer may multiply by, and whether it is int8; seen through widening and tiling."""
     stored = {tensor.name: (tuple(tensor.dims), tensor.data_type) for tensor in graph.initializer}
+    arrays = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer if len(tensor.dims) == 1}
     found = {name: (shape, kind in BYTES) for name, (shape, kind) in stored.items()}
     for node in graph.node:
         if node.op_type in ("DequantizeLinear", "Cast") and node.input[0] in stored:
             shape, kind = stored[node.input[0]]
             found[node.output[0]] = (shape, kind in BYTES)
+        if node.op_type == "Tile" and node.input[0] in stored:
+            (shape, kind), times = stored[node.input[0]], arrays[node.input[1]]
+            found[node.output[0]] = (
+                tuple(size * int(count) for size, count in zip(shape, times, strict=True)),
+                kind in BYTES,
+            )
     return found
 
 

@@ -174,7 +174,7 @@ def test_a_silent_stream_and_a_frozen_stream_can_be_told_apart(up):
 
 def test_dropped_garbled_and_delayed_datagrams_can_be_had(up):
     cell, guide = up
-    cell.faults(egm={"drop_share": 0.5, "garbage_next": 3, "delay_ms": 20.0})
+    cell.faults(egm={"drop_share": 0.5, "garbage_next": 30, "delay_ms": 20.0})
     bad, sequences = 0, []
     for _ in range(4000):  # what was sent before the fault may still be queued: count from the first garbled one
         try:

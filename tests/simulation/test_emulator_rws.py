@@ -128,6 +128,8 @@ def test_signals_log_and_speed_ratio(rws):
     assert field(rws, "/rw/panel/speedratio", "speedratio") == "50"
     post(rws, "/rw/panel/speedratio", "setspeedratio", **{"speed-ratio": "100"})
     assert post(rws, "/rw/panel/speedratio", "setspeedratio", **{"speed-ratio": "nan"}).status_code == 400
+    assert post(rws, "/rw/panel/ctrlstate", "setctrlstate", **{"ctrl-state": "motoron"}).status_code == 204
+    until(rws, "/rw/panel/ctrlstate", "ctrlstate", "motoron")  # which the log tells
     assert int(field(rws, "/rw/elog/0/?lang=en", "code")) > 0
 
 
