@@ -179,22 +179,17 @@ def _prepare(config: RunConfig, trials: Trials) -> Trainer:
     if config.start_from is not None:
         network.load_state_dict(Checkpoint.load(Path(config.start_from)).build(config.network).state_dict())
     else:
-        _set_field_scale(network, trials)
+        _set_scales(network, trials)
     counts = np.bincount(class_of(trials.error[trials.of("train")]), minlength=len(CLASSES)).clip(1)
     weights = (counts.sum() / counts) ** config.loss.class_weight_power
     weights = weights / (weights * counts).sum() * counts.sum()
     return Trainer(config, trials, network, torch.tensor(weights, dtype=torch.float32), torch.full((2, 3), 0.1))
 
 
-def _set_field_scale(network: Decider, trials: Trials) -> None:
-    """Normalise field changes by their spread over training decisions; along u and v alike: turns stay turns."""
+def _set_scales(network: Decider, trials: Trials) -> None:
+    """Normalise what the network reads by its spread over some training decisions."""
     chosen = trials.of("train")[:: max(1, len(trials.of("train")) // 500)]
-    fields = decisions(trials, chosen, None, pictures=False).fields
-    spread = fields.std((0, 1, 2, 4, 5)).clamp_min(1e-4)
-    spread[:2] = spread[:2].square().mean().sqrt()
-    network.field_scale.copy_(1.0 / spread)
-    if network.trunk.affine is not None:
-        network.trunk.affine.set_spread(network.normalised(fields).flatten(0, 1))
+    network.set_scales(decisions(trials, chosen, None, pictures=False).fields)
 
 
 def _stages(trainer: Trainer) -> list[Stage]:

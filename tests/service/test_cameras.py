@@ -40,6 +40,12 @@ def test_frames_of_steady_cameras_pair_whatever_the_phase(phase_ms: float, jitte
     assert len(pairs_of(phase_ms, jitter_ms)) >= 39
 
 
+def test_chance_jitter_of_a_tenth_of_a_period_leaves_nine_pairs_of_ten() -> None:
+    rng = np.random.default_rng(0)
+    kept = [len(pairs_of(rng.uniform(0, 33), rng.uniform(-4, 4, 80).tolist())) for _ in range(400)]
+    assert np.percentile(kept, 2) >= 36
+
+
 @given(phase_ms=st.floats(0, 33), jitter_ms=st.lists(st.floats(-4, 4), min_size=80, max_size=80))
 def test_the_worst_jitter_costs_at_most_half_of_the_pairs(phase_ms: float, jitter_ms: list[float]) -> None:
     assert len(pairs_of(phase_ms, jitter_ms)) >= 20

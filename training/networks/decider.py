@@ -84,6 +84,14 @@ class Decider(nn.Module):
         self.density = MixtureDensity(settings.state_size)
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
 
+    def set_scales(self, fields: Tensor) -> None:
+        """Make field changes [N, T, 2, 3, 20, 21] like these of order one; u and v alike: turns stay turns."""
+        spread = fields.std((0, 1, 2, 4, 5)).clamp_min(1e-4)
+        spread[:2] = spread[:2].square().mean().sqrt()
+        self.field_scale.copy_(1.0 / spread)
+        if self.trunk.affine is not None:
+            self.trunk.affine.set_spread(self.normalised(fields).flatten(0, 1))
+
     def normalised(self, fields: Tensor) -> Tensor:
         """True field changes [.., 3, 20, 21] in (mm, mm, N/mm2) as the trunk takes them, read without error."""
         raise NotImplementedError
