@@ -21,10 +21,9 @@ from service.perception.rectify import CameraCalibration, Rectifier
 from service.perception.slip import SlipDetector
 from simulation.lockstep import Image, LockstepCell, hash_seed
 
-# RMS per axis at 2 grey levels of camera noise, with which docs/closed_loop.md was played; today's tracker has 0.039
-# and 0.0038 (docs/slip_report.md), to be told here before the closed loop is next played
-TRACKING_PX = 0.036
-TRACKING_PX_PER_GREY = 0.0035
+# RMS per axis at 2 grey levels of camera noise, and what each grey level more adds (docs/slip_report.md).
+TRACKING_PX = 0.039
+TRACKING_PX_PER_GREY = 0.0038
 
 
 class LatePicture:
