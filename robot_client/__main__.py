@@ -57,6 +57,7 @@ def _add_insert(insert: argparse.ArgumentParser) -> None:
     insert.add_argument("--theta-deg", type=_number, default=0.0, help="start error in yaw (default 0)")
     insert.add_argument("--gap-width-mm", type=_number, help="width of the gap (default 56)")
     insert.add_argument("--expected-depth-mm", type=_number, help="depth of a full insertion below the approach pose")
+    insert.add_argument("--creep-allowance-mm", type=_number, help="how much deeper for a part pushed up in the hand")
     insert.add_argument("--approach-z-mm", type=_number, help="TCP height of the approach pose (default 35)")
     insert.add_argument("--controller", choices=("heuristic", "belief"), help="ask the service for this controller")
     insert.add_argument("--insertion-id", help="name of this insertion (default: time and a random suffix)")
@@ -77,6 +78,9 @@ def _add_connection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gripper", metavar="HOST:PORT", help="WSG-50, binary protocol over TCP")
 
 
+_TASK = ("gap_width_mm", "expected_depth_mm", "creep_allowance_mm", "approach_z_mm")
+
+
 def _overrides(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     gripper: dict[str, Any] = {}
     if args.gripper is not None:
@@ -84,7 +88,7 @@ def _overrides(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
         if not separator or not host or not port.isdigit():
             raise ValueError(f"--gripper {args.gripper!r}, expected HOST:PORT")
         gripper = {"host": host, "port": int(port)}
-    task = {key: getattr(args, key, None) for key in ("gap_width_mm", "expected_depth_mm", "approach_z_mm")}
+    task = {key: getattr(args, key, None) for key in _TASK}
     return {
         "service": {"url": args.service},
         "egm": {"port": args.egm_port},

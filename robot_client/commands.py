@@ -40,6 +40,7 @@ def make_plan(
         grasp_height_mm=task.grasp_height_mm,
         expected_depth_mm=task.expected_depth_mm,
         depth_tolerance_mm=task.depth_tolerance_mm,
+        creep_allowance_mm=task.creep_allowance_mm,
         max_no_decisions=task.max_no_decisions,
         controller=controller,
         limits=settings.limits,

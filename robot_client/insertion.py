@@ -81,8 +81,9 @@ _MOVING = frozenset({Phase.APPROACHING, Phase.DESCENDING, Phase.STOPPING, Phase.
 
 def _on_begin(state: State, event: Begin) -> Result:
     plan = state.plan
+    deepest_mm = plan.expected_depth_mm + plan.creep_allowance_mm
     try:
-        for target in (plan.approach, plan.approach.at_height(plan.approach.z_mm - plan.expected_depth_mm)):
+        for target in (plan.approach, plan.approach.at_height(plan.approach.z_mm - deepest_mm)):
             check_pose(plan.limits, target, "plan")
     except LimitError as error:
         return fail(state, "limits", "plan", str(error))
@@ -111,6 +112,9 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     state = replace(state, pose=event.pose, stopped_s=event.at_s)
     inserted = depth_mm >= plan.expected_depth_mm - plan.depth_tolerance_mm
     outcome: wire.Outcome = "dropped" if state.dropped else "inserted" if inserted else "blocked"
+    if outcome == "blocked":
+        first_mm = depth_mm if state.first_touch_mm is None else state.first_touch_mm
+        state = replace(state, first_touch_mm=first_mm, creep_mm=max(0.0, depth_mm - first_mm))
     said = say(wire.Stopped(insertion_id=plan.insertion_id, attempt=state.attempt, depth_mm=depth_mm, outcome=outcome))
     if outcome == "dropped":
         state, commands = fail(state, "gripper", "part_lost", f"the object was lost at {depth_mm:.2f} mm")

@@ -66,7 +66,7 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
 def descend(state: State, at_s: float) -> Result:
     assert state.armed is not None
     plan = state.plan
-    bottom = state.armed.at_height(state.armed.z_mm - plan.expected_depth_mm)
+    bottom = state.armed.at_height(state.armed.z_mm - state.bottom_mm)
     state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s)
     if state.done:
         return state, commands

@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from pydantic import Field
+
 from robot_client.geometry import WorkPose
 from robot_client.limits import Limits
 from robot_client.motion import Ramps
@@ -45,7 +47,11 @@ class Timeouts(Contract):
 
 
 class Plan(Contract):
-    """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it."""
+    """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
+
+    ``creep_allowance_mm``: how much deeper than ``expected_depth_mm`` the TCP may go where earlier attempts pushed the
+    object up in the hand, so that its bottom gets as deep as it should. 0: never deeper.
+    """
 
     insertion_id: wire.InsertionId
     approach: WorkPose
@@ -53,6 +59,7 @@ class Plan(Contract):
     grasp_height_mm: float | None = None
     expected_depth_mm: float
     depth_tolerance_mm: float = 1.0
+    creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
     max_frame_age_ms: float = 1000.0
     client: str = "tactile-insertion robot client"
@@ -64,7 +71,11 @@ class Plan(Contract):
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Everything the machine remembers. ``pose`` is the last pose that the arm was sent to or measured at."""
+    """Everything the machine remembers. ``pose`` is the last pose that the arm was sent to or measured at.
+
+    ``first_touch_mm`` is the depth at which the first blocked attempt stopped, ``creep_mm`` how much deeper the last
+    one did: the object stood on the blocks at both, so it has been pushed up in the hand by about that much.
+    """
 
     plan: Plan
     phase: Phase = Phase.START
@@ -77,8 +88,15 @@ class State:
     dropped: bool = False
     no_decisions: int = 0
     reason: str = ""
+    first_touch_mm: float | None = None
+    creep_mm: float = 0.0
 
     @property
     def done(self) -> bool:
         """True once nothing more will be ordered."""
         return self.phase in TERMINAL
+
+    @property
+    def bottom_mm(self) -> float:
+        """How far below the armed pose the next descent ends, with what the object has crept up as far as allowed."""
+        return self.plan.expected_depth_mm + min(self.creep_mm, self.plan.creep_allowance_mm)

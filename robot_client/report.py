@@ -113,6 +113,7 @@ class Report:
         lines = [f"{word} after {state.attempt} attempt{'s' if state.attempt != 1 else ''}"]
         if state.reason:
             lines.append(f"  reason      {state.reason}")
+        lines += _seat(state)
         over = [row.overtravel_mm for row in self.rows if row.overtravel_mm is not None]
         if over:
             mean_mm = sum(over) / len(over)
@@ -125,6 +126,21 @@ class Report:
             lines.append("  arm link    " + ", ".join(f"{key} {value}" for key, value in link.items()))
         lines.append(f"  robot       {farewell}")
         return lines
+
+
+def _seat(state: State) -> list[str]:
+    """What blocked attempts did to an inserted object's place in the hand, where that is worth a line."""
+    creep_mm, plan = state.creep_mm, state.plan
+    if state.phase is not Phase.INSERTED or creep_mm <= plan.depth_tolerance_mm:
+        return []
+    assert state.armed is not None
+    assert state.pose is not None
+    deeper_mm = state.armed.z_mm - state.pose.z_mm - plan.expected_depth_mm
+    pushed = f"  seat        pushed up about {creep_mm:.1f} mm in the hand by blocked attempts; "
+    if creep_mm - deeper_mm <= plan.depth_tolerance_mm:
+        return [f"{pushed}went {deeper_mm:.1f} mm deeper for it"]
+    allowed = f"creep_allowance_mm is {plan.creep_allowance_mm:g}"
+    return [f"{pushed}its bottom may be {creep_mm - deeper_mm:.1f} mm HIGHER than asked ({allowed})"]
 
 
 def _attempt_line(row: AttemptRow) -> str:

@@ -48,6 +48,7 @@ class Task(Contract):
     gap_width_mm: Positive = 56.0
     expected_depth_mm: Positive = 25.0
     depth_tolerance_mm: Positive = 1.0
+    creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)  # deeper for an object pushed up in the hand: if free
     max_no_decisions: int = Field(default=2, ge=0, le=15)
 
     @property

@@ -36,6 +36,7 @@ from simulation.emulators.net import HOST, HttpServer, bind_tcp, bind_udp, free_
 from simulation.emulators.stopwatch import StopWatch
 from simulation.emulators.wsg50 import Wsg50Emulator
 from simulation.emulators.wsg50_gripper import Gripper
+from simulation.lockstep import CREEP_ALLOWANCE_MM
 
 APPROACH_MM = 5.0  # the object's bottom above the block tops at the approach pose
 INSERTION_MM = 20.0  # how deep its bottom is in the gap when it counts as inserted
@@ -200,6 +201,7 @@ class LiveCell:
             "gap_width_mm": self.plant.gap_width_mm,
             "part_width_mm": self.plant.part_width_mm,
             "expected_depth_mm": APPROACH_MM + INSERTION_MM,
+            "creep_allowance_mm": CREEP_ALLOWANCE_MM,
             "approach": {"x_mm": x, "y_mm": y, "z_mm": z, "yaw_deg": self.plant.start.yaw_deg},
             "fps": self.options.fps,
         }

@@ -34,7 +34,7 @@ from service.perception.rectify import CameraCalibration
 from service.verdict import Work
 from simulation.contenders import CONTENDERS, Chooser, Contender, View
 from simulation.gel_eyes import GelFinger
-from simulation.lockstep import Course, LockstepCell, hash_seed
+from simulation.lockstep import CREEP_ALLOWANCE_MM, Course, LockstepCell, hash_seed
 from simulation.rig import PhysicsError
 from simulation.scene import load_scene
 
@@ -89,6 +89,7 @@ class Insertion:
             gap_width_mm=world.scene.blocks.gap_mm + gap_error_mm,
             grasp_height_mm=world.scene.grasp.height_mm,
             expected_depth_mm=25.0,
+            creep_allowance_mm=CREEP_ALLOWANCE_MM,
             limits=FAR if chooser else ClientLimits(),
         )
         self.state = State(plan)

@@ -20,6 +20,7 @@ from simulation.rig import Cell, CellState, PhysicsError
 from simulation.scene import Scene
 
 START_NS = 1_000_000_000
+CREEP_ALLOWANCE_MM = 4.0  # what a client may go deeper for a part pushed up in the hand: the gap here has no floor
 MAX_UNSOLVED = 6  # moves in a row without an equilibrium: the cell cannot say what happens, the insertion is void
 Image = NDArray[np.uint8]
 

@@ -139,6 +139,7 @@ def _start_client(told: dict[str, Any], url: str, options: RunOptions, folder: P
         *(f"--x-mm={approach['x_mm']:.4f}", f"--theta-deg={approach['yaw_deg']:.4f}"),
         *("--approach-z-mm", f"{approach['z_mm']:.4f}", "--gap-width-mm", f"{told['gap_width_mm']:.3f}"),
         *("--expected-depth-mm", f"{told['expected_depth_mm']:.3f}", "--log", str(folder / "episode.jsonl")),
+        *("--creep-allowance-mm", f"{told['creep_allowance_mm']:g}"),
     ]
     return Child("robot client", "robot_client", ["insert", *arguments], folder / "client.log")
 
