@@ -14,6 +14,7 @@ from service.perception.onset import OnsetDetector
 from service.perception.rectify import CameraCalibration, Rectifier
 from service.perception.slip import SlipDetector, SlipState, untouched
 
+_AHEAD_N = 4  # frames rectified before their turn, at most; more wait only where frames are dropped anyway
 _PRESSED = 2.0  # times what an untouched gel may show; from there on a held object is surely told from none
 
 
@@ -31,6 +32,7 @@ class TactileFinger:
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
         self._free = FreeGel()
+        self._ahead: tuple[tuple[TactileFrame, NDArray[np.uint8], float], ...] = ()
         self._rearm = False
         self._held = False
         self._stopped = False
@@ -39,10 +41,15 @@ class TactileFinger:
         """The next frame becomes the reference of slip and onset; the tracker goes on."""
         self._rearm = True
 
+    def look_ahead(self, frame: TactileFrame) -> None:
+        """Rectify a frame that :meth:`observe` will be given; the one method that another thread may call."""
+        if self._rectifier is not None and frame.pixels.shape == self._rectifier.camera.raw.shape:
+            self._ahead = (*self._ahead[1 - _AHEAD_N :], (frame, *self._rectified(frame)))
+
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
-        started = time.perf_counter()
-        image = self._rectified(frame.pixels)
+        ahead = [(image, cost_ms) for seen, image, cost_ms in self._ahead if seen is frame]
+        image, rectify_ms = ahead[0] if ahead else self._rectified(frame)
         rectified = time.perf_counter()
         field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
@@ -58,7 +65,7 @@ class TactileFinger:
             onset = self._onset.update(field)
         slip = self._felt(slip, empty=untouched(marked))
         cost_ms = {
-            "rectify": (rectified - started) * 1e3,
+            "rectify": rectify_ms,
             "markers": (tracked - rectified) * 1e3,
             "slip": (time.perf_counter() - tracked) * 1e3,
         }
@@ -76,13 +83,16 @@ class TactileFinger:
             return slip
         return replace(slip, state="no_contact", reason="nothing touches the gel")
 
-    def _rectified(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _rectified(self, frame: TactileFrame) -> tuple[NDArray[np.uint8], float]:
+        """The rectified image, and the milliseconds it took."""
+        pixels, started = frame.pixels, time.perf_counter()
         if pixels.shape == self._spec.shape:
-            return pixels
+            return pixels, 0.0
         if self._rectifier is None:
             height, width = pixels.shape[:2]
             expected = f"{self._spec.width_px} x {self._spec.height_px}"
             raise ContractError(
                 f"{self.finger} frame is {width} x {height}, expected {expected} rectified; pass --calibration"
             )
-        return self._spec.check(self._rectifier.apply(pixels))
+        image = self._spec.check(self._rectifier.apply(pixels))
+        return image, (time.perf_counter() - started) * 1e3

@@ -157,10 +157,15 @@ class Recorder:
         """Record one call of the session (see :mod:`service.redecide`)."""
         self._queue.put(lambda: self._mcap.json("/calls", dict(value) | {"now_ns": now_ns}, now_ns + self._offset_ns))
 
-    def attempt(self, number: int, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write ``attempt_XX.npz``."""
+    def attempt(self, number: int, gather: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
+        """Write ``attempt_XX.npz``; its 5 MB or so are gathered in the recorder's thread; no arrays, no file."""
         path = self.folder / f"attempt_{number:02d}.npz"
-        self._queue.put(lambda: save_arrays(path, arrays))
+
+        def save() -> None:
+            if arrays := gather():
+                save_arrays(path, arrays)
+
+        self._queue.put(save)
 
     def close(self, summary: Mapping[str, Any]) -> Path:
         """Write what waits, close the file, give it its final name; blocks until done and returns the path."""

@@ -161,7 +161,8 @@ class Station:
         return self.active is not None or self.viewers_n > 0
 
     def _on_camera_frame(self, frame: CameraFrame) -> None:
-        if self.active is not None:
+        if active := self.active:
+            active.look_ahead(frame.frame)
             pair = self.pairer.add(frame.frame)
             self._frames.append((frame, pair))
             self.post(self._next_frame)
