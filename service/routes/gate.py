@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 from fastapi import HTTPException, Request
 from fastapi.responses import JSONResponse
-from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import ClientDisconnect
+from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 BODY_TIMEOUT_S = 15.0  # without a byte of a body that was announced
 BURST_S = 2.0  # a client may save up this much of its rate
 MAX_CLIENTS = 4096
+NO_GUESSING, NO_STORING = (b"x-content-type-options", b"nosniff"), (b"cache-control", b"no-store")
 ALWAYS = {"/healthz", "/readyz", "/metrics", "/v2/health/live", "/v2/health/ready"}
 
 
@@ -50,7 +50,8 @@ class Gate:
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
-        fast = scope["path"] not in ALWAYS and not self._rate.allows(client_of(scope))
+        limited = self._rate.per_s and scope["path"] not in ALWAYS
+        fast = limited and not self._rate.allows(client_of(scope))
         if fast and scope["type"] == "http":
             text = f"more than {self._rate.per_s:g} requests a second; slow down"
             await JSONResponse({"error": text}, 429, {"Retry-After": "1"})(scope, receive, send)
@@ -90,14 +91,16 @@ def timed(receive: Receive) -> Receive:
 async def whole_body(request: Request, most_bytes: int) -> bytes:
     """The body of a request, bounded; raises HTTPException 413 beyond that and 400 if the client leaves meanwhile."""
     body = bytearray()
-    try:
-        async for chunk in request.stream():
-            body += chunk
-            if len(body) > most_bytes:
-                raise HTTPException(413, f"body larger than {most_bytes} bytes")
-    except ClientDisconnect:
-        raise HTTPException(400, "the client left before its body was complete") from None
-    return bytes(body)
+    while True:
+        message = await request.receive()
+        if message["type"] == "http.disconnect":
+            raise HTTPException(400, "the client left before its body was complete")
+        piece: bytes = message.get("body", b"")
+        if len(body) + len(piece) > most_bytes:
+            raise HTTPException(413, f"body larger than {most_bytes} bytes")
+        if not message.get("more_body", False):
+            return bytes(body + piece) if body else piece
+        body += piece
 
 
 def hardened(send: Send) -> Send:
@@ -105,9 +108,11 @@ def hardened(send: Send) -> Send:
 
     async def send_on(message: Message) -> None:
         if message["type"] == "http.response.start":
-            headers = MutableHeaders(scope=message)
-            headers["X-Content-Type-Options"] = "nosniff"
-            headers.setdefault("Cache-Control", "no-store")
+            headers = [(name, value) for name, value in message.get("headers", ()) if name != NO_GUESSING[0]]
+            headers.append(NO_GUESSING)
+            if not any(name == NO_STORING[0] for name, _ in headers):
+                headers.append(NO_STORING)
+            message["headers"] = headers
         await send(message)
 
     return send_on

@@ -71,11 +71,11 @@ def inflate(body: bytes, encoding: str) -> bytes:
     return plain
 
 
-def deflate(body: bytes, accepted: str) -> tuple[bytes, dict[str, str]]:
-    """Compress as the client accepts."""
-    if "gzip" in accepted:
+def deflate(body: bytes, encoding: str) -> tuple[bytes, dict[str, str]]:
+    """Compress as the client wants it."""
+    if encoding == "gzip":
         return gzip.compress(body, 1), {"Content-Encoding": "gzip"}
-    if "deflate" in accepted:
+    if encoding == "deflate":
         return zlib.compress(body, 1), {"Content-Encoding": "deflate"}
     return body, {}
 
@@ -110,7 +110,8 @@ class Served:
 
     def model(self, name: str, version: str) -> LoadedModel:
         """The model of a name; raises HTTPException 404 with the names there are."""
-        model = self.models().get(name)
+        file = f"{name}.onnx"
+        model = next((model for model in self.station.models.models if model.path.name == file), None)
         if model is None or version != VERSION:
             raise HTTPException(404, f"unknown model {name} version {version}, expected {list(self.models())}")
         return model
@@ -212,7 +213,7 @@ def _inference_routes(routes: APIRouter, served: Served, access: Access) -> None
 
 async def _infer(request: Request, name: str, model: LoadedModel, served: Served) -> Response:
     body = await whole_body(request, MAX_BODY_BYTES)
-    headers = request.headers
+    headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in reversed(request.headers.raw)}
 
     def work() -> tuple[bytes, dict[str, str]]:
         started = time.perf_counter()
@@ -223,7 +224,7 @@ async def _infer(request: Request, name: str, model: LoadedModel, served: Served
         except Exception as error:
             raise ContractError(f"{name} refused the inputs: {str(error).splitlines()[0]}") from error
         content, described = oip.encode_response(name, asked, outputs)
-        packed, encoding = deflate(content, headers.get("accept-encoding", "") if encoded(headers) else "")
+        packed, encoding = deflate(content, wanted_encoding(headers.get("accept-encoding", "")))
         served.took(name, len(body), time.perf_counter() - started)
         return packed, described | encoding
 
@@ -234,9 +235,9 @@ async def _infer(request: Request, name: str, model: LoadedModel, served: Served
     return Response(content, headers=described)
 
 
-def encoded(headers: Any) -> bool:
-    """Whether the client asked for one compression; browsers' and libraries' lists of all they know do not count."""
-    return headers.get("accept-encoding", "").strip() in {"gzip", "deflate"}
+def wanted_encoding(accepted: str) -> str:
+    """The compression a client asked for; browsers' and libraries' lists of all they know do not count."""
+    return accepted.strip() if accepted.strip() in {"gzip", "deflate"} else ""
 
 
 def _config(name: str, model: LoadedModel) -> dict[str, Any]:
