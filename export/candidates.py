@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from export.agreement import GAIN, density_mean, paper_rule
 from export.measure import Timing, example_inputs, time_calls
-from export.quantize import GAIN, density_mean, paper_rule
 from export.verify import Arrays, Model, open_model, told
 from service.contract import ContractError, ModelCard
 from service.perception.sequence import track_pairs
@@ -23,8 +23,8 @@ FRAME_COUNTS = (2, 4, 8)
 PAIR = ("direction.step.onnx", "magnitude.step.onnx")
 JOINT = ("joint.step.onnx",)
 SHARED = ("pair.step.onnx",)
-WHOLE = "int8-whole"
-"""Folder of twins with every layer int8, whatever that does to the commands."""
+DYNAMIC = "int8-dynamic"
+"""Folder of twins whose fully connected and recurrent layers are all multiplied in int8, however small."""
 KINDS = {"pair": PAIR, "joint": JOINT, "shared": SHARED}
 """What a folder may hold that decides: two networks, a joint density, or two networks in one graph."""
 
@@ -71,8 +71,8 @@ class Candidate:
     def precision(self) -> str:
         """How its weights are stored."""
         stored = self.models[0].card.quantisation
-        whole = " whole" if self.folder.name == WHOLE else ""
-        return "fp32" if stored == "none" else stored + whole
+        dynamic = " dynamic" if self.folder.name == DYNAMIC else ""
+        return "fp32" if stored == "none" else stored + dynamic
 
     @property
     def origin(self) -> tuple[str, ...]:

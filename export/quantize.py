@@ -1,184 +1,172 @@
-"""fp32 -> int8: static per-channel QDQ with real frames, judged by the robot commands it would change.
+"""fp32 -> int8 and fp16, judged by the robot commands they would change (:mod:`export.agreement`).
 
-Weights keep one bit in reserve (``reduce_range``): without VNNI, U8S8 products saturate in 16 bits, silently. A first
-layer that reads a frame beside its change stays fp32: of 256 steps over both, the change, a few grey levels, would get
-hardly any.
+Every weight is stored as int8 in blocks (:mod:`export.blocks`). What is computed in int8, too, is what pays: fully
+connected and recurrent layers so large that reading them is what they cost, whose inputs are rounded as they come, and
+AlexNet's convolutions (:mod:`export.trunk`), whose inputs have one scale each, found on calibration decisions. Outputs
+and states stay fp32: 256 steps over an output's range are coarser than the commands that follow may differ.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime.quantization as ortq
+import onnxruntime
 from numpy.typing import NDArray
-from onnxruntime.quantization.shape_inference import quant_pre_process
+from onnx import helper, numpy_helper
 from rich.progress import track
 
-from export.points import wilson
-from export.runtime import session
+from export.blocks import BLOCK, LARGE, LARGE_BLOCK, block_of, multiply, round_weights, store
+from export.candidates import Decision
 from export.to_onnx import attach_card
-from export.verify import Arrays, Model, decide, open_model, told
-from service.contract import ContractError, ModelCard
-from service.perception.sequence import track_pairs
-from training.labels import class_of
+from export.trunk import MICROSOFT, Trunk, find_trunk, replace_trunk
+from export.verify import Arrays, Model, open_model, told
+from service.contract import ContractError
 
-OPERATORS = ["Conv", "Gemm", "MatMul"]
-PICTURED = {"frame", "frames", "reference"}
-SAME_MM, SAME_DEG = 0.1, 0.1
-CALIBRATION_DECISIONS = 16
-KEPT_SHARE = 0.995
-"""Least share of decisions a chosen set of int8 layers may keep; the two networks of a pair together keep 0.99."""
-SAFETY = 2.0
-"""They must keep them even if outputs moved this much further: the decisions that choose are few."""
+LAYERS = ("Conv", "Gemm")
+CALIBRATION_DECISIONS = 96
+LARGE_CALIBRATION = 16
+"""Of a network with large layers: their weights go to the nearest step, so that only ranges are looked at."""
+LARGE_BYTES = 50_000_000
 SMALLEST_FP16 = 256
 """Smaller weights stay fp32: nothing to gain."""
-GAIN = 0.7
-"""A command is -0.7 of the estimate where class and estimate agree."""
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """How int8 decides against fp32 on the same decisions."""
+@dataclass
+class _Seen:
+    """What calibration saw: second moments of a layer's inputs by node, greatest magnitude by tensor."""
 
-    decisions: int
-    same_class: float
-    same_commands: int
-    sign_flips: int
-    apart_p99_mm: float
-    apart_p99_deg: float
-
-    @property
-    def same_command(self) -> float:
-        """Share of decisions whose command stays within 0.1 mm and 0.1 deg."""
-        return self.same_commands / self.decisions
-
-    @classmethod
-    def of(
-        cls,
-        classes: tuple[NDArray[np.int64], NDArray[np.int64]],
-        commands: tuple[NDArray[np.float64], NDArray[np.float64]],
-    ) -> "Agreement":
-        """Compare classes [N] and commands [N, 2] in (mm, deg) of the same decisions."""
-        apart = np.abs(commands[0] - commands[1])
-        same = int(((apart[:, 0] <= SAME_MM) & (apart[:, 1] <= SAME_DEG)).sum())
-        flips = int((commands[0] * commands[1] < 0).any(1).sum())
-        far_mm, far_deg = (float(value) for value in np.quantile(apart, 0.99, 0))
-        return cls(len(apart), float((classes[0] == classes[1]).mean()), same, flips, far_mm, far_deg)
-
-    def __str__(self) -> str:
-        """One line, with the interval of the share."""
-        share, low, high = wilson(self.same_commands, self.decisions)
-        return (
-            f"{100 * share:.1f} % [{100 * low:.1f}, {100 * high:.1f}] of {self.decisions} commands within {SAME_MM} mm"
-            f" and {SAME_DEG} deg (99 % within {self.apart_p99_mm:.2f} mm, {self.apart_p99_deg:.2f} deg),"
-            f" {100 * self.same_class:.1f} % the same class, {self.sign_flips} sign flips"
-        )
+    moments: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    largest: dict[str, float] = field(default_factory=dict)
 
 
-class _Reader(ortq.CalibrationDataReader):  # type: ignore[misc]
-    def __init__(self, feeds: list[Arrays]) -> None:
-        self._feeds = iter(feeds)
+def quantize(file: Path, out: Path, decisions: Sequence[Decision], *, dynamic: bool = False) -> Path:
+    """Write the int8 twin of a released model; ``decisions`` are real ones to calibrate on.
 
-    def get_next(self) -> Arrays | None:
-        """Next input, None at the end."""
-        return next(self._feeds, None)
-
-
-def quantize(
-    file: Path, out: Path, frames: NDArray[np.uint8], judged: NDArray[np.uint8] | None = None
-) -> tuple[Path, list[str]]:
-    """Write the int8 twin of a released model; ``frames`` uint8 [N, T, 2, H, W, 3] are real decisions to calibrate on.
-
-    With ``judged``, decisions of the same shape, only those layers become int8 that leave the command of 99.5 % of them
-    within 0.1 mm and 0.1 deg with room to spare, taken from the costliest down; otherwise all. Returns the file and the
-    int8 layers. Raises ContractError if the file is not an fp32 release or the int8 build saturates on this processor.
+    ``dynamic`` multiplies all fully connected and recurrent layers in int8, not only large ones. Raises ContractError
+    if the file is not an fp32 release in step form or the build computes something else on this processor.
     """
     model = open_model(file)
-    if model.card.quantisation != "none":
-        raise ContractError(f"{file.name} is already {model.card.quantisation}, expected an fp32 release")
-    frames, judged = seen(model.card, frames), None if judged is None else seen(model.card, judged)
+    if model.card.quantisation != "none" or model.card.form != "step":
+        what = f"{model.card.form}, {model.card.quantisation}"
+        raise ContractError(f"{file.name} is already int8 or no step ({what}), expected an fp32 step release")
+    graph = onnx.load(str(file))
+    weights = {tensor.name: tensor for tensor in graph.graph.initializer}
+    trunk = find_trunk(graph.graph)
+    inside = {stage.convolution.name for stage in trunk.stages} if trunk else set()
+    layers = [n for n in graph.graph.node if n.op_type in LAYERS and n.input[1] in weights and n.name not in inside]
+    if not layers and trunk is None:
+        raise ContractError(f"{file.name} holds no layer with weights")
+    if file.stat().st_size > LARGE_BYTES:
+        decisions = decisions[:: max(1, len(decisions) // LARGE_CALIBRATION)]
+    found = _look(model, graph, [n for n in layers if not _large(weights[n.input[1]])], trunk, decisions)
+    if trunk:
+        replace_trunk(graph.graph, trunk, found.largest)
+    weights = {tensor.name: tensor for tensor in graph.graph.initializer}
+    for layer in layers:
+        _shrink(graph.graph, layer, weights, found.moments.get(layer.name), dynamic=dynamic)
+    _stamp(graph)
     out.parent.mkdir(parents=True, exist_ok=True)
-    prepared = out.with_suffix(".prepared.onnx")
-    try:
-        quant_pre_process(str(file), str(prepared), skip_symbolic_shape=True)
-        feeds = _feeds(model, frames)
-        layers = int8_layers(prepared)
-        if judged is not None:
-            layers = _harmless(model, prepared, out, layers, feeds, judged)
-        if not layers:
-            raise ContractError(f"{file.name}: no layer can be int8 without changing commands")
-        _build(prepared, out, layers, feeds)
-    finally:
-        prepared.unlink(missing_ok=True)
-    onnx.checker.check_model(str(out))
+    onnx.save(graph, str(out))
     attach_card(out, model.card.model_copy(update={"quantisation": "int8", "self_test": None}))
-    _self_test(model, open_model(out), frames)
-    return out, layers
+    _self_test(model, open_model(out), decisions[:2])
+    return out
 
 
-def seen(card: ModelCard, frames: NDArray[Any]) -> NDArray[Any]:
-    """Decisions as a card's graph reads them: frames [N, T, 2, H, W, 3] tracked, if it reads markers."""
-    if not card.markers or frames.shape[3:] == card.input_shape:
-        return frames
-    return np.stack([track_pairs(decision) for decision in frames])
+def _large(weight: Any) -> bool:
+    return int(np.prod(weight.dims)) >= LARGE
 
 
-def _build(prepared: Path, out: Path, layers: list[str], feeds: list[Arrays]) -> None:
-    ortq.quantize_static(
-        str(prepared),
-        str(out),
-        _Reader(feeds),
-        quant_format=ortq.QuantFormat.QDQ,
-        op_types_to_quantize=OPERATORS,
-        nodes_to_quantize=layers,
-        per_channel=True,
-        reduce_range=True,
-        activation_type=ortq.QuantType.QUInt8,
-        weight_type=ortq.QuantType.QInt8,
-    )
+def _shrink(
+    graph: Any, layer: Any, weights: dict[str, Any], moments: NDArray[np.float64] | None, *, dynamic: bool
+) -> None:
+    """One layer's weights in int8; a weight that several layers read is stored by the first."""
+    name = layer.input[1]
+    if f"{name}.shape" in {tensor.name for tensor in graph.initializer}:
+        return
+    stored = weights[name]
+    values = numpy_helper.to_array(stored)
+    rows = values.reshape(len(values), -1)
+    large = _large(stored)
+    shared = sum(name in node.input for node in graph.node) > 1
+    if layer.op_type == "Gemm" and (large or dynamic) and not shared:
+        multiply(graph, layer, stored, round_weights(rows, moments, LARGE_BLOCK if large else BLOCK))
+    else:
+        store(graph, layer, stored, round_weights(rows, moments, block_of(rows.shape[1])))
 
 
-def int8_layers(prepared: Path) -> list[str]:
-    """Names of the nodes with weights that could be int8, costliest first by the multiplications of a batch of one.
-
-    A layer that reads several quantities of the input side by side, on one scale, is not among them.
-    """
-    graph = onnx.load(str(prepared)).graph
-    weights = {tensor.name: tuple(tensor.dims) for tensor in graph.initializer}
-    places = {value.name: _places(value) for value in [*graph.value_info, *graph.output]}
-    cost = {}
-    seen_alone, side_by_side = set(PICTURED), set[str]()
-    for node in graph.node:
-        given = set(node.input)
-        weighs = node.op_type in OPERATORS and len(node.input) > 1 and node.input[1] in weights
-        if not weighs and node.op_type != "Shape" and given & (seen_alone | side_by_side):
-            mixed = node.op_type == "Concat" or given & side_by_side
-            (side_by_side if mixed else seen_alone).update(node.output)
-        elif weighs and not given & side_by_side:
-            size = float(np.prod(weights[node.input[1]]))
-            cost[node.name] = size * (places.get(node.output[0], 1.0) if node.op_type == "Conv" else 1.0)
-    return sorted(cost, key=lambda name: -cost[name])
+def _stamp(graph: Any) -> None:
+    """Name the runtime's own operators, if any is used."""
+    if any(node.domain == MICROSOFT for node in graph.graph.node):
+        graph.opset_import.append(helper.make_opsetid(MICROSOFT, 1))
 
 
-def _places(value: Any) -> float:
-    return float(np.prod([max(dim.dim_value, 1) for dim in value.type.tensor_type.shape.dim[2:]]))
+def _look(model: Model, graph: Any, layers: list[Any], trunk: Trunk | None, decisions: Sequence[Decision]) -> _Seen:
+    """Run the fp32 network over the decisions and look at the inputs of its layers."""
+    found = _Seen()
+    ranged = [trunk.images, *(stage.rectified for stage in trunk.stages)] if trunk else []
+    shapes = {tensor.name: tuple(tensor.dims) for tensor in graph.graph.initializer}
+    given = {entry.name for entry in graph.graph.input}
+    names = list(dict.fromkeys([*ranged, *(layer.input[0] for layer in layers if layer.input[0] not in given)]))
+    run = _watching(graph, names)
+    for fed in track(list(feeds(model, decisions)), description=f"calibrating {model.file.name}", transient=True):
+        seen = dict(zip(names, run.run(names, fed), strict=True)) | fed
+        for name in ranged:
+            found.largest[name] = max(found.largest.get(name, 1e-6), float(np.abs(seen[name]).max()))
+        for layer in layers:
+            rows = _rows(layer, seen[layer.input[0]], shapes[layer.input[1]])
+            found.moments[layer.name] = found.moments.get(layer.name, 0.0) + (rows.T @ rows).astype(np.float64)
+    return found
 
 
-def _harmless(
-    model: Model, prepared: Path, out: Path, layers: list[str], feeds: list[Arrays], judged: NDArray[np.uint8]
-) -> list[str]:
-    """Layer after layer, keep the int8 ones with which enough commands stay what they were."""
-    wanted = decide(model, judged)
-    kept: list[str] = []
-    for layer in track(layers, description=f"int8 layers of {model.file.name}", transient=True):
-        _build(prepared, out, [*kept, layer], feeds)
-        got = decide(Model(out, model.card, session(out)), judged)
-        further = {name: value + SAFETY * (got[name] - value) for name, value in wanted.items()}
-        if float(same_commands(model.card, wanted, further).mean()) >= KEPT_SHARE:
-            kept.append(layer)
-    return kept
+def _watching(graph: Any, names: list[str]) -> Any:
+    """A session of the graph that also gives these tensors."""
+    watched = onnx.ModelProto()
+    watched.CopyFrom(graph)
+    known = {output.name for output in watched.graph.output}
+    watched.graph.output.extend(onnx.ValueInfoProto(name=name) for name in names if name not in known)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(watched.SerializeToString(), options, providers=["CPUExecutionProvider"])
+
+
+def _rows(layer: Any, given: NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """What a layer multiplies by its weights, one row a product: a convolution's patches."""
+    if layer.op_type == "Gemm":
+        return given
+    known = {a.name: helper.get_attribute_value(a) for a in layer.attribute}
+    top, left, bottom, right = known.get("pads", [0, 0, 0, 0])
+    stride_v, stride_u = known.get("strides", [1, 1])
+    padded = np.pad(given, ((0, 0), (0, 0), (top, bottom), (left, right)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, shape[2:], (2, 3))[:, :, ::stride_v, ::stride_u]
+    return windows.transpose(0, 2, 3, 1, 4, 5).reshape(-1, int(np.prod(shape[1:])))
+
+
+def feeds(model: Model, decisions: Sequence[Decision]) -> Iterator[Arrays]:
+    """Every step of every decision, with the state it would see."""
+    for decision in decisions:
+        frames = decision.seen_by(model.card)
+        state = np.zeros((1, model.card.state_size), np.float32)
+        for frame in frames:
+            fed: Arrays = {"frame": frame[None], "reference": frames[:1], "state": state}
+            fed |= told(model.card, 1, decision.gap_width_mm, decision.grasp_height_mm)
+            yield fed
+            state = model(fed)["next_state"]
+
+
+def _self_test(model: Model, small: Model, decisions: Sequence[Decision]) -> None:
+    """Refuse a build whose outputs are far off: saturation shows as errors of the size of the outputs."""
+    for fed in feeds(model, decisions):
+        wanted, got = model(fed), small(fed)
+        for name, value in wanted.items():
+            gap = float(np.abs(value - got[name]).mean() / max(float(np.abs(value).mean()), 1e-2))
+            if not gap < 0.25:
+                raise ContractError(
+                    f"{small.file.name}: {name} is off by {100 * gap:.0f} % of its size; int8 saturates here"
+                )
 
 
 def store_fp16(file: Path, out: Path) -> Path:
@@ -208,78 +196,3 @@ def store_fp16(file: Path, out: Path) -> Path:
     onnx.checker.check_model(str(out), full_check=True)
     attach_card(out, source.card.model_copy(update={"quantisation": "fp16", "self_test": None}))
     return out
-
-
-def _feeds(model: Model, frames: NDArray[np.uint8]) -> list[Arrays]:
-    """Every step of every decision, with the state it would see."""
-    feeds: list[Arrays] = []
-    for decision in frames:
-        if model.card.form == "sequence":
-            feeds.append({"frames": decision[None]} | told(model.card, 1))
-            continue
-        state = np.zeros((1, model.card.state_size), np.float32)
-        for frame in decision:
-            fed: Arrays = {"frame": frame[None], "reference": decision[:1], "state": state}
-            feeds.append(fed | told(model.card, 1))
-            state = model(feeds[-1])["next_state"]
-    return feeds
-
-
-def _self_test(model: Model, small: Model, frames: NDArray[np.uint8]) -> None:
-    """Refuse a build whose outputs are far off: saturation shows as errors of the size of the outputs."""
-    wanted, got = decide(model, frames), decide(small, frames)
-    for name, value in wanted.items():
-        gap = float(np.abs(value - got[name]).mean() / max(float(np.abs(value).mean()), 1e-6))
-        if not gap < 0.25:
-            raise ContractError(
-                f"{small.file.name}: {name} is off by {100 * gap:.0f} % of its size; int8 saturates here"
-            )
-
-
-def agreement(exact: tuple[Model, ...], small: tuple[Model, ...], frames: NDArray[np.uint8]) -> Agreement:
-    """Compare two sets of models that decide (a pair, one graph of both, a joint density) by their commands."""
-    (classes, commands), (their_classes, theirs) = _decided(exact, frames), _decided(small, frames)
-    return Agreement.of((classes, their_classes), (commands, theirs))
-
-
-def _decided(models: tuple[Model, ...], frames: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    outputs: Arrays = {}
-    for model in models:
-        outputs |= decide(model, seen(model.card, frames))
-    card = models[0].card
-    if card.role == "joint":
-        commands = command(card, outputs)
-        return class_of((-commands / GAIN).astype(np.float32)), commands
-    return outputs["logits"].argmax(1), paper_rule(card, outputs["logits"], outputs["error"])
-
-
-def same_commands(card: ModelCard, wanted: Arrays, got: Arrays) -> NDArray[np.bool_]:
-    """Which decisions of one network lead to the same command within 0.1 mm and 0.1 deg; of a class, to the same."""
-    if card.role == "direction":
-        return np.asarray(wanted["logits"].argmax(1) == got["logits"].argmax(1))
-    apart = np.abs(command(card, wanted) - command(card, got))
-    return np.asarray((apart[:, 0] <= SAME_MM) & (apart[:, 1] <= SAME_DEG))
-
-
-def command(card: ModelCard, outputs: Arrays) -> NDArray[np.float64]:
-    """Command [N, 2] in (mm, deg) of one network's outputs; without a class, -0.7 of the estimate."""
-    if card.role == "joint":
-        return -GAIN * density_mean(card, outputs["log_density"])
-    if card.role == "magnitude":
-        return np.asarray(-GAIN * outputs["error"], np.float64)
-    return paper_rule(card, outputs["logits"], outputs["error"])
-
-
-def density_mean(card: ModelCard, log_density: NDArray[Any]) -> NDArray[np.float64]:
-    """Mean error [N, 2] in (mm, deg) of a joint density."""
-    weight = np.exp(log_density.astype(np.float64) - log_density.max((1, 2), keepdims=True))
-    weight /= weight.sum((1, 2), keepdims=True)
-    return np.stack([weight.sum(2) @ np.array(card.grid_x_mm), weight.sum(1) @ np.array(card.grid_theta_deg)], 1)
-
-
-def paper_rule(card: ModelCard, logits: NDArray[Any], error: NDArray[Any]) -> NDArray[np.float64]:
-    """Eq. 1 of the paper: -0.7 d, -0.3 d without a class, -3 S where class and estimate contradict."""
-    signs = np.array([(entry.sign_x, entry.sign_theta) for entry in card.classes])[logits.argmax(1)]
-    agreeing = signs * error > 0
-    stepped = np.where(agreeing, -GAIN * error, -3.0 * signs)
-    return np.asarray(np.where(signs == 0, -0.3 * error, stepped), np.float64)

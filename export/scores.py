@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from rich.progress import track
 
+from export.agreement import Agreement
 from export.candidates import FRAME_COUNTS, Answer, Candidate, Decision
-from export.quantize import Agreement
 from service.contract import ContractError
 from training.labels import class_of
 
