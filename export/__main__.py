@@ -39,37 +39,35 @@ def quantize(
     folder: Annotated[Path, tyro.conf.Positional] = Path("models"),
     out: Path = Path("runs/int8"),
     data: Path = Path("data/probes"),
-    decisions: int = 200,
-    every_layer: bool = False,
+    decisions: int = 300,
+    dynamic: bool = False,
 ) -> None:
     """Make the int8 twins of released step models and say how many robot commands they would change.
 
-    Only layers become int8 that leave the commands what they were; the verdict is on decisions that neither chose the
-    layers nor calibrated them.
+    Weights are stored as int8 in blocks; large layers and AlexNet's convolutions are multiplied in int8, too.
 
     Args:
         folder: folder of released fp32 step models: a pair, a joint density, or both networks in one graph.
         out: folder of the int8 twins.
-        data: collected dataset; 16 decisions calibrate, a third of the rest chooses layers, the others judge.
-        decisions: how many decisions to read.
-        every_layer: make every layer int8, whatever it does to the commands.
+        data: collected dataset; collisions of its training split calibrate, those of its validation split judge.
+        decisions: how many decisions judge.
+        dynamic: multiply every fully connected and recurrent layer in int8, its inputs rounded as they come.
     """
-    from export.candidates import find_candidates
-    from export.quantize import CALIBRATION_DECISIONS, agreement
+    from export.candidates import find_candidates, read_split
+    from export.quantize import CALIBRATION_DECISIONS
     from export.quantize import quantize as shrink
-    from export.verify import open_model
-    from training.dataset import read_decisions
+    from export.scores import score
+    from export.tradeoff import agreements
+    from export.twins import CALIBRATING_SPLIT
 
-    frames = read_decisions(str(data), decisions)
-    calibrating, rest = frames[:: max(1, len(frames) // CALIBRATION_DECISIONS)], frames
-    judged = None if every_layer else rest[1::3]
-    for candidate in find_candidates([folder]):
-        twins = []
-        for model in candidate.models:
-            twin, layers = shrink(model.file, out / model.file.name, calibrating, judged)
-            print(f"{twin}: int8 in {len(layers)} layers: {', '.join(layers)}")
-            twins.append(open_model(twin))
-        print(f"{candidate.name}: {agreement(candidate.models, tuple(twins), rest[2::3])}")
+    calibrating = list(read_split(str(data), CALIBRATING_SPLIT, CALIBRATION_DECISIONS))
+    sources = find_candidates([folder])
+    for model in (model for source in sources for model in source.models):
+        twin = shrink(model.file, out / model.file.name, calibrating, dynamic=dynamic)
+        print(f"{twin}  {twin.stat().st_size / 1e6:.2f} MB of {model.file.stat().st_size / 1e6:.2f}")
+    candidates = [*sources, *find_candidates([out])]
+    for row in agreements(candidates, score(candidates, read_split(str(data), "validation", decisions))):
+        print(f"{row['name']}: {row['verdict']}")
 
 
 def benchmark(
@@ -134,7 +132,8 @@ def tradeoff(
         split: trials on which the networks are scored: validation, or test (held-out ranges).
         decisions: how many collisions of the split.
         docs: where the report goes, and where slip_report.json, accuracy.json and closed_loop.json are read.
-        twins: folder of the int8 and fp16 twins that are made and scored beside each network.
+        twins: folder of the int8 and fp16 twins that are made and scored beside each network; what is there and younger
+            than its source is taken as it is.
         seconds: how long each network is timed.
         kept: folder of earlier answers, by dataset: a network that did not change is not asked again.
     """

@@ -7,10 +7,10 @@ report says so.
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from export.candidates import Decision, read_split
 from export.golden import golden_frames
-from export.quantize import quantize
+from export.quantize import LARGE_CALIBRATION, quantize
 from export.verify import open_model
 from service.contract import ContractError
 
@@ -33,7 +33,7 @@ def files(folder: Path, data: str | None = None) -> dict[str, Path]:
     for name, home in (("shared convolutions", folder), ("shared backbone", shared)):
         small = home / "pair" / "int8" / "pair.step.onnx"
         if not small.is_file():
-            quantize(home / PAIR, small, _frames(home / PAIR, data))
+            quantize(home / PAIR, small, _calibration(home / PAIR, data))
         found |= {f"{name} fp32": home / PAIR, f"{name} int8": small}
     return found
 
@@ -51,13 +51,11 @@ def _ensure(folder: Path, wanted: list[Path], *, shared: bool) -> None:
         _export_random(folder, shared=shared)
 
 
-def _frames(file: Path, data: str | None) -> NDArray[np.uint8]:
-    from training.dataset import read_decisions
-
+def _calibration(file: Path, data: str | None) -> list[Decision]:
     if data is not None:
-        return read_decisions(data, 8)
-    spec = open_model(file).card.frame
-    return np.stack([golden_frames(spec, 8, seed) for seed in range(2)])
+        return list(read_split(data, "train", LARGE_CALIBRATION))
+    spec, truth = open_model(file).card.frame, np.zeros(2, np.float32)
+    return [Decision(golden_frames(spec, 8, seed), 56.0, 30.0, truth, "golden") for seed in range(2)]
 
 
 def _export_random(folder: Path, *, shared: bool) -> None:

@@ -1,10 +1,11 @@
-"""The hardware limit of a graph: its multiplications at this core's GEMM rate, its weights read at this core's rate.
+"""The hardware limit of a graph: its multiplications at this core's GEMM rate, its bytes at this core's memory rate.
 
 Both are probed here and now, by the same runtime. A graph cannot be faster than its layers one after the other, each at
-the slower of the two; pooling, activations and the runtime's own work come on top and are what a kernel could still
-save. Two limits differ in the rate of multiplications: ``limit_ms`` takes the best that the core reaches on any large
-product, ``shaped_ms`` that of the plain matrix product of every layer's own rows, depth and columns, which a
-convolution can at best equal: it has to gather its patches besides. A shallow or narrow product cannot fill the units.
+the slower of the two; a layer's bytes are its weights and what it reads and writes, so that frames and activations
+count. Pooling, gates and the runtime's own work come on top and are what a kernel could still save. Two limits differ
+in the rate of multiplications: ``limit_ms`` takes the best that the core reaches on any large product, ``shaped_ms``
+that of the plain matrix product of every layer's own rows, depth and columns, which a convolution can at best equal: it
+has to gather its patches besides. A shallow or narrow product cannot fill the units.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,7 +27,8 @@ CONV = (256, 28)
 """Channels and side of the probed 3 x 3 convolution: AlexNet's later layers have this shape."""
 LEAST_BYTES = 1_000_000
 PROBE_S = 0.1
-OPERATORS = ("Conv", "Gemm", "MatMul", "MatMulInteger")
+WEIGHT_AT = {"Conv": 1, "Gemm": 1, "MatMul": 1, "MatMulInteger": 1, "MatMulNBits": 1, "QLinearConv": 3}
+"""Which input of an operator its weights are."""
 BYTES = (TensorProto.INT8, TensorProto.UINT8)
 
 
@@ -54,6 +56,8 @@ class Layer:
     small: bool
     """int8, otherwise fp32."""
     convolves: bool = False
+    moved_bytes: float = 0.0
+    """Of what it reads and writes besides its weights."""
 
     @property
     def products(self) -> float:
@@ -68,14 +72,16 @@ class Layer:
     def limit_ms(self, peaks: Peaks) -> float:
         """The slower of arithmetic at the core's peak and memory."""
         rate = peaks.int8_gops if self.small else peaks.fp32_gflops
-        return max(2 * self.products / (rate * 1e6), self._read_ms(peaks))
+        return max(2 * self.products / (rate * 1e6), self._moving_ms(peaks))
 
     def shaped_ms(self, peaks: Peaks) -> float:
         """The slower of the plain matrix product of the same shape, probed now, and memory."""
-        return max(self.times * product_ms(self.rows, self.depth, self.columns, small=self.small), self._read_ms(peaks))
+        return max(
+            self.times * product_ms(self.rows, self.depth, self.columns, small=self.small), self._moving_ms(peaks)
+        )
 
-    def _read_ms(self, peaks: Peaks) -> float:
-        return self.weight_bytes / (peaks.read_gb_s * 1e6)
+    def _moving_ms(self, peaks: Peaks) -> float:
+        return (self.weight_bytes + self.moved_bytes) / (peaks.read_gb_s * 1e6)
 
 
 @dataclass(frozen=True)
@@ -180,44 +186,47 @@ def work_of(model: Model) -> Work:
     """
     graph = onnx.load(str(model.file))
     weights = _weights(graph.graph)
-    nodes = [node for node in graph.graph.node if node.op_type in OPERATORS and node.input[1] in weights]
-    made = _shapes(graph, [node.output[0] for node in nodes], example_inputs(model))
-    layers = []
-    for node in nodes:
-        shape, small = weights[node.input[1]]
-        layers.append(_layer(node.op_type == "Conv", shape, made[node.output[0]], small=small))
-    return Work(tuple(layers))
+    nodes = [n for n in graph.graph.node if n.op_type in WEIGHT_AT and n.input[WEIGHT_AT[n.op_type]] in weights]
+    made = _tensors(graph, [name for node in nodes for name in (node.input[0], node.output[0])], example_inputs(model))
+    return Work(tuple(_layer(node, weights, made) for node in nodes))
 
 
-def _layer(convolves: bool, shape: tuple[int, ...], out: tuple[int, ...], *, small: bool) -> Layer:
-    if convolves:  # each image's places by the weights of every filter
-        return Layer(out[0], int(np.prod(out[2:])), int(np.prod(shape[1:])), out[1], small, convolves=True)
-    return Layer(1, int(np.prod(out[:-1])), int(np.prod(shape)) // out[-1], out[-1], small)
+def _layer(node: Any, weights: dict[str, tuple[tuple[int, ...], bool]], made: Arrays) -> Layer:
+    given, out = made[node.input[0]], made[node.output[0]]
+    shape, small = weights[node.input[WEIGHT_AT[node.op_type]]]
+    moved = float(given.nbytes + out.nbytes)
+    if node.op_type in ("Conv", "QLinearConv"):  # each image's places by the weights of every filter
+        places = out.size // (len(out) * shape[0])
+        return Layer(len(out), places, int(np.prod(shape[1:])), shape[0], small, convolves=True, moved_bytes=moved)
+    columns = out.shape[-1]
+    return Layer(1, out.size // columns, given.shape[-1], columns, small, moved_bytes=moved)
 
 
 def _weights(graph: Any) -> dict[str, tuple[tuple[int, ...], bool]]:
-    """Shape of every constant a layer may multiply by, and whether it is int8; seen through widening and tiling."""
+    """Shape of every constant a layer may multiply by, and whether in int8; seen through widening and tiling."""
     stored = {tensor.name: (tuple(tensor.dims), tensor.data_type) for tensor in graph.initializer}
     arrays = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer if len(tensor.dims) == 1}
     found = {name: (shape, kind in BYTES) for name, (shape, kind) in stored.items()}
     for node in graph.node:
-        if node.op_type in ("DequantizeLinear", "Cast") and node.input[0] in stored:
-            shape, kind = stored[node.input[0]]
-            found[node.output[0]] = (shape, kind in BYTES)
-        if node.op_type == "Tile" and node.input[0] in stored:
-            (shape, kind), times = stored[node.input[0]], arrays[node.input[1]]
-            found[node.output[0]] = (
-                tuple(size * int(count) for size, count in zip(shape, times, strict=True)),
-                kind in BYTES,
-            )
+        if node.input and node.input[0] in found:
+            shape, small = found[node.input[0]]
+            if node.op_type in ("Cast", "Mul"):  # stored in fewer bits, widened on loading: multiplied in fp32
+                found[node.output[0]] = (shape, False)
+            if node.op_type == "Reshape":
+                found[node.output[0]] = (tuple(int(size) for size in arrays[node.input[1]]), small)
+            if node.op_type == "Tile":
+                times = arrays[node.input[1]]
+                sizes = tuple(size * int(count) for size, count in zip(shape, times, strict=True))
+                found[node.output[0]] = (sizes, small)
     return found
 
 
-def _shapes(graph: Any, names: list[str], inputs: Arrays) -> dict[str, tuple[int, ...]]:
+def _tensors(graph: Any, names: list[str], inputs: Arrays) -> Arrays:
+    wanted = [name for name in dict.fromkeys(names) if name not in inputs]
     del graph.graph.output[:]
-    graph.graph.output.extend(onnx.ValueInfoProto(name=name) for name in names)
+    graph.graph.output.extend(onnx.ValueInfoProto(name=name) for name in wanted)
     options = onnxruntime.SessionOptions()
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.log_severity_level = 3
     run = onnxruntime.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    return {name: value.shape for name, value in zip(names, run.run(names, inputs), strict=True)}
+    return dict(zip(wanted, run.run(wanted, inputs), strict=True)) | inputs
