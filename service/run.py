@@ -18,7 +18,7 @@ from service.app import create_app
 from service.contract import ContractError
 from service.event_log import log_events
 from service.log_lines import LogLines
-from service.memory import use_few_arenas
+from service.memory import stop_searching_what_stays, use_few_arenas
 from service.patience import PatientWebSocket, http_protocol
 from service.settings import Settings, read_settings
 from service.station import open_station
@@ -106,9 +106,11 @@ def main(arguments: Sequence[str]) -> int:
         station.start()
         try:
             station.wait_for_cameras(settings.camera_wait_s)
+            server = uvicorn.Server(web_config(create_app(station), settings))
+            stop_searching_what_stays()
             scheme = "https" if settings.tls_certificate else "http"
             print(f"service ready at {scheme}://{settings.host}:{sock.getsockname()[1]}/", flush=True)
-            uvicorn.Server(web_config(create_app(station), settings)).run(sockets=[sock])
+            server.run(sockets=[sock])
         finally:
             station.stop()
     return 0

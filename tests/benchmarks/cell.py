@@ -63,6 +63,7 @@ class SteppedFinger(FakeFinger):
     def __init__(self, finger: Finger) -> None:
         self.pictures: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self.shown, self.again, self.index_shown = jpeg(finger, 0, 0), 0, 0
+        self.left_ns = 0  # when the picture that it was told to show began to leave
         super().__init__(finger)
 
     def serve(self, handler: BaseHTTPRequestHandler) -> None:
@@ -72,6 +73,8 @@ class SteppedFinger(FakeFinger):
         with contextlib.suppress(OSError):
             while picture := self.next_picture():
                 stamp = time.monotonic_ns()
+                if picture is self.shown:
+                    self.left_ns = stamp
                 head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(picture)}\r\n"
                 head += f"X-Timestamp: {stamp // 10**9}.{stamp % 10**9:09d}\r\n\r\n"
                 handler.wfile.write(head.encode() + picture + b"\r\n")
@@ -120,7 +123,7 @@ class SteppedCell:
             finger.pictures.put(jpeg(name, index, self.seq))
 
     def decision_ms(self) -> float:
-        """One insertion: from handing over the last pair to having the correction in hand."""
+        """One insertion: from the moment the last pair begins to leave its cameras to the correction in hand."""
         self.done += 1
         name = f"bench-{self.done}-{time.monotonic_ns()}"
         self.show(0)
@@ -137,10 +140,9 @@ class SteppedCell:
             stopped = wire.Stopped(insertion_id=name, attempt=1, depth_mm=6.0, outcome="blocked")
             link.send(stopped.model_dump_json())
             time.sleep(2 * PERIOD_S)
-            started = time.perf_counter()
             self.show(LAST)
             answer = self._until(link, "correction", "no_decision")
-            taken = (time.perf_counter() - started) * 1e3
+            taken = (time.monotonic_ns() - max(finger.left_ns for finger in self.fingers.values())) / 1e6
             link.send(wire.Abort(insertion_id=name, reason="done").model_dump_json())
             self._until(link, "finished")
         if answer.type != "correction":

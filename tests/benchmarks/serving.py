@@ -64,17 +64,18 @@ def decisions(models: Path, trials: int) -> dict[str, Any]:
     }
 
 
-def first_decision(models: Path, starts: int) -> dict[str, Any]:
-    """The first decision of a fresh process against the next two of the same process."""
+def first_decision(models: Path, starts: int, steady: int) -> dict[str, Any]:
+    """The first decision of a fresh process against the median of the next ones of that same process."""
     ratios = []
     for _ in range(starts):
         with stepped_service(models) as cell:
             try:
-                times = [cell.decision_ms() for _ in range(4)]
+                times = [cell.decision_ms() for _ in range(1 + steady)]
             except RuntimeError:
                 continue
         ratios.append(times[0] / float(np.median(times[1:])))
-    return {"ratios": [round(r, 2) for r in ratios], "median": round(float(np.median(ratios)), 3) if ratios else None}
+    facts = {"ratios": sorted(round(r, 2) for r in ratios), "steady_n": steady}
+    return facts | {"median": round(float(np.median(ratios)), 3) if ratios else None}
 
 
 def ratio(of: dict[str, float], to: dict[str, float]) -> float:
@@ -102,7 +103,7 @@ def main() -> int:
         "peers": lambda: peers(told.models / "pictures", told.peers_python, told.seconds),
         "peers markers": lambda: peers(told.models, told.peers_python, told.seconds),
         "websocket": lambda: decisions(told.models, told.trials),
-        "first": lambda: first_decision(told.models, 5),
+        "first": lambda: first_decision(told.models, starts=9, steady=5),
         "cameras 60": lambda: flood(told.models, 60.0, told.seconds),
         "cameras 90": lambda: flood(told.models, 90.0, told.seconds),
         "health": lambda: healthz_ms(told.models, told.seconds),

@@ -132,8 +132,9 @@ NOTES = """How it was measured:
 - Inference: one closed loop of one client, ten calls to each server in turn, one thread a session everywhere. The
   service is asked by `tritonclient[http]` with binary tensors,
   MLServer by `tritonclient[grpc]` with raw tensors and without parallel workers, LitServe with base64 in JSON.
-- Decision: two MJPEG cameras; from showing the eighth pair of a stopped attempt to the correction in the client's hand,
-  against the same JPEGs through the same session in one thread, in turn.
+- Decision: two MJPEG cameras; from the moment the eighth pair of a stopped attempt begins to leave its cameras to the
+  correction in the client's hand, against the same JPEGs through the same session in one thread, in turn.
+- First decision: of a fresh process, against the median of the next five of the same process.
 - Full load: 2 x 60 fps, an attempt under way, inference in a closed loop, three viewers.
 - Overload: the station is first given more frames than it can perceive, which tells the rate it can; then twice that
   rate. Age is counted from capture to the slip judgement, a step is what perceiving the two frames of a pair took just

@@ -4,28 +4,51 @@ import numpy as np
 import pytest
 
 from service import rehearsal
-from service.contract import ContractError, TactileFrame
+from service.contract import ContractError, TactileFrame, wire
 from service.models import load_models
 from service.rehearsal import rehearse
 from service.sessions import make_session
 from tests.service import drawn
 
 
-def test_a_rehearsal_runs_through_perception_networks_and_every_controller(
-    models_folder: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[wire.ServiceMessage]:
+    heard: list[wire.ServiceMessage] = []
+    monkeypatch.setattr(rehearsal, "_say", heard.append)
+    return heard
+
+
+def test_a_rehearsal_plays_an_attempt_to_its_answer_and_every_controller(
+    models_folder: Path, said: list[wire.ServiceMessage]
 ) -> None:
-    moved: list[str] = []
-    make = rehearsal.make_controller
-    monkeypatch.setattr(rehearsal, "make_controller", lambda name, limits: moved.append(name) or make(name, limits))
     session = make_session(load_models(models_folder), drawn.calibration())
     pair = drawn.pair(0)
-    rehearse(session, [pair.left, pair.right])
-    assert moved == ["heuristic", "belief"]
-    assert (session.insertion_id, session.attempt) == (None, None)
-    rehearse(session, [])  # a service whose cameras come later
+    rehearse(session, [pair.right, pair.left])
+    kinds = [message.type for message in said]
+    assert kinds[:2] == ["hello", "armed"]
+    assert kinds.count("correction") == 1, [message for message in said if message.type == "no_decision"]
+    assert [message.code for message in said if message.type == "fault"] == ["heuristic", "belief"]
+
+
+def test_without_cameras_networks_and_controllers_are_rehearsed_all_the_same(
+    models_folder: Path, said: list[wire.ServiceMessage]
+) -> None:
+    session = make_session(load_models(models_folder), drawn.calibration())
+    rehearse(session, [])
+    assert [message.code for message in said] == ["heuristic", "belief"]
+    assert session.insertion_id is None
+
+
+def test_cameras_that_show_no_markers_do_not_keep_the_service_from_starting(
+    models_folder: Path, said: list[wire.ServiceMessage]
+) -> None:
+    session = make_session(load_models(models_folder), drawn.calibration())
+    rehearse(session, [TactileFrame(f, 0, 0, np.zeros((320, 427, 3), np.uint8)) for f in ("left", "right")])
+    assert "correction" not in [message.type for message in said]
 
 
 def test_a_frame_of_the_wrong_size_is_named(models_folder: Path) -> None:
     session = make_session(load_models(models_folder), drawn.calibration())
-    with pytest.raises(ContractError, match="frame is uint8"):
-        rehearse(session, [TactileFrame("left", 0, 0, np.zeros((480, 640, 3), np.uint8))])
+    wrong = [TactileFrame(finger, 0, 0, np.zeros((480, 640, 3), np.uint8)) for finger in ("left", "right")]
+    with pytest.raises(ContractError, match="frame is"):
+        rehearse(session, wrong)
