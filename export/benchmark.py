@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from export.benchmark_report import line, write
 from export.candidates import Decision, decided_class
 from export.fresh import measure_fresh
 from export.limits import Peaks, Work, probe, work_of
-from export.measure import STEADY, example_inputs, machine_tail, noise, quartiles, time_calls, time_in_turn
+from export.measure import example_inputs, noise, quartiles, steadiness, time_calls, time_in_turn, undisturbed
 from export.profile import operators, profile
 from export.runtime import cpu_name, session
 from export.verify import Arrays, Model, open_model
@@ -61,15 +62,16 @@ def measure(
 ) -> dict[str, Any]:
     """Everything about one file but LoadGen's scenarios."""
     inputs, many = example_inputs(model), example_inputs(model, BATCH)
-    timing = time_calls(lambda: model(inputs), seconds=seconds, clock=time.thread_time_ns)
+    with undisturbed():
+        timing = time_calls(lambda: model(inputs), seconds=seconds, clock=time.thread_time_ns)
+    steady = steadiness(lambda: model(inputs), seconds=seconds)
     crowd = time_calls(lambda: model(many), seconds=seconds / 2, least=5)
     return {
         "file": str(model.file),
         "card": model.card.model_dump(mode="json", exclude={"self_test"}),
         "size_mb": model.file.stat().st_size / 1e6,
         "single": timing.as_dict(),
-        "steady": timing.cpu_tail <= STEADY,
-        "machine_tail": machine_tail(timing.cpu_p50_ms, seconds=seconds),
+        "steady": asdict(steady) | {"holds": steady.steady},
         "noise": noise(lambda: model(inputs), seconds=seconds / 2),
         "fresh": measure_fresh(model.file),
         "batch_per_s": BATCH * 1e3 / crowd.p50_ms,

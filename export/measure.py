@@ -1,7 +1,11 @@
 """Measuring a model on this machine: wall and CPU time of each call, and how noisy the machine was meanwhile."""
 
+import gc
+import os
+import resource
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,6 +18,9 @@ from export.verify import Arrays, Model, told
 Clock = Callable[[], int]
 WARM_UP_CALLS = 10
 TAIL_BLOCK = 64
+LEAST_CALLS = 100
+TURN, WARM_TURN = 32, 2
+"""Calls in a turn of their own, and those before them that find the other's data in the caches."""
 NOISY = 1.5
 """A machine whose wall time exceeds its CPU time by this factor at the median was busy with something else."""
 NOISY_SPREAD = 0.25
@@ -41,11 +48,6 @@ class Timing:
         p50, p90, p99, p999 = (float(np.percentile(wall_ms, q)) for q in (50, 90, 99, 99.9))
         cpu50, cpu99 = (float(np.percentile(cpu_ms, q)) for q in (50, 99))
         return cls(len(wall_ms), p50, p90, p99, p999, cpu50, cpu99, p50 / max(cpu50, 1e-6))
-
-    @property
-    def cpu_tail(self) -> float:
-        """p99 over p50 of the processor time."""
-        return self.cpu_p99_ms / max(self.cpu_p50_ms, 1e-6)
 
     @property
     def judged_p99_ms(self) -> float:
@@ -81,21 +83,84 @@ def time_calls(
     return time_in_turn({"": call}, seconds=seconds, least=least, clock=clock)[""][0]
 
 
-def machine_tail(cpu_ms: float, *, seconds: float) -> float:
-    """p99 over p50 of the processor time of work that is the same every time and takes about ``cpu_ms``.
+@dataclass(frozen=True)
+class Steadiness:
+    """p99 over p50 of the processor time of a call: of the calls that ran through, and of all.
 
-    Interrupts, a hypervisor's theft and caches that neighbours emptied are charged to whoever runs: a model cannot be
-    steadier than this.
+    ``interrupted`` is the share of calls during which the scheduler gave the core to somebody else, who empties caches
+    at the call's expense. ``machine_tail`` is the ratio of work that never changes and takes as long, called in turn:
+    no model can be steadier than this.
     """
+
+    tail: float
+    tail_of_all: float
+    interrupted: float
+    machine_tail: float
+
+    @property
+    def steady(self) -> bool:
+        """Whether the bound holds."""
+        return self.tail <= STEADY
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Keep this thread on the core it runs on and the collector of garbage away, as a cell's service is set up."""
+    cores, collecting = os.sched_getaffinity(0), gc.isenabled()
+    os.sched_setaffinity(0, {max(cores)})
+    gc.disable()
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+        if collecting:
+            gc.enable()
+
+
+def steadiness(call: Callable[[], Any], *, seconds: float) -> Steadiness:
+    """Call in turns with work of constant length and look at the slowest calls of each."""
+    with undisturbed():
+        length_ms = time_calls(call, seconds=seconds / 10, clock=time.thread_time_ns).cpu_p50_ms
+        work = _constant_work(length_ms)
+        spent: tuple[list[tuple[float, bool]], list[tuple[float, bool]]] = ([], [])
+        end = time.perf_counter() + 2 * seconds
+        while len(spent[0]) < LEAST_CALLS or time.perf_counter() < end:
+            for kept, what in zip(spent, (call, work), strict=True):
+                kept.extend([_watched(what) for _ in range(TURN + WARM_TURN)][WARM_TURN:])
+    ours, machine = (np.array(kept) for kept in spent)
+    through = ours[ours[:, 1] == 0, 0]
+    return Steadiness(
+        _tail(through if len(through) >= LEAST_CALLS // 2 else ours[:, 0]),
+        _tail(ours[:, 0]),
+        float(ours[:, 1].mean()),
+        _tail(machine[:, 0]),
+    )
+
+
+def _watched(call: Callable[[], Any]) -> tuple[float, bool]:
+    """Processor time of a call in ms, and whether the scheduler interrupted it."""
+    before = resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw
+    started = time.thread_time_ns()
+    call()
+    spent_ms = (time.thread_time_ns() - started) / 1e6
+    return spent_ms, resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw > before
+
+
+def _tail(spent_ms: NDArray[np.float64]) -> float:
+    p50, p99 = np.percentile(spent_ms, (50, 99))
+    return float(p99 / max(p50, 1e-6))
+
+
+def _constant_work(length_ms: float) -> Callable[[], None]:
     block = np.full((TAIL_BLOCK, TAIL_BLOCK), 0.5, np.float32)
     once = time_calls(lambda: block @ block, seconds=0.02, clock=time.thread_time_ns).cpu_p50_ms
-    repeats = max(1, round(cpu_ms / max(once, 1e-6)))
+    repeats = max(1, round(length_ms / max(once, 1e-6)))
 
     def work() -> None:
         for _ in range(repeats):
             block @ block
 
-    return time_calls(work, seconds=seconds, clock=time.thread_time_ns).cpu_tail
+    return work
 
 
 def time_in_turn(

@@ -1,4 +1,6 @@
+import gc
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from export.candidates import Decision
 from export.fresh import measure_fresh
 from export.golden import golden_frames
 from export.limits import Layer, Peaks, Work, work_of
-from export.measure import Timing, example_inputs, quartiles, time_in_turn
+from export.measure import Timing, example_inputs, quartiles, time_in_turn, undisturbed
 from export.peers import PeerAbsentError, peer, rebuild
 from export.verify import open_model
 from export.yardstick import CLAIMS, SHARED
@@ -39,7 +41,9 @@ def test_the_benchmark_reports_every_figure(report):
         (2, True),
     ]
     assert row["fresh"]["first_ms"] > 0
-    assert row["machine_tail"] >= 1.0
+    assert row["steady"]["machine_tail"] >= 1.0
+    assert row["steady"]["tail_of_all"] >= 1.0
+    assert 0.0 <= row["steady"]["interrupted"] <= 1.0
     assert row["limit"]["shaped_ms"] > 0
     assert row["limit"]["limit_ms"] > 0
     assert row["peers"]["torch"]["cpu_p50_ms"] > 0
@@ -115,6 +119,15 @@ def test_a_model_costs_as_much_as_itself():
     middle, low, high = quartiles(rows["one"][1][1], rows["other"][1][1])
     assert 0.3 < middle < 3
     assert low <= middle <= high
+
+
+def test_measuring_leaves_cores_and_collector_as_they_were():
+    cores = os.sched_getaffinity(0)
+    with undisturbed():
+        assert len(os.sched_getaffinity(0)) == 1
+        assert not gc.isenabled()
+    assert os.sched_getaffinity(0) == cores
+    assert gc.isenabled()
 
 
 def test_a_crowded_machine_is_called_noisy():
