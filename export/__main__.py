@@ -51,7 +51,7 @@ def quantize(
         out: folder of the int8 twins.
         data: collected dataset; collisions of its training split calibrate, those of its validation split judge.
         decisions: how many decisions judge.
-        dynamic: multiply every fully connected and recurrent layer in int8, its inputs rounded as they come.
+        dynamic: multiply fully connected and recurrent layers of middling size in int8, too.
     """
     from export.candidates import find_candidates, read_split
     from export.quantize import CALIBRATION_DECISIONS

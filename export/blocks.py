@@ -12,9 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-BLOCK, LARGE_BLOCK = 32, 128
+BLOCK, SMALL_BLOCK, LARGE_BLOCK = 32, 16, 128
+"""Weights that share a scale where they are widened on loading, and where a small or a large layer is multiplied."""
 LARGE = 2**20
 """Weights of a layer beyond which reading them is what it costs: such a layer is multiplied in int8."""
+WORTH_A_PRODUCT = 2**14
+"""Weights of a layer below which int8 saves no time and only costs accuracy: heads, and a fit of few numbers."""
 DAMPING = 0.01
 """Of the mean of the inputs' second moments, so that directions never seen are left alone."""
 REACH = 127

@@ -24,7 +24,7 @@ PAIR = ("direction.step.onnx", "magnitude.step.onnx")
 JOINT = ("joint.step.onnx",)
 SHARED = ("pair.step.onnx",)
 DYNAMIC = "int8-dynamic"
-"""Folder of twins whose fully connected and recurrent layers are all multiplied in int8, however small."""
+"""Folder of twins whose fully connected and recurrent layers of middling size are multiplied in int8, too."""
 KINDS = {"pair": PAIR, "joint": JOINT, "shared": SHARED}
 """What a folder may hold that decides: two networks, a joint density, or two networks in one graph."""
 

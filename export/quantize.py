@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 from rich.progress import track
 
-from export.blocks import BLOCK, LARGE, LARGE_BLOCK, block_of, multiply, round_weights, store
+from export.blocks import LARGE, LARGE_BLOCK, SMALL_BLOCK, WORTH_A_PRODUCT, block_of, multiply, round_weights, store
 from export.candidates import Decision
 from export.to_onnx import attach_card
 from export.trunk import MICROSOFT, Trunk, find_trunk, replace_trunk
@@ -47,8 +47,9 @@ class _Seen:
 def quantize(file: Path, out: Path, decisions: Sequence[Decision], *, dynamic: bool = False) -> Path:
     """Write the int8 twin of a released model; ``decisions`` are real ones to calibrate on.
 
-    ``dynamic`` multiplies all fully connected and recurrent layers in int8, not only large ones. Raises ContractError
-    if the file is not an fp32 release in step form or the build computes something else on this processor.
+    ``dynamic`` multiplies fully connected and recurrent layers of middling size in int8, too, not only large ones.
+    Raises ContractError if the file is not an fp32 release in step form or the build computes something else on this
+    processor.
     """
     model = open_model(file)
     if model.card.quantisation != "none" or model.card.form != "step":
@@ -93,8 +94,9 @@ def _shrink(
     rows = values.reshape(len(values), -1)
     large = _large(stored)
     shared = sum(name in node.input for node in graph.node) > 1
-    if layer.op_type == "Gemm" and (large or dynamic) and not shared:
-        multiply(graph, layer, stored, round_weights(rows, moments, LARGE_BLOCK if large else BLOCK))
+    multiplied = large or (dynamic and rows.size >= WORTH_A_PRODUCT)
+    if layer.op_type == "Gemm" and multiplied and not shared:
+        multiply(graph, layer, stored, round_weights(rows, moments, LARGE_BLOCK if large else SMALL_BLOCK))
     else:
         store(graph, layer, stored, round_weights(rows, moments, block_of(rows.shape[1])))
 
