@@ -5,8 +5,10 @@ import gzip
 import time
 import zlib
 from collections import defaultdict
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, HTTPException, Request, Response
@@ -16,7 +18,7 @@ from service.contract import ContractError
 from service.models import LoadedModel
 from service.oip_schema import INFER_SCHEMA
 from service.routes.access import Access
-from service.routes.gate import whole_body
+from service.routes.gate import plain_headers, whole_body
 from service.station import Station
 
 MAX_BODY_BYTES = 64 << 20
@@ -26,6 +28,7 @@ QUICK_BYTES, QUICK_S = (
     0.001,
 )  # calls this small are done by the event loop itself; it never waits for longer ones
 VERSION = "1"
+Packed = tuple[bytes, dict[str, str]]  # an answer's body and headers
 INFER_BODY = {"requestBody": {"required": True, "content": {"application/json": {"schema": INFER_SCHEMA}}}}
 _OPEN = ThreadPoolExecutor(1, "inference")  # one call at a time: the networks of the insertion keep their core
 
@@ -124,14 +127,44 @@ class Served:
         started = time.perf_counter_ns()
         self.waiting_n += 1
         try:
-            answer = await _infer(request, name, model, self)
+            body, headers = await whole_body(request, MAX_BODY_BYTES), plain_headers(request.scope)
+            work = partial(self._packed, name, model, headers, body)
+            if "content-encoding" not in headers and self.is_quick(name, len(body)):
+                content, described = work()
+            else:
+                content, described = await asyncio.get_running_loop().run_in_executor(_OPEN, work)
         except ContractError:
             self.statistics.add(name, "fail", started)
             raise
         finally:
             self.waiting_n -= 1
         self.statistics.add(name, "success", started)
-        return answer
+        return Response(content, headers=described)
+
+    def infer_now(self, name: str, version: str, headers: Mapping[str, str], body: bytes) -> Packed | None:
+        """The answer to a small request to a quick model; None for any other, and for one that has to be refused."""
+        if "content-encoding" in headers or not self.is_quick(name, len(body)):
+            return None
+        started = time.perf_counter_ns()
+        try:
+            packed = self._packed(name, self.model(name, version), headers, body)
+        except Exception:
+            return None  # :meth:`infer` will find the same and say it
+        self.statistics.add(name, "success", started)
+        return packed
+
+    def _packed(self, name: str, model: LoadedModel, headers: Mapping[str, str], body: bytes) -> Packed:
+        started = time.perf_counter()
+        plain = inflate(body, headers.get("content-encoding", "").strip().lower())
+        asked = oip.parse_request(plain, headers.get("inference-header-content-length"), model)
+        try:
+            outputs = model.run(asked.inputs)
+        except Exception as error:
+            raise ContractError(f"{name} refused the inputs: {str(error).splitlines()[0]}") from error
+        content, described = oip.encode_response(name, asked, outputs)
+        packed, encoding = deflate(content, wanted_encoding(headers.get("accept-encoding", "")))
+        self.took(name, len(body), time.perf_counter() - started)
+        return packed, described | encoding
 
 
 def router(served: Served, access: Access) -> APIRouter:
@@ -209,30 +242,6 @@ def _inference_routes(routes: APIRouter, served: Served, access: Access) -> None
     )
     async def infer(request: Request, name: str, version: str = VERSION) -> Response:
         return await served.infer(request, name, version)
-
-
-async def _infer(request: Request, name: str, model: LoadedModel, served: Served) -> Response:
-    body = await whole_body(request, MAX_BODY_BYTES)
-    headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in reversed(request.headers.raw)}
-
-    def work() -> tuple[bytes, dict[str, str]]:
-        started = time.perf_counter()
-        plain = inflate(body, headers.get("content-encoding", "").strip().lower())
-        asked = oip.parse_request(plain, headers.get("inference-header-content-length"), model)
-        try:
-            outputs = model.run(asked.inputs)
-        except Exception as error:
-            raise ContractError(f"{name} refused the inputs: {str(error).splitlines()[0]}") from error
-        content, described = oip.encode_response(name, asked, outputs)
-        packed, encoding = deflate(content, wanted_encoding(headers.get("accept-encoding", "")))
-        served.took(name, len(body), time.perf_counter() - started)
-        return packed, described | encoding
-
-    if "content-encoding" not in headers and served.is_quick(name, len(body)):
-        content, described = work()
-    else:
-        content, described = await asyncio.get_running_loop().run_in_executor(_OPEN, work)
-    return Response(content, headers=described)
 
 
 def wanted_encoding(accepted: str) -> str:

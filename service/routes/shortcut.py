@@ -8,11 +8,12 @@ import re
 from fastapi import HTTPException, Request
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException as AnyHTTPException
+from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.contract import ContractError
 from service.routes.access import Access
-from service.routes.oip import VERSION, Served
+from service.routes.oip import VERSION, Packed, Served
 
 INFER = re.compile(r"/v2/models/([^/]+)(?:/versions/([^/]+))?/infer")
 
@@ -36,6 +37,17 @@ class Shortcut:
         except (ContractError, HTTPException) as error:
             answer = refusal(error)
         await answer(scope, receive, send)
+
+    def answer_now(self, scope: Scope, headers: dict[str, str], body: bytes) -> Packed | None:
+        """The answer to a request whose body is here already; None where it takes longer or has to be refused."""
+        found = INFER.fullmatch(scope["path"])
+        if found is None or scope["method"] != "POST":
+            return None
+        try:
+            self._access.check(HTTPConnection(scope), "drive")
+        except HTTPException:
+            return None
+        return self._served.infer_now(found[1], found[2] or VERSION, headers, body)
 
 
 def refusal(error: ContractError | AnyHTTPException) -> JSONResponse:
