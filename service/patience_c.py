@@ -60,6 +60,7 @@ class PatientHttpTools(Patient, HttpToolsProtocol):
 
     _head_bytes = 0
     _offered: list[bytes] | None = None  # the body of a request that may be answered at once
+    _may_offer = True  # one request at a time: of a whole batch, the others wait for their turn of the loop
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """A client connected."""
@@ -69,6 +70,7 @@ class PatientHttpTools(Patient, HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Bytes came; a head that does not end within its bound is refused."""
+        self._may_offer = True
         super().data_received(data)
         if self._offered is not None:
             self._go_the_usual_way()
@@ -134,11 +136,12 @@ class PatientHttpTools(Patient, HttpToolsProtocol):
         crowded = self.flow.write_paused or (
             self.limit_concurrency is not None and max(len(self.connections), len(self.tasks)) >= self.limit_concurrency
         )
-        posted = self._answer_now is not None and self.parser.get_method() == b"POST"
+        posted = self._may_offer and self._answer_now is not None and self.parser.get_method() == b"POST"
         return posted and idle and plain and not asks_more and not crowded
 
     def _answered(self, body: bytes) -> bool:
         """Offer the request to the application; False if it declines."""
+        self._may_offer = False
         path, _, query = self.url.partition(b"?")
         self.scope |= {"method": "POST", "path": path.decode("ascii", "replace"), "query_string": query}
         answer = None if self._answer_now is None else self._answer_now(self.scope, body)

@@ -27,6 +27,7 @@ pytest.importorskip("httptools")  # without it every request takes the usual way
 SPEC = FrameSpec(height_px=8, width_px=9)
 PATH = "/v2/models/direction.step/infer"
 SHAPES = {"frame": [1, 2, *SPEC.shape], "reference": [1, 2, *SPEC.shape], "state": [1, 6]}
+BATCH_N = 4
 Answer = tuple[int, dict[str, str], bytes]
 
 
@@ -150,6 +151,28 @@ def test_nothing_is_answered_otherwise_because_it_came_whole(
         whole = asked(service[1], head + tail, headers)
         assert whole[0] == 400
         assert whole == asked(service[1], head + tail, headers, lambda: time.sleep(0.002))
+
+
+def test_of_requests_that_come_in_one_batch_the_first_is_answered_at_once_and_all_in_order(
+    service: tuple[Station, str], usual: list[str]
+) -> None:
+    host, port = service[1].split(":")
+    batch, wanted = b"", []
+    for seed in range(BATCH_N):
+        content, headers = body(arrays(seed))
+        wanted.append(asked(service[1], content, headers)[2])
+        last = {"Connection": "close"} if seed == BATCH_N - 1 else {}
+        lines = {"Host": host, "Content-Length": str(len(content))} | headers | last
+        head = f"POST {PATH} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+        batch += head.encode() + b"\r\n" + content
+    said = b""
+    with socket.create_connection((host, int(port)), 30) as link:
+        link.sendall(batch)
+        while piece := link.recv(1 << 16):
+            said += piece
+    assert said.count(b"HTTP/1.1 200") == BATCH_N
+    assert sorted(wanted, key=said.index) == wanted
+    assert usual.count(PATH) >= 1
 
 
 def test_a_token_and_a_rate_are_asked_for_on_the_short_way_too(tmp_path: Path) -> None:
