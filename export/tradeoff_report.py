@@ -116,19 +116,19 @@ def _agreements(about: dict[str, Any], points: list[Point]) -> list[str]:
         "",
         "Each twin against its fp32 source after 8 frames, by the command of the paper's rule, on collisions that no",
         "twin was rounded for. `int8`: every weight in blocks of int8, rounded so that outputs change least on what a",
-        "layer really reads; layers beyond a million weights and AlexNet's convolutions are multiplied in int8, too.",
+        "layer really reads; layers beyond a million weights and AlexNet's convolutions are multiplied in int8, too,",
         "their inputs rounded as they come or by one scale each. `int8 dynamic`: so are fully connected and recurrent",
         "layers from 16,000 weights on; below that, and in the heads, it saves no time and only costs commands.",
         "`fp16`: every weight in 16 bits, widened on loading.",
         "",
         *(f"- {row['name']}: {row['verdict']}" for row in about["agreement"]),
         "",
-        *_gains(about["agreement"], points),
+        *gains(about["agreement"], points),
         "",
     ]
 
 
-def _gains(rows: list[dict[str, Any]], points: list[Point]) -> list[str]:
+def gains(rows: list[dict[str, Any]], points: list[Point]) -> list[str]:
     """What each int8 twin saves, and whether it keeps the commands, in one sentence each."""
     whole = [point for point in points if point.about["frames"] == max(p.about["frames"] for p in points)]
     costs = {_twin_name(point): (point.about["step_cpu_ms"], point.about["size_mb"]) for point in whole}
@@ -143,9 +143,10 @@ def _gains(rows: list[dict[str, Any]], points: list[Point]) -> list[str]:
         kept = row["same_command"] >= LEAST_KEPT
         gain = f"{small[0] / exact[0]:.2f} of fp32's time and {small[1] / exact[1]:.2f} of its size"
         beside = f" ({small[1] / half[1]:.2f} of fp16's)" if half else ""
-        pays = "pays" if kept and (small[0] < PAYS * exact[0] or (half or exact)[1] > small[1]) else "does not pay"
-        why = "" if kept else f", as it keeps less than {100 * LEAST_KEPT:.0f} % of the commands"
-        said.append(f"- {row['name']} takes {gain}{beside}: it {pays}{why}.")
+        saved = ["time"] * (small[0] < PAYS * exact[0]) + ["space"] * (small[1] < (half or exact)[1])
+        verdict = f"saves {' and '.join(saved) or 'nothing'}"
+        lost = "" if kept else f", but keeps less than {100 * LEAST_KEPT:.0f} % of the commands: it does not pay"
+        said.append(f"- {row['name']} takes {gain}{beside}: it {verdict}{lost}.")
     return said
 
 

@@ -13,7 +13,7 @@ from export.points import Point, closed_loop_trials, mean_interval, pareto, phys
 from export.quantize import store_fp16
 from export.scores import Score, score
 from export.tradeoff import agreements, choose, points_of
-from export.tradeoff_report import default_network, draw, write
+from export.tradeoff_report import default_network, draw, gains, write
 from export.verify import decide, open_model
 from service.contract import ContractError
 
@@ -102,6 +102,20 @@ def test_one_page_and_one_figure_show_all_three_rooms(table, tmp_path):
     text = (tmp_path / "tradeoff.md").read_text()
     assert all(entry.name in text for points in table.values() for entry in points)
     assert (tmp_path / "tradeoff.png").stat().st_size > 10_000
+
+
+def test_a_twin_says_what_it_saves_and_whether_it_keeps_the_commands():
+    costs = {"fp32": (1.0, 4.0), "int8": (0.5, 1.0), "int8 dynamic": (1.0, 1.5), "fp16": (1.0, 2.0)}
+    points = [point(name, 0.9, 8 * time_ms) for name, (time_ms, _) in costs.items()]
+    for entry, (name, (time_ms, size_mb)) in zip(points, costs.items(), strict=True):
+        entry.about.update(kind="pair", precision=name, step_cpu_ms=time_ms, size_mb=size_mb)
+    rows = [{"name": f"a pair {name}", "same_command": kept} for name, kept in (("int8", 1.0), ("int8 dynamic", 0.9))]
+    first, second = gains([*rows, {"name": "a pair fp16", "same_command": 1.0}], points)
+    assert (
+        first
+        == "- a pair int8 takes 0.50 of fp32's time and 0.25 of its size (0.50 of fp16's): it saves time and space."
+    )
+    assert second.endswith("it saves space, but keeps less than 99 % of the commands: it does not pay.")
 
 
 def test_no_point_of_the_front_is_beaten():
