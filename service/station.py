@@ -1,8 +1,9 @@
 """The station: cameras, models and the one insertion under way, each in its own thread.
 
-Threads: one a camera (capture, decode), ``perception`` (the session: slip path, state machine), ``networks``, one
-recorder an insertion. The event loop of the web server only passes messages on. Everything that touches the session
-is a callable in the perception thread's inbox; camera frames wait in a short queue where the newest win.
+Threads: one a camera (capture, decode, rectify), ``perception`` (the session: slip path, state machine),
+``networks``, one recorder an insertion. The event loop of the web server only passes messages on. Everything that
+touches the session is a callable in the perception thread's inbox; camera frames wait in a short queue where the
+newest win.
 """
 
 import contextlib
