@@ -192,7 +192,7 @@ class _Builder:
         **attributes: Any,
     ) -> None:
         rows = len(weight)
-        steps, scale = _round_rows(weight)
+        steps, scale = round_rows(weight)
         offsets = np.zeros(rows) if bias is None else bias / (given.scale * scale)
         values: list[Any] = [
             *_scales(given),
@@ -219,7 +219,8 @@ def _scales(tensor: _Quantised) -> tuple[np.float32, np.uint8]:
     return np.float32(tensor.scale), np.uint8(tensor.zero)
 
 
-def _round_rows(weight: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def round_rows(weight: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weights [rows, ...] as steps of one scale a row: steps of the same shape, scales [rows]."""
     rows = weight.reshape(len(weight), -1).astype(np.float64)
     reach = CAREFUL_REACH if saturates() else REACH
     scale = np.maximum(np.abs(rows).max(1), 1e-12) / reach
