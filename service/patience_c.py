@@ -72,7 +72,7 @@ class PatientHttpTools(Patient, HttpToolsProtocol):
         """Bytes came; a head that does not end within its bound is refused."""
         self._may_offer = True
         super().data_received(data)
-        if self._offered is not None:
+        if self._offered is not None and not self.transport.is_closing():
             self._go_the_usual_way()
         self._head_bytes = self._head_bytes + len(data) if self._deadline is not None else 0
         if self._head_bytes > MAX_HEAD_BYTES and not self.transport.is_closing():

@@ -73,6 +73,16 @@ def test_pipelined_requests_are_answered_in_order_and_a_broken_one_last(live: Li
     assert said.index(b"HTTP/1.1 400") > said.rindex(b"HTTP/1.1 200")
 
 
+def test_a_body_that_breaks_off_in_nonsense_is_refused_once(live: LiveService) -> None:
+    head = b"POST /v2/models/direction.step/infer HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", live.port), 30) as link:
+        link.sendall(head + b"2\r\n{}\r\nnonsense\r\n")
+        said = b""
+        while piece := link.recv(4096):
+            said += piece
+    assert said.count(b"HTTP/1.1") == said.count(b"HTTP/1.1 400") == 1
+
+
 def test_an_answer_to_head_and_one_without_a_body_come(live: LiveService) -> None:
     assert httpx.head(live.url("/dashboard/index.html")).status_code == 200
     assert httpx.get(live.url("/nowhere")).json() == {"error": "Not Found"}
