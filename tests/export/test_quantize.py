@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import onnx
 import pytest
@@ -8,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from export.agreement import Agreement
+from export.alexnet import PAIR, _export_random
 from export.blocks import REACH, block_of, round_weights
 from export.candidates import Decision, find_candidates
 from export.golden import golden_frames
@@ -15,7 +14,7 @@ from export.quantize import quantize
 from export.scores import score
 from export.tradeoff import agreements
 from export.trunk import resizing_weights, saturates
-from export.verify import open_model, verify_model
+from export.verify import decide, open_model, verify_model
 from service.contract import ContractError
 from training.networks.alexnet import difference_images
 
@@ -120,14 +119,15 @@ def test_the_int8_twin_says_the_same_in_a_batch_on_two_threads_and_stays_bounded
 
 
 @pytest.mark.slow
-def test_alexnet_in_int8_reads_bytes_and_decides_as_in_fp32(tmp_path):
-    from export.alexnet import files
-
-    found = files(tmp_path / "alexnet")
-    exact, twin = (open_model(Path(found[f"shared backbone {kind}"])) for kind in ("fp32", "int8"))
-    frames = golden_frames(exact.card.frame, 8, 5)
-    state = np.zeros((1, exact.card.state_size), np.float32)
-    fed = {"frame": frames[-1:], "reference": frames[:1], "state": state}
-    for name, value in exact(fed).items():
-        np.testing.assert_allclose(twin(fed)[name], value, atol=0.02 * max(1.0, float(np.abs(value).max())))
-    assert "Resize" not in {node.op_type for node in onnx.load(str(twin.file)).graph.node}
+@pytest.mark.timeout(900)
+def test_alexnet_in_int8_reads_bytes_and_decides_as_in_fp32(decisions, tmp_path):
+    _export_random(tmp_path, shared=True)
+    source = tmp_path / PAIR
+    exact, twin = open_model(source), open_model(quantize(source, tmp_path / "int8.onnx", decisions[:1]))
+    kinds = {node.op_type for node in onnx.load(str(twin.file)).graph.node}
+    assert "QLinearConv" in kinds
+    assert not {"Resize", "Conv"} & kinds
+    frames = golden_frames(exact.card.frame, 8, 5)[None]
+    wanted, got = decide(exact, frames), decide(twin, frames)
+    for name, value in wanted.items():
+        np.testing.assert_allclose(got[name], value, atol=0.02 * max(1.0, float(np.abs(value).max())))
