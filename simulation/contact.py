@@ -8,6 +8,7 @@ vertical edge of the prism where it passes the block's top edge. Block 0 is at +
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from numba import njit
@@ -66,6 +67,18 @@ def _fill(row: Any, trial: Any, k: int, n: int, b: int, direction: Vector, point
 
 
 @njit(cache=True)
+def in_face(edge: Vector, normal: Vector) -> tuple[Vector, Vector]:
+    """Unit tangents of the object's bottom face (unit normal given), on which a block's edge slides: along, across."""
+    x = edge[1] * normal[2] - edge[2] * normal[1]
+    y = edge[2] * normal[0] - edge[0] * normal[2]
+    z = edge[0] * normal[1] - edge[1] * normal[0]
+    size = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / size, y / size, z / size
+    along = (normal[1] * z - normal[2] * y, normal[2] * x - normal[0] * z, normal[0] * y - normal[1] * x)
+    return along, (x, y, z)
+
+
+@njit(cache=True)
 def add(
     constants: Any, state: Any, trial: Any, rows: Any, b: int, kind: int, slot: int, local: Vector, gap: float, k: float
 ) -> None:
@@ -89,6 +102,7 @@ def add(
         normal, across = across, normal
     if kind == EDGE:
         normal = (turn[0, 2], turn[1, 2], turn[2, 2])
+        along, across = in_face(along, normal)
     i = trial.filled
     trial.filled = i + 1
     row, n = rows[i], constants.unknowns

@@ -2,6 +2,7 @@
 
 Semi-smooth Newton with a line search converges from anywhere within a round. Rounds take the new limits whole, which
 is fast; where whole steps jump from side to side (stick and slip each leading to the other), `damped` takes a part.
+Within a round normals and tangents of the contacts are held as the limits are; the last round's are the equilibrium's.
 """
 
 from __future__ import annotations

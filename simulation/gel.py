@@ -1,10 +1,11 @@
 """The two gel pads as grids of bristles: pressure from indentation, shear with Coulomb return mapping at each node.
 
-Hand frame: origin at the TCP, x and z along the pads, the pads' undeformed surfaces at y = +-opening/2. Nodes never
-move in the pad; the object's material moves past them. A node's stretch (mm, x and z) times kt is its traction,
-bounded by friction times pressure. One potential: 0.5 kn A d^2 for indentation d > 0, and the Huber function of the
-trial stretch whose linear branch starts at the friction limit, so that its gradient is exactly the return-mapped
-traction.
+Hand frame: origin at the TCP, x and z along the pads, the pads' undeformed surfaces at y = +-opening/2. A bristle
+stands on its node and its tip keeps to the object's material until it slips, so that where nothing slips the end of a
+motion does not depend on its load steps. The tip's stretch (mm, x and z) times kt is its traction, bounded by friction
+times pressure; pressure is taken at the node and acts along the held surface's normal. One potential: 0.5 kn A d^2 for
+indentation d > 0, and the Huber function of the trial stretch whose linear branch starts at the friction limit, so
+that its gradient is exactly the return-mapped traction.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def indentation(constants: Any, node: Any, trial: Any) -> tuple[float, float]:
 
 @njit(cache=True)
 def material(node: Any, trial: Any) -> Vector:
-    """Where the object's material that was at a node when the load step began is now, mm, hand frame."""
-    x, y, z = node.x, 0.5 * node.side * trial.opening, node.z
+    """Where the object's material that was at a bristle's tip when the load step began is now, mm, hand frame."""
+    x, y, z = node.x + node.sx, 0.5 * node.side * trial.opening, node.z + node.sz
     turn, step = trial.step_turn, trial.step
     return (
         turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + step[0],
@@ -95,7 +96,7 @@ def energy(constants: Any, nodes: Any, trial: Any) -> float:
             total += 0.5 * constants.kn * depth * depth
         if node.limit > 0.0:
             px, _, pz = material(node, trial)
-            sx, sz = node.sx + px - node.x, node.sz + pz - node.z
+            sx, sz = px - node.x, pz - node.z
             size = math.sqrt(sx * sx + sz * sz)
             bound = node.limit / constants.kt
             total += 0.5 * constants.kt * size * size if size <= bound else node.limit * (size - 0.5 * bound)
@@ -145,7 +146,7 @@ def _add_friction(constants: Any, node: Any, trial: Any, depth: float, coupled: 
     """A node's bristle into gradient, lower Hessian and, where it slips under a following limit, skew."""
     grad, area = trial.grad, constants.area
     px, py, pz = material(node, trial)
-    sx, sz = node.sx + px - node.x, node.sz + pz - node.z
+    sx, sz = px - node.x, pz - node.z
     size = math.sqrt(sx * sx + sz * sz)
     slips = size * constants.kt > node.limit
     if slips:
@@ -201,7 +202,7 @@ def settle(constants: Any, nodes: Any, trial: Any) -> tuple[int, float]:
     for j in range(nodes.shape[0]):
         node = nodes[j]
         px, _, pz = material(node, trial)
-        sx, sz = node.sx + px - node.x, node.sz + pz - node.z
+        sx, sz = px - node.x, pz - node.z
         size = math.sqrt(sx * sx + sz * sz)
         depth, _ = indentation(constants, node, trial)
         node.pressure = constants.kn * max(depth, 0.0)

@@ -5,6 +5,7 @@ matrix that is not symmetric) and needs a handful of iterations; where it does n
 over: with the limits held, a load step minimises a convex potential (springs, Huber bristles, unilateral contacts),
 so semi-smooth Newton with a line search converges from anywhere, and an outer loop renews limits and contact geometry
 until that changes nothing (lagged friction, Li et al. 2020). Where the limits jump for ever, `convex.damped` is asked.
+What a step leaves for the next: stretches of bristles and contacts, normal forces, poses; all else is made anew.
 """
 
 from __future__ import annotations

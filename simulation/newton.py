@@ -1,6 +1,7 @@
 """Forces at a trial pose, and the coupled Newton iteration: friction limits follow the pressures at once.
 
-A handful of iterations where it descends; where it does not, `simulation.convex` takes over.
+A handful of iterations where it descends; where it does not, `simulation.convex` takes over. Contact rows are refreshed
+at every trial pose, so that normals and tangents are those of the equilibrium, not of the step before.
 """
 
 from __future__ import annotations

@@ -23,14 +23,26 @@ def apart(one: CellState, other: CellState) -> tuple[float, float]:
     return 1e3 * float(np.linalg.norm(shift[:3])), float(np.degrees(np.linalg.norm(shift[3:])))
 
 
-@pytest.mark.parametrize("tier", TIERS)
-@pytest.mark.parametrize("name", ["rectangle", "circle"])
-def test_the_error_is_of_first_order_in_the_load_step(name: str, tier: str) -> None:
+@pytest.mark.parametrize(("name", "tier"), [("rectangle", "bristle"), ("rectangle", "layer"), ("circle", "layer")])
+def test_what_slides_errs_by_the_first_order_of_the_load_step(name: str, tier: str) -> None:
     steps = (0.34, 0.17, 0.085)
     _, reference = pressed(name, tier, numerics__load_step_mm=0.01 if tier == "bristle" else 0.02)
     errors = [apart(pressed(name, tier, numerics__load_step_mm=step)[1], reference)[0] for step in steps]
     order = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert 0.8 < order < 1.4
+
+
+def test_where_no_bristle_slips_the_load_step_changes_nothing() -> None:
+    """The tips keep to the object's material, so that the way there is forgotten; the edge slides straight."""
+
+    def stuck(step_mm: float) -> CellState:
+        cell = Cell(load_scene("rectangle", numerics__load_step_mm=step_mm, effects__gravity="off", **CLEAN))
+        cell.regrasp(8.0, 0.0)
+        return cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.0, 0.0)
+
+    micrometres, degrees = apart(stuck(1.0), stuck(0.02))
+    assert micrometres < 0.001
+    assert degrees < 1e-5
 
 
 @pytest.mark.parametrize("name", ["rectangle", "circle"])
@@ -48,8 +60,8 @@ def test_the_error_falls_faster_than_the_nodes_pitch(name: str) -> None:
 def test_the_default_load_step_errs_by_less_than_the_limits(name: str) -> None:
     _, reference = pressed(name, numerics__load_step_mm=0.01)
     micrometres, degrees = apart(pressed(name)[1], reference)
-    assert micrometres < 5.0
-    assert degrees < 0.01
+    assert micrometres < 0.5
+    assert degrees < 0.001
 
 
 @pytest.mark.parametrize("tier", TIERS)
@@ -67,7 +79,7 @@ def slides(cell: Cell, before: np.ndarray) -> np.ndarray:
     """Work of friction on every node in the last load step, N mm: traction times how far the object slid on it."""
     nodes, trial = cell.nodes, cell.trials[0]
     y = 0.5 * nodes["side"] * float(cell.state["opening"])
-    start = np.stack([nodes["x"], y, nodes["z"]], axis=1)
+    start = np.stack([nodes["x"] + before[:, 0], y, nodes["z"] + before[:, 1]], axis=1)  # the bristles' tips
     moved = start @ trial["step_turn"].T + trial["step"] - start
     slid = [before[:, k] + moved[:, axis] - nodes[name] for k, (axis, name) in enumerate(((0, "sx"), (2, "sz")))]
     stiffness = float(cell.constants["kt"][0] * cell.constants["area"][0])
