@@ -53,6 +53,8 @@ DEEP = (
     Poke("rectangle", 2.0, 10.0, apart=True),
     Poke("rectangle", 8.0, 5.0, apart=True),
     Poke("circle", 8.0, 0.0, apart=True),
+    Poke("can", 8.0, 5.0, apart=True),
+    Poke("ellipse", 8.0, 0.0, apart=True),
     Poke("circle", 8.0, 0.0),
     Poke("rectangle", 8.0, 5.0),
 )
