@@ -85,7 +85,7 @@ def time_calls(
 
 @dataclass(frozen=True)
 class Steadiness:
-    """p99 over p50 of the processor time of a call: of the calls that ran through, and of all.
+    """p99 over p50 of the processor time of a call: of all, which is judged, and of the calls that ran through.
 
     ``interrupted`` is the share of calls during which the scheduler gave the core to somebody else, who empties caches
     at the call's expense. ``machine_tail`` is the ratio of work that never changes and takes as long, called in turn:
@@ -93,7 +93,7 @@ class Steadiness:
     """
 
     tail: float
-    tail_of_all: float
+    tail_through: float
     interrupted: float
     machine_tail: float
 
@@ -130,8 +130,8 @@ def steadiness(call: Callable[[], Any], *, seconds: float) -> Steadiness:
     ours, machine = (np.array(kept) for kept in spent)
     through = ours[ours[:, 1] == 0, 0]
     return Steadiness(
-        _tail(through if len(through) >= LEAST_CALLS // 2 else ours[:, 0]),
         _tail(ours[:, 0]),
+        _tail(through if len(through) >= LEAST_CALLS // 2 else ours[:, 0]),
         float(ours[:, 1].mean()),
         _tail(machine[:, 0]),
     )

@@ -50,8 +50,7 @@ async def _plan(settings: Settings) -> list[Finding]:
     from robot_client.commands import make_plan
 
     plan = make_plan(settings, 0.0, 0.0, "check", None)
-    deepest_mm = plan.expected_depth_mm + plan.creep_allowance_mm
-    bottom = plan.approach.at_height(plan.approach.z_mm - deepest_mm)
+    bottom = plan.deepest
     check_pose(settings.limits, plan.approach, "approach")
     check_pose(settings.limits, bottom, "full insertion")
     settings.work_object.frame()

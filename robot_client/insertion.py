@@ -81,9 +81,8 @@ _MOVING = frozenset({Phase.APPROACHING, Phase.DESCENDING, Phase.STOPPING, Phase.
 
 def _on_begin(state: State, event: Begin) -> Result:
     plan = state.plan
-    deepest_mm = plan.expected_depth_mm + plan.creep_allowance_mm
     try:
-        for target in (plan.approach, plan.approach.at_height(plan.approach.z_mm - deepest_mm)):
+        for target in (plan.approach, plan.deepest):
             check_pose(plan.limits, target, "plan")
     except LimitError as error:
         return fail(state, "limits", "plan", str(error))

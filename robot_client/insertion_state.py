@@ -68,6 +68,11 @@ class Plan(Contract):
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
 
+    @property
+    def deepest(self) -> WorkPose:
+        """The lowest pose below the approach that a descent may ever end at."""
+        return self.approach.at_height(self.approach.z_mm - self.expected_depth_mm - self.creep_allowance_mm)
+
 
 @dataclass(frozen=True, slots=True)
 class State:

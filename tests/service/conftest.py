@@ -55,6 +55,18 @@ def serve(station: Station) -> Iterator[int]:
         sock.close()
 
 
+@contextlib.contextmanager
+def served(settings: Settings) -> Iterator[tuple[Station, int]]:
+    """A station of these settings, running, and the port it is served on."""
+    station = open_station(settings)
+    station.start()
+    try:
+        with serve(station) as port:
+            yield station, port
+    finally:
+        station.stop()
+
+
 # Tests share their machine with others: nothing they claim is a matter of seconds.
 PATIENT = {
     "max_frame_age_ms": 20_000.0,

@@ -7,7 +7,7 @@ from service.contract import FrameSpec, TactileFrame, wire
 from service.finger import TactileFinger
 from service.models import load_models
 from service.observation import Observation
-from service.perception.rectify import Calibration, CameraCalibration
+from service.perception.rectify import Calibration, CameraCalibration, Rectifier
 from service.sessions import make_session
 from simulation.imprint import Appearance, Renderer
 from simulation.rig import Cell
@@ -57,6 +57,14 @@ def test_an_attempt_with_nothing_in_hand_says_so_and_is_not_decided(tmp_path) ->
     assert states == {"no_contact"}
     assert [message.type for message in said] == ["armed", "no_decision"]
     assert (said[-1].reason, said[-1].detail) == ("no_motion", "nothing touches the gels")
+
+
+def test_a_frame_looked_ahead_at_is_not_rectified_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), drawn.calibration().camera("left"))
+    frame = TactileFrame("left", 0, 0, drawn.raw("left", 0, 3, 6))
+    finger.look_ahead(frame)
+    monkeypatch.setattr(Rectifier, "apply", lambda *_: pytest.fail("rectified twice"))
+    assert finger.observe(frame).field.valid.any()
 
 
 def test_a_frame_rectified_before_its_turn_is_perceived_just_the_same() -> None:

@@ -18,9 +18,9 @@ from service.contract import FrameSpec
 from service.routes.gate import Gate
 from service.routes.oip import Served
 from service.settings import Settings
-from service.station import Station, open_station
+from service.station import Station
 from tests.service import tiny_models
-from tests.service.conftest import serve
+from tests.service.conftest import served
 from tests.service.test_oip import junk
 
 pytest.importorskip("httptools")  # without it every request takes the usual way
@@ -35,13 +35,8 @@ Answer = tuple[int, dict[str, str], bytes]
 def small_service(folder: Path, **changes: object) -> Iterator[tuple[Station, str]]:
     models = tiny_models.write_models(folder / "models", frame=SPEC)
     facts = {"models": models, "recordings": folder / "r", "camera_left": "push:", "camera_right": "push:"}
-    station = open_station(Settings(**facts | changes))
-    station.start()
-    try:
-        with serve(station) as port:
-            yield station, f"127.0.0.1:{port}"
-    finally:
-        station.stop()
+    with served(Settings(**facts | changes)) as (station, port):
+        yield station, f"127.0.0.1:{port}"
 
 
 @pytest.fixture(scope="module")

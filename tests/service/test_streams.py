@@ -12,23 +12,17 @@ from websockets.sync.client import connect
 
 from service.contract import FINGERS, Finger, TactileFrame, decode_frame, encode_frame
 from service.settings import Settings
-from service.station import Station, open_station
+from service.station import Station
 from tests.service.client import Driver
-from tests.service.conftest import LiveService, serve
+from tests.service.conftest import LiveService, served
 
 
 @pytest.fixture
 def pushed(tmp_path: Path, models_folder: Path) -> Iterator[tuple[Station, str]]:
     """A service whose cameras are whatever clients push."""
-    station = open_station(
-        Settings(models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path / "r")
-    )
-    station.start()
-    try:
-        with serve(station) as port:
-            yield station, f"ws://127.0.0.1:{port}"
-    finally:
-        station.stop()
+    settings = Settings(models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path / "r")
+    with served(settings) as (station, port):
+        yield station, f"ws://127.0.0.1:{port}"
 
 
 def picture(finger: Finger, seq: int) -> TactileFrame:
