@@ -2,7 +2,6 @@
 
 import json
 import os
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,6 +17,7 @@ from robot_client.limits import Limits
 from robot_client.motion import Ramps
 from robot_client.service_link import ServiceSettings
 from service.contract.frames import Contract, ContractError
+from service.contract.toml import read_toml
 
 PASSWORD_VARIABLE = "TACTILE_INSERTION_RWS_PASSWORD"  # noqa: S105 the variable's name, not a password
 Positive = Annotated[float, Field(gt=0)]
@@ -88,8 +88,8 @@ def load_settings(path: Path | None, overrides: dict[str, dict[str, Any]] | None
     data: dict[str, Any] = {}
     if path is not None:
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            data = read_toml(path)
+        except (OSError, ContractError) as error:
             raise SettingsError(f"cannot read configuration {path}: {error}") from None
     for section, values in (overrides or {}).items():
         given = {key: value for key, value in values.items() if value is not None}

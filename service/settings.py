@@ -1,7 +1,6 @@
 """What the service is told: command line over environment (``TACTILE_*``) over a TOML file (``--config``)."""
 
 import ipaddress
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -18,6 +17,7 @@ from pydantic_settings import (
 from pydantic_settings import SettingsError as CliError
 
 from service.contract import ContractError
+from service.contract.toml import read_toml
 from service.contract.wire import ControllerName, Limits
 from service.deadlines import Deadlines
 
@@ -128,9 +128,9 @@ def _take_config(arguments: list[str]) -> tuple[list[str], dict[str, Any]]:
         raise SettingsError("--config needs a TOML file")
     path = Path(arguments[at + 1])
     try:
-        defaults = tomllib.loads(path.read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise SettingsError(f"--config {path}: {error}") from error
+        defaults = read_toml(path)
+    except (OSError, ContractError) as error:
+        raise SettingsError(f"--config: {error}") from error
     return arguments[:at] + arguments[at + 2 :], defaults
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -17,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from service.contract import ContractError
+from service.contract.toml import read_toml
 from simulation import shapes
 from simulation.scene_errors import describe
 
@@ -273,9 +274,9 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise SceneError(f"no scene {str(name_or_path)!r}: expected a TOML file or one of {', '.join(BUILT_IN)}{hint}")
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise SceneError(f"{path}: not readable as TOML: {error}") from error
+        data = read_toml(path)
+    except (OSError, ContractError) as error:
+        raise SceneError(str(error)) from error
     data.setdefault("name", path.stem)
     for key, value in overrides.items():
         _set(data, key.replace("__", "."), value)

@@ -1,12 +1,12 @@
 """One run of training, read from one TOML file; every value that shapes a network is here and nowhere else."""
 
-import tomllib
 from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import Field, ValidationError
 
 from service.contract.frames import Contract, ContractError
+from service.contract.toml import read_toml
 
 FRAMES_PER_DECISION = 8
 JITTER = 1
@@ -87,11 +87,9 @@ class RunConfig(Contract):
     def load(cls, path: Path) -> Self:
         """Read a TOML file; raise ContractError naming the file and the key that is wrong."""
         try:
-            return cls.model_validate(tomllib.loads(path.read_text()))
+            return cls.model_validate(read_toml(path))
         except OSError as error:
             raise ContractError(f"cannot read the run config {path}: {error.strerror}") from error
-        except tomllib.TOMLDecodeError as error:
-            raise ContractError(f"{path} is not valid TOML: {error}") from error
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])

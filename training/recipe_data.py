@@ -1,6 +1,5 @@
 """What the recipe trains on: its configuration, the trials chosen, and their frozen features kept on disk."""
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -13,6 +12,7 @@ from rich.progress import track
 from torch import Tensor
 
 from service.contract.frames import Contract, ContractError
+from service.contract.toml import read_toml
 from training.config import FRAMES_PER_DECISION, JITTER, StageConfig
 from training.dataset import SPLITS, Source
 from training.labels import CLASSES, class_of
@@ -44,11 +44,13 @@ class RecipeConfig(Contract):
     def load(cls, path: Path) -> Self:
         """Read a TOML file; raise ContractError naming the file and the key that is wrong."""
         try:
-            return cls.model_validate(tomllib.loads(path.read_text()))
+            return cls.model_validate(read_toml(path))
         except OSError as error:
             raise ContractError(f"cannot read the recipe {path}: {error.strerror}") from error
-        except (tomllib.TOMLDecodeError, ValidationError) as error:
-            raise ContractError(f"{path} is not a recipe: {str(error).splitlines()[0]}") from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise ContractError(f"{path} is not a recipe: {where}: {first['msg']}") from error
 
     @property
     def folder(self) -> Path:

@@ -5,7 +5,6 @@ A calibration file is TOML: ``schema_version = 1`` and one table for each finger
 frame to pixels of the rectified one, u right, v down, pixel centres at integers.
 """
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -15,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from service.contract import FINGERS, Finger, FrameSpec
+from service.contract import FINGERS, ContractError, Finger, FrameSpec
+from service.contract.toml import read_toml
 
 RAW = FrameSpec(height_px=320, width_px=427, rectified=False)
 RECTIFIED = FrameSpec(height_px=320, width_px=327)
@@ -83,9 +83,9 @@ class Calibration:
     def load(cls, path: str | Path) -> Self:
         """Read a calibration file; raise CalibrationError, or FileNotFoundError, with one clear line."""
         try:
-            table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise CalibrationError(f"{path} is no TOML: {error}") from error
+            table = read_toml(path)
+        except ContractError as error:
+            raise CalibrationError(str(error)) from error
         if table.get("schema_version") != SCHEMA_VERSION:
             raise CalibrationError(
                 f"{path} has schema_version {table.get('schema_version')!r}, expected {SCHEMA_VERSION}"

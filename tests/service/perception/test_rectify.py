@@ -45,7 +45,7 @@ def test_an_unusable_homography_is_refused(matrix):
         (lambda text: text.replace("raw_px = [427, 320]", "raw_px = [427]", 1), "left"),
         (lambda text: text.replace("raw_px = [427, 320]", "", 1), "lacks 'raw_px'"),
         (lambda text: text.replace(repr(float(TRAPEZOID[0, 0])), "nan"), "finite"),
-        (lambda _: "a = [", "no TOML"),
+        (lambda _: "a = [", "not valid TOML"),
     ],
 )
 def test_a_broken_file_is_refused_by_name(tmp_path, change, said):
