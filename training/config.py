@@ -99,3 +99,16 @@ class RunConfig(Contract):
     def folder(self) -> Path:
         """Where this run writes."""
         return Path(self.runs) / self.name
+
+
+def refuse_another(folder: Path, config: Contract) -> None:
+    """Raise ContractError if a run with another config wrote into ``folder``: what it left must not be gone on with."""
+    path = folder / "config.json"
+    if path.exists() and path.read_text() != config.model_dump_json(indent=1):
+        raise ContractError(f"{folder} belongs to a run with another config; expected a new name or an empty folder")
+
+
+def pin(folder: Path, config: Contract) -> None:
+    """From now on ``folder`` belongs to the run with this config; its seed and sizes are kept beside its weights."""
+    refuse_another(folder, config)
+    (folder / "config.json").write_text(config.model_dump_json(indent=1))

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from training.checkpoint import Checkpoint, git_commit
-from training.config import FRAMES_PER_DECISION, JITTER, NetworkConfig, StageConfig
+from training.config import FRAMES_PER_DECISION, JITTER, NetworkConfig, StageConfig, pin, refuse_another
 from training.dataset import SPLITS, Source, data_sha256, load_table, open_source
 from training.evaluate import Predictions, by_object, calibrate, cross_calibrated, rescaled
 from training.fit import Log, Stage, fit
@@ -35,7 +35,9 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
     source = open_source(config.data) if source is None else source
     folder = config.folder
     folder.mkdir(parents=True, exist_ok=True)
+    refuse_another(folder, config)
     table = load_table(source, Path(config.cache) / data_sha256(source)[:16], len(source))
+    pin(folder, config)
     pair = AlexNetPair(len(CLASSES))
     log = Log(folder)
     try:

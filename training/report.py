@@ -54,6 +54,7 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
     except (OSError, ValueError) as error:
         raise ContractError(f"{run} is not the folder of a training run: no valid config.json") from error
     checkpoint = Checkpoint.load(run / "checkpoint.pt")
+    beside = recipe_section(recipe, checkpoint.training_data_sha256)  # a wrong folder is refused before all the scoring
     torch.set_num_threads(config.threads)
     trials = load_trials(config.data, source, config.network.reads)
     trainer = Trainer(config, trials, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
@@ -68,11 +69,7 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
     page = out / "training.md"
     told = oracle_figures(trials, run / "oracle")
     limits = _limits(trainer) | {name.replace("/", "/oracle, "): row for name, row in told.items()}
-    page.write_text(
-        _page(checkpoint, len(trials), tables, joint, limits)
-        + stress_section(run)
-        + recipe_section(recipe, checkpoint.training_data_sha256)
-    )
+    page.write_text(_page(checkpoint, len(trials), tables, joint, limits) + stress_section(run) + beside)
     return page
 
 

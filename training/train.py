@@ -20,7 +20,7 @@ from service.contract import ContractError
 from training import parallel
 from training.batches import Batch, decisions, epoch, frame_pairs
 from training.checkpoint import Checkpoint, git_commit
-from training.config import RunConfig
+from training.config import RunConfig, pin, refuse_another
 from training.dataset import SPLITS, Source, Trials, load_trials
 from training.evaluate import Predictions, Scales, by_object, calibrate, cross_calibrated, figures, rescaled
 from training.fit import Log, Stage, fit
@@ -144,8 +144,9 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
     folder.mkdir(parents=True, exist_ok=True)
     with parallel.group():
         with parallel.first_goes_first():
-            _pin(folder, config)
+            refuse_another(folder, config)
             trials = load_trials(config.data, source, config.network.reads)
+            pin(folder, config)  # not before: a mistyped data folder must not claim the run's
         trainer = _prepare(config, trials)
         _run_stages(trainer, folder)
         return _finish(trainer, folder)
@@ -161,14 +162,6 @@ def _run_stages(trainer: Trainer, folder: Path) -> None:
                     print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
     finally:
         log.close()
-
-
-def _pin(folder: Path, config: RunConfig) -> None:
-    """Refuse to resume a run whose config changed; a run's folder belongs to one config."""
-    path, text = folder / "config.json", config.model_dump_json(indent=1)
-    if path.exists() and path.read_text() != text:
-        raise ContractError(f"{folder} belongs to a run with another config; expected a new name or an empty folder")
-    path.write_text(text)
 
 
 def _prepare(config: RunConfig, trials: Trials) -> Trainer:

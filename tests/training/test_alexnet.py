@@ -94,6 +94,8 @@ def test_the_recipe_trains_resumes_and_keeps_both_networks(tmp_path):
     first = train_recipe(config, source)
     again = train_recipe(config, source)
     assert first.figures == again.figures
+    with pytest.raises(ContractError, match="another config"):
+        train_recipe(config.model_copy(update={"data": "other probes"}), source)
     pair = Checkpoint.load(config.folder / "checkpoint.pt").build()
     assert isinstance(pair, AlexNetPair)
     shared, own = pair.direction.alexnet.features[0].weight, pair.magnitude.alexnet.features[0].weight

@@ -51,6 +51,13 @@ def test_a_run_folder_belongs_to_one_config(config, source):
         train(config.model_copy(update={"seed": 1}), source)
 
 
+def test_data_that_cannot_be_read_do_not_claim_a_run_folder(config, source, tmp_path):
+    mistyped = config.model_copy(update={"data": config.data.model_copy(update={"path": str(tmp_path / "nowhere")})})
+    with pytest.raises(ContractError, match="cannot read the dataset"):
+        train(mistyped)
+    assert train(config, source).weights
+
+
 def test_a_checkpoint_returns_what_was_saved(config, source, tmp_path):
     saved = train(config, source)
     loaded = Checkpoint.load(config.folder / "checkpoint.pt")
