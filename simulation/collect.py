@@ -239,6 +239,9 @@ def asked_manifest(options: Options) -> Manifest:
     """What the finished collection would say of itself, without shards."""
     if options.trials_per_object < 1 or options.trials_per_shard < 1:
         raise DatasetError("--trials-per-object and --trials-per-shard must be at least 1")
+    if options.workers < 0 or options.seed < 0 or not 0.0 <= options.held_out_share <= 1.0:
+        given = f"{options.workers}, {options.seed} and {options.held_out_share}"
+        raise DatasetError(f"expected --workers and --seed from 0 on, --held-out-share from 0 to 1, got {given}")
     return Manifest(
         made_by="simulation collect",
         seed=options.seed,

@@ -32,7 +32,17 @@ from simulation.trial import (
     to_row,
 )
 
-__all__ = ["Dataset", "DatasetError", "DatasetWriter", "Manifest", "ShardEntry", "Split", "Trial", "split_of"]
+__all__ = [
+    "Dataset",
+    "DatasetError",
+    "DatasetWriter",
+    "Manifest",
+    "ShardEntry",
+    "Split",
+    "Trial",
+    "slice_of",
+    "split_of",
+]
 
 _ROWS_PER_GROUP = 10
 _CACHED_GROUPS = 16
@@ -256,3 +266,13 @@ class Dataset:
     def __getstate__(self) -> dict[str, Any]:
         """Open files stay behind when a worker process gets a copy."""
         return self.__dict__ | {"_files": {}, "_groups": OrderedDict(), "_renderers": OrderedDict()}
+
+
+def slice_of(numbers: Sequence[int], first: int, count: int, source: Path) -> list[int]:
+    """``count`` of the trials' ``numbers`` from place ``first`` on; DatasetError where that is none of them."""
+    if first < 0 or count < 1:
+        raise DatasetError(f"--first {first} --count {count}: expected 0 or more and 1 or more")
+    chosen = list(numbers[first : first + count])
+    if not chosen:
+        raise DatasetError(f"{source}: no trials from number {first} on, it has {len(numbers)}")
+    return chosen

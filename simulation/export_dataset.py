@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from simulation.dataset import Dataset, DatasetError
+from simulation.dataset import Dataset, DatasetError, slice_of
 from simulation.progress import progress
 
 
@@ -31,9 +31,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command line."""
     options = tyro.cli(Options, args=arguments, prog="python -m simulation export-dataset")
     dataset = Dataset(options.source)
-    numbers = range(len(dataset))[options.first : options.first + options.count]
-    if not numbers:
-        raise DatasetError(f"{options.source}: no trials from number {options.first} on, it has {len(dataset)}")
+    numbers = slice_of(range(len(dataset)), options.first, options.count, options.source)
     if options.out.exists() and any(options.out.iterdir()):
         raise DatasetError(f"{options.out}: not empty; nothing is overwritten")
     options.out.mkdir(parents=True, exist_ok=True)

@@ -87,6 +87,8 @@ def starts(options: RunOptions) -> list[Start]:
     """What is to be done; raises SceneError or RunError before anything starts."""
     if options.repeat < 1:
         raise RunError(f"--repeat {options.repeat}: expected 1 or more")
+    if not options.timeout_s > 0:
+        raise RunError(f"--timeout-s {options.timeout_s}: expected more than 0")
     if not options.models.is_dir():
         raise RunError(f"--models {options.models}: no such folder; it holds the .onnx files of the service")
     found = []

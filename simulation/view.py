@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 
 from simulation import picture
-from simulation.dataset import Dataset, DatasetError, Trial
+from simulation.dataset import Dataset, Trial, slice_of
 
 DECISION_FRAMES = 8
 
@@ -32,13 +32,8 @@ def chosen_trials(options: Options) -> tuple[Dataset, list[int]]:
     """The dataset and the numbers of the trials to draw; DatasetError if there are none."""
     is_shard = options.source.suffix == ".parquet"
     dataset = Dataset(options.source.parent if is_shard else options.source, verify=False)
-    numbers = list(range(len(dataset)))
-    if is_shard:
-        numbers = dataset.trials_of_shard(options.source.name)
-    numbers = numbers[options.first : options.first + options.count]
-    if not numbers:
-        raise DatasetError(f"{options.source}: no trials from number {options.first} on")
-    return dataset, numbers
+    numbers = dataset.trials_of_shard(options.source.name) if is_shard else list(range(len(dataset)))
+    return dataset, slice_of(numbers, options.first, options.count, options.source)
 
 
 def true_motion_px(trial: Trial, start: int, stop: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:

@@ -14,5 +14,6 @@ def main(arguments: list[str]) -> int:
     options = tyro.cli(CellOptions, args=arguments, prog="python -m simulation cell", description=__doc__)
     options.check()
     scene = load(options)
+    options.out.mkdir(parents=True, exist_ok=True)  # refused before there are sockets and threads
     sockets = bind_all(options)
     return asyncio.run(serve(options, build(scene, options), sockets))

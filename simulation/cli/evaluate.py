@@ -60,7 +60,7 @@ def folder_of(options: Options, who: str) -> Path:
 
 
 def entered(options: Options) -> tuple[str, ...]:
-    """The contenders asked for whose networks exist."""
+    """The contenders asked for whose networks exist; ValueError if there are none."""
     unknown = sorted(set(options.objects) - set(OBJECTS))
     if unknown:
         raise ValueError(f"--objects {', '.join(unknown)}: expected some of {', '.join(OBJECTS)}")
@@ -71,7 +71,11 @@ def entered(options: Options) -> tuple[str, ...]:
         raise ValueError(f"--count {options.count} --baseline-count {options.baseline_count}: expected at least 1")
     if not list(options.models.glob("*.onnx")):
         raise ValueError(f"--models {options.models}: no *.onnx there; expected the folder with the networks")
-    return tuple(who for who in options.who if list(folder_of(options, who).glob("*.step.onnx")))
+    found = tuple(who for who in options.who if list(folder_of(options, who).glob("*.step.onnx")))
+    if not found or not options.objects:
+        looked = ", ".join(dict.fromkeys(str(folder_of(options, who)) for who in options.who))
+        raise ValueError(f"nothing to play: expected some --objects, and --who whose *.step.onnx lie in {looked}")
+    return found
 
 
 def tasks(options: Options, names: tuple[str, ...]) -> list[Task]:

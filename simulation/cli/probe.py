@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from service.contract import FINGERS
 from simulation.appearance import Appearance
+from simulation.cell_options import CellOptions
 from simulation.imprint import Renderer
 from simulation.probe import Probe, run_probe
 from simulation.scene import Scene, load_scene
@@ -50,10 +51,13 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("scene", help="a built-in name (rectangle, circle, ...) or a TOML file")
     parser.add_argument("--x-mm", type=float, default=8.0, help="position error across the gap (default 8)")
     parser.add_argument("--theta-deg", type=float, default=5.0, help="yaw error (default 5)")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="of grasp, optics and noise (default 0)")
     parser.add_argument("--tier", choices=("bristle", "layer"), help="pads to press with (default: the scene's)")
     parser.add_argument("--save", type=Path, help="both fingers' frames: last one as .png or all as .mp4")
     given = parser.parse_args(arguments)
+    CellOptions(x_mm=given.x_mm, theta_deg=given.theta_deg).check()
+    if given.seed < 0:
+        raise ValueError(f"--seed {given.seed}: expected 0 or more")
     scene = load_scene(given.scene, **({"gel__tier": given.tier} if given.tier else {}))
     probe = run_probe(scene, given.x_mm, given.theta_deg, seed=given.seed)
     print(
