@@ -6,7 +6,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from robot_client.settings import Settings, load_settings
+from service.contract.frames import first_error
 
 _EPILOG = """exit codes: 0 inserted (or done), 1 not inserted or failed safe, 2 wrong input or configuration
 
@@ -150,7 +153,8 @@ def main(argv: list[str] | None = None) -> int:
     except ValueError as error:
         from robot_client.ports import DriverError
 
-        print(f"{'FAILED SAFE' if isinstance(error, DriverError) else 'error'}: {error}", file=sys.stderr)
+        said = first_error(error) if isinstance(error, ValidationError) else str(error)
+        print(f"{'FAILED SAFE' if isinstance(error, DriverError) else 'error'}: {said}", file=sys.stderr)
         return 1 if isinstance(error, DriverError) else 2
 
 

@@ -95,7 +95,8 @@ async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | Non
     for line in report.final(state, runner.farewell, arm.statistics()):
         print(line)
     if log is not None:
-        print(f"  log         {log}")
+        lost = f", BROKEN OFF: {runner.recorder.lost}" if runner.recorder.lost else ""
+        print(f"  log         {log}{lost}")
     sys.stdout.flush()
     return 0 if state.phase is Phase.INSERTED else 1
 

@@ -3,6 +3,7 @@
 First line: the plan. Then ``{"event": ...}`` and ``{"command": ...}`` as they happened; last ``{"end": ...}``.
 """
 
+import contextlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,20 +13,28 @@ from pydantic import ValidationError
 
 from robot_client.events import Command, Event, parse_command, parse_event
 from robot_client.insertion_state import Plan
-from service.contract.frames import ContractError
+from service.contract.frames import ContractError, first_error
 
 LOG_VERSION = 1
 
 
 class Recorder:
-    """Writes one episode; a line is on its way to the disk before the next event is handled."""
+    """Writes one episode; a line is on its way to the disk before the next event is handled.
+
+    A log that cannot be begun raises ContractError. One that can be written no further (a full disk) ends there and
+    ``lost`` says why: an error among the events would kill the task that listens for slip.
+    """
 
     def __init__(self, path: Path | None, plan: Plan) -> None:
         self.path = path
+        self.lost = ""
         self._file: IO[str] | None = None
         if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("x", encoding="utf-8", buffering=1)
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = path.open("x", encoding="utf-8", buffering=1)
+            except OSError as error:
+                raise ContractError(f"cannot write the episode log {path}: {error.strerror}") from None
         self._write({"version": LOG_VERSION, "plan": plan.model_dump(mode="json")})
 
     def event(self, event: Event) -> None:
@@ -39,13 +48,22 @@ class Recorder:
     def end(self, summary: dict[str, Any]) -> None:
         """Log how it ended and close."""
         self._write({"end": summary})
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+        self._close()
 
     def _write(self, line: dict[str, Any]) -> None:
-        if self._file is not None:
+        if self._file is None:
+            return
+        try:
             self._file.write(json.dumps(line, allow_nan=False) + "\n")
+        except OSError as error:
+            self.lost = error.strerror or str(error)
+            self._close()
+
+    def _close(self) -> None:
+        if self._file is not None:
+            with contextlib.suppress(OSError):  # what it could not write, it tries to write again
+                self._file.close()
+            self._file = None
 
 
 def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
@@ -64,9 +82,7 @@ def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
             elif "end" in line:
                 end = line["end"]
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise ContractError(f"{path}, line {number}: {where}: {first['msg']}") from None
+            raise ContractError(f"{path}, line {number}: {first_error(error)}") from None
     if plan is None:
         raise ContractError(f"{path} has no plan in its first line; is it an episode log?")
     return plan, entries, end

@@ -23,7 +23,7 @@ from service.contract.frames import Contract, ContractError
 class ServiceSettings(Contract):
     """Where the service is and how long it may be silent."""
 
-    url: str = "ws://127.0.0.1:8000/v1/insertion"
+    url: str = Field(default="ws://127.0.0.1:8000/v1/insertion", pattern=r"^wss?://[^/\s]+(/\S*)?$")
     connect_timeout_s: float = Field(default=3.0, gt=0)
     heartbeat_s: float = Field(default=0.1, gt=0, le=1.0)
     silence_s: float = Field(default=0.75, gt=0)

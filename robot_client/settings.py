@@ -16,7 +16,7 @@ from robot_client.insertion_state import Timeouts
 from robot_client.limits import Limits
 from robot_client.motion import Ramps
 from robot_client.service_link import ServiceSettings
-from service.contract.frames import Contract, ContractError
+from service.contract.frames import Contract, ContractError, first_error
 from service.contract.toml import read_toml
 
 PASSWORD_VARIABLE = "TACTILE_INSERTION_RWS_PASSWORD"  # noqa: S105 the variable's name, not a password
@@ -93,23 +93,17 @@ def load_settings(path: Path | None, overrides: dict[str, dict[str, Any]] | None
             raise SettingsError(f"cannot read configuration {path}: {error}") from None
     for section, values in (overrides or {}).items():
         given = {key: value for key, value in values.items() if value is not None}
-        if given:
+        if given and isinstance(data.get(section, {}), dict):  # what is no table is refused below
             data[section] = {**data.get(section, {}), **given}
     try:
         settings = Settings.model_validate_json(json.dumps(data))
         settings.work_object.frame()
-    except (ValidationError, ValueError, TypeError) as error:
-        raise SettingsError(f"{path or 'configuration'}: {_first(error)}") from None
+    except ValidationError as error:
+        raise SettingsError(f"{path or 'configuration'}: {first_error(error, 'file')}") from None
+    except (ValueError, TypeError) as error:
+        raise SettingsError(f"{path or 'configuration'}: {error}") from None
     password = os.environ.get(PASSWORD_VARIABLE)
     if password:
         rws = settings.rws.model_copy(update={"password": SecretStr(password)})
         settings = settings.model_copy(update={"rws": rws})
     return settings
-
-
-def _first(error: Exception) -> str:
-    if not isinstance(error, ValidationError):
-        return str(error)
-    first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"]) or "file"
-    return f"{where}: {first['msg']}"

@@ -5,7 +5,7 @@ from typing import Literal, Self
 
 from pydantic import Field, ValidationError
 
-from service.contract.frames import Contract, ContractError
+from service.contract.frames import Contract, ContractError, first_error
 from service.contract.toml import read_toml
 
 FRAMES_PER_DECISION = 8
@@ -91,9 +91,7 @@ class RunConfig(Contract):
         except OSError as error:
             raise ContractError(f"cannot read the run config {path}: {error.strerror}") from error
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise ContractError(f"{path}: {where}: {first['msg']}") from error
+            raise ContractError(f"{path}: {first_error(error)}") from error
 
     @property
     def folder(self) -> Path:

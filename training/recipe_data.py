@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 from rich.progress import track
 from torch import Tensor
 
-from service.contract.frames import Contract, ContractError
+from service.contract.frames import Contract, ContractError, first_error
 from service.contract.toml import read_toml
 from training.config import FRAMES_PER_DECISION, JITTER, StageConfig
 from training.dataset import SPLITS, Source
@@ -48,9 +48,7 @@ class RecipeConfig(Contract):
         except OSError as error:
             raise ContractError(f"cannot read the recipe {path}: {error.strerror}") from error
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise ContractError(f"{path} is not a recipe: {where}: {first['msg']}") from error
+            raise ContractError(f"{path} is not a recipe: {first_error(error)}") from error
 
     @property
     def folder(self) -> Path:

@@ -12,6 +12,8 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
+from pydantic import Field
+
 from robot_client.codecs import egm
 from robot_client.drivers.abb_rws import RwsClient, RwsError
 from robot_client.drivers.egm_watch import EgmWatch, StreamFault
@@ -30,11 +32,11 @@ class EgmSettings(Contract):
     """Where we listen, who may guide us, and how long the stream may be silent or late."""
 
     bind: str = "0.0.0.0"  # noqa: S104 the controller is another host; robot_host narrows who is heard
-    port: int = egm.UDP_PORT
+    port: int = Field(default=egm.UDP_PORT, ge=0, le=65535)
     robot_host: str | None = None
-    ready_timeout_s: float = 8.0
-    silence_s: float = 0.25  # harmless in position mode: targets stop with the stream
-    max_age_s: float = 0.25
+    ready_timeout_s: float = Field(default=8.0, gt=0)
+    silence_s: float = Field(default=0.25, gt=0)  # harmless in position mode: targets stop with the stream
+    max_age_s: float = Field(default=0.25, gt=0)
 
 
 @dataclass(slots=True)

@@ -9,7 +9,6 @@ import contextlib
 import time
 from collections.abc import Mapping
 from typing import Any, Literal
-from urllib.parse import urlsplit
 
 import httpx
 from pydantic import Field, SecretStr
@@ -34,7 +33,7 @@ class RwsError(DriverError):
 class RwsSettings(Contract):
     """Where the controller is and how long it may take. User and password are ABB's factory defaults."""
 
-    url: str = "http://192.168.125.1"
+    url: str = Field(default="http://192.168.125.1", pattern=r"^https?://[^/\s]+/?$")
     user: str = "Default User"
     password: SecretStr = SecretStr("robotics")
     request_timeout_s: float = Field(default=1.0, gt=0)
@@ -59,9 +58,6 @@ class RwsClient:
     """One controller; make it inside the event loop that uses it."""
 
     def __init__(self, settings: RwsSettings) -> None:
-        parts = urlsplit(settings.url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise DriverError(f"rws url {settings.url!r}, expected http://HOST[:PORT]")
         self.settings = settings
         self.started = False
         self._client = httpx.AsyncClient(

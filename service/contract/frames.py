@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 Finger = Literal["left", "right"]
 FINGERS: tuple[Finger, Finger] = get_args(Finger)
@@ -29,6 +29,12 @@ class Contract(BaseModel):
     """Base of every contract type: frozen, strict, finite numbers only, unknown keys refused."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+def first_error(error: ValidationError, whole: str = "contents") -> str:
+    """The first thing a validation found, as "key.below: what was wrong"; ``whole`` names what has no key."""
+    first = error.errors()[0]
+    return f"{'.'.join(str(part) for part in first['loc']) or whole}: {first['msg']}"
 
 
 class FrameSpec(Contract):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from service.contract.frames import Contract, ContractError, FrameSpec
+from service.contract.frames import Contract, ContractError, FrameSpec, first_error
 
 CARD_KEY = "tactile_insertion.card"
 
@@ -139,9 +139,7 @@ class ModelCard(Contract):
         try:
             return cls.model_validate_json(props[CARD_KEY])
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"]) or "card"
-            raise ContractError(f"{source} has an invalid model card: {where}: {first['msg']}") from error
+            raise ContractError(f"{source} has an invalid model card: {first_error(error, 'card')}") from error
 
     def to_props(self) -> dict[str, str]:
         """The single ``metadata_props`` entry that :meth:`from_props` reads back."""

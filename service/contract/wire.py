@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from service.contract.frames import Contract, ContractError, Finger
+from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.contract.model_card import ModelCard
 
 PROTOCOL = 1
@@ -234,9 +234,7 @@ def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
     try:
         return adapter.validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "message"
-        raise ContractError(f"{where}: {first['msg']}") from error
+        raise ContractError(first_error(error, "message")) from error
 
 
 def parse_client(

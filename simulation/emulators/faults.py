@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from service.contract.frames import first_error
+
 Share = Annotated[float, Field(ge=0, le=1)]
 Delay = Annotated[float, Field(ge=0, le=60_000)]
 Count = Annotated[int, Field(ge=0, le=1_000_000)]
@@ -113,8 +115,7 @@ class FaultBoard:
         try:
             self.faults = Faults.model_validate(merged)
         except ValidationError as error:
-            first = error.errors()[0]
-            raise FaultError(f"fault {'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from error
+            raise FaultError(f"fault {first_error(error)}") from error
         return self.faults
 
     def clear(self) -> Faults:

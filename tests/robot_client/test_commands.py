@@ -15,7 +15,7 @@ from robot_client.drivers.wsg50 import GripperError, Wsg50
 from robot_client.geometry import WorkPose
 from robot_client.jog import _home, _jog
 from robot_client.ports import DriverError
-from robot_client.recorder import read_log
+from robot_client.recorder import Recorder, read_log
 from robot_client.replay import ReplayError, replay
 from robot_client.settings import PASSWORD_VARIABLE, SettingsError, load_settings
 from service.contract import ContractError
@@ -76,6 +76,9 @@ def test_a_file_that_is_no_log_is_refused_in_one_line(text, tmp_path):
         ("[limits]\nx_mm = [1]", "limits.x_mm"),
         ("[limits]\nmax_dx_mm = nan", "limits.max_dx_mm"),
         ("[egm\n", "cannot read configuration"),
+        ("[egm]\nport = -5", "egm.port"),
+        ("[egm]\nsilence_s = -1.0", "egm.silence_s"),
+        ('[service]\nurl = "http://127.0.0.1"', "service.url"),
         ("[task]\ngap_width_mm = -1", "task.gap_width_mm"),
         ("[work_object]\nrotation = [0, 0, 0, 0]", "no rotation"),
         ("[ramps.travel]\nspeed_mm_s = 0\nacceleration_mm_s2 = 1\njerk_mm_s3 = 1", "limits"),
@@ -90,10 +93,46 @@ def test_a_wrong_configuration_is_one_line_and_exit_code_two(toml, expect, tmp_p
     assert expect in err.err + err.out
 
 
-@pytest.mark.parametrize("arguments", [["--gripper", "nohost"], ["--config", "/nonexistent.toml"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--gripper", "nohost"],
+        ["--config", "/nonexistent.toml"],
+        ["--egm-port", "99999"],
+        ["--rws-url", "nope"],
+        ["--x-mm", "1e308"],
+        ["--insertion-id", "../../x"],
+        ["--log", "/dev/null/x.jsonl"],
+    ],
+)
 def test_wrong_arguments_are_one_line_and_exit_code_two(arguments, capsys):
     assert main(["insert", *arguments]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_section_that_is_no_table_is_refused_beside_an_option_of_it(tmp_path, capsys):
+    path = tmp_path / "cell.toml"
+    path.write_text("egm = 3")
+    assert main(["insert", "--config", str(path), "--egm-port", "6511"]) == 2
+    assert "egm" in capsys.readouterr().err
+
+
+def test_a_full_disk_ends_the_log_and_not_the_insertion(tmp_path, capsys, monkeypatch):
+    kept = Recorder._write
+
+    def fills_up(self, line):
+        if self.written > 5 and self._file is not None and self._file.name != "/dev/full":
+            self._file.close()
+            self._file = Path("/dev/full").open("w", encoding="utf-8", buffering=1)  # noqa: SIM115 the recorder closes it
+        self.written += 1
+        kept(self, line)
+
+    monkeypatch.setattr(Recorder, "written", 0, raising=False)
+    monkeypatch.setattr(Recorder, "_write", fills_up)
+    log = tmp_path / "episode.jsonl"
+    assert main(["insert", "--x-mm", "8", "--log", str(log)]) == 0
+    assert "BROKEN OFF: No space left on device" in capsys.readouterr().out
+    assert read_log(log)[1]
 
 
 def test_the_password_can_come_from_the_environment_and_is_never_shown(monkeypatch):
