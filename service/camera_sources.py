@@ -111,6 +111,8 @@ class V4l2Source:
     def __init__(self, device: int, frame_rate_hz: float, size: tuple[int, int] | None = None) -> None:
         self.name = f"v4l2:{device}"
         self._device, self._frame_rate_hz, self._size = device, frame_rate_hz, size
+        # a missing camera is tried four times a second, and OpenCV would warn twice each time
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
         """Open the device and yield its frames."""

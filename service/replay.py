@@ -48,7 +48,8 @@ def parse(arguments: Sequence[str]) -> ReplayOptions:
     parser = argparse.ArgumentParser(
         prog="python -m service replay",
         description="Run marker tracking and slip detection over a recording, print what happened when, and draw it.",
-        epilog="example: python -m service replay clip.avi --fps 30 --plot --out runs/replay",
+        epilog="example: python -m service replay clip.avi --fps 30 --plot --out runs/replay. "
+        "A recorded insertion (.mcap) is decided again instead: python -m service replay x.mcap --help",
     )
     parser.add_argument("path", type=Path, help="a video, a folder of frames (png, jpg), or a folder of videos")
     parser.add_argument("--plot", action="store_true", help="write the annotated video too")

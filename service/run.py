@@ -4,6 +4,7 @@ import contextlib
 import logging
 import signal
 import socket
+import ssl
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -20,7 +21,7 @@ from service.event_log import log_events
 from service.log_lines import LogLines
 from service.memory import stop_searching_what_stays, use_few_arenas
 from service.patience import PatientWebSocket, http_protocol
-from service.settings import Settings, read_settings
+from service.settings import Settings, SettingsError, read_settings
 from service.station import open_station
 from service.tracing import Spans, make_tracer
 
@@ -91,6 +92,7 @@ def leaving_in_order() -> Iterator[None]:
 def main(arguments: Sequence[str]) -> int:
     """Serve until interrupted; bad input raises ContractError or OSError before anything listens."""
     settings = read_settings(arguments)
+    check_certificate(settings)
     use_few_arenas()
     sys.setswitchinterval(SWITCH_S)
     cv2.setNumThreads(1)  # one thread a finger beats a pool that wakes for 2 ms of work
@@ -114,6 +116,17 @@ def main(arguments: Sequence[str]) -> int:
         finally:
             station.stop()
     return 0
+
+
+def check_certificate(settings: Settings) -> None:
+    """Raise SettingsError if the certificate and its key cannot serve: before, not after, the service says ready."""
+    if settings.tls_certificate is None:
+        return
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.tls_certificate, settings.tls_key)
+    except OSError as error:
+        files = f"--tls-certificate {settings.tls_certificate} --tls-key {settings.tls_key}"
+        raise SettingsError(f"{files}: expected a PEM certificate and its key ({error})") from error
 
 
 def web_config(app: FastAPI, settings: Settings) -> uvicorn.Config:

@@ -33,12 +33,16 @@ class Settings(BaseSettings):
 
     Example: python -m service run --models models --calibration cell/calibration.toml
     --camera-left http://127.0.0.1:8081/stream.mjpg --camera-right http://127.0.0.1:8082/stream.mjpg
+
+    Each option may also be a variable (TACTILE_CAMERA_LEFT) or a line of a TOML file (camera_left = "v4l2:0" in
+    --config FILE). The command line wins over the environment, the environment over the file.
     """
 
     model_config = SettingsConfigDict(
         env_prefix="TACTILE_",
         extra="forbid",
         frozen=True,
+        allow_inf_nan=False,
         cli_kebab_case=True,
         cli_hide_none_type=True,
         cli_exit_on_error=False,
@@ -121,6 +125,7 @@ def read_settings(arguments: Sequence[str]) -> Settings:
 
 
 def _take_config(arguments: list[str]) -> tuple[list[str], dict[str, Any]]:
+    arguments = [part for given in arguments for part in _parted(given)]
     if "--config" not in arguments:
         return arguments, {}
     at = arguments.index("--config")
@@ -132,6 +137,10 @@ def _take_config(arguments: list[str]) -> tuple[list[str], dict[str, Any]]:
     except (OSError, ContractError) as error:
         raise SettingsError(f"--config: {error}") from error
     return arguments[:at] + arguments[at + 2 :], defaults
+
+
+def _parted(argument: str) -> list[str]:
+    return argument.split("=", 1) if argument.startswith("--config=") else [argument]
 
 
 def _with_defaults(defaults: dict[str, Any]) -> type[Settings]:

@@ -32,6 +32,7 @@ function bars(place, entries, unit, best) {
 }
 
 const STAGES = { networks_last_step: "networks", since_last_frame: "from last frame", rectify: "rectify", markers: "markers", slip: "slip", controller: "controller" };
+const NOT_LIVE = "cameras not live";
 const signed = (value) => (value >= 0 ? "+" : "") + value.toFixed(1);
 
 function told(message) {
@@ -79,8 +80,8 @@ function onHealth(health) {
   const robot = [health.driver ? "good" : "off", health.driver ? `robot ${health.driver}` : "no robot"];
   const dropped = [health.frames_dropped_n ? "bad" : "good", `dropped ${health.frames_dropped_n}`];
   at("health").replaceChildren(...[...cameras, robot, dropped].map(([kind, text]) => Object.assign(document.createElement("li"), { className: kind, textContent: text })));
-  if (!health.ready) say("cameras not live", "bad");
-  else if (!health.driver && at("status").className === "") say("ready", "good");
+  if (!health.ready) say(NOT_LIVE, "bad");
+  else if (at("status").textContent === NOT_LIVE || (!health.driver && at("status").className === "")) say("ready", "good");
 }
 
 function onFinger(content) {

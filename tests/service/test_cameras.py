@@ -232,9 +232,10 @@ def test_a_video_device_gives_its_frames_and_is_given_back_when_unplugged(monkey
     assert device.released
 
 
-def test_an_absent_video_device_says_so() -> None:
+def test_an_absent_video_device_says_so_and_opencv_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(CameraError, match="cannot open /dev/video63; is it plugged in"):
         next(V4l2Source(63, 30.0).frames(threading.Event()))
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_newest_pushed_frames_are_kept_and_one_client_pushes() -> None:

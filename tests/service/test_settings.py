@@ -29,8 +29,9 @@ def test_the_command_line_wins_over_environment_over_file(tmp_path: Path, monkey
     config.write_text('port = 1\ncontroller = "heuristic"\nmax_dx_mm = 5.0\n')
     monkeypatch.setenv("TACTILE_MAX_DX_MM", "6")
     monkeypatch.setenv("TACTILE_PORT", "2")
-    told = read_settings([*CAMERAS, "--config", str(config), "--port", "3"])
-    assert (told.port, told.max_dx_mm, told.controller) == (3, 6.0, "heuristic")
+    for given in (["--config", str(config)], [f"--config={config}"]):
+        told = read_settings([*CAMERAS, *given, "--port", "3"])
+        assert (told.port, told.max_dx_mm, told.controller) == (3, 6.0, "heuristic")
 
 
 def test_secrets_do_not_show() -> None:
@@ -44,7 +45,10 @@ def test_secrets_do_not_show() -> None:
         ([*CAMERAS, "--controller", "magic"], "--controller"),
         ([*CAMERAS, "--bort", "1"], "--bort"),
         ([*CAMERAS, "--models", "nowhere", "--port", "0"], "no *.onnx model in nowhere"),
-        ([*CAMERAS, "--config", "none.toml"], "--config none.toml"),
+        ([*CAMERAS, "--config", "none.toml"], "none.toml"),
+        ([*CAMERAS, "--max-frame-age-ms", "inf"], "--max-frame-age-ms"),
+        ([*CAMERAS, "--client-timeout-s", "inf"], "--client-timeout-s"),
+        ([*CAMERAS, "--tls-certificate", "none.pem", "--tls-key", "none.pem"], "--tls-certificate none.pem"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(
