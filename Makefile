@@ -121,7 +121,8 @@ robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time,
 CELL ?= cell-a
 ENV_FILE ?= docker/$(CELL).env
 COMPOSE ?= $(if $(shell docker compose version 2>/dev/null),docker compose,$(OPS_VENV)/bin/podman-compose)
-COMPOSE_FILE_ARGS = --project-name $(CELL) --file docker/compose.yaml
+OVERRIDE = $(wildcard docker/compose.override.yaml)
+COMPOSE_FILE_ARGS = --project-name $(CELL) --file docker/compose.yaml $(if $(OVERRIDE),--file $(OVERRIDE))
 
 $(OPS_VENV)/ready: requirements/ops.txt
 	$(PYTHON) -m venv $(OPS_VENV)

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Everything a cell without internet needs, in one archive: wheels, code, models, units, an installer and checksums.
+# Everything a cell without internet needs, in one archive: wheels, code, models, pages, units, an installer, checksums.
 # usage: bundle.sh PYTHON OUT_DIR      The wheels fit machines like this one (same Python version, processor, libc).
 set -eu
 python=$1
@@ -12,7 +12,7 @@ rm -rf "$work"
 mkdir -p "$work/app" "$work/wheels"
 "$python" -m pip download -q --require-hashes --no-deps --only-binary :all: -r requirements/run.txt -d "$work/wheels"
 git archive HEAD service robot_client simulation models requirements/run.txt pyproject.toml LICENSE docker/healthcheck.py \
-  | tar -x -C "$work/app"
+  README.md DECISIONS.md CHANGELOG.md docs | tar -x -C "$work/app"
 cp docker/systemd/* docker/install.sh "$work/"
 chmod +x "$work/install.sh"
 (cd "$work" && find . -type f ! -name SHA256SUMS -print0 | sort -z | xargs -0 sha256sum > SHA256SUMS)

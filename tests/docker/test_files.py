@@ -11,6 +11,7 @@ import pytest
 from tests.docs.commands import ROOT
 
 DOCKER = ROOT / "docker"
+UNIT = DOCKER / "systemd" / "tactile-insertion@.service"
 DOCKERFILES = sorted(DOCKER.glob("*.Dockerfile"))
 MAY_COPY = {
     "service": {"service"},
@@ -53,6 +54,27 @@ def test_no_shipped_role_pins_torch(role):
 @pytest.mark.parametrize("path", sorted(DOCKER.glob("*.sh")), ids=lambda path: path.name)
 def test_a_shell_script_parses(path):
     assert subprocess.run(["sh", "-n", str(path)], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("override", [False, True])
+def test_make_reads_the_override_that_lets_usb_cameras_in(tmp_path, override):
+    """Compose looks for an override by itself only where no file is named, and make names one."""
+    for name in ("Makefile", "requirements/ops.txt", "docker/compose.yaml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes((ROOT / name).read_bytes())
+    if override:
+        (tmp_path / "docker" / "compose.override.yaml").write_text("services: {}")
+    said = subprocess.run(
+        ["make", "-n", "image", "COMPOSE=compose"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert ("--file docker/compose.yaml --file docker/compose.override.yaml" in said.stdout) is override
+
+
+def test_a_bundle_holds_the_page_that_its_unit_points_to():
+    pointed = re.search(r"^Documentation=file:///opt/tactile-insertion/app/(\S+)$", UNIT.read_text(), re.MULTILINE)[1]
+    archived = (DOCKER / "bundle.sh").read_text().replace("\\\n", " ")
+    (given,) = re.findall(r"^git archive HEAD (.*?) \| tar", archived, re.MULTILINE)
+    assert {pointed, "docs"} <= set(given.split())
 
 
 class _Answer(http.server.BaseHTTPRequestHandler):
