@@ -146,15 +146,17 @@ def recipe_section(recipe: Path | None, data_sha256: str) -> str:
     rows = {name: row for name, row in checkpoint.figures.items() if name.endswith("/all") or name.startswith("valid")}
     trials = checkpoint.figures["train/all"]["trials"]
     same = checkpoint.training_data_sha256 == data_sha256
-    which = "the same data" if same else "ANOTHER collection, so that its rows do not compare with those above,"
+    other = (
+        "" if same else " Those are not the data above, or not all of them: its rows do not compare with those above."
+    )
     return f"""
 ## The paper's own recipe, same simulator
 
 Two independent AlexNet-LSTM networks (`python -m training recipe`): frozen convolutions, here pretrained on simulated
 imprints because no ImageNet weights were at hand, classes 7 and 8 doubled, Adam. Trained on {trials:.0f} trials of
-{which} (`{checkpoint.training_data_sha256[:12]}`), what two cores allow in about an hour; the paper had 30,000 real
+data `{checkpoint.training_data_sha256[:12]}`, what two cores allow in about an hour; the paper had 30,000 real
 ones and reports 80.5 % on training and 74.4 % on validation trials. Its MagnitudeNN has no sigma: coverage is that of
-one constant spread.
+one constant spread.{other}
 
 {_table(rows)}
 """
