@@ -91,7 +91,7 @@ class Camera:
         self.state: State = "starting"
         self.latest: CameraFrame | None = None
         self.newest_ns: int | None = None
-        self.frames_n = self.repeated_n = self.faults_n = 0
+        self.frames_n = self.repeated_n = 0
         self._broken_n = self._unseen_n = self._same_n = 0
         self._picture: bytes | NDArray[np.uint8] = b""
         self.shape: tuple[int, ...] | None = None
@@ -209,7 +209,6 @@ class Camera:
         self.state, self.last_fault = state, detail
         self._stamps.clear()
         if changed:
-            self.faults_n += 1
             self._on_fault(self.finger, code, detail)
 
 
@@ -229,7 +228,7 @@ class Pairer:
         self._last: dict[Finger, int] = {}
         self._period_ns: dict[Finger, float] = {}
         self._lock = threading.Lock()
-        self.pairs_n = self.dropped_n = 0
+        self.dropped_n = 0
 
     def _allowed_ns(self) -> float:
         if self._max_skew_ms is not None:
@@ -248,7 +247,6 @@ class Pairer:
                 return None
             del self._waiting[other]
             self.dropped_n += self._waiting.pop(frame.finger, None) is not None
-            self.pairs_n += 1
             return FramePair(frame, partner) if frame.finger == "left" else FramePair(partner, frame)
 
     def _measure(self, frame: TactileFrame) -> None:

@@ -97,7 +97,7 @@ class Station:
             accepted.append(calibration.camera(finger).raw.shape)
         if shape not in accepted:
             sizes = " or ".join(f"{width} x {height}" for height, width, _ in accepted)
-            hint = "set the camera to it" if calibration else "set the camera to it or pass --calibration FILE"
+            hint = "set the camera to it" if calibration else "raw frames need --calibration FILE (service calibrate)"
             raise CameraError(f"{finger} camera delivers {shape[1]} x {shape[0]} frames, expected {sizes}; {hint}")
 
     def stop(self) -> None:

@@ -1,7 +1,6 @@
 """How one finger of one cell looks: every number of its optics, drawn once, kept beside the data, read back exactly."""
 
 import dataclasses
-import json
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -86,10 +85,6 @@ class Appearance:
         if unknown:
             raise ValueError(f"appearance has unknown keys {sorted(unknown)}")
         return cls(**{name: _as_tuples(value) for name, value in data.items()})
-
-    def to_json(self) -> str:
-        """One line of JSON that :meth:`from_dict` reads back."""
-        return json.dumps(self.as_dict(), sort_keys=True)
 
 
 def _as_tuples(value: Any) -> Any:

@@ -27,7 +27,7 @@ from simulation.cell_world import HeldPart, Mechanics, World
 from simulation.emulators.abb_cabinet import Cabinet
 from simulation.emulators.abb_egm import EgmEmulator
 from simulation.emulators.abb_frames import CellFrames
-from simulation.emulators.abb_motion import Follower, MotionLimits, Pose, tool_down
+from simulation.emulators.abb_motion import Follower, MotionLimits, Pose
 from simulation.emulators.abb_rapid import RapidServers
 from simulation.emulators.abb_rws import Gate, create_app
 from simulation.emulators.camera import CameraEmulator
@@ -263,8 +263,3 @@ async def serve(options: CellOptions, plant: Plant, sockets: Sockets) -> int:
         task.cancel()
     await cell.stop()
     return 1 if failed else 0
-
-
-def approach_pose(x_mm: float, theta_deg: float, grasp_height_mm: float) -> Pose:
-    """TCP at the approach pose for a start error, object centred in the hand."""
-    return Pose((x_mm, 0.0, APPROACH_MM + grasp_height_mm), tool_down(theta_deg))

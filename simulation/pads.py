@@ -71,7 +71,7 @@ class LayerPads:
 
     def use(self, kernel: Kernel, nodes: Records, constants: Records) -> None:
         """Take a kernel: its softest wave sets the bristles' stiffness, which only steers the iteration."""
-        self.kernel, self._nodes, self._constants = kernel, nodes, constants
+        self.kernel, self._nodes = kernel, nodes
         self._shape = (2, kernel.grid.rows, kernel.grid.columns)
         self._crown, self._side = nodes["crown"].copy(), nodes["side"].copy()
         tangential, normal = kernel.largest_mm3_per_n

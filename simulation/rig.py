@@ -58,7 +58,6 @@ class Cell:
         self.state: Any = self.record[0]
         self.corner = np.empty((vertices, 3))
         self.pose = np.zeros(4)
-        self.newton_iterations = self.load_steps = self.convex_steps = 0
         self.direct = True
         self.reset_blocks()
         self.regrasp(0.0, 0.0)
@@ -200,9 +199,6 @@ class Cell:
         status = self._pass(target, dt_s)
         if status == mechanics.STALLED and rescue and depth == MAX_HALVINGS:
             status = self._damped(target, dt_s)
-        self.load_steps += 1
-        self.newton_iterations += int(self.state["report"][1])
-        self.convex_steps += int(self.state["report"][2] > 0)
         if status == mechanics.STALLED and self._drops():
             status = mechanics.LOST
         if status == mechanics.STALLED and depth < MAX_HALVINGS:

@@ -83,15 +83,6 @@ def open_source(path: str, noise_scale: float = 1.0) -> Source:
     return source
 
 
-def read_decisions(path: str, count: int) -> NDArray[np.uint8]:
-    """The eight frames from the onset of trials spread over a dataset: uint8 [N, 8, 2, 320, 327, 3]."""
-    source = open_source(path)
-    chosen = np.linspace(0, len(source) - 1, min(count, len(source))).astype(int).tolist()
-    onsets = [int(source.trial(index).onset_frame) for index in chosen]
-    pairs = zip(chosen, onsets, strict=True)
-    return np.stack([source.frames(index, onset, FRAMES_PER_DECISION) for index, onset in pairs])
-
-
 def data_sha256(source: Source) -> str:
     """Hash of the dataset's manifest, which names every shard and its own hash."""
     digest: str = source.manifest.sha256()

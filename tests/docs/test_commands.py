@@ -118,3 +118,12 @@ def test_the_robot_configuration_in_the_first_hour_is_accepted(tmp_path: Path):
     settings = load_settings(tmp_path / "cell.toml")
     assert settings.limits.max_attempts == 3
     assert settings.task.gap_width_mm == 56.0
+
+
+def test_the_first_hour_calibrates_before_it_starts_the_service_that_refuses_raw_cameras():
+    commands = [words for b in shell_blocks() if b.page == "docs/first_hour.md" for words in b.commands()]
+    (started,) = [k for k, words in enumerate(commands) if words[2:4] == ["service", "run"]]
+    (calibrated,) = [k for k, words in enumerate(commands) if words[2:4] == ["service", "calibrate"]]
+    assert calibrated < started
+    made = commands[calibrated][commands[calibrated].index("--out") + 1]
+    assert commands[started][commands[started].index("--calibration") + 1] == made

@@ -13,8 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from robot_client.codecs.wsg50 import Command, Reply, Status, StreamParser, decode_reply, encode_request
-from simulation.cell import LiveCell, Plant, approach_pose, bind_all
+from simulation.cell import APPROACH_MM, LiveCell, Plant, bind_all
 from simulation.cell_options import CellOptions
+from simulation.emulators.abb_motion import Pose, tool_down
 
 GRASP_HEIGHT_MM = 30.0
 STATE = {
@@ -63,7 +64,7 @@ def plant(physics: TwoLinePhysics, x_mm: float = 8.0, theta_deg: float = 6.0) ->
         mechanics=physics,
         regrasp=physics.grips.append,
         draw={"left": draw, "right": draw},
-        start=approach_pose(x_mm, theta_deg, GRASP_HEIGHT_MM),
+        start=Pose((x_mm, 0.0, APPROACH_MM + GRASP_HEIGHT_MM), tool_down(theta_deg)),
         part_width_mm=80.0,
         gap_width_mm=56.0,
         save_calibration=lambda _path: None,

@@ -11,7 +11,7 @@ from simulation.scene import load_scene
 def test_an_appearance_survives_json_and_depends_on_finger_and_seed() -> None:
     scene = load_scene("rectangle")
     look = Appearance.draw(scene, "right", 11)
-    assert Appearance.from_dict(json.loads(look.to_json())) == look
+    assert Appearance.from_dict(json.loads(json.dumps(look.as_dict()))) == look
     assert Appearance.draw(scene, "right", 11) == look
     assert Appearance.draw(scene, "left", 11) != look
     assert Appearance.draw(scene, "right", 12) != look
