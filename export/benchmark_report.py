@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from export.limits_page import limits_section, missed
-from export.measure import NOISY, NOISY_SPREAD, STEADY
+from export.measure import CALM, NOISY, NOISY_SPREAD, STEADY
 
 NAME = "benchmark"
 LOSES = 1.05
@@ -52,15 +52,16 @@ def _page(report: dict[str, Any]) -> list[str]:
         "",
         "## One call",
         "",
-        "| model | p50 | p90 | p99 | p99.9 | CPU p50 | p99 | ratio | through | machine | load | first | peak | MB |",
+        "| model | p50 | p90 | p99 | p99.9 | CPU p50 | p99 | calm | all | machine | load | first | peak | MB |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
         *map(_single, rows),
         "",
-        f"Ratio: p99 over p50 of the calling thread's processor time on one core, at most {STEADY}. Through: the",
-        f"same without the {_interrupted(rows)} of calls in which the scheduler gave the core to somebody else, who",
-        "empties the caches at the call's expense. Machine: the ratio of arithmetic that never changes and takes as",
-        "long, called in turns: what interrupts, hypervisor and neighbours add to anything that runs here. Times in",
-        "ms; `first`, `peak` (beyond interpreter and libraries) are of a fresh process.",
+        "Calm: p99 over p50 of the calling thread's processor time on one core while the machine was calm,",
+        f"at most {STEADY}. Calls are made in turns with arithmetic that never changes and takes as long; a turn",
+        f"counts if just before and just after it no call of that arithmetic took more than {CALM} times its median:",
+        f"{_calm(rows)} of the turns. The model has no say in which. All: the same over every call. Machine: over",
+        "every call of the arithmetic, which is what interrupts, hypervisor and neighbours do to anything that runs",
+        "here. Times in ms; `first`, `peak` (beyond interpreter and libraries) are of a fresh process.",
         "",
         "## Throughput and LoadGen",
         "",
@@ -91,9 +92,9 @@ def _noise(rows: list[dict[str, Any]]) -> str:
     return f"Noise: {spread}."
 
 
-def _interrupted(rows: list[dict[str, Any]]) -> str:
-    shares = [100 * row["steady"]["interrupted"] for row in rows]
-    return f"{min(shares):.1f} to {max(shares):.1f} %"
+def _calm(rows: list[dict[str, Any]]) -> str:
+    shares = [100 * row["steady"]["calm_share"] for row in rows]
+    return f"{min(shares):.0f} to {max(shares):.0f} %"
 
 
 def _name(row: dict[str, Any]) -> str:
@@ -106,8 +107,8 @@ def _single(row: dict[str, Any]) -> str:
     cells = [f"{single[key]:.2f}" for key in ("p50_ms", "p90_ms", "p99_ms", "p999_ms", "cpu_p50_ms", "cpu_p99_ms")]
     steady = row["steady"]
     cells += [
-        f"{steady['tail']:.2f}{_tail_verdict(steady)}",
-        f"{steady['tail_through']:.2f}",
+        _calm_tail(steady),
+        f"{steady['tail']:.2f}",
         f"{steady['machine_tail']:.2f}",
         f"{fresh['load_ms']:.0f}",
         f"{fresh['first_ms']:.1f}",
@@ -115,10 +116,10 @@ def _single(row: dict[str, Any]) -> str:
     return "| " + " | ".join([_name(row), *cells, f"{fresh['peak_mb']:.0f}", f"{row['size_mb']:.2f}"]) + " |"
 
 
-def _tail_verdict(steady: dict[str, Any]) -> str:
-    if steady["holds"]:
-        return ""
-    return " (over)" if steady["machine_tail"] <= STEADY else " (over, as is the machine)"
+def _calm_tail(steady: dict[str, Any]) -> str:
+    if steady["tail_calm"] is None:
+        return "never calm"
+    return f"{steady['tail_calm']:.2f}" + ("" if steady["holds"] else " (over)")
 
 
 def _throughput(row: dict[str, Any]) -> str:

@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-BLOCK, SMALL_BLOCK, LARGE_BLOCK = 32, 16, 128
-"""Weights that share a scale where they are widened on loading, and where a small or a large layer is multiplied."""
-LARGE = 2**20
-"""Weights of a layer beyond which reading them is what it costs: such a layer is multiplied in int8."""
+BLOCK, SMALL_BLOCK = 32, 16
+"""Weights that share a scale where they are widened on loading, and where a layer is multiplied."""
 WORTH_A_PRODUCT = 2**14
 """Weights of a layer below which int8 saves no time and only costs accuracy: heads, and a fit of few numbers."""
 DAMPING = 0.01
@@ -66,10 +64,8 @@ def _carry(moments: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.cholesky(np.linalg.inv(damped)).T)
 
 
-def block_of(depth: int, *, large: bool = False) -> int:
+def block_of(depth: int) -> int:
     """Weights a block: a divisor of the depth near 32, so that no block is ragged; the whole row if there is none."""
-    if large:
-        return LARGE_BLOCK
     fitting = [size for size in range(BLOCK // 2, 2 * BLOCK + 1) if depth % size == 0]
     return min(fitting, key=lambda size: abs(size - BLOCK)) if fitting else depth
 

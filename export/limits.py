@@ -27,7 +27,7 @@ CONV = (256, 28)
 """Channels and side of the probed 3 x 3 convolution: AlexNet's later layers have this shape."""
 LEAST_BYTES = 1_000_000
 PROBE_S = 0.1
-WEIGHT_AT = {"Conv": 1, "Gemm": 1, "MatMul": 1, "MatMulInteger": 1, "MatMulNBits": 1, "QLinearConv": 3}
+WEIGHT_AT = {"Conv": 1, "Gemm": 1, "MatMul": 1, "MatMulInteger": 1, "MatMulNBits": 1, "QGemm": 3, "QLinearConv": 3}
 """Which input of an operator its weights are."""
 BYTES = (TensorProto.INT8, TensorProto.UINT8)
 

@@ -2,7 +2,6 @@
 
 import gc
 import os
-import resource
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -25,6 +24,8 @@ NOISY = 1.5
 """A machine whose wall time exceeds its CPU time by this factor at the median was busy with something else."""
 NOISY_SPREAD = 0.25
 """Spread of a model's wall time against itself, call by call: beyond it, wall times cannot be compared."""
+CALM = 1.25
+"""Slowest over median arithmetic of a turn in which the machine was left alone."""
 STEADY = 1.5
 """p99 over p50 of the processor time on one thread that a deciding network may have."""
 
@@ -85,22 +86,41 @@ def time_calls(
 
 @dataclass(frozen=True)
 class Steadiness:
-    """p99 over p50 of the processor time of a call: of all, which is judged, and of the calls that ran through.
+    """p99 over p50 of the processor time of a call on one core: of all calls, and of those in calm turns.
 
-    ``interrupted`` is the share of calls during which the scheduler gave the core to somebody else, who empties caches
-    at the call's expense. ``machine_tail`` is the ratio of work that never changes and takes as long, called in turn:
-    no model can be steadier than this.
+    Calls are made in turns with arithmetic that never changes and takes as long. A turn is calm if that arithmetic,
+    just before and just after it, took at most ``CALM`` times its median in every call: what is slow in it is the
+    model's doing, not that of hypervisor and neighbours. Which turns are calm is decided without looking at the model.
+    The ``machine`` ratios are those of the arithmetic itself.
     """
 
     tail: float
-    tail_through: float
-    interrupted: float
+    tail_calm: float | None
+    """None where too few turns were calm to tell."""
+    calm_share: float
     machine_tail: float
+    machine_calm: float | None
+
+    @classmethod
+    def of(cls, ours: NDArray[np.float64], machine: NDArray[np.float64]) -> "Steadiness":
+        """Of the times of a model's calls and of the arithmetic's, each [turns, calls], taken turn by turn."""
+        calm = calm_turns(machine)
+        told = calm.sum() * ours.shape[1] >= LEAST_CALLS
+        quiet = (_tail(ours[calm]), _tail(machine[calm])) if told else (None, None)
+        return cls(_tail(ours), quiet[0], float(calm.mean()), _tail(machine), quiet[1])
 
     @property
-    def steady(self) -> bool:
-        """Whether the bound holds."""
-        return self.tail <= STEADY
+    def steady(self) -> bool | None:
+        """Whether the bound holds while the machine is calm; None where it never was for long enough."""
+        return None if self.tail_calm is None else self.tail_calm <= STEADY
+
+
+def calm_turns(machine: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Turns [n] of a model between two calm turns of the arithmetic [n, calls]; the first has one neighbour only."""
+    calm = machine.max(1) <= CALM * np.median(machine)
+    between: NDArray[np.bool_] = calm.copy()
+    between[1:] &= calm[:-1]
+    return between
 
 
 @contextmanager
@@ -118,32 +138,25 @@ def undisturbed() -> Iterator[None]:
 
 
 def steadiness(call: Callable[[], Any], *, seconds: float) -> Steadiness:
-    """Call in turns with work of constant length and look at the slowest calls of each."""
+    """Call in turns with arithmetic of constant length; up to four times as long if the machine is not calm."""
     with undisturbed():
         length_ms = time_calls(call, seconds=seconds / 10, clock=time.thread_time_ns).cpu_p50_ms
         work = _constant_work(length_ms)
-        spent: tuple[list[tuple[float, bool]], list[tuple[float, bool]]] = ([], [])
-        end = time.perf_counter() + 2 * seconds
-        while len(spent[0]) < LEAST_CALLS or time.perf_counter() < end:
-            for kept, what in zip(spent, (call, work), strict=True):
-                kept.extend([_watched(what) for _ in range(TURN + WARM_TURN)][WARM_TURN:])
-    ours, machine = (np.array(kept) for kept in spent)
-    through = ours[ours[:, 1] == 0, 0]
-    return Steadiness(
-        _tail(ours[:, 0]),
-        _tail(through if len(through) >= LEAST_CALLS // 2 else ours[:, 0]),
-        float(ours[:, 1].mean()),
-        _tail(machine[:, 0]),
-    )
+        ours, machine = list[list[float]](), list[list[float]]()
+        begun = time.perf_counter()
+        while True:
+            for kept, what in ((ours, call), (machine, work)):
+                kept.append([_spent_ms(what) for _ in range(TURN + WARM_TURN)][WARM_TURN:])
+            found = Steadiness.of(np.array(ours), np.array(machine))
+            passed_s = time.perf_counter() - begun
+            if passed_s >= 2 * seconds and (found.steady is not None or passed_s >= 8 * seconds):
+                return found
 
 
-def _watched(call: Callable[[], Any]) -> tuple[float, bool]:
-    """Processor time of a call in ms, and whether the scheduler interrupted it."""
-    before = resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw
+def _spent_ms(call: Callable[[], Any]) -> float:
     started = time.thread_time_ns()
     call()
-    spent_ms = (time.thread_time_ns() - started) / 1e6
-    return spent_ms, resource.getrusage(resource.RUSAGE_THREAD).ru_nivcsw > before
+    return (time.thread_time_ns() - started) / 1e6
 
 
 def _tail(spent_ms: NDArray[np.float64]) -> float:

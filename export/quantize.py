@@ -1,9 +1,10 @@
 """fp32 -> int8 and fp16, judged by the robot commands they would change (:mod:`export.agreement`).
 
-Every weight is stored as int8 in blocks (:mod:`export.blocks`). What is computed in int8, too, is what pays: fully
-connected and recurrent layers so large that reading them is what they cost, whose inputs are rounded as they come, and
-AlexNet's convolutions (:mod:`export.trunk`), whose inputs have one scale each, found on calibration decisions. Outputs
-and states stay fp32: 256 steps over an output's range are coarser than the commands that follow may differ.
+Every weight is stored as int8, in blocks (:mod:`export.blocks`). What is computed in int8, too, is what pays: AlexNet's
+convolutions (:mod:`export.trunk`) and the fully connected layers after them (:mod:`export.dense`), whose inputs have
+one scale each, found on calibration decisions; if asked for, other fully connected and recurrent layers of some size,
+whose inputs are rounded as they come. Outputs and states stay fp32: 256 steps over an output's range are coarser than
+the commands that follow may differ.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,10 +19,11 @@ from numpy.typing import NDArray
 from onnx import helper, numpy_helper
 from rich.progress import track
 
-from export.blocks import LARGE, LARGE_BLOCK, SMALL_BLOCK, WORTH_A_PRODUCT, block_of, multiply, round_weights, store
+from export.blocks import SMALL_BLOCK, WORTH_A_PRODUCT, block_of, multiply, round_weights, store
 from export.candidates import Decision
+from export.dense import LARGE, as_bytes, multiply_bytes
 from export.to_onnx import attach_card
-from export.trunk import MICROSOFT, Trunk, find_trunk, replace_trunk
+from export.trunk import MICROSOFT, Trunk, drop_unread, find_trunk, replace_trunk
 from export.verify import Arrays, Model, open_model, told
 from service.contract import ContractError
 
@@ -42,6 +44,8 @@ class _Seen:
 
     moments: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     largest: dict[str, float] = field(default_factory=dict)
+    greys: float = 0.0
+    """Greatest difference of a frame's bytes from the reference's."""
 
 
 def quantize(file: Path, out: Path, decisions: Sequence[Decision], *, dynamic: bool = False) -> Path:
@@ -64,9 +68,11 @@ def quantize(file: Path, out: Path, decisions: Sequence[Decision], *, dynamic: b
         raise ContractError(f"{file.name} holds no layer with weights")
     if file.stat().st_size > LARGE_BYTES:
         decisions = decisions[:: max(1, len(decisions) // LARGE_CALIBRATION)]
-    found = _look(model, graph, [n for n in layers if not _large(weights[n.input[1]])], trunk, decisions)
+    dense = [node for node in layers if trunk and _large(weights[node.input[1]])]
+    layers = [node for node in layers if node not in dense]
+    found = _look(model, graph, layers, trunk, dense, decisions)
     if trunk:
-        replace_trunk(graph.graph, trunk, found.largest)
+        _shrink_trunk(graph.graph, trunk, dense, found)
     weights = {tensor.name: tensor for tensor in graph.graph.initializer}
     for layer in layers:
         _shrink(graph.graph, layer, weights, found.moments.get(layer.name), dynamic=dynamic)
@@ -82,6 +88,17 @@ def _large(weight: Any) -> bool:
     return int(np.prod(weight.dims)) >= LARGE
 
 
+def _shrink_trunk(graph: Any, trunk: Trunk, dense: list[Any], found: _Seen) -> None:
+    """AlexNet's convolutions and the large layers after them, all of which read rectified features."""
+    flat = replace_trunk(graph, trunk, found.largest, found.greys)
+    weights = {tensor.name: tensor for tensor in graph.initializer}
+    for node in dense:
+        read = node.input[0]
+        given = flat if read == trunk.flat else as_bytes(graph, node, read, found.largest[read])
+        multiply_bytes(graph, node, weights[node.input[1]], given)
+    drop_unread(graph)
+
+
 def _shrink(
     graph: Any, layer: Any, weights: dict[str, Any], moments: NDArray[np.float64] | None, *, dynamic: bool
 ) -> None:
@@ -92,11 +109,10 @@ def _shrink(
     stored = weights[name]
     values = numpy_helper.to_array(stored)
     rows = values.reshape(len(values), -1)
-    large = _large(stored)
     shared = sum(name in node.input for node in graph.node) > 1
-    multiplied = large or (dynamic and rows.size >= WORTH_A_PRODUCT)
+    multiplied = dynamic and rows.size >= WORTH_A_PRODUCT
     if layer.op_type == "Gemm" and multiplied and not shared:
-        multiply(graph, layer, stored, round_weights(rows, moments, LARGE_BLOCK if large else SMALL_BLOCK))
+        multiply(graph, layer, stored, round_weights(rows, moments, SMALL_BLOCK))
     else:
         store(graph, layer, stored, round_weights(rows, moments, block_of(rows.shape[1])))
 
@@ -107,16 +123,22 @@ def _stamp(graph: Any) -> None:
         graph.opset_import.append(helper.make_opsetid(MICROSOFT, 1))
 
 
-def _look(model: Model, graph: Any, layers: list[Any], trunk: Trunk | None, decisions: Sequence[Decision]) -> _Seen:
+def _look(
+    model: Model, graph: Any, layers: list[Any], trunk: Trunk | None, dense: list[Any], decisions: Sequence[Decision]
+) -> _Seen:
     """Run the fp32 network over the decisions and look at the inputs of its layers."""
     found = _Seen()
     ranged = [trunk.images, *(stage.rectified for stage in trunk.stages)] if trunk else []
+    ranged += [node.input[0] for node in dense]
     shapes = {tensor.name: tuple(tensor.dims) for tensor in graph.graph.initializer}
     given = {entry.name for entry in graph.graph.input}
     names = list(dict.fromkeys([*ranged, *(layer.input[0] for layer in layers if layer.input[0] not in given)]))
     run = _watching(graph, names)
     for fed in track(list(feeds(model, decisions)), description=f"calibrating {model.file.name}", transient=True):
         seen = dict(zip(names, run.run(names, fed), strict=True)) | fed
+        if trunk:
+            change = fed["frame"].astype(np.int16) - fed["reference"]
+            found.greys = max(found.greys, float(np.abs(change).max()))
         for name in ranged:
             found.largest[name] = max(found.largest.get(name, 1e-6), float(np.abs(seen[name]).max()))
         for layer in layers:

@@ -1,9 +1,9 @@
 """AlexNet's convolutions in int8, from the camera's bytes on, laid out as this runtime's kernels are fastest.
 
-Cutting, difference, resize and change of colour order are linear in the bytes: 10 x 10 px of both frames give 7 x 7 px
-of the difference image, so that one strided convolution over frame and reference, row beside row, does all four. What
-follows stays in uint8 with channels last; a rectified output is one whose zero point is zero, so no layer of its own
-rectifies, and every activation is rounded once.
+The difference of the frames is rounded to bytes. Resize and change of colour order are linear: 10 x 10 px of it give
+7 x 7 px, so that one strided convolution does both. What follows stays in uint8 with channels last; a rectified output
+is one whose zero point is zero, so no layer of its own rectifies, and every activation is rounded once. The flat
+features stay bytes, too: the fully connected layers multiply them as they are (:mod:`export.dense`).
 
 Weights carry a zero point of one. A convolution of symmetric weights goes to a kernel that knows no matrix unit
 (AMX); any other is gathered and given to the product that does, in half the time where there is one (a processor
@@ -21,7 +21,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from service.contract import ContractError
 from training.networks.alexnet import FEATURES, IMAGENET_SPREAD, INPUT_PX, MARGIN_PX
-from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
+from training.networks.preprocessing import HEIGHT_PX
 
 MICROSOFT = "com.microsoft"
 FIRST_WEIGHT = "alexnet.features.0.weight"
@@ -35,6 +35,15 @@ REACH, CAREFUL_REACH = 126, 63
 
 
 @dataclass(frozen=True)
+class Bytes:
+    """A uint8 tensor: a value is (stored - zero) * scale."""
+
+    name: str
+    scale: float
+    zero: int
+
+
+@dataclass(frozen=True)
 class Stage:
     """One convolution, the name of its rectified output, and whether a pooling follows."""
 
@@ -45,7 +54,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Trunk:
-    """The convolutions of a graph, the difference image they read and the flat features [2 B, 9216] they end in."""
+    """The convolutions of a graph, the images they read and the flat features [2 B, 9216] they end in."""
 
     images: str
     stages: tuple[Stage, ...]
@@ -75,18 +84,19 @@ def _follower(graph: Any, node: Any, *kinds: str) -> Any:
     return followers[0]
 
 
-def replace_trunk(graph: Any, trunk: Trunk, largest: dict[str, float]) -> None:
-    """Put the int8 convolutions in place of the fp32 ones; ``largest`` is the greatest magnitude seen by tensor name.
+def replace_trunk(graph: Any, trunk: Trunk, largest: dict[str, float], greys: float) -> Bytes:
+    """Put the int8 convolutions in place of the fp32 ones; returns the flat features.
 
-    The flat features come out with channels last: the layers that read them get their columns in that order.
+    ``largest`` is the greatest magnitude seen by tensor name, ``greys`` that of the frames' difference. The flat
+    features come out with channels last: the layers that read them get their columns in that order.
     """
     weights = {tensor.name: tensor for tensor in graph.initializer}
     builder = _Builder()
-    quantised = builder.images(largest[trunk.images] / (MIDDLE - 1))
+    quantised = builder.images(max(1.0, greys / (MIDDLE - 1)), largest[trunk.images] / (MIDDLE - 1))
     for stage in trunk.stages:
         weight, bias = (numpy_helper.to_array(weights[name]) for name in stage.convolution.input[1:3])
         quantised = builder.convolve(quantised, stage, (weight, bias), largest[stage.rectified] / 255)
-    builder.flatten(quantised, trunk.flat)
+    flat = builder.flatten(quantised, trunk.flat)
     channels = len(bias)
     for node in graph.node:
         if node.op_type == "Gemm" and node.input[0] == trunk.flat:
@@ -95,7 +105,8 @@ def replace_trunk(graph: Any, trunk: Trunk, largest: dict[str, float]) -> None:
     del graph.node[:]
     graph.node.extend(_needed([*builder.nodes, *kept], {output.name for output in graph.output}))
     graph.initializer.extend(builder.constants)
-    _drop_unread(graph)
+    drop_unread(graph)
+    return flat
 
 
 def _channels_last(weight: Any, channels: int) -> None:
@@ -114,21 +125,13 @@ def _needed(nodes: list[Any], outputs: set[str]) -> list[Any]:
     return kept[::-1]
 
 
-def _drop_unread(graph: Any) -> None:
+def drop_unread(graph: Any) -> None:
+    """Forget weights that no node reads any more."""
     read = {name for node in graph.node for name in node.input}
     kept = [tensor for tensor in graph.initializer if tensor.name in read]
     del graph.initializer[:]
     graph.initializer.extend(kept)
     del graph.value_info[:]
-
-
-@dataclass(frozen=True)
-class _Quantised:
-    """A uint8 tensor: a value is (stored - zero) * scale."""
-
-    name: str
-    scale: float
-    zero: int
 
 
 class _Builder:
@@ -144,49 +147,53 @@ class _Builder:
         self.nodes.append(helper.make_node(kind, given, [made], name=f"trunk.{made}", **attributes))
         return made
 
-    def images(self, scale: float) -> _Quantised:
-        """Both fingers' difference images uint8 [2 B, 224, 224, 3] (RGB) of ``frame`` and ``reference``."""
-        rows = self._constant("rows", np.array([-1, 1, WIDTH_PX * 3]))
-        given = [self._add("Reshape", [name, rows], f"{name}.rows") for name in ("frame", "reference")]
-        beside = self._add("Concat", given, "rows.both", axis=1)
-        columns = (("start", MARGIN_PX * 3), ("end", (MARGIN_PX + HEIGHT_PX) * 3), ("axis", 2))
-        cut = self._add("Slice", [beside, *(self._constant(name, [value]) for name, value in columns)], "rows.cut")
-        shape = self._constant("both", np.array([-1, 2 * HEIGHT_PX, HEIGHT_PX, 3]))
-        both = _Quantised(self._add("Reshape", [cut, shape], "both"), 1.0, 0)
-        made = _Quantised("cells", scale, MIDDLE)
-        self._convolution(both, made, resizing_weights(), None, 0, strides=[2 * GIVEN_PX, GIVEN_PX])
+    def images(self, grey: float, scale: float) -> Bytes:
+        """Both fingers' difference images uint8 [2 B, 224, 224, 3] (RGB) of ``frame`` and ``reference``.
+
+        A step of the difference is ``grey`` grey levels; it is the sum of frame and reference in steps of minus one.
+        """
+        steps = [np.float32(1), np.uint8(0), np.float32(-1), np.uint8(0), np.float32(grey), np.uint8(MIDDLE)]
+        ours, ours_zero, theirs, theirs_zero, *made = (self._constant(f"change.{i}", v) for i, v in enumerate(steps))
+        given = ["frame", ours, ours_zero, "reference", theirs, theirs_zero, *made]
+        self._add("QLinearAdd", given, "change", domain=MICROSOFT)
+        columns = (("start", MARGIN_PX), ("end", MARGIN_PX + HEIGHT_PX), ("axis", 3))
+        self._add("Slice", ["change", *(self._constant(name, [value]) for name, value in columns)], "square")
+        shape = self._constant("both", np.array([-1, HEIGHT_PX, HEIGHT_PX, 3]))
+        both = Bytes(self._add("Reshape", ["square", shape], "both"), grey, MIDDLE)
+        cells = Bytes("cells", scale, MIDDLE)
+        self._convolution(both, cells, resizing_weights(), None, 0, strides=[GIVEN_PX, GIVEN_PX])
         split = self._constant("cells.split", np.array([-1, CELLS, CELLS, MADE_PX, 3 * MADE_PX]))
         turned = self._add(
             "Transpose", [self._add("Reshape", ["cells", split], "cells.5")], "turned", perm=[0, 1, 3, 2, 4]
         )
         shape = self._constant("images", np.array([-1, INPUT_PX, INPUT_PX, 3]))
-        return _Quantised(self._add("Reshape", [turned, shape], "images"), scale, MIDDLE)
+        return Bytes(self._add("Reshape", [turned, shape], "images"), scale, MIDDLE)
 
-    def convolve(
-        self, given: _Quantised, stage: Stage, weights: tuple[NDArray[Any], NDArray[Any]], scale: float
-    ) -> _Quantised:
+    def convolve(self, given: Bytes, stage: Stage, weights: tuple[NDArray[Any], NDArray[Any]], scale: float) -> Bytes:
         """A rectified convolution and its pooling; the weights [out, in, k, k] are those of the fp32 layer."""
         node = stage.convolution
         attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
         known = {name: attributes[name] for name in ("strides", "pads") if name in attributes}
-        made = _Quantised(node.output[0], scale, 0)
+        made = Bytes(node.output[0], scale, 0)
         self._convolution(given, made, *weights, WEIGHT_ZERO, **known)
         if not stage.pooled:
             return made
         pooled = f"{made.name}.pooled"
         self._add("NhwcMaxPool", [made.name], pooled, domain=MICROSOFT, kernel_shape=[3, 3], strides=[2, 2])
-        return _Quantised(pooled, scale, 0)
+        return Bytes(pooled, scale, 0)
 
-    def flatten(self, given: _Quantised, flat: str) -> None:
-        """Features as the fully connected layers read them: float32 [2 B, 9216]."""
-        scale, zero = (self._constant(f"flat.{i}", value) for i, value in enumerate(_scales(given)))
-        wide = self._add("DequantizeLinear", [given.name, scale, zero], "flat.wide")
-        self._add("Reshape", [wide, self._constant("flat", np.array([-1, FEATURES]))], flat)
+    def flatten(self, given: Bytes, flat: str) -> Bytes:
+        """Features [2 B, 9216], and in float32 under the name ``flat`` for a layer that does not read bytes."""
+        made = f"{flat}.bytes"
+        self._add("Reshape", [given.name, self._constant("flat", np.array([-1, FEATURES]))], made)
+        scale, zero = (self._constant(f"flat.{i}", value) for i, value in enumerate(scales(given)))
+        self._add("DequantizeLinear", [made, scale, zero], flat)
+        return Bytes(made, given.scale, given.zero)
 
     def _convolution(
         self,
-        given: _Quantised,
-        made: _Quantised,
+        given: Bytes,
+        made: Bytes,
         weight: NDArray[Any],
         bias: NDArray[Any] | None,
         zero: int,
@@ -196,11 +203,11 @@ class _Builder:
         steps, scale = round_rows(weight)
         offsets = np.zeros(rows) if bias is None else bias / (given.scale * scale)
         values: list[Any] = [
-            *_scales(given),
+            *scales(given),
             (steps + zero).astype(np.int8),
             scale.astype(np.float32),
             np.full(rows, zero, np.int8),
-            *_scales(made),
+            *scales(made),
             np.rint(offsets).astype(np.int32),
         ]
         constants = [self._constant(f"{made.name}.{place}", value) for place, value in enumerate(values)]
@@ -216,7 +223,8 @@ class _Builder:
         )
 
 
-def _scales(tensor: _Quantised) -> tuple[np.float32, np.uint8]:
+def scales(tensor: Bytes) -> tuple[np.float32, np.uint8]:
+    """Scale and zero point as the runtime takes them."""
     return np.float32(tensor.scale), np.uint8(tensor.zero)
 
 
@@ -229,7 +237,7 @@ def round_rows(weight: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def resizing_weights() -> NDArray[np.float64]:
-    """Weights [7 * 7 * 3, 3, 20, 10] from rows of frame and reference in turn to the normalised difference image.
+    """Weights [7 * 7 * 3, 3, 10, 10] from differences in grey levels to the normalised difference image.
 
     Bilinear with half-pixel centres, as ``interpolate(..., align_corners=False)`` has it; channels BGR to RGB.
     """
@@ -240,11 +248,10 @@ def resizing_weights() -> NDArray[np.float64]:
         share[made, low] += 1 - (place - low)
         share[made, low + 1] += place - low
     each = np.einsum("ia,jb->ijab", share, share) / (255.0 * IMAGENET_SPREAD)
-    weight = np.zeros((MADE_PX, MADE_PX, 3, 3, GIVEN_PX, 2, GIVEN_PX))
+    weight = np.zeros((MADE_PX, MADE_PX, 3, 3, GIVEN_PX, GIVEN_PX))
     for channel in range(3):
-        weight[:, :, channel, 2 - channel, :, 0] = each
-        weight[:, :, channel, 2 - channel, :, 1] = -each
-    return weight.reshape(MADE_PX * MADE_PX * 3, 3, 2 * GIVEN_PX, GIVEN_PX)
+        weight[:, :, channel, 2 - channel] = each
+    return weight.reshape(MADE_PX * MADE_PX * 3, 3, GIVEN_PX, GIVEN_PX)
 
 
 @lru_cache(maxsize=1)
