@@ -35,7 +35,7 @@ def make_tracer(exporter: Exporter) -> Any:
 
             out = OTLPSpanExporter()
     except ImportError as error:
-        raise TracingError(f"--tracing {exporter} needs `pip install 'tactile-insertion[otel]'` ({error})") from error
+        raise TracingError(f"--tracing {exporter} needs `pip install '.[otel]'` ({error})") from error
     provider = TracerProvider(resource=Resource.create({"service.name": "tactile-insertion"}))
     provider.add_span_processor(BatchSpanProcessor(out))
     return provider.get_tracer("tactile-insertion")

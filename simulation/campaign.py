@@ -142,7 +142,7 @@ def _on_ray(tasks: Sequence[Task], address: str) -> Iterator[Row]:
     try:
         import ray
     except ImportError as error:
-        raise ValueError('--ray needs Ray: pip install "tactile-insertion[simulation,ray]"') from error
+        raise ValueError('--ray needs Ray: pip install ".[simulation,service,ray]"') from error
     ray.init(address=None if address == "local" else address, log_to_driver=False, include_dashboard=False)
     try:
         remote = ray.remote(num_cpus=1, max_retries=3)(play)

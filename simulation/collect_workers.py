@@ -70,7 +70,7 @@ def collect_on_ray(writer: DatasetWriter, plans: Sequence[Plan], address: str) -
     try:
         import ray
     except ImportError as error:
-        raise DatasetError('--ray needs Ray: pip install "tactile-insertion[simulation,ray]"') from error
+        raise DatasetError('--ray needs Ray: pip install ".[simulation,ray]"') from error
     ray.init(address=None if address == "local" else address, log_to_driver=False, include_dashboard=False)
     try:
         remote = ray.remote(num_cpus=1, max_retries=3)(shard_of)

@@ -75,10 +75,17 @@ function onCorrection(message) {
   state.attempts.push({ x: e.dx_mm, theta: e.dtheta_deg, sx: e.sigma_x_mm, st: e.sigma_theta_deg, number: message.attempt });
 }
 
+// A count that grew within the last minute; one that grew long ago must not stay red until the service restarts.
+function growing(count) {
+  if (state.dropped !== undefined && count > state.dropped) state.grewAt = Date.now();
+  state.dropped = count;
+  return Date.now() - (state.grewAt ?? -Infinity) < 60_000;
+}
+
 function onHealth(health) {
   const cameras = Object.entries(health.cameras).map(([finger, c]) => [c.state === "live" ? "good" : "bad", `${finger} ${c.state === "live" && c.frame_rate_hz ? c.frame_rate_hz.toFixed(0) + " Hz" : c.state}`]);
   const robot = [health.driver ? "good" : "off", health.driver ? `robot ${health.driver}` : "no robot"];
-  const dropped = [health.frames_dropped_n ? "bad" : "good", `dropped ${health.frames_dropped_n}`];
+  const dropped = [growing(health.frames_dropped_n) ? "bad" : "good", `dropped ${health.frames_dropped_n}`];
   at("health").replaceChildren(...[...cameras, robot, dropped].map(([kind, text]) => Object.assign(document.createElement("li"), { className: kind, textContent: text })));
   if (!health.ready) say(NOT_LIVE, "bad");
   else if (at("status").textContent === NOT_LIVE || (!health.driver && at("status").className === "")) say("ready", "good");

@@ -72,8 +72,8 @@ def tasks(options: Options) -> list[Task]:
 
 
 def _eyes(options: Options, disturbed: Condition) -> str:
-    """A camera that is dead is only missed by those who look at its pictures."""
-    return "pictures" if disturbed.dead else options.eyes
+    """What shows in pictures alone is only noticed by those who look at them."""
+    return "pictures" if disturbed.only_in_pictures else options.eyes
 
 
 def main(arguments: list[str]) -> int:

@@ -65,7 +65,7 @@ def page(facts: dict, held: bool) -> str:
         ("messages for a wrong attempt or insertion", len(facts["wrong_attempt_messages"])),
         ("finished recordings verified / lost", f"{seen(facts, 'finished recordings verified')} / {lost(facts)}"),
         ("abandoned insertions whose recording was closed", seen(facts, "abandoned recordings verified")),
-        ("slope of resident memory at rest", f"{slopes['all']}; {verdict}"),
+        ("slope of resident memory at rest, after the first fifth", f"{slopes['all']}; {verdict}"),
         ("of that heaps, libraries", f"{slopes['own'].mb_per_h:+.1f}, {slopes['files'].mb_per_h:+.1f} MB an hour"),
         ("resident at rest, first and last tenth", f"{memory['first tenth']} and {memory['last tenth']} MB"),
         ("most resident while an insertion is under way", f"{facts['most_mb']} MB"),

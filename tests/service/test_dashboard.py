@@ -149,6 +149,16 @@ def test_everything_fits_a_panel_and_can_be_read_from_two_metres(live: LiveServi
     driver.close()
 
 
+def test_dropped_frames_are_red_while_they_grow_and_not_for_ever(live: LiveService, page: Any) -> None:
+    dropped = page.locator("#health li").last
+    page.wait_for_function("document.querySelectorAll('#health li').length === 4")
+    live.station.counters.frames_dropped_n += 7
+    page.wait_for_function("document.querySelector('#health li:last-child').className === 'bad'")
+    page.evaluate("const now = Date.now; Date.now = () => now() + 61_000")
+    page.wait_for_function("document.querySelector('#health li:last-child').className === 'good'")
+    assert dropped.text_content() == f"dropped {live.station.counters.frames_dropped_n}"
+
+
 def test_a_cut_camera_is_seen_at_once_and_nothing_is_missing(live: LiveService, page: Any) -> None:
     page.wait_for_function("document.querySelectorAll('#health .good').length >= 2")
     live.fingers[1].connected = False

@@ -91,6 +91,23 @@ def test_every_disturbance_makes_a_possible_scene(scene):
         assert (disturbed == cell) == (not condition.changes(cell)), name
 
 
+def test_a_disturbance_that_only_pictures_show_is_played_with_pictures(models):
+    options = robustness_cli.Options(models=models, objects=("circle",), count=1, eyes="gel")
+    eyes = {robustness.name_of(task.job): task.job["eyes"] for task in robustness_cli.tasks(options)}
+    assert {name for name, seen in eyes.items() if seen == "pictures"} == {
+        "gel worn out",
+        "left camera dark",
+        "left camera frozen",
+    }
+
+
+def test_the_robustness_report_names_its_eyes():
+    rows = [ROW | {"condition": robustness.label("bristle", name)} for name in robustness.CONDITIONS]
+    text = robustness.report([row | {"eyes": "pictures" if "gel" in row["condition"] else "gel"} for row in rows])
+    assert "true marker field" in text
+    assert "drawn: gel friction x 0.7, gel friction x 1.4" in text
+
+
 def test_the_robustness_table_has_a_column_a_tier():
     rows = [
         ROW | {"condition": robustness.label(tier, name)}
