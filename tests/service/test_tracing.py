@@ -62,7 +62,7 @@ def test_tracing_is_off_unless_asked_for() -> None:
 
 def test_tracing_without_its_libraries_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "opentelemetry.sdk.resources", None)
-    with pytest.raises(TracingError, match=r"needs `pip install 'tactile-insertion\[otel\]'`"):
+    with pytest.raises(TracingError, match=r"needs `pip install '\.\[otel\]'`"):
         make_tracer("otlp")
 
 
