@@ -60,20 +60,24 @@ def step(state: State, event: Event) -> Result:
 
 
 def _on_failure(state: State, event: Failure) -> Result:
-    if state.phase is Phase.CLOSING and event.source == "service":  # inserted; only the farewell is missing
-        return replace(state, phase=Phase.INSERTED, deadline_s=math.inf), ()
-    return fail(state, event.source, event.code, event.detail)
+    return fail(state, event.source, event.code, event.detail + _unclaimed(state))
 
 
 def _on_tick(state: State, event: Tick) -> Result:
     if event.at_s < state.deadline_s:
         return state, ()
-    if state.phase is Phase.CLOSING:  # inserted all the same; only the service's farewell is missing
-        return replace(state, phase=Phase.INSERTED, deadline_s=math.inf), ()
     source: Source = "arm" if state.phase in _MOVING else "service"
     if state.phase is Phase.GRASPING:
         source = "gripper"
-    return fail(state, source, "timeout", f"{state.phase} took longer than allowed (attempt {state.attempt})")
+    detail = f"{state.phase} took longer than allowed (attempt {state.attempt})"
+    return fail(state, source, "timeout", detail + _unclaimed(state))
+
+
+def _unclaimed(state: State) -> str:
+    """What a failure after the last standstill means: depth alone is no insertion, the gels have the last word."""
+    if state.phase is not Phase.CLOSING:
+        return ""
+    return "; full depth was reached, but the service did not say that the object came along: not claimed"
 
 
 _MOVING = frozenset({Phase.APPROACHING, Phase.DESCENDING, Phase.STOPPING, Phase.RETRACTING, Phase.CORRECTING})
@@ -105,7 +109,7 @@ def _on_bottom(state: State, event: Arrived) -> Result:
 
 
 def _on_standstill(state: State, event: Standstill) -> Result:
-    """Report the depth; it alone tells inserted from blocked."""
+    """Report the depth; short of it is blocked, and whether full depth is an insertion is the service's to say."""
     assert state.armed is not None
     plan, depth_mm = state.plan, state.armed.z_mm - event.pose.z_mm
     state = replace(state, pose=event.pose, stopped_s=event.at_s)
@@ -194,7 +198,7 @@ def _on_heartbeat(state: State, message: wire.ServiceHeartbeat) -> Result:
 
 
 def _on_finished(state: State, message: wire.Finished) -> Result:
-    if state.phase is Phase.CLOSING:
+    if state.phase is Phase.CLOSING and message.outcome == "inserted":
         return replace(state, phase=Phase.INSERTED, deadline_s=math.inf), ()
     return fail(state, "service", "finished", f"the service closed the insertion: {message.outcome}")
 

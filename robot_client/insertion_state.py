@@ -42,7 +42,7 @@ class Timeouts(Contract):
     arming_s: float = 3.0
     stopping_s: float = 1.5
     deciding_s: float = 4.0
-    closing_s: float = 2.0
+    closing_s: float = 5.0
     motion_s: float = 3.0
 
 

@@ -7,10 +7,11 @@ from enum import Enum, auto
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import Finger
+from service.contract import Finger, TactileFrame
 from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome
 from service.decision import DecisionRun, Evidence, Refusal
-from service.observation import PairObservation
+from service.observation import FingerWatch, PairObservation
+from service.seat import Push, push_of
 
 RING_PAIRS = 24  # onset is certain a few frames late; the ring reaches back past it
 
@@ -45,6 +46,8 @@ class Attempt:
     stage: Stage = Stage.ARMING
     reference: PairObservation | None = None
     armed: Armed | None = None
+    descending_ns: int | None = None
+    pushes: list[Push] = field(default_factory=list)
     ring: deque[PairObservation] = field(default_factory=lambda: deque(maxlen=RING_PAIRS))
     onset_ns: int | None = None
     decision_pairs: list[PairObservation] = field(default_factory=list)
@@ -61,22 +64,31 @@ class Attempt:
     result: WorkResult | None = None
     decision: Correction | NoDecision | None = None
 
-    def take_reference(self, both: PairObservation) -> bool:
+    def rearm(self, watch: FingerWatch, frame: TactileFrame) -> None:
+        """Let the first frame of a finger captured after `arm` become the reference of its slip and onset."""
+        if self.stage is Stage.ARMING and frame.captured_ns >= self.armed_ns and frame.finger not in self.rearmed:
+            watch.rearm()
+            self.rearmed.add(frame.finger)
+
+    def take_reference(self, both: PairObservation) -> Armed | None:
         """Arm with this pair if both fingers were rearmed and can be read; notes the problem and says no otherwise."""
         if self.rearmed != {"left", "right"}:
-            return False
+            return None
         problems = [f"{o.finger}: {o.field.reason or o.field.status}" for o in both.fingers if not o.field.usable]
         if problems:
             self.rearmed.clear()
             self.problem = "; ".join(problems)
-            return False
+            return None
         self.reference, self.stage = both, Stage.ARMED
         self.ring.append(both)
-        return True
+        self.armed = Armed(insertion_id=self.arm.insertion_id, attempt=self.arm.attempt, reference_seq=both.seq)
+        return self.armed
 
     def take_in(self, both: PairObservation) -> None:
         """A pair after the reference: it may be the one that shows the onset of motion."""
         self.ring.append(both)
+        if self.reference is not None:
+            self.pushes.append(push_of(both, self.reference))
         if self.onset_ns is None:
             onsets = [o.onset_ns for o in both.fingers if o.onset_ns is not None]
             self.onset_ns = min(onsets, default=None)

@@ -71,6 +71,9 @@ class Desk:
         """A message of a client; ignored unless ``send`` is the connection that drives."""
         if self.active and self.active.send == send:
             self.active.message(message)
+        elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self._ended:
+            # its recording is being closed; a client that waits for `finished` must not take that for silence
+            send(wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=None))
 
     def disconnect(self, send: Send) -> None:
         """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
@@ -103,7 +106,7 @@ class Desk:
     def _open(self, hello: wire.ClientHello) -> Insertion:
         session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
         session.cameras, session.submit = self.camera_entries, self.submit
-        session.deadlines = self.settings.deadlines
+        session.deadlines, session.looks = self.settings.deadlines, self.settings.full_depth_look
         recorder = self._recorder(hello.insertion_id, session)
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation)
         session.on_command = lambda command: self.hub.publish("command", command)
@@ -120,6 +123,7 @@ class Desk:
         facts = {
             "controller": self.settings.controller,
             "limits": self.settings.limits.model_dump_json(),
+            "full_depth_look": str(self.settings.full_depth_look),
             "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
             "models_folder": str(self.settings.models),
             "calibration": self.settings.calibration.read_text() if self.settings.calibration else "",

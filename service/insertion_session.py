@@ -38,7 +38,7 @@ class InsertionSession:
 
     ``submit`` takes network work to another thread, whose result comes back through :meth:`on_result`; without it the
     work runs at once. ``on_observation`` sees each observation, ``on_attempt`` each attempt when it is decided or
-    ends, both for recording and display. Not thread safe.
+    ends, both for recording and display. ``looks``: full depth is claimed only where the gels agree. Not thread safe.
     """
 
     models: ModelSet
@@ -52,6 +52,7 @@ class InsertionSession:
     on_observation: Callable[[Observation], None] = ignore
     on_attempt: Callable[[Attempt], None] = ignore
     on_command: Callable[[Command], None] = ignore
+    looks: bool = True
     insertion_id: str | None = None
     attempt: Attempt | None = None
     finished: wire.Finished | None = None
@@ -80,7 +81,7 @@ class InsertionSession:
             case wire.Arm():
                 replies = self._arm(message, now_ns)
             case wire.Descending():
-                replies = self._descending(message)
+                replies = self._descending(message, now_ns)
             case wire.Stopped():
                 replies = self._stopped(message, now_ns)
             case wire.Abort():
@@ -123,8 +124,9 @@ class InsertionSession:
         self.attempt = Attempt(message, now_ns, self._generation)
         return []
 
-    def _descending(self, message: wire.Descending) -> Replies:
-        if self._is_current(message.attempt, {Stage.ARMED}):
+    def _descending(self, message: wire.Descending, now_ns: int) -> Replies:
+        if self.attempt and self._is_current(message.attempt, {Stage.ARMED}):
+            self.attempt.descending_ns = now_ns
             return []
         return [self._fault("protocol", f"descending in attempt {message.attempt}, which is not armed; send arm first")]
 
@@ -135,10 +137,8 @@ class InsertionSession:
         if attempt is None or not self._is_current(message.attempt, {Stage.ARMED, Stage.STOPPED}):
             return [self._fault("protocol", f"stopped in attempt {message.attempt}, which is not armed")]
         attempt.outcome, attempt.depth_mm = message.outcome, message.depth_mm
-        if message.outcome in {"inserted", "dropped"}:
-            attempt.stage = Stage.DECIDED
-            self.on_attempt(attempt)
-            return self._finish("inserted" if message.outcome == "inserted" else "failed")
+        if message.outcome == "dropped":
+            return self._end(attempt, "failed")
         if attempt.stage is Stage.ARMED:
             attempt.stage, attempt.stopped_ns = Stage.STOPPED, now_ns
         return self._conclude(now_ns)
@@ -171,8 +171,7 @@ class InsertionSession:
         if attempt is None or not self.wants_frames:
             return []
         watch = self.left if frame.finger == "left" else self.right
-        if attempt.stage is Stage.ARMING and frame.captured_ns >= attempt.armed_ns:
-            self._rearm(attempt, watch, frame.finger)
+        attempt.rearm(watch, frame)
         observation = watch.observe(frame)
         self._seen[frame.finger] = observation
         self.on_observation(observation)
@@ -180,11 +179,6 @@ class InsertionSession:
             return []
         attempt.slip_sent = True
         return [slip_message(str(self.insertion_id), attempt, observation, now_ns)]
-
-    def _rearm(self, attempt: Attempt, watch: FingerWatch, finger: Finger) -> None:
-        if finger not in attempt.rearmed:
-            watch.rearm()
-            attempt.rearmed.add(finger)
 
     def on_pair(self, pair: FramePair, now_ns: int) -> Replies:
         """Take in both fingers' frames of one instant: slip, reference, onset, and the frames of the decision."""
@@ -199,17 +193,12 @@ class InsertionSession:
                 replies += self.on_frame(frame, now_ns)
         both = PairObservation(self._seen["left"], self._seen["right"])
         if attempt.stage is Stage.ARMING:
-            return replies + self._take_reference(attempt, both)
+            armed = attempt.take_reference(both)
+            return [*replies, armed] if armed else replies
         attempt.take_in(both)
+        if attempt.outcome == "inserted":
+            return replies + self._conclude(now_ns)
         return replies + self._feed(attempt, now_ns)
-
-    def _take_reference(self, attempt: Attempt, both: PairObservation) -> Replies:
-        if not attempt.take_reference(both):
-            return []
-        attempt.armed = wire.Armed(
-            insertion_id=str(self.insertion_id), attempt=attempt.arm.attempt, reference_seq=both.seq
-        )
-        return [attempt.armed]
 
     def _feed(self, attempt: Attempt, now_ns: int) -> Replies:
         card = self.models.card
@@ -273,10 +262,16 @@ class InsertionSession:
     def _conclude(self, now_ns: int) -> Replies:
         if self.attempt is None or self._judge is None:
             return []
+        if self.attempt.outcome == "inserted":
+            return self._claimed(self.attempt, self._judge, now_ns)
         decision = self._judge.conclude(self.attempt, now_ns)
         if self._judge.command:
             self.on_command(self._judge.command)
         return [] if decision is None else self._decided(self.attempt, decision)
+
+    def _claimed(self, attempt: Attempt, judge: Judge, now_ns: int) -> Replies:
+        against = judge.claim(attempt, now_ns, self.limits.max_frame_age_ms) if self.looks else ()
+        return [] if against is None else [*against, *self._end(attempt, "failed" if against else "inserted")]
 
     def _decided(self, attempt: Attempt, decision: Decision) -> Replies:
         attempt.stage, attempt.decision = Stage.DECIDED, decision
@@ -284,6 +279,11 @@ class InsertionSession:
         if attempt.arm.attempt >= wire.MAX_ATTEMPTS:
             return [decision, *self._finish("failed")]
         return [decision]
+
+    def _end(self, attempt: Attempt, outcome: Any) -> Replies:
+        attempt.stage = Stage.DECIDED
+        self.on_attempt(attempt)
+        return self._finish(outcome)
 
     def _finish(self, outcome: Any) -> Replies:
         attempts = self.attempt.arm.attempt if self.attempt else 0

@@ -90,14 +90,15 @@ def report(rows: list[Row]) -> str:
     """Success and trials by condition and tier, all objects together, as Markdown."""
     tiers = sorted({tier_of(row) for row in rows})
     scenes = sorted({str(row["scene"]) for row in rows})
-    heads = [f"{tier} tier: inserted, 95 % interval, mean trials, refused" for tier in tiers]
+    heads = [f"{tier} tier: inserted, 95 % interval, mean trials, refused, claimed wrongly" for tier in tiers]
     lines = [
         "# Robustness of the closed loop, simulated",
         "",
         "Written by `make robustness`: one disturbance at a time, the belief controller with the shipped networks,",
         "which were trained on the `bristle` tier; the `layer` tier is a finer model of the gel that they never saw.",
         f"Objects: {', '.join(scenes)}, together. A failure counts as 16 trials. Refused: insertions in which the",
-        "service or the client ended the insertion by itself instead of using up its trials.",
+        "service or the client ended the insertion by itself instead of using up its trials. Claimed wrongly: not in,",
+        "but the client said so.",
         *_eyes(rows),
         "",
         "| disturbance | " + " | ".join(heads) + " |",
@@ -143,5 +144,6 @@ def _cell(rows: Sequence[Row]) -> str:
     inserted = sum(row["inserted"] for row in rows)
     low, high = wilson(inserted, len(rows))
     mean = sum(trials_of(row) for row in rows) / len(rows)
-    refused = sum(not row["inserted"] and row["attempts"] < FAILED_COUNTS_AS - 1 for row in rows)
-    return f"{inserted}/{len(rows)}, {low:.0%} .. {high:.0%}, {mean:.2f}, {refused}"
+    wrong = sum(row["claimed"] and not row["inserted"] for row in rows)
+    refused = sum(not (row["inserted"] or row["claimed"]) and row["attempts"] < FAILED_COUNTS_AS - 1 for row in rows)
+    return f"{inserted}/{len(rows)}, {low:.0%} .. {high:.0%}, {mean:.2f}, {refused}, {wrong}"

@@ -64,7 +64,11 @@ class Descending(_Message):
 
 
 class Stopped(_Message):
-    """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion."""
+    """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion.
+
+    ``inserted`` says that full depth was reached. Whether the object came along, `finished` says: ``failed`` after a
+    fault ``not_seated`` or ``not_seen`` where the gels still carry a push, or could not be seen.
+    """
 
     type: Literal["stopped"] = "stopped"
     attempt: Attempt
@@ -185,7 +189,7 @@ class NoDecision(_Message):
 
 
 class Finished(_Message):
-    """The insertion is closed and its recording complete."""
+    """The insertion is closed and its recording complete. No other outcome than ``inserted`` is an insertion."""
 
     type: Literal["finished"] = "finished"
     outcome: Literal["inserted", "failed", "aborted"]

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from robot_client.events import MOTION_COMMANDS, Begin, Grasped, Hold, Move, PartLost, Say, Standstill
+from robot_client.events import MOTION_COMMANDS, Begin, Failure, Grasped, Hold, Move, PartLost, Say, Standstill, Tick
 from robot_client.geometry import WorkPose
 from robot_client.insertion import Phase, State, step
 from robot_client.report import Report
@@ -47,6 +47,32 @@ def test_a_full_descent_is_an_insertion():
     assert state.phase is Phase.CLOSING
     state, commands = step(state, service(wire.Finished(insertion_id=ID, outcome="inserted", attempts=1)))
     assert (state.phase, commands) == (Phase.INSERTED, ())
+
+
+TO_FULL_DEPTH = [*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)]
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        service(wire.Fault(insertion_id=ID, code="not_seated", detail="the gels still carry a push", fatal=False)),
+        service(wire.Fault(insertion_id=ID, code="not_seen", detail="no frame pair", fatal=False)),
+        service(wire.Finished(insertion_id=ID, outcome="failed", attempts=1)),
+        Failure(at_s=0.0, source="service", code="link", detail="connection lost"),
+        Failure(at_s=0.0, source="service", code="silent", detail="no message"),
+        Tick(at_s=5.1),
+    ],
+    ids=["not seated", "not seen", "failed", "link lost", "silent", "no answer"],
+)
+def test_full_depth_alone_is_no_claim(event):
+    state, _ = run(TO_FULL_DEPTH)
+    assert state.phase is Phase.CLOSING
+    state, commands = step(state, event)
+    assert state.phase is Phase.FAILED
+    assert isinstance(commands[0], Hold)
+    assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
+    if not isinstance(getattr(event, "message", None), wire.Finished | wire.Fault):
+        assert "not claimed" in state.reason
 
 
 def test_a_late_slip_still_counts_as_inserted_when_the_depth_says_so():

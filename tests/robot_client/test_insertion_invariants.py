@@ -114,13 +114,15 @@ class Watch:
     def check_reactions(self, before, event, state, commands):
         if isinstance(event, Tick) and event.at_s >= before.deadline_s and not before.done:
             assert state.done
-        if isinstance(event, Failure) and not before.done and before.phase is not Phase.CLOSING:
+        if isinstance(event, Failure) and not before.done:
             assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
         message = getattr(event, "message", None)
         if before.phase is Phase.DESCENDING and (isinstance(event, PartLost) or getattr(message, "type", "") == "slip"):
             assert isinstance(commands[0], Hold), "slip holds, before anything else"
         if state.phase is Phase.CLOSING and before.phase is not Phase.CLOSING:
-            assert before.armed.z_mm - event.pose.z_mm >= 24.0, "inserted by depth alone"
+            assert before.armed.z_mm - event.pose.z_mm >= 24.0, "only full depth may be an insertion"
+        if state.phase is Phase.INSERTED and before.phase is not Phase.INSERTED:
+            assert (before.phase, message.type, message.outcome) == (Phase.CLOSING, "finished", "inserted")
 
     def check_command(self, before, state, command):
         if isinstance(command, Grasp):

@@ -42,6 +42,23 @@ def test_a_blocked_object_is_stopped_by_slip_and_inserted_by_a_true_correction(m
     assert first["decision"]["dx_mm"] == pytest.approx(-8.0, abs=0.5)
 
 
+@pytest.mark.parametrize(
+    "changes", [{"gel.tier": "layer", "gel.friction": 0.56}, {"gel.shear_modulus_n_per_mm2": 0.24}]
+)
+def test_an_object_that_slid_up_in_the_hand_without_a_slip_message_is_not_claimed(models, changes):
+    """Yawed above the gap's middle it stands on both blocks: the whole patch slides straight up at once."""
+    slides = job(x_mm=0.0, theta_deg=8.0, who="heuristic", eyes="gel", changes=changes)
+    by_depth, by_look = stage(slides, models), stage(slides, models)
+    by_depth.session.looks = False
+    blind = by_depth.run()
+    assert blind.claimed, "this start no longer shows it: look for another one"
+    assert not blind.inserted
+    seen = by_look.run()
+    assert not seen.claimed
+    assert "not_seated" in seen.reason
+    assert seen.attempts == blind.attempts
+
+
 def test_the_blocks_are_free(models):
     assert stage(job("circle"), models).world.cell.active.free_blocks
 
