@@ -20,7 +20,7 @@ from typing import Any
 from simulation.progress import progress
 
 Row = dict[str, Any]
-_CONTROLLERS = ("service.belief", "service.controllers")
+_CONTROLLERS = ("service.belief", "service.controllers", "service.seat")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def read_log(path: Path) -> list[Row]:
 
 
 def fingerprint(folders: Mapping[str, Path]) -> dict[str, str]:
-    """SHA-256 of every deciding network, by contender, and of the controllers' code."""
+    """SHA-256 of every deciding network, by contender, and of the code that decides and claims."""
     found = {}
     for name, folder in folders.items():
         for file in sorted(folder.glob("*.step.onnx")):
