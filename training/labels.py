@@ -1,4 +1,7 @@
-"""Error classes and what the cell's symmetries do to them. Chosen here, carried by the model card, retyped nowhere."""
+"""Error classes and what the cell's symmetries do to them. Chosen here, carried by the model card.
+
+The simulator may not import this: the one copy, in simulation/contenders.py, is compared by a test.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +22,6 @@ CLASSES: tuple[ErrorClass, ...] = (
     ErrorClass(name="8", sign_x=0, sign_theta=1),
     ErrorClass(name="near", sign_x=0, sign_theta=0),
 )
-
-ROUND_OBJECTS = frozenset({"circle", "hexagon", "cylinder", "vitamin"})
-"""Objects whose yaw the paper does not score: near enough to round that yaw never blocks them."""
 
 _INDEX = {(c.sign_x, c.sign_theta): i for i, c in enumerate(CLASSES)}
 _TABLE = np.array([[_INDEX[sx, st] for st in (-1, 0, 1)] for sx in (-1, 0, 1)])

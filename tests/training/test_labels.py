@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from training.labels import CLASSES, HALF_TURN_SIGNS, MIRROR_SIGNS, SIGNS, class_of
+from simulation import contenders, evaluation
+from training.labels import CLASSES, HALF_TURN_SIGNS, MIRROR_SIGNS, SIGNS, THRESHOLD_THETA_DEG, THRESHOLD_X_MM, class_of
 
 ERRORS = st.tuples(st.floats(-15, 15, width=32), st.floats(-15, 15, width=32))
 
@@ -49,6 +50,13 @@ def test_symmetries_map_the_classes_as_stated(signs, pairs):
         for theta_deg in (-9.0, 0.0, 9.0):
             before, after = name_of(x_mm, theta_deg), name_of(x_mm * signs[0], theta_deg * signs[1])
             assert pairs.get(before) == after or pairs.get(after) == before
+
+
+def test_the_simulators_copy_of_the_classes_is_this_table():
+    assert dict(contenders.SIGNS) == {entry.name: (entry.sign_x, entry.sign_theta) for entry in CLASSES}
+    for x_mm in (-THRESHOLD_X_MM - 0.01, -THRESHOLD_X_MM, 0.0, THRESHOLD_X_MM + 0.01):
+        for theta_deg in (-THRESHOLD_THETA_DEG - 0.01, 0.0, THRESHOLD_THETA_DEG, THRESHOLD_THETA_DEG + 0.01):
+            assert evaluation.class_of(x_mm, theta_deg) == name_of(x_mm, theta_deg)
 
 
 def test_nan_labels_are_refused():
