@@ -16,7 +16,9 @@ from simulation import contact, equilibrium, gel
 from simulation.linear import cholesky_solve
 from simulation.newton import bounded, forces, gone
 
-MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 300
+MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 1200
+PATIENCE = 60
+"""Damped rounds in which the residual must halve. Where one contact is about to leave an edge it needs 35 for that."""
 RIM_MM = 0.1
 
 
@@ -137,7 +139,7 @@ def damped(
 
     Gives the residual, N, that whole limits would leave, and all iterations (-1: the object left the hand).
     """
-    count, value = 0, math.inf
+    count, value, best, since = 0, math.inf, math.inf, 0
     contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
     contact.hold_rim(constants, trial, slots, foot, corner, RIM_MM)
     contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
@@ -152,6 +154,10 @@ def damped(
             if inner == 0 and outer > 0:
                 if value <= tol * blend:
                     return value / blend, count
+                if value <= 0.5 * best:
+                    best, since = value, outer
+                elif outer - since > PATIENCE:
+                    return math.inf, count
                 goal = max(0.1 * tol * blend, min(1e-3, 0.01 * value))
             if value <= goal:
                 break
