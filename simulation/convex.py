@@ -120,6 +120,18 @@ def _renew_damped(constants: Any, trial: Any, rows: Any, slots: Any, nodes: Any,
 
 
 @njit(cache=True)
+def _begin_damped(constants: Any, state: Any, trial: Any, rows: Any, slots: Any, foot: Any, corner: Any) -> None:
+    """Rows at the trial pose, and the limits that they had as the first guess of the new ones."""
+    contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
+    contact.hold_rim(constants, trial, slots, foot, corner, RIM_MM)
+    contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
+    for i in range(slots.shape[0]):
+        slots[i].guess = 0.0
+    for i in range(trial.filled):
+        slots[rows[i].slot].guess = rows[i].bound
+
+
+@njit(cache=True)
 def damped(
     constants: Any,
     state: Any,
@@ -140,13 +152,7 @@ def damped(
     Gives the residual, N, that whole limits would leave, and all iterations (-1: the object left the hand).
     """
     count, value, best, since = 0, math.inf, math.inf, 0
-    contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
-    contact.hold_rim(constants, trial, slots, foot, corner, RIM_MM)
-    contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
-    for i in range(slots.shape[0]):
-        slots[i].guess = 0.0
-    for i in range(trial.filled):
-        slots[rows[i].slot].guess = rows[i].bound
+    _begin_damped(constants, state, trial, rows, slots, foot, corner)
     for outer in range(MAX_DAMPED):
         goal = 1e-3
         for inner in range(MAX_INNER):
