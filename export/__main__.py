@@ -1,5 +1,6 @@
 """Export, verify and measure networks: ``python -m export onnx runs/compact/checkpoint.pt --out models/``."""
 
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +9,13 @@ from typing import Annotated
 import tyro
 
 from service.contract import ContractError
+
+
+def _positive(**given: float) -> None:
+    """Refuse what a measurement cannot last for: ContractError names the option."""
+    for name, value in given.items():
+        if not 0 < value < math.inf:
+            raise ContractError(f"--{name.replace('_', '-')} {value:g}: expected a finite number above 0")
 
 
 def onnx(checkpoint: Annotated[Path, tyro.conf.Positional], out: Path = Path("models")) -> None:
@@ -32,6 +40,7 @@ def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models"), strea
     """
     from export.verify import verify as check
 
+    _positive(stream_steps=stream_steps)
     print("\n".join(check(folder, stream_steps)))
 
 
@@ -60,13 +69,14 @@ def quantize(
     from export.tradeoff import agreements
     from export.twins import CALIBRATING_SPLIT
 
+    judging = read_split(str(data), "validation", decisions)
     calibrating = list(read_split(str(data), CALIBRATING_SPLIT, CALIBRATION_DECISIONS))
     sources = find_candidates([folder])
     for model in (model for source in sources for model in source.models):
         twin = shrink(model.file, out / model.file.name, calibrating, dynamic=dynamic)
         print(f"{twin}  {twin.stat().st_size / 1e6:.2f} MB of {model.file.stat().st_size / 1e6:.2f}")
     candidates = [*sources, *find_candidates([out])]
-    for row in agreements(candidates, score(candidates, read_split(str(data), "validation", decisions))):
+    for row in agreements(candidates, score(candidates, judging)):
         print(f"{row['name']}: {row['verdict']}")
 
 
@@ -96,7 +106,10 @@ def benchmark(
     from export import loadgen as lg
     from export.benchmark import benchmark as measure
     from export.candidates import read_split
+    from export.peers import known
 
+    _positive(seconds=seconds)
+    peers = known(compare)
     if loadgen and not lg.available():
         print("LoadGen is not installed (pip package mlcommons-loadgen): its scenarios are left out", file=sys.stderr)
     asked = list(read_split(str(data), "validation", decisions)) if data is not None else None
@@ -104,7 +117,7 @@ def benchmark(
         models or sorted(Path("models").rglob("*.onnx")),
         seconds=seconds,
         docs=docs,
-        compare=tuple(name.strip() for name in compare.split(",") if name.strip()),
+        compare=peers,
         decisions=asked,
         alexnet=alexnet,
         data=str(data) if data is not None else None,
@@ -142,11 +155,12 @@ def tradeoff(
     from export.twins import make_twins
     from training.dataset import data_sha256, open_source
 
+    _positive(seconds=seconds)
+    asked = read_split(str(data), split, decisions)
     named = folders or sorted({file.parent for file in Path("models").rglob("*.step.onnx")})
     every = named + make_twins(named, twins, str(data))
     digest = data_sha256(open_source(str(data)))[:12]
     about = {"split": split, "data": digest}
-    asked = read_split(str(data), split, decisions)
     measure(every, asked, about, docs, seconds, kept / f"{digest}-{split}-{decisions}.json")
     print(f"{docs / 'tradeoff.md'}")
 
@@ -161,6 +175,7 @@ def choose(budget_ms: float, report: Path = Path("docs/tradeoff.json"), seconds:
     """
     from export.tradeoff import choose as pick
 
+    _positive(budget_ms=budget_ms, seconds=seconds)
     print(pick(budget_ms, report, seconds))
 
 

@@ -16,7 +16,7 @@ from export.measure import Timing, example_inputs, time_calls
 from export.verify import Arrays, Model, open_model, told
 from service.contract import ContractError, ModelCard
 from service.perception.sequence import track_pairs
-from training.dataset import open_source
+from training.dataset import SPLITS, open_source
 from training.labels import class_of
 
 FRAME_COUNTS = (2, 4, 8)
@@ -179,7 +179,18 @@ def decided_class(model: Model, decision: Decision) -> int:
 
 
 def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
-    """``count`` collisions spread over a split of a dataset, drawn one at a time; ContractError if it has none."""
+    """``count`` collisions spread over a split of a dataset, drawn one at a time as they are asked for.
+
+    Raises ContractError at once on an unknown split or a ``count`` below 1, when drawing if the split has no collision.
+    """
+    if split not in SPLITS:
+        raise ContractError(f"no split {split!r}, expected one of {', '.join(SPLITS)}")
+    if count < 1:
+        raise ContractError(f"asked for {count} decisions, expected at least 1")
+    return _drawn(path, split, count)
+
+
+def _drawn(path: str, split: str, count: int) -> Iterator[Decision]:
     source = open_source(path)
     inside = [index for index in range(len(source)) if _collided(source.trial(index), split)]
     if not inside:

@@ -24,14 +24,22 @@ class PeerAbsentError(ContractError):
     """A peer that cannot run here, or not this file; the text says why."""
 
 
+def known(asked: str) -> tuple[str, ...]:
+    """Names of peers separated by commas; raises ContractError on one that there is none of."""
+    names = tuple(name.strip() for name in asked.split(",") if name.strip())
+    for name in names:
+        if name not in NAMES:
+            raise ContractError(f"no peer {name}, expected some of {', '.join(NAMES)}")
+    return names
+
+
 def peer(name: str, model: Model) -> Peer:
     """A call of one peer on the model's golden inputs; its outputs were compared first.
 
     Raises ContractError on an unknown name, PeerAbsentError where the peer cannot run this file.
     """
     makers = {"torch": _torch, "torch.compile": _compiled, "openvino": _openvino}
-    if name not in makers:
-        raise ContractError(f"no peer {name}, expected some of {', '.join(NAMES)}")
+    (name,) = known(name)
     inputs = example_inputs(model)
     call = makers[name](model, inputs)
     _compare(name, model, inputs, call())
@@ -144,7 +152,7 @@ def _openvino(model: Model, inputs: Arrays) -> Peer:
     try:
         import openvino
     except ImportError as error:
-        raise PeerAbsentError('openvino is not installed: pip install "tactile-insertion[bench]"') from error
+        raise PeerAbsentError('openvino is not installed: pip install ".[bench]"') from error
     core = openvino.Core()
     # fp32 as asked: on processors with AMX OpenVINO would otherwise compute in bfloat16, which is another network.
     wanted = {"INFERENCE_NUM_THREADS": "1", "PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": "f32"}
