@@ -20,9 +20,7 @@ from service.observation import PairObservation
 HELD_SHARE = 0.5  # of what the grasp bears: sliding it carried 0.94 and more, in a gap up to 0.05, jammed up to 0.28
 UNTRIED_PITCH = 0.4  # taken for that before any attempt was blocked: half of what a clean gel and a usual grip bear
 LEAST_PITCH = 0.1  # no smaller push counts: rubbing on the gap's walls leaves 0.015
-LASTING = (
-    1 / 3
-)  # of the time up to the look: from the blocks' tops on it slides for 0.7; a floor pushes for 0.2 at last
+LASTING = 1 / 3  # of the descent's time: from the blocks' tops on it slides for 0.7; a floor pushes for the last 0.2
 GLITCHES = 0.1  # of the frames in that time, which may show less
 SEEN_SHARE = 0.5  # of a finger's markers
 
