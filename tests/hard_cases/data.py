@@ -10,19 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from export.verify import open_model
-from service.contract import ContractError, FrameSpec, ModelCard, TactileFrame
+from service.contract import ContractError, FrameSpec, TactileFrame
 from service.contract.frames import decode_frame, encode_frame
 from service.contract.wire import parse_client, parse_service
-from service.perception.rectify import Calibration, CalibrationError, CameraCalibration
-from service.recording_reader import Recording, RecordingError
-from service.replay import ReplayError, ReplayOptions, read_clip
 from simulation.dataset import Dataset, DatasetWriter
 from simulation.manifest import MANIFEST, DatasetError
-from simulation.scene import SceneError, load_scene
-from tests.hard_cases.registry import ROOT, case, not_refused
+from tests.hard_cases.registry import case, not_refused
 from tests.simulation.strategies import made_up_manifest, made_up_trial
-from training.checkpoint import Checkpoint
 
 DATASET, MANIFESTS, FRAMES = "simulation/dataset.py", "simulation/manifest.py", "service/contract/frames.py"
 
@@ -178,156 +172,3 @@ def messages_from_elsewhere(seed: int) -> float:
     texts = ["", "{", "[]", "null", '{"type":"fly"}', '{"type":"arm"}', huge, rng.bytes(60), b"\xff\xfe" * 20]
     calls = [lambda t=t, p=p: p(t) for t in texts for p in (parse_client, parse_service)]
     return not_refused(calls, ContractError)
-
-
-def _with_card(change: Callable[[dict[str, object]], object] | None) -> Callable[[], object]:
-    import onnx
-
-    def call() -> object:
-        with tempfile.TemporaryDirectory() as scratch:
-            model = onnx.load(str(ROOT / "models" / "magnitude.step.onnx"))
-            card = json.loads(model.metadata_props[0].value)
-            if change is None:
-                del model.metadata_props[:]
-            else:
-                change(card)
-                model.metadata_props[0].value = json.dumps(card)
-            path = Path(scratch) / "magnitude.step.onnx"
-            onnx.save(model, str(path))
-            return open_model(path)
-
-    return call
-
-
-@case(
-    "data",
-    why="a model without its card decides with thresholds nobody knows",
-    holds="a missing, foreign, inconsistent or non-finite card is refused: not refused",
-    guard=("service/contract/model_card.py", "if CARD_KEY not in props:", "if False:"),
-)
-def models_with_a_foreign_card(_seed: int) -> float:
-    def put(name: str, value: object) -> Callable[[dict[str, object]], object]:
-        return lambda card: card.update({name: value})
-
-    edits = [
-        None,
-        put("schema_version", 99),
-        put("role", "pilot"),
-        put("stranger", 1),
-        put("threshold_x_mm", float("nan")),
-    ]
-    edits += [put("state_size", 0), put("calibration", {"temperature": -1.0}), put("form", "sequence")]
-    missed = not_refused([_with_card(edit) for edit in edits], ContractError)
-    return missed + not_refused([lambda: ModelCard.from_props({}, "x")], ContractError, "no model card")
-
-
-@case(
-    "data",
-    why="a file that ends early may still parse",
-    holds="truncated and random model, checkpoint and recording files are refused: not refused",
-    guard=("export/runtime.py", "except Exception as error:", "except KeyError as error:"),
-)
-def files_that_end_early(seed: int) -> float:
-    rng = np.random.default_rng(seed)
-    whole = (ROOT / "models" / "direction.step.onnx").read_bytes()
-    with tempfile.TemporaryDirectory() as scratch:
-        calls: list[Callable[[], object]] = []
-        for index, content in enumerate((b"", whole[: len(whole) // 2], rng.bytes(5000))):
-            path = Path(scratch) / f"{index}.bin"
-            path.write_bytes(content)
-            calls += [lambda p=path: open_model(p), lambda p=path: Checkpoint.load(p)]
-        missed = not_refused(calls, ContractError)
-        return missed + not_refused([lambda: Recording(Path(scratch) / "2.bin")], RecordingError)
-
-
-@case(
-    "data",
-    why="a homography is nine numbers of which most choices fold, flip or empty the picture",
-    holds="NaN, singular, folding and empty calibrations are refused: not refused",
-    guard=(
-        "service/perception/rectify.py",
-        "if not shared > _MIN_AREA_SHARE * self.raw.width_px * self.raw.height_px:",
-        "if False:",
-    ),
-)
-def calibrations_that_show_nothing(_seed: int) -> float:
-    eye = np.eye(3)
-    far, horizon, nan = eye.copy(), eye.copy(), eye.copy()
-    far[:2, 2] = 1e4
-    beside = np.array([[1.0, 0.0, -600.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    horizon[2, 0] = -1 / 150
-    horizon = np.linalg.inv(horizon)
-    nan[1, 1] = np.nan
-    bad = [np.zeros((3, 3)), nan, far, beside, horizon, np.ones((3, 3)), np.eye(2), np.diag([1.0, 1.0, 1e-14])]
-    return not_refused([lambda m=m: CameraCalibration(m) for m in bad], CalibrationError)
-
-
-@case(
-    "data",
-    why="a calibration file is edited by hand",
-    holds="strangers, missing tables and wrong types are refused in one line: not refused",
-    guard=("service/perception/rectify.py", "strangers = set(table) - {", "strangers = set() - {"),
-)
-def calibration_files_edited_by_hand(_seed: int) -> float:
-    with tempfile.TemporaryDirectory() as scratch:
-        good = Path(scratch) / "good.toml"
-        Calibration(CameraCalibration(np.eye(3)), CameraCalibration(np.eye(3))).save(good)
-        text = good.read_text()
-        edits = [
-            "",
-            "schema_version = 1",
-            "x = 1\n" + text,
-            text.replace("homography", "homograph"),
-            text.replace("0.0", "nan", 1),
-        ]
-        edits += [text.replace("schema_version = 1", "schema_version = 2"), text.replace("[left]", "[middle]"), "\x00"]
-        paths = []
-        for index, edit in enumerate(edits):
-            path = Path(scratch) / f"{index}.toml"
-            path.write_text(edit)
-            paths.append(path)
-        return not_refused([lambda p=p: Calibration.load(p) for p in paths], CalibrationError)
-
-
-@case(
-    "data",
-    why="a scene with a negative stiffness or a part wider than its gap has no equilibrium to find",
-    holds="impossible scenes are refused with the key and its range: not refused",
-    guard=("simulation/scene.py", "friction: float = Field(default=0.8, ge=0.0, le=2.0)", "friction: float = 0.8"),
-)
-def scenes_that_cannot_be(_seed: int) -> float:
-    changes = [
-        {"gel__friction": -0.1},
-        {"gel__friction": float("nan")},
-        {"blocks__gap_mm": -4.0},
-        {"blocks__gap_mm": float("inf")},
-    ]
-    changes += [
-        {"grasp__force_n": 0.0},
-        {"object__mass_kg": -1.0},
-        {"camera__fps": 31},
-        {"numerics__load_step_mm": 0.0},
-    ]
-    missed = not_refused([lambda c=c: load_scene("rectangle", **c) for c in changes], SceneError)
-    return missed + not_refused(
-        [lambda: load_scene("nope"), lambda: load_scene("rectangle", gel__colour="red")], SceneError
-    )
-
-
-@case(
-    "data",
-    why="a clip may be a text file, an empty folder or claim no frame rate",
-    holds="each is refused in one line: not refused",
-    guard=("service/replay.py", "if k == 0:", "if False:"),
-)
-def clips_that_hold_nothing(_seed: int) -> float:
-    with tempfile.TemporaryDirectory() as scratch:
-        text = Path(scratch) / "x.avi"
-        text.write_text("no video")
-        options = ReplayOptions(path=text)
-        calls = [
-            lambda: list(read_clip(text, options.fps)),
-            lambda: list(read_clip(text, 0.0)),
-            lambda: list(read_clip(text, float("nan"))),
-        ]
-        return not_refused(calls, ReplayError)

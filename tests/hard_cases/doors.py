@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -200,106 +200,3 @@ def doors_of_the_perception(seed: int) -> float:
         wrong += non_finite(motion.angle_rad, motion.shift_px, motion.pivot_px) + float(fit is not None)
     matrix = [np.diag([1.0, value, 1.0]) for value in BAD]
     return wrong + not_refused([lambda m=m: CameraCalibration(m) for m in matrix], ValueError)
-
-
-EXTREMES = (1e308, -1e308, 1e150, 1e-308, 5e-324, 0.0)
-
-
-def numbers(found: object) -> list[float]:
-    """Every number inside what a function returned."""
-    if isinstance(found, bool | str | bytes | type(None)):
-        return []
-    if isinstance(found, int | float | np.number):
-        return [float(found)]
-    if isinstance(found, np.ndarray):
-        return np.asarray(found, float).ravel().tolist() if found.dtype.kind in "fiu" else []
-    if isinstance(found, tuple | list):
-        return [number for part in found for number in numbers(part)]
-    if isinstance(found, WorkPose):
-        return numbers(list(found.model_dump().values()))
-    return (
-        [number for part in fields(found) for number in numbers(getattr(found, part.name))]
-        if is_dataclass(found)
-        else []
-    )
-
-
-def spilled(doors: list[Door]) -> float:
-    """How many numbers that are not finite come out for the largest and smallest finite ones (refusals are answers)."""
-    spilt = 0.0
-    for door in doors:
-        for value in EXTREMES:
-            try:
-                with np.errstate(all="ignore"):
-                    spilt += sum(not math.isfinite(number) for number in numbers(door(value)))
-            except ValueError:
-                continue
-    return spilt
-
-
-@case(
-    "motion",
-    why="the largest double plus itself is infinite, the smallest divided into one too",
-    holds="finite extremes give finite results or are refused by name: numbers that are not finite",
-    guard=("robot_client/geometry.py", "if not all(map(math.isfinite, product)):", "if False:"),
-)
-def extremes_in_the_robot_client(_seed: int) -> float:
-    def profile(length: float, speed: float) -> list[float]:
-        planned = plan_profile(length, speed, 1.0, 1.0)
-        return [planned.duration_s, *(planned.position(share * planned.duration_s) for share in (0.0, 0.5, 1.0))]
-
-    return spilled(
-        [
-            lambda v: multiply((v, v, 0.0, 0.0), (v, 1.0, 0.0, 0.0)),
-            lambda v: rotate((1.0, 0.0, 0.0, 0.0), (v, v, v)),
-            lambda v: normalised((v, 0.0, 0.0, 1.0)),
-            yaw_quaternion,
-            lambda v: CellFrame(origin_mm=(v, 0.0, 0.0)).to_controller(pose(x=1e5)),
-            lambda v: CellFrame(origin_mm=(-v, 0.0, 0.0)).from_controller(Pose(v, v, v)),
-            lambda v: pose(x=v).distance_mm(pose(x=-v)),
-            lambda v: pose(x=v).towards(pose(x=-v), 0.5),
-            lambda v: profile(abs(v), 1.0),
-            lambda v: profile(1.0, abs(v)),
-        ]
-    )
-
-
-@case(
-    "decision",
-    why="a belief shifted by 1e308 mm, or told an error of that size, has no cell left that explains it",
-    holds="finite extremes give finite results or are refused by name: numbers that are not finite",
-    guard=(
-        "service/belief.py",
-        "OUTLIER_SHARE = 0.02",
-    ),
-)
-def extremes_in_the_decision(_seed: int) -> float:
-    direction, magnitude, joint = _cards()
-    eye = np.eye(len(joint.grid_x_mm), len(joint.grid_theta_deg), dtype=bool)
-
-    def belief(value: float) -> object:
-        grid = BeliefGrid()
-        grid.move(value, -value)
-        grid.absorb(told("5", (value, 1.0), (max(abs(value), 1e-300), 1.0)))
-        return [*grid.best_move(), grid.probability]
-
-    def pair(value: float) -> object:
-        moments = {"error": np.full((1, 2), value), "log_sigma": np.zeros((1, 2))}
-        said = from_pair(direction, magnitude, {"logits": np.full((1, 9), value)}, moments)
-        return [said.probabilities, said.error, said.sigma]
-
-    def density(value: float) -> object:
-        said = from_joint(joint, {"log_density": np.where(eye, value, 0.0)[None]})
-        return [said.probabilities, said.error, said.sigma]
-
-    return spilled(
-        [
-            lambda v: axis_command(1, v, first=True),
-            lambda v: softmax(np.array([v, 1.0])),
-            pair,
-            density,
-            belief,
-            lambda v: make_controller("heuristic", LIMITS).decide(told("5", (v, v)), 1),
-            lambda v: make_controller("belief", LIMITS).decide(told("5", (v, 1.0)), 1),
-        ]
-    )

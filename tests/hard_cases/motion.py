@@ -2,22 +2,16 @@
 
 import itertools
 import math
-from types import MappingProxyType
 
 import numpy as np
 
-from robot_client.codecs.egm import EgmError, Guidance, Pose, RobotState, decode_guidance, decode_robot, encode_guidance
-from robot_client.codecs.wsg50 import Command, StreamParser, WsgError, encode_frame, encode_request
-from robot_client.drivers.egm_watch import EgmWatch
-from robot_client.events import Arrived, Begin, FromService, Grasped, Move, Standstill, Tick
+from robot_client.codecs.egm import Pose
 from robot_client.geometry import CellFrame, WorkPose, multiply, normalised, yaw_quaternion
-from robot_client.insertion import Phase, Plan, State, step
 from robot_client.limits import LimitError, Limits, StepGuard, check_correction, check_pose
 from robot_client.motion import CYCLE_S, MotionGuide, Ramps
 from robot_client.profile import plan_profile
-from robot_client.silence import Silence
 from service.contract import wire
-from tests.hard_cases.registry import case, non_finite, not_refused
+from tests.hard_cases.registry import case, not_refused
 
 GEOMETRY, LIMITS, MOTION = "robot_client/geometry.py", "robot_client/limits.py", "robot_client/motion.py"
 WATCH, EGM, WSG = "robot_client/drivers/egm_watch.py", "robot_client/codecs/egm.py", "robot_client/codecs/wsg50.py"
@@ -197,149 +191,3 @@ def streams_that_stutter(seed: int) -> float:
             guide.advance(cycle_ms / 1e3)
         worst = max(worst, guide.target.turn_deg(end))
     return worst
-
-
-@case(
-    "motion",
-    why="sequence numbers and the robot's clock are 32 bits and wrap in mid-insertion after 50 days",
-    holds="elapsed time across the wrap is right, an old datagram stays refused: s off",
-    guard=(
-        WATCH,
-        "elapsed_s = 0.0 if first else ((state.time_ms - self._robot_ms) % 2**32) / 1e3",
-        "elapsed_s = 0.0 if first else (state.time_ms - self._robot_ms) / 1e3",
-    ),
-    limit=1e-12,
-)
-def counters_wrapping_round(_seed: int) -> float:
-    watch = EgmWatch(Silence(0.25, 0.05), 0.25)
-    watch.take(RobotState(2**32 - 1, 2**32 - 2, Pose(0, 0, 0)), 0.0)
-    late = watch.take(RobotState(2**32 - 3, 2**32 - 10, Pose(0, 0, 0)), 0.002)
-    elapsed = watch.take(RobotState(0, 2, Pose(0, 0, 0)), 0.004)
-    return math.inf if late is not None or elapsed is None else abs(elapsed - 0.004)
-
-
-@case(
-    "motion",
-    why="a datagram is whatever somebody sent to the port",
-    holds="random bytes decode or are refused by name, and nothing non-finite comes out: other endings",
-    guard=(EGM, 'raise EgmError(f"{name} has a quaternion of norm {norm:.4f}, expected 1")', "pass"),
-)
-def datagrams_of_random_bytes(seed: int) -> float:
-    rng = np.random.default_rng(seed)
-    whole = encode_guidance(Guidance(1, 4, Pose(1, 2, 3)))
-    wrong = not_refused([lambda: encode_guidance(Guidance(1, 4, Pose(0, 0, 0, qw=2.0)))], EgmError)
-    for _ in range(300):
-        data = bytearray(whole if rng.random() < 0.7 else rng.bytes(int(rng.integers(0, 80))))
-        for place in rng.integers(0, max(1, len(data)), 3):
-            if data:
-                data[place] = int(rng.integers(256))
-        for decode in (decode_guidance, decode_robot):
-            try:
-                found = decode(bytes(data))
-            except EgmError:
-                continue
-            target = found.pose if isinstance(found, Guidance) else found.feedback
-            wrong += 0.0 if target is None else non_finite(target.x_mm, target.y_mm, target.z_mm, *target.quaternion)
-    return wrong
-
-
-@case(
-    "motion",
-    why="a damaged length field may claim the bytes of the next frames",
-    holds="every whole frame after garbage and damage is found: frames lost",
-    guard=(WSG, "self.crc_errors += 1", "self._buffer.clear()"),
-)
-def gripper_frames_after_garbage(seed: int) -> float:
-    rng = np.random.default_rng(seed)
-    good = [encode_frame(0x40 + k, bytes(rng.integers(0, 256, k, dtype=np.uint8))) for k in range(12)]
-    stream = b""
-    for frame in good:
-        damaged = bytearray(frame)
-        damaged[-1] ^= 0x5A
-        stream += bytes(damaged) + b"\xaa\xaa" + frame
-    parser, found = StreamParser(), []
-    while stream:
-        cut = int(rng.integers(1, 40))
-        found += parser.feed(stream[:cut])
-        stream = stream[cut:]
-    wanted = {frame[3] for frame in good}
-    return float(len(wanted - {frame.command for frame in found}))
-
-
-@case(
-    "motion",
-    why="a float32 field takes NaN and infinity without a word",
-    holds="a gripper command with a non-finite number is refused: not refused",
-    guard=(WSG, "def _pack(layout: str, values: tuple[Value, ...], name: str) -> bytes:"),
-)
-def gripper_commands_that_are_no_numbers(_seed: int) -> float:
-    return not_refused([lambda v=v: encode_request(Command.GRASP, v, 30.0) for v in BAD], WsgError)
-
-
-MESSAGES = MappingProxyType({"insertion_id": "t-1", "attempt": 1})
-
-
-def deciding() -> State:
-    """The state machine with the arm at rest, waiting for a correction."""
-    plan = Plan(insertion_id="t-1", approach=pose(x=8.0, yaw=6.0), gap_width_mm=56.0, expected_depth_mm=25.0)
-    limits = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
-    hello = wire.ServiceHello(insertion_id="t-1", models=(), cameras=(), controller="belief", limits=limits)
-    at_height, above = plan.approach, plan.approach.at_height(60.0)
-    story = [
-        Begin(at_s=0.0, pose=pose(z=60.0)),
-        FromService(at_s=0.1, message=hello),
-        Grasped(at_s=0.2, width_mm=80.0),
-        *(Arrived(at_s=0.3, pose=there) for there in (pose(z=60.0), above, at_height)),
-        FromService(at_s=0.4, message=wire.Armed(**MESSAGES, reference_seq=3)),
-        FromService(
-            at_s=0.9,
-            message=wire.Slip(**MESSAGES, finger="left", frame_seq=9, captured_ns=1, age_ms=4.0, score=2.0, reason="r"),
-        ),
-        Standstill(at_s=1.0, pose=at_height.at_height(29.0)),
-    ]
-    state = State(plan)
-    for event in story:
-        state, _ = step(state, event)
-    return state
-
-
-@case(
-    "motion",
-    why="a correction may come twice, late, for another attempt, or not be a number",
-    holds="no such correction moves the arm; only the right one does, once: wrong moves",
-    guard=("robot_client/insertion.py", "if message.attempt < state.attempt:", "if False:"),
-)
-def corrections_that_are_stale_or_absurd(_seed: int) -> float:
-    state = deciding()
-    if state.phase is not Phase.DECIDING:
-        return math.inf
-
-    def correction(attempt: int, dx: float) -> FromService:
-        fields = {"insertion_id": "t-1", "attempt": attempt, "dx_mm": dx, "dtheta_deg": 1.0}
-        message = wire.Correction.model_construct(type="correction", **fields)
-        return FromService.model_construct(kind="from_service", at_s=1.1, message=message)
-
-    wrong = 0
-    for attempt, dx in ((1, math.nan), (1, math.inf), (1, 17.0), (0, 1.0), (2, 1.0)):
-        _, commands = step(state, correction(attempt, dx))
-        wrong += any(isinstance(command, Move) for command in commands)
-    moved, first = step(state, correction(1, -3.0))
-    _, second = step(moved, correction(1, -3.0))
-    wrong += not any(isinstance(command, Move) for command in first)
-    wrong += any(isinstance(command, Move) for command in second)
-    return float(wrong)
-
-
-@case(
-    "motion",
-    why="a clock that jumps makes every deadline pass at once, or never",
-    holds="a tick at any time ends in a hold or nothing, never in a move: moves",
-    guard=("robot_client/insertion.py", "if event.at_s < state.deadline_s:"),
-)
-def ticks_at_impossible_times(_seed: int) -> float:
-    state = deciding()
-    moves = 0
-    for at_s in (-1e18, -1.0, 0.0, 1e3, 1e18, 1e300):
-        _, commands = step(state, Tick(at_s=at_s))
-        moves += any(isinstance(command, Move) for command in commands)
-    return float(moves)

@@ -1,8 +1,6 @@
 """Hard inputs to the released networks: nothing to see, too much to see, endless streams, small and huge numbers."""
 
-import tempfile
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,12 +32,12 @@ def _gap(one: Arrays, other: Arrays) -> float:
     return max(float(np.abs(one[n] - other[n]).max() / max(1.0, np.abs(other[n]).max())) for n in one if n in other)
 
 
-def _size(outputs: Arrays) -> float:
+def largest_of(outputs: Arrays) -> float:
     """Largest output, infinite if one is not finite."""
     return max(float(np.abs(value).max()) if np.isfinite(value).all() else np.inf for value in outputs.values())
 
 
-def _frames(seed: int, name: str = "pictures/direction") -> NDArray[Any]:
+def golden(seed: int, name: str = "pictures/direction") -> NDArray[Any]:
     """A golden decision as the released network reads it: pictures or marker fields."""
     return golden_input(released(name).card, seed)
 
@@ -50,7 +48,7 @@ def _hard_case(name: str, why: str, networks: tuple[str, ...] = PICTURES) -> Non
         for network in networks:
             model = released(network)
             frames = hard_input(model.card)[name]
-            worst = max(worst, _size(decide(model, frames[None])))
+            worst = max(worst, largest_of(decide(model, frames[None])))
         return worst
 
     kind, guard = ("picture", POOLED) if networks == PICTURES else ("markers", CHANGE)
@@ -86,7 +84,7 @@ _hard_case("noise", "displacements of hundreds of pixels with no pattern", MARKE
     limit=0.5,
 )
 def differences_of_minus_one(seed: int) -> float:
-    frames = _frames(seed)
+    frames = golden(seed)
     frames = np.clip(frames, 1, 254)
     model, worst = released("pictures/magnitude"), 0.0
     still = np.repeat(frames[:1], len(frames), 0)
@@ -111,13 +109,13 @@ def differences_of_minus_one(seed: int) -> float:
 )
 def streams_of_ten_thousand_steps(seed: int) -> float:
     name = NAMES[seed % len(NAMES)]
-    frames, model = _frames(seed, name)[None], released(name)
+    frames, model = golden(seed, name)[None], released(name)
     state, worst = np.zeros((1, model.card.state_size), np.float32), 0.0
     for step in range(10_000):
         fed: Arrays = {"frame": frames[:, step % 8], "reference": frames[:, 0], "state": state}
         outputs = model(fed | told(model.card, 1))
         state = outputs["next_state"]
-        worst = max(worst, _size(outputs))
+        worst = max(worst, largest_of(outputs))
     return worst
 
 
@@ -131,10 +129,10 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
 def states_of_ten_thousand(seed: int) -> float:
     rng, worst = np.random.default_rng(seed), 0.0
     for name in NAMES:
-        frames, model = _frames(seed, name)[None], released(name)
+        frames, model = golden(seed, name)[None], released(name)
         state = (rng.choice([-1.0, 1.0], (1, model.card.state_size)) * 1e4).astype(np.float32)
         fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
-        worst = max(worst, _size(model(fed | told(model.card, 1))))
+        worst = max(worst, largest_of(model(fed | told(model.card, 1))))
     return worst
 
 
@@ -147,7 +145,7 @@ def states_of_ten_thousand(seed: int) -> float:
 def states_that_are_no_numbers(seed: int) -> float:
     decided = 0
     for name in NAMES:
-        frames, model = _frames(seed, name)[None], released(name)
+        frames, model = golden(seed, name)[None], released(name)
         for value in (np.nan, np.inf, -np.inf):
             state = np.zeros((1, model.card.state_size), np.float32)
             state[0, seed] = value
@@ -167,7 +165,7 @@ def states_that_are_no_numbers(seed: int) -> float:
 def states_of_denormals(seed: int) -> float:
     worst = 0.0
     for name in NAMES:
-        frames, model = _frames(seed, name)[None], released(name)
+        frames, model = golden(seed, name)[None], released(name)
         outputs = []
         for value in (0.0, 1e-40, -1e-44):
             state = np.full((1, model.card.state_size), value, np.float32)
@@ -187,9 +185,9 @@ def states_of_denormals(seed: int) -> float:
 def gap_widths_far_from_training(seed: int) -> float:
     worst = 0.0
     for name in NAMES:
-        frames, model = _frames(seed, name)[None], released(name, "sequence")
+        frames, model = golden(seed, name)[None], released(name, "sequence")
         for gap_mm in (5.0, 250.0):
-            worst = max(worst, _size(model({"frames": frames} | told(model.card, 1, gap_mm, min(gap_mm, 500.0)))))
+            worst = max(worst, largest_of(model({"frames": frames} | told(model.card, 1, gap_mm, min(gap_mm, 500.0)))))
     return worst
 
 
@@ -204,7 +202,7 @@ def gap_widths_far_from_training(seed: int) -> float:
 def batches_of_one_and_of_sixty_four(seed: int) -> float:
     worst = 0.0
     for name in NAMES:
-        frames, model = _frames(seed, name)[None], released(name)
+        frames, model = golden(seed, name)[None], released(name)
         alone, crowd = run_steps(model, frames), run_steps(model, np.repeat(frames, 64, 0))
         worst = max(worst, *(_gap(alone, {n: v[row : row + 1] for n, v in crowd.items()}) for row in (0, 31, 63)))
     return worst
@@ -220,7 +218,7 @@ def batches_of_one_and_of_sixty_four(seed: int) -> float:
 def threads_one_and_two(seed: int) -> float:
     worst = 0.0
     for name in NAMES:
-        frames = _frames(seed, name)[None]
+        frames = golden(seed, name)[None]
         worst = max(worst, _gap(decide(released(name), frames), decide(released(name, "step", 2), frames)))
     return worst
 
@@ -236,106 +234,9 @@ def steps_against_sequences(seed: int) -> float:
     worst = 0.0
     for name in NAMES:
         step, sequence = released(name), released(name, "sequence")
-        inputs = [_frames(seed, name), *hard_input(step.card).values()]
+        inputs = [golden(seed, name), *hard_input(step.card).values()]
         worst = max(worst, *(_gap(decide(sequence, frames[None]), decide(step, frames[None])) for frames in inputs))
     return worst
-
-
-@case(
-    "networks",
-    why="float32 keeps seven digits; a network that loses three of them is ill-conditioned",
-    holds="the released architecture, with fresh weights, decides in float32 as in float64: relative gap",
-    guard=(
-        "training/networks/decider.py",
-        "self.cell = nn.GRUCell(features + TOLD, settings.state_size)",
-    ),
-    limit=1e-4,
-    quick=False,
-)
-def single_against_double_precision(seed: int) -> float:
-    import torch
-
-    from training.config import NetworkConfig
-    from training.labels import CLASSES
-    from training.networks import build
-
-    torch.manual_seed(seed)
-    network = build(NetworkConfig(), len(CLASSES)).eval()
-    fields = torch.randn(4, 8, 2, 3, 20, 21)
-    told = torch.tensor([[56.0, 30.0]]).repeat(4, 1)
-    with torch.no_grad():
-        single = network.logits(network.read_fields(fields, told))
-        torch.set_default_dtype(torch.float64)
-        try:
-            double = network.double().logits(network.read_fields(fields.double(), told.double()))
-        finally:
-            torch.set_default_dtype(torch.float32)
-    return float((single.double() - double).abs().max() / double.abs().max())
-
-
-@lru_cache
-def _small(name: str) -> Model:
-    """int8 twin of a released step model that reads pictures, multiplied in int8 where it can be."""
-    from export.candidates import Decision
-    from export.quantize import quantize
-
-    truth = np.zeros(2, np.float32)
-    calibrating = [Decision(_frames(seed), 56.0, 30.0, truth, "golden") for seed in range(4)]
-    out = Path(tempfile.mkdtemp(prefix="hard-cases-")) / f"{Path(name).name}.step.onnx"
-    return open_model(quantize(ROOT / "models" / f"{name}.step.onnx", out, calibrating, dynamic=True))
-
-
-@case(
-    "networks",
-    why="without VNNI, products of u8 and s8 saturate in 16 bits and say nothing",
-    holds="where this processor's products saturate, two of the largest fit 16 bits: their sum",
-    guard=("export/trunk.py", "reach = CAREFUL_REACH if saturates() else REACH", "reach = REACH"),
-    limit=2**15 - 1,
-)
-def int8_with_a_bit_in_reserve(seed: int) -> float:
-    from unittest import mock
-
-    from export import trunk
-
-    weights = np.random.default_rng(seed).normal(size=(32, 3, 11, 11))
-    with mock.patch.object(trunk, "saturates", return_value=True):
-        steps, _ = trunk.round_rows(weights)
-    return float(2 * 255 * (np.abs(steps).max() + trunk.WEIGHT_ZERO))
-
-
-@case(
-    "networks",
-    why="extreme inputs drive every quantised activation to the ends of its 256 steps",
-    holds="the int8 twins stay finite and bounded on every hard input: largest",
-    guard=("export/quantize.py", "_self_test(model, open_model(out), decisions[:2])"),
-    limit=LARGEST,
-    quick=False,
-)
-def int8_at_its_extremes(_seed: int) -> float:
-    worst = 0.0
-    for name in PICTURES:
-        model = _small(name)
-        for frames in hard_input(model.card).values():
-            worst = max(worst, _size(decide(model, frames[None])))
-    return worst
-
-
-@case(
-    "networks",
-    why="a weight of eight bits is off by a 250th of the largest beside it, and a state carries that on",
-    holds="the int8 twins stay near fp32 on golden frames that they were not rounded for: mean gap relative to the output",
-    guard=("export/quantize.py", "if not gap < FAR_OFF:"),
-    limit=0.02,
-    quick=False,
-)
-def int8_near_fp32(seed: int) -> tuple[float, str]:
-    flags = Path("/proc/cpuinfo").read_text()
-    frames = np.stack([_frames(10 + seed)])
-    worst = 0.0
-    for name in PICTURES:
-        wanted, got = decide(released(name), frames), decide(_small(name), frames)
-        worst = max(worst, *(float(np.abs(wanted[n] - got[n]).mean() / np.abs(wanted[n]).mean()) for n in wanted))
-    return worst, "processor with VNNI" if "vnni" in flags else "processor without VNNI"
 
 
 @case(
@@ -346,7 +247,7 @@ def int8_near_fp32(seed: int) -> tuple[float, str]:
 )
 def frames_of_another_shape(seed: int) -> float:
     models = load_models(ROOT / "models" / "pictures")
-    frames = _frames(seed)
+    frames = golden(seed)
     bad = [frames[0][:, :, :-1], frames[0].astype(np.float32), frames[0][:, :-1], frames[0][..., 0]]
     calls = [lambda f=f: DecisionRun(models, frames[0], 56.0).step(f) for f in bad]
     return not_refused(calls, ContractError, "reads uint8") + not_refused(
@@ -364,13 +265,13 @@ def outputs_that_are_no_numbers(seed: int) -> float:
     models = load_models(ROOT / "models")
     missed = 0.0
     for bad in (np.nan, np.inf):
-        run = DecisionRun(models, _frames(seed, "direction")[0], 56.0)
-        for frame in _frames(seed, "direction"):
+        run = DecisionRun(models, golden(seed, "direction")[0], 56.0)
+        for frame in golden(seed, "direction"):
             run.step(frame)
         run._outputs[0] = {name: np.full_like(value, bad) for name, value in run._outputs[0].items()}
         missed += not_refused([run.evidence], Refusal)
-    good = DecisionRun(models, _frames(seed, "direction")[0], 56.0)
-    for frame in _frames(seed, "direction"):
+    good = DecisionRun(models, golden(seed, "direction")[0], 56.0)
+    for frame in golden(seed, "direction"):
         good.step(frame)
     said = good.evidence()
     return missed + non_finite(said.probabilities, said.error, said.sigma)

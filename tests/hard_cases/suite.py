@@ -1,9 +1,37 @@
 """All rooms' cases, registered by import."""
 
-from tests.hard_cases import data, decision, doors, motion, networks, perception, physics
+from tests.hard_cases import (
+    data,
+    decision,
+    doors,
+    extremes,
+    files,
+    histories,
+    links,
+    motion,
+    networks,
+    perception,
+    physics,
+    precision,
+)
 from tests.hard_cases.registry import CASES, run
 
-__all__ = ["CASES", "by_name", "data", "decision", "doors", "motion", "networks", "perception", "physics"]
+__all__ = [
+    "CASES",
+    "by_name",
+    "data",
+    "decision",
+    "doors",
+    "extremes",
+    "files",
+    "histories",
+    "links",
+    "motion",
+    "networks",
+    "perception",
+    "physics",
+    "precision",
+]
 
 
 def by_name(name: str) -> tuple[str, float, str, float, str]:

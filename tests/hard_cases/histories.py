@@ -1,0 +1,133 @@
+"""Hard histories of contact: holding, going to and fro, steps of any length, mirrored and random starts."""
+
+import numpy as np
+
+from tests.hard_cases.physics import (
+    CONE,
+    EXACT,
+    HALVED,
+    HOLDS,
+    REFUSED,
+    RESIDUAL_N,
+    RIG,
+    SOLVED,
+    grasped,
+    lowered,
+    worst_of,
+)
+from tests.hard_cases.registry import case, non_finite, not_refused
+
+
+@case(
+    "physics",
+    why="a regularised friction creeps: standing still for a second moves the object",
+    holds="force drift over 300 load steps of a nanometre up and down: relative",
+    guard=("simulation/gel.py", "bound = min(node.limit, constants.friction * node.pressure) / constants.kt"),
+    limit=1e-3,
+    quick=False,
+)
+def hold_of_a_second(seed: int) -> float:
+    cell = grasped("rectangle", 8.0, 5.0, seed)
+    *_, state = lowered(cell, (5.5, 6.3))
+    before = state.wrench_n_nmm.copy()
+    x, y, z, yaw = cell.pose
+    for k in range(300):
+        state = cell.move_to(float(x), float(y), float(z) + 1e-9 * (-1) ** k, float(np.degrees(yaw)))
+    return float(np.linalg.norm(state.wrench_n_nmm[:3] - before[:3]) / np.linalg.norm(before[:3]))
+
+
+@case(
+    "physics",
+    why="bristles that slipped remember where; on the way back they stick first and then slip the other way",
+    holds=HOLDS,
+    guard=SOLVED,
+    limit=1.0,
+    quick=False,
+)
+def stick_slip_reversal(seed: int) -> float:
+    return worst_of(grasped("rectangle", 8.0, 5.0, seed), (5.2, 6.0, 5.3, 6.2, 5.1, 6.4, 4.8, 6.0))
+
+
+@case(
+    "physics",
+    why="one step of 1.5 mm crosses touchdown, sticking and slip at once; a thousand small ones add their rounding",
+    holds="in-hand position from 1, 4, 32 and 1024 load steps agrees: mm apart from the finest",
+    guard=HALVED,
+    limit=0.03,
+    quick=False,
+)
+def load_steps_from_one_to_1024(seed: int) -> tuple[float, str]:
+    ends = []
+    for count in (1, 4, 32, 1024):
+        cell = grasped("rectangle", 8.0, 3.0 * seed, **EXACT)
+        *_, state = lowered(cell, tuple(4.9 + 1.5 * (k + 1) / count for k in range(count)))
+        ends.append(state.in_hand[:3].copy())
+    apart = [float(np.linalg.norm(end - ends[-1])) for end in ends[:-1]]
+    return apart[-1], f"1, 4, 32 steps: {', '.join(f'{1e3 * a:.1f}' for a in apart)} um"
+
+
+@case(
+    "physics",
+    why="two solvers that stop early stop at different places",
+    holds="the coupled and the convex solver find one equilibrium: mm apart",
+    guard=("simulation/mechanics.py", "def advance("),
+    limit=2e-4,
+    quick=False,
+)
+def two_solvers_of_one_equilibrium(seed: int) -> float:
+    ends = []
+    for direct in (True, False):
+        cell = grasped("rectangle", 6.0 + seed, 4.0, **EXACT)
+        cell.direct = direct
+        *_, state = lowered(cell, (5.5, 6.2))
+        ends.append(state.in_hand.copy())
+    return float(np.abs(ends[0] - ends[1]).max())
+
+
+@case(
+    "physics",
+    why="mirrored input must give mirrored output, or something depends on the order of a loop",
+    holds="a mirrored start gives the mirrored force: relative gap",
+    guard=SOLVED,
+    limit=1e-4,
+    quick=False,
+)
+def mirrored_starts(seed: int) -> float:
+    forces = []
+    for side in (1.0, -1.0):
+        cell = grasped("rectangle", side * (6.0 + seed), side * 4.0, **EXACT)
+        *_, state = lowered(cell, (5.5, 6.0))
+        forces.append(state.wrench_n_nmm[:3] * (side, 1.0, 1.0))
+    return float(np.abs(forces[0] - forces[1]).max() / np.abs(forces[0]).max())
+
+
+@case(
+    "physics",
+    why="a hand that is sent to NaN takes its object along",
+    holds="a pose that is no number is refused by name and the state stays: not refused",
+    guard=(RIG, "if not np.all(np.isfinite(target)):", "if False:"),
+)
+def poses_that_are_no_numbers(seed: int) -> float:
+    cell = grasped("rectangle", 8.0, 5.0, seed)
+    bad = (np.nan, np.inf, -np.inf)
+    calls = [lambda v=v, k=k: cell.move_to(*[v if i == k else 0.0 for i in range(4)]) for v in bad for k in range(4)]
+    missed = not_refused([*calls, *(lambda v=v: cell.regrasp(v, 0.0) for v in bad)], ValueError)
+    return missed + non_finite(cell.look().gel)
+
+
+@case(
+    "physics",
+    why="seeds differ in tilt, grip and optics, and one of them may be the one that stalls",
+    holds="random hard probes solve within the bounds or are refused by name: share of the bound used",
+    guard=REFUSED,
+    limit=1.0,
+    quick=False,
+)
+def random_hard_probes(seed: int) -> tuple[float, str]:
+    from simulation.hard_probes import Tally, hard_probe
+
+    tally = Tally()
+    for number in range(60):
+        hard_probe(1000 + seed, number, "bristle", tally)
+    used = max(tally.worst_residual_n / RESIDUAL_N, tally.worst_cone_n_per_mm2 / CONE)
+    return used, ", ".join(f"{count} {ended}" for ended, count in sorted(tally.ended.items()))
