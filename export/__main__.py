@@ -53,7 +53,7 @@ def quantize(
 ) -> None:
     """Make the int8 twins of released step models and say how many robot commands they would change.
 
-    Weights are stored as int8 in blocks; large layers and AlexNet's convolutions are multiplied in int8, too.
+    Weights are stored as int8; AlexNet's convolutions and large layers are multiplied in int8, too.
 
     Args:
         folder: folder of released fp32 step models: a pair, a joint density, or both networks in one graph.

@@ -51,7 +51,7 @@ class _Seen:
 def quantize(file: Path, out: Path, decisions: Sequence[Decision], *, dynamic: bool = False) -> Path:
     """Write the int8 twin of a released model; ``decisions`` are real ones to calibrate on.
 
-    ``dynamic`` multiplies fully connected and recurrent layers of middling size in int8, too, not only large ones.
+    ``dynamic`` multiplies fully connected and recurrent layers of some size in int8, too, not only AlexNet's.
     Raises ContractError if the file is not an fp32 release in step form or the build computes something else on this
     processor.
     """
@@ -139,6 +139,9 @@ def _look(
         if trunk:
             change = fed["frame"].astype(np.int16) - fed["reference"]
             found.greys = max(found.greys, float(np.abs(change).max()))
+        for node in dense:
+            if not seen[node.input[0]].min() >= 0:
+                raise ContractError(f"{node.name} of {model.file.name} reads {node.input[0]}, which is not rectified")
         for name in ranged:
             found.largest[name] = max(found.largest.get(name, 1e-6), float(np.abs(seen[name]).max()))
         for layer in layers:
