@@ -18,14 +18,16 @@ Clock = Callable[[], int]
 WARM_UP_CALLS = 10
 TAIL_BLOCK = 64
 LEAST_CALLS = 100
-TURN, WARM_TURN = 32, 2
-"""Calls in a turn of their own, and those before them that find the other's data in the caches."""
+TURN, WARM_TURN = 8, 2
+"""Calls in a turn of their own, and those before them that find the other's data in the caches. Turns are short: what
+disturbs a model's reaches the arithmetic beside it, too."""
 NOISY = 1.5
 """A machine whose wall time exceeds its CPU time by this factor at the median was busy with something else."""
 NOISY_SPREAD = 0.25
 """Spread of a model's wall time against itself, call by call: beyond it, wall times cannot be compared."""
-CALM = 1.25
-"""Slowest over median arithmetic of a turn in which the machine was left alone."""
+CALM, FULL_SPEED = 1.25, 10
+"""Slowest arithmetic of a turn in which the machine was left alone, over that at full speed: a percentile of turns. A
+core whose sibling works may run at half speed for seconds; both speeds together are no property of a model."""
 STEADY = 1.5
 """p99 over p50 of the processor time on one thread that a deciding network may have."""
 
@@ -88,10 +90,10 @@ def time_calls(
 class Steadiness:
     """p99 over p50 of the processor time of a call on one core: of all calls, and of those in calm turns.
 
-    Calls are made in turns with arithmetic that never changes and takes as long. A turn is calm if that arithmetic,
-    just before and just after it, took at most ``CALM`` times its median in every call: what is slow in it is the
-    model's doing, not that of hypervisor and neighbours. Which turns are calm is decided without looking at the model.
-    The ``machine`` ratios are those of the arithmetic itself.
+    Calls are made in turns with arithmetic that never changes and takes as long. A turn is calm if that arithmetic ran
+    at the core's full speed just before and just after it, every call at most ``CALM`` times what it takes then: what
+    is slow in the turn is the model's doing, not that of hypervisor and neighbours. Which turns are calm is decided
+    without looking at the model. The ``machine`` ratios are those of the arithmetic itself.
     """
 
     tail: float
@@ -117,7 +119,8 @@ class Steadiness:
 
 def calm_turns(machine: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Turns [n] of a model between two calm turns of the arithmetic [n, calls]; the first has one neighbour only."""
-    calm = machine.max(1) <= CALM * np.median(machine)
+    full_speed_ms = np.percentile(np.median(machine, 1), FULL_SPEED)
+    calm = machine.max(1) <= CALM * full_speed_ms
     between: NDArray[np.bool_] = calm.copy()
     between[1:] &= calm[:-1]
     return between

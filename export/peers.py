@@ -69,8 +69,10 @@ def _torch_call(model: Model, inputs: Arrays, *, compiled: bool) -> Peer:
     network: Any = rebuild(model)
     if compiled:
         try:
+            torch.compiler.reset()  # it compiles one forward at most eight times, and runs it as it is from then on
             network = torch.compile(network)
-            _ = network(**{name: torch.from_numpy(value) for name, value in inputs.items()})
+            with torch.inference_mode():  # as it will be called: another mode is compiled anew
+                _ = network(**{name: torch.from_numpy(value) for name, value in inputs.items()})
         except Exception as error:  # no compiler, or one of inductor's many failures
             raise PeerAbsentError(f"torch.compile cannot run here: {str(error).splitlines()[0][:120]}") from error
     given = {name: torch.from_numpy(value) for name, value in inputs.items()}

@@ -78,6 +78,13 @@ def test_turns_beside_a_disturbed_turn_of_the_machine_do_not_count():
     assert (found.tail, found.tail_calm, found.steady) == (2.0, 1.0, True)
 
 
+def test_turns_at_half_speed_do_not_count_however_many_they_are():
+    machine, ours = np.ones((20, 32)), np.ones((20, 32))
+    machine[5:], ours[5:] = 2.0, 2.0
+    found = Steadiness.of(ours, machine)
+    assert (found.calm_share, found.tail_calm) == (0.25, 1.0)
+
+
 def test_nothing_is_claimed_of_a_model_on_a_machine_that_is_never_calm():
     machine = np.ones((20, 32))
     machine[:, 0] = 2 * CALM
