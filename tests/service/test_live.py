@@ -123,6 +123,9 @@ def test_a_client_that_is_gone_makes_room_for_the_next_one_at_once(live: LiveSer
     following.send(wire.Abort(insertion_id="following", reason="done"))
     following.until("finished")
     following.close()
+    while not list(live.recordings.glob("*_gone/summary.json")):  # its recording is closed beside the next insertion
+        assert time.monotonic() < deadline, "the lost client's recording was not closed"
+        time.sleep(0.01)
     (summary,) = [json.loads(p.read_text()) for p in live.recordings.glob("*_gone/summary.json")]
     assert (summary["outcome"], summary["attempts"]) == ("aborted", 1)
 
