@@ -52,17 +52,16 @@ def _page(report: dict[str, Any]) -> list[str]:
         "",
         "## One call",
         "",
-        "| model | p50 | p90 | p99 | p99.9 | CPU p50 | p99 | calm | all | machine | load | first | peak | MB |",
+        "| model | p50 | p90 | p99 | p99.9 | CPU p50 | p99 | ratio | calm | machine | load | first | peak | MB |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
         *map(_single, rows),
         "",
-        "Calm: p99 over p50 of the calling thread's processor time on one core while the machine was calm,",
-        f"at most {STEADY}. Calls are made in turns with arithmetic that never changes and takes as long; a turn",
-        "counts if that arithmetic ran at the core's full speed just before and just after it, no call slower",
-        f"than {CALM} times what it takes then: {_calm(rows)} of the turns. The model has no say in which. All: the",
-        "same over every call. Machine: over every call of the arithmetic, which is what interrupts, hypervisor and",
-        "neighbours do to anything that runs here. Times in ms; `first`, `peak` (beyond interpreter and libraries)",
-        "are of a fresh process.",
+        f"Ratio: p99 over p50 of the calling thread's processor time on one core, at most {STEADY}; every call counts.",
+        "Machine: the same of arithmetic that never changes and takes as long, called in turns: what interrupts,",
+        "hypervisor and neighbours do to anything that runs here. Calm: the model's ratio in the turns (here",
+        f"{_calm(rows)}) just before and just after which that arithmetic ran at the core's full speed, no call",
+        f"slower than {CALM} times what it takes then; the model has no say in which. Times in ms; `first`, `peak`",
+        "(beyond interpreter and libraries) are of a fresh process.",
         "",
         "## Throughput and LoadGen",
         "",
@@ -108,8 +107,8 @@ def _single(row: dict[str, Any]) -> str:
     cells = [f"{single[key]:.2f}" for key in ("p50_ms", "p90_ms", "p99_ms", "p999_ms", "cpu_p50_ms", "cpu_p99_ms")]
     steady = row["steady"]
     cells += [
-        _calm_tail(steady),
-        f"{steady['tail']:.2f}",
+        f"{steady['tail']:.2f}{_tail_verdict(steady)}",
+        "never" if steady["tail_calm"] is None else f"{steady['tail_calm']:.2f}",
         f"{steady['machine_tail']:.2f}",
         f"{fresh['load_ms']:.0f}",
         f"{fresh['first_ms']:.1f}",
@@ -117,10 +116,10 @@ def _single(row: dict[str, Any]) -> str:
     return "| " + " | ".join([_name(row), *cells, f"{fresh['peak_mb']:.0f}", f"{row['size_mb']:.2f}"]) + " |"
 
 
-def _calm_tail(steady: dict[str, Any]) -> str:
-    if steady["tail_calm"] is None:
-        return "never calm"
-    return f"{steady['tail_calm']:.2f}" + ("" if steady["holds"] else " (over)")
+def _tail_verdict(steady: dict[str, Any]) -> str:
+    if steady["holds"]:
+        return ""
+    return " (over)" if steady["machine_tail"] <= STEADY else " (over, as is the machine)"
 
 
 def _throughput(row: dict[str, Any]) -> str:
