@@ -22,7 +22,7 @@ def state_of(package: Path) -> str:
 
 
 def keep_apart(package: Path) -> None:
-    """Tell numba, before it is imported: a folder inside the one that the environment names, else in ``__pycache__``."""
+    """Tell numba, before it is imported: a folder inside the one the environment names, else in ``__pycache__``."""
     state, named = state_of(package), os.environ.get(VARIABLE)
     base = Path(named) if named else package / "__pycache__"
     if base.name != state:  # the environment of a child process names it already
