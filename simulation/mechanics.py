@@ -19,6 +19,7 @@ from simulation import contact, convex, equilibrium, gel, newton
 from simulation.convex import FREEZE_CONVEX
 
 SETTLED, STALLED, LOST = 0, 1, 2
+MAX_DIRECT = 20
 
 
 @njit(cache=True)
@@ -53,14 +54,14 @@ def advance(
 ) -> int:  # fmt: skip
     """One load step: the hand goes from pose to target (x, y, z mm, yaw rad); the state follows. Gives a status code.
 
-    Records come as arrays [1], trials as [2]. STALLED and LOST leave the state as it was. blend below 1: the
+    Records come as arrays [1], trials as [3]. STALLED and LOST leave the state as it was. blend below 1: the
     share of a round by which friction limits follow where whole rounds do not settle.
     """
-    constants, state, trial, spare = constants_[0], state_[0], trials[0], trials[1]
+    constants, state, trial, spare, kept = constants_[0], state_[0], trials[0], trials[1], trials[2]
     value, tries, rounds = math.inf, 0, 0
     equilibrium.begin(constants, state, trial, nodes, foot, corner, pose, target)
     if direct:
-        value, tries = newton.direct(constants, state, trial, spare, rows, slots, nodes, foot, corner, tol)
+        value, tries = newton.direct(constants, state, trial, spare, rows, slots, nodes, foot, corner, tol, MAX_DIRECT)
     if not value <= tol:
         equilibrium.begin(constants, state, trial, nodes, foot, corner, pose, target)
         value, count, rounds = convex.converge(constants, state, trial, spare, rows, slots, nodes, foot, corner, tol)
@@ -72,7 +73,9 @@ def advance(
             if blend >= 1.0:
                 return STALLED
             equilibrium.begin(constants, state, trial, nodes, foot, corner, pose, target)
-            value, count = convex.damped(constants, state, trial, spare, rows, slots, nodes, foot, corner, tol, blend)
+            value, count = convex.damped(
+                constants, state, trial, spare, kept, rows, slots, nodes, foot, corner, tol, blend
+            )
             tries += count
             contact.hold_rim(constants, trial, slots, foot, corner, 0.0)
             if count < 0:

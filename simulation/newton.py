@@ -14,7 +14,6 @@ from numba import njit
 from simulation import contact, equilibrium, gel
 from simulation.linear import lu_solve
 
-MAX_DIRECT = 20
 FAR_IN_HAND_MM = 30.0
 
 
@@ -75,12 +74,16 @@ def direct(
     foot: Any,
     corner: Any,
     tol: float,
+    most: int,
 ) -> tuple[float, int]:
-    """Coupled Newton; gives the residual, N, and the iterations. Leaves the equilibrium in trial when it converged."""
+    """Coupled Newton; gives the residual, N, and how many of `most` iterations it took.
+
+    Leaves the equilibrium in trial when it converged.
+    """
     n = constants.unknowns
     contact.refresh(constants, state, trial, rows, slots, foot, corner, False)
     value = forces(constants, trial, rows, nodes, True)
-    for i in range(MAX_DIRECT):
+    for i in range(most):
         if value <= tol:
             return value, i
         if not _coupled_step(trial, n):
@@ -100,4 +103,4 @@ def direct(
             value = math.inf
         if not value < math.inf or gone(trial):
             return math.inf, i
-    return value, MAX_DIRECT
+    return value, most

@@ -93,6 +93,7 @@ NODE = np.dtype(
         ("sz", "f8"),
         ("pressure", "f8"),  # N/mm2
         ("limit", "f8"),  # bound of the traction, N/mm2
+        ("guess", "f8"),  # damped rounds: limit so far, N/mm2
         ("slipped", "f8"),  # 1 where the last load step slipped
     ],
     align=True,

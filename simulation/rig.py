@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 APPROACH_MM = 5.0
 LOST_MM, LOST_GRIP = 12.0, 0.1
 MAX_HALVINGS = 6
-BLENDS = (0.5, 0.2, 0.05)  # dampings to try where no shorter step helps
+DAMPING = 0.02  # share of a round by which friction limits follow where no shorter step helps
 
 
 class Cell:
@@ -53,7 +53,7 @@ class Cell:
         self.base_slot = records.slot_count(vertices)
         self.slots = np.zeros(self.base_slot + 8, dtype=records.SLOT)
         self.rows = np.zeros(records.row_count(vertices), dtype=records.ROW)
-        self.trials = np.zeros(2, dtype=records.TRIAL)
+        self.trials = np.zeros(3, dtype=records.TRIAL)
         self.record = np.zeros(1, dtype=records.STATE)
         self.state: Any = self.record[0]
         self.corner = np.empty((vertices, 3))
@@ -189,7 +189,7 @@ class Cell:
             self._divide(target, 0, dt_s, rescue=False)
         except PhysicsError:
             # the object may have nowhere to go but far: leap over what no short step passes, or else crawl through it
-            status = self._damped(target, dt_s)
+            status = self._pass(target, dt_s, DAMPING)
             if status == mechanics.STALLED:
                 self._divide(target, 0, dt_s, rescue=True)
             else:
@@ -198,7 +198,7 @@ class Cell:
     def _divide(self, target: Array, depth: int, dt_s: float | None, *, rescue: bool) -> None:
         status = self._pass(target, dt_s)
         if status == mechanics.STALLED and rescue and depth == MAX_HALVINGS:
-            status = self._damped(target, dt_s)
+            status = self._pass(target, dt_s, DAMPING)
         if status == mechanics.STALLED and self._drops():
             status = mechanics.LOST
         if status == mechanics.STALLED and depth < MAX_HALVINGS:
@@ -214,13 +214,6 @@ class Cell:
                 self._why(),
             )
         self._arrive(target, status)
-
-    def _damped(self, target: Array, dt_s: float | None) -> int:
-        for blend in BLENDS:
-            status = self._pass(target, dt_s, blend)
-            if status != mechanics.STALLED:
-                return status
-        return mechanics.STALLED
 
     def _arrive(self, target: Array, status: int) -> None:
         """A load step ended at its target, solved or with the object lost."""

@@ -157,7 +157,7 @@ def gel_stiffness_over_six_decades(seed: int) -> tuple[float, str]:
     "physics",
     why="contact stiffness over four decades scales one block of the matrix and not the others",
     holds="blocks from 5 to 50,000 N/mm solve: share of the bound used",
-    guard=("simulation/convex.py", "MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 1200"),
+    guard=("simulation/convex.py", "MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 1000"),
     limit=1.0,
     quick=False,
 )
