@@ -97,6 +97,7 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         ),
         training_data_sha256=checkpoint.training_data_sha256,
         git_commit=checkpoint.git_commit,
+        training_run=checkpoint.run,
         validation=checkpoint.figures.get("joint/validation/all" if joint else "validation/all", {}),
         verified_on_cpu=cpu_name(),
     )

@@ -4,6 +4,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from pydantic import JsonValue
+
 from service.models import LoadedModel, load_models
 
 
@@ -18,6 +20,10 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
+def _seed(run: dict[str, JsonValue]) -> str:
+    return f", seed {run['seed']}" if "seed" in run else ""
+
+
 def describe(model: LoadedModel, *, decides: bool) -> list[str]:
     """A few lines on one file: what it is, what it takes, where it comes from, how it did."""
     card = model.card
@@ -30,7 +36,7 @@ def describe(model: LoadedModel, *, decides: bool) -> list[str]:
         f"  takes       {card.frames_per_decision} frame pairs, {frame}, {card.quantisation} quantisation",
         f"  calibrated  temperature {card.calibration.temperature:.3g}, refuses below {card.min_confidence:.0%}",
         f"  validation  {figures} (simulated)",
-        f"  from        commit {card.git_commit[:12]}, data {card.training_data_sha256[:12]}",
+        f"  from        commit {card.git_commit[:12]}, data {card.training_data_sha256[:12]}{_seed(card.training_run)}",
         f"  verified    on {card.verified_on_cpu}",
         f"  sha256      {model.sha256}",
     ]

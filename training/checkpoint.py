@@ -2,12 +2,12 @@
 
 import json
 import subprocess
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-from pydantic import ValidationError
+from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
 from service.contract import ContractError
@@ -31,6 +31,8 @@ class Checkpoint:
     figures: dict[str, dict[str, float]]
     training_data_sha256: str
     git_commit: str
+    run: dict[str, JsonValue] = field(default_factory=dict)
+    """Settings of the run it came from; empty in checkpoints older than the field."""
 
     def save(self, path: Path) -> None:
         """Write atomically."""
@@ -43,6 +45,7 @@ class Checkpoint:
             "figures": self.figures,
             "training_data_sha256": self.training_data_sha256,
             "git_commit": self.git_commit,
+            "run": self.run,
         }
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".tmp")

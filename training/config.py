@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field, JsonValue, ValidationError
 
 from service.contract.frames import Contract, ContractError, first_error
 from service.contract.toml import read_toml
@@ -97,6 +97,11 @@ class RunConfig(Contract):
     def folder(self) -> Path:
         """Where this run writes."""
         return Path(self.runs) / self.name
+
+    def settings(self) -> dict[str, JsonValue]:
+        """All that shaped the network, for its card: no places of this machine, a start is named by its run."""
+        said: dict[str, JsonValue] = self.model_dump(mode="json", exclude={"runs": True, "data": {"path", "cache"}})
+        return said | {"start_from": Path(self.start_from).parent.name if self.start_from else None}
 
 
 def refuse_another(folder: Path, config: Contract) -> None:

@@ -174,6 +174,7 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         figures=tables,
         training_data_sha256=digest,
         git_commit=git_commit(),
+        run=config.settings(),
     )
     checkpoint.save(config.folder / "checkpoint.pt")
     (config.folder / "figures.json").write_text(json.dumps(tables, indent=1))

@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field, JsonValue, ValidationError
 from rich.progress import track
 from torch import Tensor
 
@@ -54,6 +54,11 @@ class RecipeConfig(Contract):
     def folder(self) -> Path:
         """Where this run writes."""
         return Path(self.runs) / self.name
+
+    def settings(self) -> dict[str, JsonValue]:
+        """All that shaped the networks, for their card; places on this machine are left out."""
+        said: dict[str, JsonValue] = self.model_dump(mode="json", exclude={"runs", "data", "cache", "imagenet"})
+        return said | {"imagenet": self.imagenet is not None}
 
 
 @dataclass(frozen=True, slots=True)

@@ -244,6 +244,7 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
         figures=tables | {f"joint/{name}": row for name, row in joint_tables.items()},
         training_data_sha256=trainer.trials.sha256,
         git_commit=git_commit(),
+        run=trainer.config.settings(),
     )
     if parallel.first():
         checkpoint.save(folder / "checkpoint.pt")

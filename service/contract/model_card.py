@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, JsonValue, ValidationError, model_validator
 
 from service.contract.frames import Contract, ContractError, FrameSpec, first_error
 
@@ -96,6 +96,7 @@ class ModelCard(Contract):
     min_confidence: float = Field(ge=0, le=1, default=0.0)
     training_data_sha256: str
     git_commit: str
+    training_run: dict[str, JsonValue] = Field(default_factory=dict)
     quantisation: Literal["none", "fp16", "int8"] = "none"
     validation: dict[str, float]
     verified_on_cpu: str

@@ -34,7 +34,7 @@ def export_tiny(folder, only=()):
     weights = build(settings, len(CLASSES)).state_dict()
     figures = {"validation/all": {"accuracy": 0.5}}
     scales = Scales(1.5, 1.1, 0.9)
-    Checkpoint("tiny", settings, weights, scales, Scales(), figures, "0" * 64, "abc").save(folder / "c.pt")
+    Checkpoint("tiny", settings, weights, scales, Scales(), figures, "0" * 64, "abc", {"seed": 0}).save(folder / "c.pt")
     logging.disable(logging.INFO)  # pytest would format every line that torch traces
     try:
         export_checkpoint(folder / "c.pt", folder, only)

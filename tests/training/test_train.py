@@ -45,6 +45,14 @@ def test_a_killed_run_resumes_to_the_same_weights(config, source, monkeypatch):
     assert all(torch.allclose(whole.weights[name], resumed.weights[name], atol=1e-6) for name in whole.weights)
 
 
+def test_a_checkpoint_names_its_run_but_no_place_of_the_machine(config, source):
+    train(config, source)
+    said = Checkpoint.load(config.folder / "checkpoint.pt").run
+    assert said["seed"] == config.seed
+    assert said["trunk"]["learning_rate"] == config.trunk.learning_rate
+    assert not [place for place in (config.runs, config.data.path, config.data.cache) if place in str(said)]
+
+
 def test_a_run_folder_belongs_to_one_config(config, source):
     train(config, source)
     with pytest.raises(ContractError, match="another config"):
