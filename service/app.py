@@ -7,6 +7,7 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.types import Receive, Scope, Send
 
+from service import __version__
 from service.contract import ContractError
 from service.metrics import Metrics
 from service.routes import api, cameras, health, insertion, live, oip, recordings
@@ -44,7 +45,7 @@ def create_app(station: Station) -> FastAPI:
     """The application; the caller starts and stops the station."""
     app = Application(
         title="tactile-insertion",
-        version="0.1.0",
+        version=__version__,
         docs_url="/v1/docs",
         redoc_url=None,
         responses={"4XX": {"model": Refused, "description": "refused; the text says why"}},

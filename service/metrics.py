@@ -31,11 +31,14 @@ class Metrics:
         age = Gauge("frame_age_seconds", "Age of the newest frame", ["finger"], **make)
         dropped = Gauge("frames_dropped", "Frames dropped by backlog", **make)
         unpaired = Gauge("frames_unpaired", "Frames without a partner in time", **make)
+        caught = Gauge("internal_errors", "Errors caught inside the service, each with a log line", ["where"], **make)
         ready = Gauge("ready", "1 if models are warm and cameras live", **make)
         for finger in station.cameras:
             age.labels(finger).set_function(partial(self._age_s, finger))
         dropped.set_function(lambda: station.counters.frames_dropped_n)
         unpaired.set_function(lambda: station.pairer.dropped_n)
+        caught.labels("perception").set_function(lambda: station.counters.perception_errors_n)
+        caught.labels("listener").set_function(lambda: station.hub.errors_n)
         ready.set_function(lambda: float(station.ready))
         self._counted: dict[Finger, int] = {}
         station.hub.subscribe(self._heard)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import sys
 from collections.abc import Callable
 
@@ -38,6 +39,14 @@ def usage() -> str:
     return "\n".join(lines + [f"  {name:<14} {text}" for name, (_, text) in COMMANDS.items()])
 
 
+def _refuse_negative_seed(words: list[str]) -> None:
+    """Every command that draws takes --seed; numpy's own refusal names no option."""
+    for word, value in zip(["", *words], [*words, ""], strict=True):
+        seed = value.removeprefix("--seed=") if value.startswith("--seed=") else value if word == "--seed" else ""
+        if re.fullmatch(r"-\d+", seed):
+            raise ValueError(f"--seed {seed}: expected 0 or more")
+
+
 def main(arguments: list[str]) -> int:
     """Run one command. Exit status 2 with one line when the input was wrong."""
     if not arguments or arguments[0] in {"-h", "--help"}:
@@ -50,6 +59,7 @@ def main(arguments: list[str]) -> int:
     module, function = COMMANDS[name][0].split(":")
     run: Callable[[list[str]], int] = getattr(importlib.import_module(module), function)
     try:
+        _refuse_negative_seed(rest)
         return run(rest)
     except (ValueError, OSError) as error:
         print(f"{name}: {error}", file=sys.stderr)

@@ -72,7 +72,7 @@ class RunConfig(Contract):
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    seed: int = 0
+    seed: int = Field(default=0, ge=0)
     threads: int = Field(default=1, ge=1)
     runs: str = "runs"
     start_from: str | None = None

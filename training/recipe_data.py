@@ -26,7 +26,7 @@ class RecipeConfig(Contract):
     """One run of the recipe. Trials are those of each split, at most so many, chosen by the hash of their content."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    seed: int = 0
+    seed: int = Field(default=0, ge=0)
     threads: int = Field(default=1, ge=1)
     runs: str = "runs"
     data: str

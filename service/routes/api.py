@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Query, Request
 
-from service import asyncapi
+from service import __version__, asyncapi
 from service.contract import FINGERS, ContractError, decode_frame
 from service.decision import DecisionRun
 from service.routes.access import Access
@@ -14,7 +14,6 @@ from service.routes.gate import whole_body
 from service.seen import seen_in
 from service.station import Station
 
-VERSION = "0.1.0"
 MAX_BODY_BYTES = 64 << 20
 BINARY_BODY = {
     "requestBody": {
@@ -56,7 +55,7 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.get("/asyncapi.json")
     async def websockets() -> dict[str, Any]:
         """The WebSockets, described as AsyncAPI."""
-        return asyncapi.document(VERSION)
+        return asyncapi.document(__version__)
 
     @routes.get("/insertions", dependencies=watch)
     async def insertions() -> dict[str, Any]:

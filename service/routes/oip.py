@@ -13,7 +13,7 @@ from typing import Any
 
 from fastapi import APIRouter, HTTPException, Request, Response
 
-from service import oip
+from service import __version__, oip
 from service.contract import ContractError
 from service.models import LoadedModel
 from service.oip_schema import INFER_SCHEMA
@@ -181,7 +181,7 @@ def _server_routes(routes: APIRouter, served: Served, access: Access) -> None:
     @routes.get("", dependencies=watch)
     async def server() -> dict[str, Any]:
         extensions = ["binary_tensor_data", "statistics", "model_repository", "model_configuration"]
-        return {"name": "tactile-insertion", "version": "0.1.0", "extensions": extensions}
+        return {"name": "tactile-insertion", "version": __version__, "extensions": extensions}
 
     @routes.get("/health/live")
     @routes.get("/health/ready")

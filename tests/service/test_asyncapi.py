@@ -1,17 +1,19 @@
 """The description of the WebSockets is the code's own: nothing is missing, nothing is left over, examples are valid."""
 
 import json
+import tomllib
 from typing import Any
 
 import httpx
 import jsonschema_rs
 import pytest
 
-from service import asyncapi
+from service import __version__, asyncapi
 from service.contract import wire
+from tests.docs.commands import ROOT
 from tests.service.conftest import LiveService
 
-DOCUMENT = json.loads(json.dumps(asyncapi.document("0.1.0")))
+DOCUMENT = json.loads(json.dumps(asyncapi.document(__version__)))
 MESSAGES = {m.__name__: m for m in (*asyncapi.CLIENT, *asyncapi.SERVICE)}
 
 
@@ -71,3 +73,8 @@ def test_a_key_that_the_code_refuses_is_refused_by_the_schema() -> None:
 
 def test_the_service_serves_it(live: LiveService) -> None:
     assert httpx.get(live.url("/v1/asyncapi.json")).json() == DOCUMENT
+
+
+def test_the_service_says_the_version_of_the_package() -> None:
+    package = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert DOCUMENT["info"]["version"] == package["version"]

@@ -4,6 +4,7 @@ import contextlib
 import socket
 import time
 
+import httpx
 import pytest
 import structlog
 from websockets.exceptions import ConnectionClosed
@@ -93,6 +94,8 @@ def test_a_listener_that_fails_is_counted_and_breaks_no_insertion(live: LiveServ
     finally:
         remove()
     assert live.station.hub.errors_n >= 3
+    told = f'tactile_internal_errors{{where="listener"}} {float(live.station.hub.errors_n)}'
+    assert told in httpx.get(live.url("/metrics")).text
     live.station.hub.errors_n = 0
 
 

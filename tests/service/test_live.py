@@ -58,6 +58,7 @@ def test_health_ready_and_metrics_answer(live: LiveService) -> None:
     text = httpx.get(live.url("/metrics")).text
     assert 'tactile_frames_total{finger="left"}' in text
     assert "tactile_ready 1.0" in text
+    assert 'tactile_internal_errors{where="perception"} 0.0' in text
 
 
 def test_only_one_client_drives_and_others_watch(live: LiveService) -> None:

@@ -24,6 +24,7 @@ REFUSED = [
     ("cell --seed -1 --out OUT", "--seed -1"),
     ("probe rectangle --x-mm 1e308", "--x-mm 1e+308"),
     ("probe rectangle --seed -1", "--seed -1"),
+    ("evaluate --models MODELS --out OUT --docs OUT --seed=-1", "--seed -1"),
 ]
 
 
