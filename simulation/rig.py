@@ -208,10 +208,11 @@ class Cell:
             self._divide(target, depth + 1, half_s, rescue=rescue)
             return
         if status == mechanics.STALLED:
+            reason = self._why()
             raise PhysicsError(
                 f"scene {self.scene.name!r}: no equilibrium within {self.scene.numerics.residual_n} N at TCP "
-                f"{np.round(target[:3], 3).tolist()} mm (residual {self.state['report'][0]:.2e} N)",
-                self._why(),
+                f"{np.round(target[:3], 3).tolist()} mm: {reason}, forces off by {self.state['report'][0]:.2e} N",
+                reason,
             )
         self._arrive(target, status)
 
