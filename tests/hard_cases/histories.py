@@ -50,6 +50,20 @@ def stick_slip_reversal(seed: int) -> float:
 
 @case(
     "physics",
+    why="a part between both walls locks: its limits follow each other, and come 1 to 2 % closer a round",
+    holds="a part pushed down until it wedges has its equilibrium, never refused: share of the bound used",
+    guard=("simulation/convex.py", "if outer % FINISH_EVERY == FINISH_EVERY - 1:", "if outer < 0:"),
+    limit=1.0,
+    quick=False,
+)
+def wedged_between_both_walls(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    starts = [(rng.uniform(-2.5, 2.5), rng.uniform(3.5, 6.0) * rng.choice((-1.0, 1.0))) for _ in range(2)]
+    return max(worst_of(grasped("mustard", x, theta, seed), (6.0, 8.0, 10.0, 12.0, 14.0)) for x, theta in starts)
+
+
+@case(
+    "physics",
     why="one step of 1.5 mm crosses touchdown, sticking and slip at once; a thousand small ones add their rounding",
     holds="in-hand position from 1, 4, 32 and 1024 load steps agrees: mm apart from the finest",
     guard=HALVED,
