@@ -28,9 +28,9 @@ TORQUE_NOISE_N_MM, FORCE_NOISE_N = 5.0, 0.1  # resolution of a small wrist senso
 class View:
     """What a baseline may look at after attempt number ``attempt`` was blocked.
 
-    ``error`` is the truth (x mm, theta deg) before the attempt, for the oracle alone.
-    ``wrench`` [6] N and N mm on the object at the TCP
-    in the hand frame. ``classes`` and ``estimate`` are the networks', None when pictures are not looked at.
+    ``error`` is the truth (x mm, theta deg) before the attempt, for the oracle alone. ``wrench`` [6] N and N mm on the
+    object at the TCP in the hand frame, of the contact alone: the sensor is tared before each descent, with the object
+    hanging free. ``classes`` and ``estimate`` are the networks', None when pictures are not looked at.
     """
 
     attempt: int

@@ -94,7 +94,7 @@ class Insertion:
         )
         self.state = State(plan)
         self.trials: list[dict[str, Any]] = []
-        self.error_before: tuple[float, float] = world.state.object_error
+        self.before = world.state  # what it was when the descent began, hanging free
         self._events: deque[Event] = deque()
         self._standing = False
         self._skipped: list[Work] = []
@@ -177,7 +177,7 @@ class Insertion:
             message = self._chosen(self.chooser, message)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
         wrench = [round(float(v), 3) for v in self.world.state.wrench_n_nmm]
-        self.trials.append({"error_before": list(self.error_before), "wrench": wrench, "decision": decision})
+        self.trials.append({"error_before": list(self.before.object_error), "wrench": wrench, "decision": decision})
         return message
 
     def _chosen(self, chooser: Chooser, message: Correction | NoDecision) -> Correction:
@@ -185,11 +185,11 @@ class Insertion:
         if isinstance(message, Correction) and self.contender.sees:
             estimate = (message.estimate.dx_mm, message.estimate.dtheta_deg)
             classes = message.class_probabilities
-        wrench = np.asarray(self.world.state.wrench_n_nmm, np.float64)
+        felt = np.asarray(self.world.state.wrench_n_nmm - self.before.wrench_n_nmm, np.float64)
         view = View(
             message.attempt,
-            self.error_before,
-            wrench,
+            self.before.object_error,
+            felt,
             self.state.plan.gap_width_mm,
             scene.grasp.height_mm,
             classes,
@@ -218,7 +218,7 @@ class Insertion:
                 else:
                     self._standing = True
             case Move() if command.motion == "descend":
-                self.error_before = self.world.state.object_error
+                self.before = self.world.state
                 self.world.descend(command.target.z_mm)
             case Move():
                 target = command.target

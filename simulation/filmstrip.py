@@ -34,7 +34,7 @@ class _Album:
             ("left, inserted" if inserted else "left, stopped", last.left.image),
             ("right, inserted" if inserted else "right, stopped", last.right.image),
         ]
-        page: dict[str, Any] = {"frames": frames, "belief": None, "error": self._play.error_before, "move": None}
+        page: dict[str, Any] = {"frames": frames, "belief": None, "error": self._play.before.object_error, "move": None}
         if self._command is not None and not inserted:
             seen = self._command.belief
             page["move"] = self._command.dx_mm, self._command.dtheta_deg

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.models import load_models
-from simulation.contenders import Oracle
+from simulation.contenders import Oracle, error_from_levers, lever_arms_mm
 from simulation.evaluate import Job, insert, stage
 from simulation.lockstep import LockstepCell
 from simulation.scene import load_scene
@@ -57,6 +57,28 @@ def test_an_object_that_slid_up_in_the_hand_without_a_slip_message_is_not_claime
     assert not seen.claimed
     assert "not_seated" in seen.reason
     assert seen.attempts == blind.attempts
+
+
+class FeltError(Exception):
+    """Ends an insertion after its first attempt."""
+
+
+class Felt:
+    """A chooser that keeps what it is shown."""
+
+    def choose(self, view):
+        self.view = view
+        raise FeltError
+
+
+def test_force_alone_tells_where_a_heavy_object_is_pressed(models):
+    """A wrist sensor is tared before the descent: its reading is the contact, not the 0.6 kg of the mustard bottle."""
+    play = stage(job("mustard", 8.0, 4.0, 3, "force"), models)
+    play.chooser = felt = Felt()
+    with pytest.raises(FeltError):
+        play.run()
+    lever = lever_arms_mm(felt.view.wrench, felt.view.grasp_height_mm)
+    assert error_from_levers(lever, felt.view.gap_mm)[0] == pytest.approx(felt.view.error[0], abs=1.5)
 
 
 def test_the_blocks_are_free(models):
