@@ -90,7 +90,7 @@ def report(rows: list[Row]) -> str:
     """Success and trials by condition and tier, all objects together, as Markdown."""
     tiers = sorted({tier_of(row) for row in rows})
     scenes = sorted({str(row["scene"]) for row in rows})
-    heads = [f"{tier} tier: inserted, 95 % interval, mean trials, refused, claimed wrongly" for tier in tiers]
+    heads = [f"{tier} tier: inserted, 95 % interval, mean trials, refused, claimed wrongly, void" for tier in tiers]
     lines = [
         "# Robustness of the closed loop, simulated",
         "",
@@ -98,7 +98,7 @@ def report(rows: list[Row]) -> str:
         "which were trained on the `bristle` tier; the `layer` tier is a finer model of the gel that they never saw.",
         f"Objects: {', '.join(scenes)}, together. A failure counts as 16 trials. Refused: insertions in which the",
         "service or the client ended the insertion by itself instead of using up its trials. Claimed wrongly: not in,",
-        "but the client said so.",
+        "but the client said so. Void: the physics found no equilibrium; it counts as failed.",
         *_eyes(rows),
         "",
         "| disturbance | " + " | ".join(heads) + " |",
@@ -145,5 +145,7 @@ def _cell(rows: Sequence[Row]) -> str:
     low, high = wilson(inserted, len(rows))
     mean = sum(trials_of(row) for row in rows) / len(rows)
     wrong = sum(row["claimed"] and not row["inserted"] for row in rows)
-    refused = sum(not (row["inserted"] or row["claimed"]) and row["attempts"] < FAILED_COUNTS_AS - 1 for row in rows)
-    return f"{inserted}/{len(rows)}, {low:.0%} .. {high:.0%}, {mean:.2f}, {refused}, {wrong}"
+    void = sum(row["void"] for row in rows)
+    ended = (row for row in rows if not (row["inserted"] or row["claimed"] or row["void"]))
+    refused = sum(row["attempts"] < FAILED_COUNTS_AS - 1 for row in ended)
+    return f"{inserted}/{len(rows)}, {low:.0%} .. {high:.0%}, {mean:.2f}, {refused}, {wrong}, {void}"

@@ -89,6 +89,8 @@ def main(arguments: list[str]) -> int:
             raise ValueError(f"--{flag} {', '.join(unknown)}: expected some of {', '.join(known)}")
     if options.count < 1:
         raise ValueError(f"--count {options.count}: expected at least 1")
+    if not options.objects or not options.tiers:
+        raise ValueError("nothing to play: expected some --objects and --tiers")
     if not list(options.models.glob("*.onnx")):
         raise ValueError(f"--models {options.models}: no *.onnx there; expected the folder with the networks")
     setup = campaign.fingerprint({options.who: options.models / CONTENDERS[options.who].folder})

@@ -118,3 +118,9 @@ def test_the_robustness_table_has_a_column_a_tier():
     assert "| bristle tier: inserted" in text
     assert "| layer tier: inserted" in text
     assert text.count("1/1, ") == 2 * len(robustness.CONDITIONS)
+
+
+def test_an_insertion_without_an_equilibrium_is_not_said_to_be_refused():
+    failed = ROW | {"condition": robustness.label("bristle", "block friction x 2"), "inserted": False, "claimed": False}
+    text = robustness.report([failed | {"attempts": 2, "void": True}, failed | {"attempts": 1}])
+    assert "| 0/2, 0% .. 66%, 16.00, 1, 0, 1 |" in text

@@ -18,6 +18,8 @@ REFUSED = [
     ("view DATA --out OUT --count -1", "--count -1"),
     ("view DATA --out OUT --first -3", "--first -3"),
     ("robustness --models MODELS --out OUT --docs OUT --count 0", "--count 0"),
+    ("robustness --models MODELS --out OUT --docs OUT --objects", "nothing to play"),
+    ("robustness --models MODELS --out OUT --docs OUT --tiers", "nothing to play"),
     ("evaluate --models MODELS --paper-models OUT --who paper --out OUT --docs OUT", "nothing to play"),
     ("evaluate --models MODELS --out OUT --docs OUT --objects", "nothing to play"),
     ("run --timeout-s nan --out OUT", "--timeout-s nan"),
