@@ -70,6 +70,12 @@ class _Progressed:
     best: float = math.inf
     best_epoch: int = -1
     best_state: dict[str, Tensor] = field(default_factory=dict)
+    minutes: float = 0.0
+
+    def over(self, config: StageConfig) -> bool:
+        """Whether the stage has ended, in this call or in an earlier one."""
+        waited = self.epoch - self.best_epoch > config.patience
+        return self.epoch >= config.epochs or waited or self.minutes > config.max_minutes
 
 
 def _rate(step: int, total: int) -> float:
@@ -90,12 +96,12 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
     total = config.epochs * stage.batches_per_epoch
     schedule = LambdaLR(optimiser, lambda step: _rate(step, total))
     at = _resume(path, network, optimiser, schedule)
-    started = time.monotonic()
+    started = time.monotonic() - 60 * at.minutes
     scalars: dict[str, float] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
     with Progress(*columns, disable=not parallel.first()) as progress:
         task = progress.add_task(stage.name, total=total, completed=at.epoch * stage.batches_per_epoch, note="")
-        while at.epoch < config.epochs:
+        while not at.over(config):
             rng = np.random.default_rng(parallel.seeds(seed, at.epoch))
             torch.manual_seed(seed * 1000 + at.epoch + 7919 * parallel.rank())
             loss = _epoch(network, stage, optimiser, schedule, rng, lambda: progress.advance(task))
@@ -104,11 +110,9 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
             log.write(stage.name, at.epoch, scalars)
             progress.update(task, note=" ".join(f"{name} {value:.3f}" for name, value in scalars.items()))
             _keep_best(at, scalars, network)
-            at.epoch += 1
+            at.epoch, at.minutes = at.epoch + 1, scalars["minutes"]
             if parallel.first():
                 _save(path, network, optimiser, schedule, at)
-            if at.epoch - at.best_epoch > config.patience or scalars["minutes"] > config.max_minutes:
-                break
     if at.best_state:
         network.load_state_dict(at.best_state)
     return _validate(network, stage)
@@ -162,6 +166,7 @@ def _save(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lambda
             "best": at.best,
             "best_epoch": at.best_epoch,
             "best_state": at.best_state,
+            "minutes": at.minutes,
         },
         temporary,
     )
@@ -181,4 +186,5 @@ def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lamb
         raise ContractError(f"{path} holds another architecture, expected this run's") from error
     optimiser.load_state_dict(stored["optimiser"])  # brings its learning rate along
     schedule.last_epoch = stored["schedule"]["last_epoch"]
-    return _Progressed(stored["epoch"], stored["best"], stored["best_epoch"], stored["best_state"])
+    said = {name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state")}
+    return _Progressed(**said, minutes=stored.get("minutes", 0.0))

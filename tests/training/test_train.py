@@ -8,6 +8,7 @@ from service.contract import ContractError
 from tests.training.synthetic import SyntheticSource
 from training.checkpoint import Checkpoint
 from training.config import NetworkConfig, RunConfig, StageConfig
+from training.fit import Log, Stage, fit
 from training.networks.forms import SequenceForm, StepForm
 from training.train import train
 
@@ -43,6 +44,35 @@ def test_a_killed_run_resumes_to_the_same_weights(config, source, monkeypatch):
     monkeypatch.undo()
     resumed = train(again, source)
     assert all(torch.allclose(whole.weights[name], resumed.weights[name], atol=1e-6) for name in whole.weights)
+
+
+@pytest.mark.parametrize("limit", [{"patience": 1}, {"max_minutes": 1e-9}])
+def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, limit):
+    network, epochs = torch.nn.Linear(1, 1), []
+
+    def batches(_):
+        epochs.append(1)
+        yield torch.ones(1, 1)
+
+    def play():
+        stage = Stage(
+            "toy",
+            StageConfig(epochs=5, **limit),
+            list(network.parameters()),
+            batches,
+            1,
+            loss=lambda given: network(given).square().mean(),
+            validate=lambda: {"score": float(len(epochs))},  # the first epoch stays the best
+        )
+        log = Log(tmp_path)
+        fit(network, stage, tmp_path, 0, log)
+        log.close()
+
+    play()
+    done = len(epochs)
+    assert 1 <= done < 5
+    play()
+    assert len(epochs) == done
 
 
 def test_a_checkpoint_names_its_run_but_no_place_of_the_machine(config, source):
