@@ -1,5 +1,6 @@
 """A trained network on disk: weights, sizes, and all that its model card will say of it."""
 
+import hashlib
 import json
 import subprocess
 from dataclasses import asdict, dataclass, field
@@ -74,6 +75,13 @@ class Checkpoint:
             ) from error
         except Exception as error:  # torch raises pickle, zip and key errors of many kinds on a damaged file
             raise ContractError(f"checkpoint {path} is not one of ours: {type(error).__name__}") from error
+
+    def weights_sha256(self) -> str:
+        """Hash of the weights alone: saved again, with other figures or by another commit, they are the same."""
+        digest = hashlib.sha256()
+        for name in sorted(self.weights):
+            digest.update(name.encode() + self.weights[name].numpy().tobytes())
+        return digest.hexdigest()
 
     def build(self, expected: NetworkConfig | None = None) -> Any:
         """The network with its weights, in evaluation mode; raise ContractError if they do not fit ``expected``."""

@@ -36,8 +36,9 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
     folder = config.folder
     folder.mkdir(parents=True, exist_ok=True)
     refuse_another(folder, config)
-    table = load_table(source, Path(config.cache) / data_sha256(source)[:16], len(source))
-    pin(folder, config)
+    digest = data_sha256(source)
+    table = load_table(source, Path(config.cache) / digest[:16], len(source))
+    pin(folder, config, digest)
     pair = AlexNetPair(len(CLASSES))
     log = Log(folder)
     try:
@@ -53,7 +54,7 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
             print(role, fit(network, _head_stage(config, network, role, rows), folder, config.seed, log))
     finally:
         log.close()
-    return finish(config, pair, rows, data_sha256(source))
+    return finish(config, pair, rows, digest)
 
 
 # ---- convolutions --------------------------------------------------------------------------------------------------

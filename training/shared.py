@@ -16,7 +16,7 @@ from torch import Tensor
 
 from service.contract import ContractError
 from training.checkpoint import Checkpoint
-from training.config import StageConfig
+from training.config import StageConfig, pin, refuse_other_grounds
 from training.dataset import Source, data_sha256, load_table, open_source
 from training.fit import Log, Stage, fit
 from training.networks.alexnet import AlexNetLstm, AlexNetPair
@@ -30,22 +30,25 @@ READ_AT_ONCE = 8
 def share_backbone(config: RecipeConfig, source: Source | None = None) -> Checkpoint:
     """Train the second LSTM on a finished recipe's features and save ``<runs>/<name>_shared/checkpoint.pt``.
 
-    Raises ContractError if the recipe has not finished.
+    Raises ContractError if the recipe has not finished, or has changed since the folder was begun.
     """
     path = config.folder / "checkpoint.pt"
     if not path.is_file():
         raise ContractError(f"{path} is missing; expected a finished run of `python -m training recipe`")
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
-    pair: AlexNetPair = Checkpoint.load(path).build()
+    recipe = Checkpoint.load(path)
+    pair: AlexNetPair = recipe.build()
     source = open_source(config.data) if source is None else source
     digest = data_sha256(source)
+    refuse_other_grounds(config.folder, digest)  # its kept features are of those data
     table = load_table(source, Path(config.cache) / digest[:16], len(source))
     rows = load_rows(config, source, table, pair.direction)
     fresh = AlexNetLstm(2)
     fresh.alexnet = pair.direction.alexnet
     named = config.model_copy(update={"name": f"{config.name}_shared"})
     named.folder.mkdir(parents=True, exist_ok=True)
+    pin(named.folder, named, digest + recipe.weights_sha256())
     log = Log(named.folder)
     try:
         print("magnitude", fit(fresh, _stage(fresh, rows, _read(fresh, rows)), named.folder, config.seed, log))

@@ -146,7 +146,8 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
         with parallel.first_goes_first():
             refuse_another(folder, config)
             trials = load_trials(config.data, source, config.network.reads)
-            pin(folder, config)  # not before: a mistyped data folder must not claim the run's
+            grounds = trials.sha256 + (_start(config).weights_sha256() if config.start_from else "")
+            pin(folder, config, grounds)  # not before: a mistyped data folder must not claim the run's
         trainer = _prepare(config, trials)
         _run_stages(trainer, folder)
         return _finish(trainer, folder)
@@ -170,13 +171,17 @@ def _prepare(config: RunConfig, trials: Trials) -> Trainer:
             raise ContractError(f"the dataset has no collisions in its {split} split")
     network = build(config.network, len(CLASSES))
     if config.start_from is not None:
-        network.load_state_dict(Checkpoint.load(Path(config.start_from)).build(config.network).state_dict())
+        network.load_state_dict(_start(config).build(config.network).state_dict())
     else:
         _set_scales(network, trials)
     counts = np.bincount(class_of(trials.error[trials.of("train")]), minlength=len(CLASSES)).clip(1)
     weights = (counts.sum() / counts) ** config.loss.class_weight_power
     weights = weights / (weights * counts).sum() * counts.sum()
     return Trainer(config, trials, network, torch.tensor(weights, dtype=torch.float32), torch.full((2, 3), 0.1))
+
+
+def _start(config: RunConfig) -> Checkpoint:
+    return Checkpoint.load(Path(config.start_from or ""))
 
 
 def _set_scales(network: Decider, trials: Trials) -> None:

@@ -89,6 +89,34 @@ def test_a_run_folder_belongs_to_one_config(config, source):
         train(config.model_copy(update={"seed": 1}), source)
 
 
+@pytest.fixture
+def cheap(config):
+    """A run that reads true fields alone."""
+    data = config.data.model_copy(update={"rendered_training": 0, "rendered_validation": 0, "rendered_test": 0})
+    return config.model_copy(update={"data": data} | dict.fromkeys(("front", "tune"), StageConfig(epochs=0)))
+
+
+def test_a_run_does_not_go_on_with_other_data(cheap, source):
+    """Its finished stages would be kept, and the card would state data that no weight has seen."""
+    train(cheap, source)
+    before = (cheap.folder / "checkpoint.pt").read_bytes()
+    with pytest.raises(ContractError, match="trained on other data"):
+        train(cheap, SyntheticSource(source.count + 5))
+    assert (cheap.folder / "checkpoint.pt").read_bytes() == before
+
+
+def test_a_run_does_not_go_on_from_other_weights(cheap, source):
+    start = cheap.folder / "checkpoint.pt"
+    kept = train(cheap, source)
+    begun = cheap.model_copy(update={"name": "second", "start_from": str(start)})
+    train(begun, source)
+    Checkpoint(**{**vars(kept), "git_commit": "later"}).save(start)
+    train(begun, source)  # saved again, they are the same weights
+    Checkpoint(**{**vars(kept), "weights": {name: 2 * value for name, value in kept.weights.items()}}).save(start)
+    with pytest.raises(ContractError, match="from other weights"):
+        train(begun, source)
+
+
 def test_data_that_cannot_be_read_do_not_claim_a_run_folder(config, source, tmp_path):
     mistyped = config.model_copy(update={"data": config.data.model_copy(update={"path": str(tmp_path / "nowhere")})})
     with pytest.raises(ContractError, match="cannot read the dataset"):
