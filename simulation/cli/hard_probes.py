@@ -11,7 +11,9 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from simulation import hard_probes
+from simulation.manifest import write_durably
 from simulation.progress import progress
+from simulation.sources import sources_sha256
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,7 @@ class Options:
 
     Prints how they ended and the worst residual and friction cone of those solved; ends with status 2 where one that
     calls itself solved is not finite, not balanced or outside a cone. The same seed gives the same probes. With --out
-    a run that was interrupted goes on where it stopped.
+    a run that was interrupted goes on where it stopped, if the physics is still the same.
     """
 
     count: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 10_000
@@ -49,14 +51,16 @@ def as_text(options: Options, found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _begun(path: Path | None, options: Options) -> hard_probes.Tally:
-    """What an earlier run with the same seed left, or nothing."""
+def _begun(path: Path | None, asked: dict[str, Any], count: int) -> hard_probes.Tally:
+    """What an earlier run of the same probes on the same physics left, or nothing."""
     if path is None or not path.is_file():
         return hard_probes.Tally()
-    found = json.loads(path.read_text())
-    if found["seed"] != options.seed or found["probes"] > options.count:
-        return hard_probes.Tally()
-    return hard_probes.Tally.from_dict(found)
+    try:
+        found = json.loads(path.read_text())
+        same = all(found.get(name) == value for name, value in asked.items())
+        return hard_probes.Tally.from_dict(found) if same and found["probes"] <= count else hard_probes.Tally()
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is not what an earlier run left ({error!r}); remove it") from error
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -67,7 +71,8 @@ def main(arguments: Sequence[str]) -> int:
     if options.out is not None and not options.out.is_dir():
         raise ValueError(f"--out {options.out}: no such folder")
     path = None if options.out is None else options.out / f"hard_probes.{options.tier}.json"
-    tally = _begun(path, options)
+    asked = {"seed": options.seed, "tier": options.tier, "physics": sources_sha256("simulation.hard_probes")}
+    tally = _begun(path, asked, options.count)
     done = tally.ended.total()
     try:
         with progress("hard probes", options.count) as show:
@@ -75,8 +80,8 @@ def main(arguments: Sequence[str]) -> int:
                 tally.add(part)
                 show(tally.ended.total())
                 if path is not None:
-                    found = {"seed": options.seed, "tier": options.tier, **tally.as_dict()}
-                    path.write_text(json.dumps(found, indent=1) + "\n")
+                    found = {**asked, **tally.as_dict()}
+                    write_durably(path, (json.dumps(found, indent=1) + "\n").encode())
     except hard_probes.ImpossibleStateError as error:
         raise ValueError(f"a promise is broken: {error}") from error
     print(as_text(options, tally.as_dict()))

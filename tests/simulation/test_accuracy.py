@@ -51,6 +51,24 @@ def test_interrupted_hard_probes_go_on_where_they_stopped(tmp_path: Path, capsys
     assert "60 hard probes" in capsys.readouterr().out
 
 
+def test_hard_probes_of_another_physics_are_not_taken_over(tmp_path: Path) -> None:
+    """The file of the build before would otherwise be printed as if today's had been tried."""
+    command = ["hard-probes", "-n", "1", "-j", "1", "--out", str(tmp_path)]
+    path = tmp_path / "hard_probes.bristle.json"
+    assert main(command) == 0
+    true = json.loads(path.read_text())
+    path.write_text(json.dumps(true | {"physics": "0" * 64, "ended": {"solved by the build before": 1}}))
+    assert main(command) == 0
+    assert json.loads(path.read_text())["ended"] == true["ended"]
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"seed": 12', "null"])
+def test_a_tally_of_hard_probes_that_cannot_be_read_is_named(tmp_path: Path, capsys, text) -> None:
+    (tmp_path / "hard_probes.bristle.json").write_text(text)
+    assert main(["hard-probes", "-n", "1", "-j", "1", "--out", str(tmp_path)]) == 2
+    assert "hard_probes.bristle.json is not what an earlier run left" in capsys.readouterr().err
+
+
 def test_ten_thousand_published_hard_probes_kept_every_promise() -> None:
     said = json.loads((DOCS / "hard_probes.bristle.json").read_text())
     page = (DOCS / "hard_probes.md").read_text()
