@@ -1,12 +1,12 @@
 """Many insertions on all cores or on a cluster, logged a line each, so that a killed run goes on where it was.
 
-The log is only valid for the networks and controllers it was made with: `claim` refuses to go on with others.
+The log is only valid for the networks, the physics, the service and the client it was made with: `claim` refuses to
+go on with others.
 """
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import multiprocessing
 import os
@@ -17,10 +17,12 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
+from simulation.manifest import write_durably
 from simulation.progress import progress
+from simulation.sources import sources_sha256
 
 Row = dict[str, Any]
-_CONTROLLERS = ("service.belief", "service.controllers", "service.seat")
+PLAYED_BY = "code of the simulator, the service or the client"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,10 @@ class Task:
     def key(self) -> str:
         """What a resumed run recognises its row by."""
         return key_of(self.job)
+
+    def made(self, row: Row) -> bool:
+        """Whether a logged row came of this very job, not of one of the same name under another disturbance."""
+        return all(row.get(name) == value for name, value in self.job.items())
 
 
 def key_of(row: Mapping[str, Any]) -> str:
@@ -60,38 +66,47 @@ def read_log(path: Path) -> list[Row]:
 
 
 def fingerprint(folders: Mapping[str, Path]) -> dict[str, str]:
-    """SHA-256 of every deciding network, by contender, and of the code that decides and claims."""
-    found = {}
+    """SHA-256 of every deciding network, by contender, and of all the code and scenes that play an insertion."""
+    found = {PLAYED_BY: sources_sha256("simulation.evaluate")}
     for name, folder in folders.items():
         for file in sorted(folder.glob("*.step.onnx")):
             found[f"{name}/{file.name}"] = hashlib.sha256(file.read_bytes()).hexdigest()
-    for module in _CONTROLLERS:
-        spec = importlib.util.find_spec(module)
-        if spec and spec.origin:
-            found[module] = hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()
     return found
 
 
 def claim(out: Path, setup: Mapping[str, str]) -> None:
-    """Make the folder this run's; ValueError if what lies there was made with other networks or controllers."""
+    """Make the folder this run's; ValueError if what lies there was made with other networks or other code."""
     out.mkdir(parents=True, exist_ok=True)
     path = out / "setup.json"
     if path.exists():
-        before = json.loads(path.read_text(encoding="utf-8"))
-        changed = sorted(name for name in before.keys() & setup.keys() if before[name] != setup[name])
+        before = _said(path)
+        known = before.keys() | {PLAYED_BY}
+        changed = sorted(name for name in known & setup.keys() if before.get(name) != setup[name])
         if changed:
             raise ValueError(
                 f"{out} holds results of other {', '.join(changed)}; expected an empty folder (--out) or the same ones"
             )
         setup = {**before, **setup}
-    path.write_text(json.dumps(setup, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    write_durably(path, (json.dumps(setup, indent=1, sort_keys=True) + "\n").encode())
+
+
+def _said(path: Path) -> dict[str, str]:
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError:
+        before = None
+    if not isinstance(before, dict):
+        raise ValueError(  # noqa: TRY004 (of a file, not of a call)
+            f"{path} does not say what the results beside it were made with; expected an empty folder"
+        )
+    return before
 
 
 def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "") -> list[Row]:
-    """Play what the log lacks, with progress and ETA; all rows that ``tasks`` asked for, in their order."""
-    wanted = {task.key for task in tasks}
-    rows = {key_of(row): row for row in read_log(log) if key_of(row) in wanted}
-    missing = [task for task in tasks if task.key not in rows]
+    """Play what the log lacks, with progress and ETA; the row of each of ``tasks`` once, in their order."""
+    wanted = {task.key: task for task in tasks}
+    rows = {key: row for row in read_log(log) if (key := key_of(row)) in wanted and wanted[key].made(row)}
+    missing = [task for key, task in wanted.items() if key not in rows]
     _end_line(log)
     with log.open("a", encoding="utf-8") as file, progress("insertions (simulated)", len(missing)) as show:
         for done, row in enumerate(_results(missing, workers or os.cpu_count() or 1, ray), 1):
@@ -99,7 +114,7 @@ def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "") ->
             file.write(json.dumps(row) + "\n")
             file.flush()
             show(done)
-    return [rows[task.key] for task in tasks]
+    return [rows[key] for key in wanted]
 
 
 def _end_line(log: Path) -> None:

@@ -52,11 +52,36 @@ def test_a_finished_run_is_not_played_again(models, tmp_path, monkeypatch, capsy
 
 def test_results_of_other_networks_are_not_mixed_in(models, tmp_path):
     setup = campaign.fingerprint({"belief": models})
-    assert {"service.belief", "belief/direction.step.onnx"} <= set(setup)
+    assert "belief/direction.step.onnx" in setup
     campaign.claim(tmp_path, setup)
     campaign.claim(tmp_path, setup)
     with pytest.raises(ValueError, match=r"direction\.step\.onnx"):
         campaign.claim(tmp_path, {**setup, "belief/direction.step.onnx": "0" * 64})
+
+
+@pytest.mark.parametrize("kept", [{campaign.PLAYED_BY: "0" * 64}, {"service.belief": "0" * 64}])
+def test_results_of_other_physics_are_not_mixed_in(models, tmp_path, kept):
+    (tmp_path / "setup.json").write_text(json.dumps(kept))
+    with pytest.raises(ValueError, match="holds results of other code of the simulator"):
+        campaign.claim(tmp_path, campaign.fingerprint({"belief": models}))
+
+
+@pytest.mark.parametrize("text", ["{", "[1]"])
+def test_a_folder_that_does_not_say_what_made_it_is_refused_by_name(tmp_path, text):
+    (tmp_path / "setup.json").write_text(text)
+    with pytest.raises(ValueError, match=r"setup\.json does not say what"):
+        campaign.claim(tmp_path, {})
+
+
+def test_a_disturbance_that_was_changed_is_played_again_and_nothing_counts_twice(tmp_path, monkeypatch):
+    job = {"condition": "bristle: clearance", "scene": "circle", "who": "belief", "eyes": "gel", "seed": 1, "index": 0}
+    was, now = ({**job, "changes": {"blocks.gap_mm": gap}} for gap in (53.0, 54.0))
+    (tmp_path / "log").write_text(json.dumps(was | {"attempts": 1}) + "\n")
+    monkeypatch.setattr(campaign, "play", lambda task: dict(task.job) | {"attempts": 2})
+    tasks = [campaign.Task(tmp_path, now), campaign.Task(tmp_path, now)]
+    for _ in range(2):
+        assert campaign.run(tasks, tmp_path / "log", workers=1) == [now | {"attempts": 2}]
+    assert len(campaign.read_log(tmp_path / "log")) == 2
 
 
 def test_a_row_without_networks_is_left_out(models):
