@@ -26,6 +26,7 @@ from simulation.dataset import DatasetError, DatasetWriter, Manifest, ShardEntry
 from simulation.manifest import shard_file_name, write_durably
 from simulation.probe import Cell, PhysicsError, Probe, descend
 from simulation.scene import Scene, load_scene
+from simulation.sources import sources_sha256
 
 TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 POKES_PER_FIXTURE = 5
@@ -242,6 +243,10 @@ def asked_manifest(options: Options) -> Manifest:
     if options.workers < 0 or options.seed < 0 or not 0.0 <= options.held_out_share <= 1.0:
         given = f"{options.workers}, {options.seed} and {options.held_out_share}"
         raise DatasetError(f"expected --workers and --seed from 0 on, --held-out-share from 0 to 1, got {given}")
+    names = Counter(Path(name).stem for name in set(options.objects))
+    if not names or max(names.values()) > 1:
+        given = ", ".join(options.objects) or "none"
+        raise DatasetError(f"--objects {given}: expected at least one, no two of the same name: a shard is named by it")
     return Manifest(
         made_by="simulation collect",
         seed=options.seed,
@@ -249,6 +254,7 @@ def asked_manifest(options: Options) -> Manifest:
         trials_per_shard=options.trials_per_shard,
         held_out_share=options.held_out_share,
         scenes={name: scene_sha256(load_scene(name)) for name in options.objects},
+        physics=sources_sha256("simulation.probe"),
     )
 
 

@@ -99,10 +99,17 @@ class DatasetWriter:
         self._save()
 
     def extend(self, asked: Manifest) -> None:
-        """Take over a larger size or more objects; the dataset is incomplete until :meth:`finish`."""
+        """Take over a larger size or more objects; the dataset is incomplete until :meth:`finish`.
+
+        DatasetError, with nothing changed, if shards are to be made by other physics than those that are there.
+        """
         larger = max(self.manifest.trials_per_object, asked.trials_per_object)
         update = {"scenes": self.manifest.scenes | asked.scenes, "trials_per_object": larger, "complete": False}
-        self.manifest = self.manifest.model_copy(update=update)
+        larger_one = self.manifest.model_copy(update=update)
+        mixed = bool(self.manifest.physics) and self.manifest.physics != asked.physics
+        if mixed and larger_one.missing_shards():
+            raise DatasetError(f"{self.path}: the physics has changed since its shards were made; use another folder")
+        self.manifest = larger_one
         self._save()
 
     def finish(self) -> bool:

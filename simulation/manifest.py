@@ -50,7 +50,11 @@ class ShardEntry(Contract):
 
 
 class Manifest(Contract):
-    """What a dataset holds and how it was made. ``scenes``: name -> SHA-256 of the base scene."""
+    """What a dataset holds and how it was made.
+
+    ``scenes``: name -> SHA-256 of the base scene. ``physics``: hash of the code that pokes, "" in datasets older than
+    the field.
+    """
 
     schema_version: Literal[1, 2] = SCHEMA_VERSION
     made_by: str
@@ -59,6 +63,7 @@ class Manifest(Contract):
     trials_per_shard: int = Field(ge=1)
     held_out_share: float = Field(ge=0, le=1)
     scenes: dict[str, str]
+    physics: str = ""
     complete: bool = False
     shards: tuple[ShardEntry, ...] = ()
 

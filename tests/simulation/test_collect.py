@@ -161,6 +161,24 @@ def test_bad_input_is_one_line_and_exit_2(made: Path, arguments: list[str], mess
     assert digests(made) == before
 
 
+def test_shards_of_two_physics_are_not_mixed(tmp_path: Path) -> None:
+    asked = asked_manifest(Options(objects=("circle",), trials_per_object=6, trials_per_shard=3))
+    with DatasetWriter(tmp_path, asked.model_copy(update={"physics": "0" * 64})) as writer:
+        before = (tmp_path / "manifest.json").read_bytes()
+        with pytest.raises(DatasetError, match="the physics has changed"):
+            writer.extend(asked)
+        assert (tmp_path / "manifest.json").read_bytes() == before
+        writer.extend(asked.model_copy(update={"physics": "0" * 64}))
+
+
+def test_two_scenes_of_one_name_are_refused_before_anything_is_made(tmp_path: Path) -> None:
+    mine = tmp_path / "circle.toml"
+    mine.write_bytes((Path(__file__).parents[2] / "simulation/scenes/circle.toml").read_bytes())
+    for objects in (("circle", str(mine)), ()):
+        with pytest.raises(DatasetError, match="no two of the same name"):
+            asked_manifest(Options(objects=objects))
+
+
 def test_a_scene_that_never_collides_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("simulation.collect._MAX_POKES_PER_TRIAL", 3)
     scene = tmp_path / "roomy.toml"
