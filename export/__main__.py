@@ -191,7 +191,7 @@ def main() -> None:
             "choose": choose,
         }
         tyro.extras.subcommand_cli_from_dict(commands, prog="python -m export")
-    except ContractError as error:
+    except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
 

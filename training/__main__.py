@@ -128,7 +128,7 @@ def main() -> None:
             },
             prog="python -m training",
         )
-    except ContractError as error:
+    except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
 

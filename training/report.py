@@ -10,7 +10,7 @@ import torch
 from service.contract import ContractError
 from training.checkpoint import Checkpoint
 from training.config import RunConfig
-from training.dataset import Source, load_trials
+from training.dataset import Source, Trials, load_trials
 from training.evaluate import (
     Predictions,
     calibrate,
@@ -41,6 +41,15 @@ COLUMNS = {
     "coverage90_x": "90 % covers x",
     "coverage90_theta": "covers yaw",
 }
+TRUE_FIELDS = {
+    "pictures": """\
+"true fields": the same trunk on the gel's true motion and pressure instead of pictures; what is lost between these rows
+and those above is lost in reading the pictures (the trunk was last trained on what the front reads, so it bounds the
+loss from one side only).""",
+    "markers": """\
+"true fields": the same network on the markers' true motion instead of what is tracked in pictures; what is lost between
+these rows and those above is lost in tracking.""",
+}
 SHARES = ("accuracy", "accuracy_without_near", "chance", "ece", "wrong_side_x", "coverage90_x", "coverage90_theta")
 
 
@@ -69,7 +78,7 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
     page = out / "training.md"
     told = oracle_figures(trials, run / "oracle")
     limits = _limits(trainer) | {name.replace("/", "/oracle, "): row for name, row in told.items()}
-    page.write_text(_page(checkpoint, len(trials), tables, joint, limits) + stress_section(run) + beside)
+    page.write_text(_page(checkpoint, trials, tables, joint, limits) + stress_section(run) + beside)
     return page
 
 
@@ -88,18 +97,21 @@ def _limits(trainer: Trainer) -> dict[str, dict[str, float]]:
 
 def _page(
     checkpoint: Checkpoint,
-    collected: int,
+    trials: Trials,
     tables: dict[str, dict[str, float]],
     joint: dict[str, dict[str, float]],
     limits: dict[str, dict[str, float]],
 ) -> str:
+    collected, same = len(trials), checkpoint.training_data_sha256 == trials.sha256
+    other = "" if same else f" The limits and pictures below are of other data now there (`{trials.sha256[:12]}`)."
     size = sum(value.numel() for name, value in checkpoint.weights.items() if name != "field_scale")
     return f"""# Training report
 
 Written by `python -m training report`. Network `{checkpoint.name}` ({size / 1e6:.2f} M weights), {collected} simulated
 collisions (data `{checkpoint.training_data_sha256[:12]}`), commit `{checkpoint.git_commit[:12]}`. Re-fixture groups
-never cross splits. `validation` is calibrated on its own other half; `test` comes from ranges of size, friction,
-stiffness and noise that training never saw, with the calibration of `validation`. All figures are of the simulator.
+never cross splits. `validation` chose the epoch at which each stage ended and is calibrated on its own other half;
+`test` comes from ranges of size, friction, stiffness and noise that training never saw, with the calibration of
+`validation`. All figures are of the simulator.{other}
 
 ## The pair
 
@@ -111,10 +123,9 @@ stiffness and noise that training never saw, with the calibration of `validation
 
 ## The information limit
 
-"true fields": the same trunk on the gel's true motion and pressure instead of pictures; what is lost between these rows
-and those above is lost in reading the pictures (the trunk was last trained on what the front reads, so it bounds the
-loss from one side only). The oracle is a network of the same size that sees the object's true motion in the hand, which
-is all that a gel can tell; what it gets wrong, no tactile network is to be blamed for.
+{TRUE_FIELDS[checkpoint.network.reads]}
+The oracle is a network of the same size that sees the object's true motion in the hand, which is all that a gel can
+tell; what it gets wrong, no tactile network is to be blamed for.
 
 {_table(limits)}
 
@@ -143,20 +154,26 @@ def recipe_section(recipe: Path | None, data_sha256: str) -> str:
     if recipe is None:
         return ""
     checkpoint = Checkpoint.load(recipe / "checkpoint.pt")
+    if checkpoint.network.kind != "alexnet_lstm":
+        kind = checkpoint.network.kind
+        raise ContractError(f"--recipe {recipe} holds a {kind} network, expected a run of `python -m training recipe`")
     rows = {name: row for name, row in checkpoint.figures.items() if name.endswith("/all") or name.startswith("valid")}
     trials = checkpoint.figures["train/all"]["trials"]
     same = checkpoint.training_data_sha256 == data_sha256
     other = (
         "" if same else " Those are not the data above, or not all of them: its rows do not compare with those above."
     )
+    imagenet = checkpoint.run.get("imagenet")
+    frozen = (
+        "of ImageNet" if imagenet else "here pretrained on simulated\nimprints because no ImageNet weights were at hand"
+    )
     return f"""
 ## The paper's own recipe, same simulator
 
-Two independent AlexNet-LSTM networks (`python -m training recipe`): frozen convolutions, here pretrained on simulated
-imprints because no ImageNet weights were at hand, classes 7 and 8 doubled, Adam. Trained on {trials:.0f} trials of
-data `{checkpoint.training_data_sha256[:12]}`, what two cores allow in about an hour; the paper had 30,000 real
-ones and reports 80.5 % on training and 74.4 % on validation trials. Its MagnitudeNN has no sigma: coverage is that of
-one constant spread.{other}
+Two independent AlexNet-LSTM networks (`python -m training recipe`): frozen convolutions, {frozen},
+classes 7 and 8 doubled, Adam. Trained on {trials:.0f} trials of data `{checkpoint.training_data_sha256[:12]}`,
+what two cores allow in about an hour; the paper had 30,000 real ones and reports 80.5 % on training and 74.4 % on
+validation trials. Its MagnitudeNN has no sigma: coverage is that of one constant spread.{other}
 
 {_table(rows)}
 """

@@ -28,8 +28,10 @@ def stress(run: Path, trials: int = 300, new: Path | None = None, layer: Path | 
         new: dataset of objects that training never saw.
         layer: dataset of the training objects simulated in the ``layer`` tier.
 
-    Raises ContractError if ``run`` is not a finished run or a dataset cannot be read.
+    Raises ContractError if ``run`` is not a finished run, a dataset cannot be read or ``trials`` is below 1.
     """
+    if trials < 1:
+        raise ContractError(f"--trials {trials}: expected at least 1")
     try:
         config = RunConfig.model_validate_json((run / "config.json").read_text())
     except (OSError, ValueError) as error:

@@ -116,6 +116,18 @@ def test_nan_labels_are_named_and_refused(probes, run_file, tmp_path, monkeypatc
     assert before.items() <= contents(tmp_path).items()
 
 
+@pytest.mark.parametrize("run", [main, export_main])
+def test_a_folder_that_cannot_be_written_is_one_line(probes, run_file, tmp_path, monkeypatch, capsys, run):
+    taken, sound = tmp_path / "taken", tmp_path / "sound.pt"
+    taken.write_text("a file")
+    run_file.write_text(CONFIG.format(runs=taken, data=probes, cache=tmp_path / "cache"))
+    size = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
+    weights = build(size, len(CLASSES)).state_dict()
+    Checkpoint("sound", size, weights, Scales(), Scales(), {}, "0" * 64, "none").save(sound)
+    words = ("train", run_file) if run is main else ("onnx", sound, "--out", taken)
+    assert str(taken) in refusal(monkeypatch, capsys, run, *words)
+
+
 @pytest.fixture
 def foreign(tmp_path):
     """A checkpoint whose weights are of another size than it says."""
