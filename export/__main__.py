@@ -148,20 +148,23 @@ def tradeoff(
         twins: folder of the int8 and fp16 twins that are made and scored beside each network; what is there and younger
             than its source is taken as it is.
         seconds: how long each network is timed.
-        kept: folder of earlier answers, by dataset: a network that did not change is not asked again.
+        kept: folder of earlier answers, by dataset and how it is drawn and tracked: a network that did not change is
+            not asked again.
     """
     from export.candidates import read_split
     from export.tradeoff import tradeoff as measure
     from export.twins import make_twins
-    from training.dataset import data_sha256, open_source
+    from training.dataset import data_sha256, open_source, reader_sha256
 
     _positive(seconds=seconds)
     asked = read_split(str(data), split, decisions)
     named = folders or sorted({file.parent for file in Path("models").rglob("*.step.onnx")})
     every = named + make_twins(named, twins, str(data))
-    digest = data_sha256(open_source(str(data)))[:12]
+    source = open_source(str(data))
+    digest = data_sha256(source)[:12]
+    seen = reader_sha256(source, "pictures") + reader_sha256(source, "markers")
     about = {"split": split, "data": digest}
-    measure(every, asked, about, docs, seconds, kept / f"{digest}-{split}-{decisions}.json")
+    measure(every, asked, about, docs, seconds, kept / f"{digest}-{seen}-{split}-{decisions}.json")
     print(f"{docs / 'tradeoff.md'}")
 
 

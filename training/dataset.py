@@ -95,13 +95,15 @@ def _key(trial: Any) -> str:
     return hashlib.sha256(json.dumps(stated).encode() + trial.gel.tobytes()).hexdigest()[:24]
 
 
-def _reader_sha256(source: Source, reads: Reads) -> str:
-    """What draws the pictures and reads them, told by what it makes of the first trial's first pictures: a hash.
+def reader_sha256(source: Source, reads: Reads) -> str:
+    """What draws the pictures and reads them, told by what it makes of the first trial's decision: a hash.
 
-    Nobody has to remember a version number, and pictures drawn or tracked differently never meet in one cache.
+    Nobody has to remember a version number, and pictures drawn or tracked differently never meet in one cache. The
+    decision's frames show all that is drawn: before its onset no marker has moved.
     """
-    frames = source.frames(0, 0, FRAMES_PER_DECISION)
-    kept = track_pairs(frames) if reads == "markers" else frames[:1]
+    onset = min(max(int(source.trial(0).onset_frame or 0), 0), len(source.trial(0).gel) - FRAMES_PER_DECISION)
+    frames = source.frames(0, onset, FRAMES_PER_DECISION)
+    kept = track_pairs(frames) if reads == "markers" else frames
     return hashlib.sha256(np.ascontiguousarray(kept).tobytes()).hexdigest()[:12]
 
 
@@ -202,7 +204,7 @@ def _load_pictures(
 ) -> tuple[NDArray[np.int64], NDArray[Any]]:
     """What is kept of the pictures of a fixed choice of trials, a file each: a kill or a growing dataset costs none."""
     wanted = _choose(table, config)
-    drawer = _reader_sha256(source, reads) if len(wanted) else "none"
+    drawer = reader_sha256(source, reads) if len(wanted) else "none"
     folder = Path(config.cache) / f"{_KEPT[reads]}-{drawer}"
     folder.mkdir(parents=True, exist_ok=True)
     kept = []

@@ -7,7 +7,7 @@ from service.contract import ContractError
 from tests.training.synthetic import SyntheticSource
 from training.batches import decisions, mirror_fields
 from training.config import FRAMES_PER_DECISION, WINDOW, DataConfig
-from training.dataset import load_trials
+from training.dataset import load_trials, reader_sha256
 from training.labels import class_of
 from training.networks.preprocessing import pool_frames
 
@@ -48,6 +48,16 @@ def test_pictures_of_another_renderer_are_drawn_anew(config, small, monkeypatch)
     first = load_trials(few, small).drawn
     monkeypatch.setattr(small, "frames", lambda *where: SyntheticSource.frames(small, *where) // 2)
     assert load_trials(few, small).drawn.mean() < 0.6 * first.mean()
+
+
+@pytest.mark.parametrize("reads", ["pictures", "markers"])
+def test_what_is_only_drawn_of_a_gel_in_motion_tells_renderers_apart(small, monkeypatch, reads):
+    before = reader_sha256(small, reads)
+    trial = small.trials[0]
+    moving = trial.gel.copy()
+    moving[trial.onset_frame :] *= 1.3
+    monkeypatch.setattr(trial, "gel", moving)
+    assert reader_sha256(small, reads) != before
 
 
 def test_an_interrupted_drawing_goes_on_where_it_stopped(config, small, monkeypatch):
