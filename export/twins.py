@@ -45,12 +45,12 @@ def _make(source: Path, twin: Path, precision: str, calibration: _Calibration) -
     """Make one twin unless it is there."""
     if twin.is_file() and twin.stat().st_mtime >= source.stat().st_mtime:
         return
-    if precision == "fp16":
-        store_fp16(source, twin)
-        return
     unfinished = twin.with_suffix(".part")  # a killed run must not leave a half-made twin under its name
     try:
-        quantize(source, unfinished, calibration.decisions, dynamic=precision == DYNAMIC)
+        if precision == "fp16":
+            store_fp16(source, unfinished)
+        else:
+            quantize(source, unfinished, calibration.decisions, dynamic=precision == DYNAMIC)
         unfinished.replace(twin)
     finally:
         unfinished.unlink(missing_ok=True)

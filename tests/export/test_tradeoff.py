@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from export import tradeoff as room
+from export import twins
 from export.candidates import Candidate, Decision, find_candidates
 from export.golden import golden_frames
 from export.measure import Timing
@@ -210,3 +211,27 @@ def test_half_width_storage_halves_the_file_and_keeps_the_decision(models, decis
     assert np.abs(wanted - got).max() < 0.02
     with pytest.raises(ContractError, match="already fp16"):
         store_fp16(twin, tmp_path / "again.onnx")
+
+
+def test_a_killed_run_leaves_no_half_made_twin(tmp_path, monkeypatch):
+    """The next run would take it for finished: it is younger than its source."""
+    source = tmp_path / "models" / "joint.step.onnx"
+    source.parent.mkdir()
+    source.write_bytes(Path("models/joint/joint.step.onnx").read_bytes())
+    begun = []
+
+    def killed(_, out, *__, **___):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_bytes(b"half of a graph")
+        begun.append(out)
+        if out.parent.name == "fp16":
+            raise KeyboardInterrupt
+        return out
+
+    monkeypatch.setattr(twins, "quantize", killed)
+    monkeypatch.setattr(twins, "store_fp16", killed)
+    monkeypatch.setattr(twins._Calibration, "decisions", [])
+    with pytest.raises(KeyboardInterrupt):
+        twins.make_twins([source.parent], tmp_path / "twins", "unused")
+    assert begun[-1].parent.name == "fp16"
+    assert not list(begun[-1].parent.iterdir())
