@@ -1,14 +1,21 @@
-"""A fresh process that opens one model: ``python -m export.fresh FILE`` prints load, first call and memory as JSON.
+"""A fresh process that opens one model: ``python -m export.fresh FILE INPUTS`` prints load, first call and memory.
 
-What a model costs before its first answer cannot be seen from a process that already holds others.
+What a model costs before its first answer cannot be seen from a process that already holds others, nor from one that
+has opened this one before: the inputs come from outside, as ``.npz``.
 """
 
 import json
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
+from export.measure import example_inputs
+from export.runtime import session
+from export.verify import open_model
 from service.contract import ContractError
 
 
@@ -17,9 +24,11 @@ def measure_fresh(file: Path) -> dict[str, float]:
 
     Raises ContractError with the child's last line if it fails.
     """
-    done = subprocess.run(
-        [sys.executable, "-m", "export.fresh", str(file)], capture_output=True, text=True, check=False, timeout=600
-    )
+    with tempfile.TemporaryDirectory() as folder:
+        inputs = Path(folder) / "inputs.npz"
+        np.savez(inputs, **example_inputs(open_model(file)))  # type: ignore[arg-type]
+        command = [sys.executable, "-m", "export.fresh", str(file), str(inputs)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
     if done.returncode != 0:
         raise ContractError(f"{file} could not be measured: {(done.stderr.strip().splitlines() or ['no output'])[-1]}")
     figures: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
@@ -31,15 +40,10 @@ def _memory_mb(field: str) -> float:
     return int(status.split(f"{field}:")[1].split()[0]) * 1024 / 1e6
 
 
-def main(file: Path) -> None:
-    """Open, call once, print."""
-    from export.measure import example_inputs
-    from export.runtime import session
-    from export.verify import open_model
-
-    model = open_model(file)
-    inputs = example_inputs(model)
-    del model
+def main(file: Path, given: Path) -> None:
+    """Open, call once, print JSON."""
+    with np.load(given) as stored:
+        inputs = dict(stored)
     before_mb = _memory_mb("VmRSS")
     started = time.perf_counter()
     run = session(file)
@@ -55,4 +59,4 @@ def main(file: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(*map(Path, sys.argv[1:]))
