@@ -8,6 +8,8 @@ from export.limits_page import limits_section, missed
 from export.measure import CALM, NOISY, NOISY_SPREAD, STEADY
 
 NAME = "benchmark"
+LEAST_FOR_P999 = 1000
+"""Calls below which the slowest of a thousand was not among them."""
 LOSES = 1.05
 """A ratio of processor times beyond which one runtime is called slower than another."""
 
@@ -105,6 +107,8 @@ def _name(row: dict[str, Any]) -> str:
 def _single(row: dict[str, Any]) -> str:
     single, fresh = row["single"], row["fresh"]
     cells = [f"{single[key]:.2f}" for key in ("p50_ms", "p90_ms", "p99_ms", "p999_ms", "cpu_p50_ms", "cpu_p99_ms")]
+    if single["calls"] < LEAST_FOR_P999:
+        cells[3] = "too few"
     steady = row["steady"]
     cells += [
         f"{steady['tail']:.2f}{_tail_verdict(steady)}",

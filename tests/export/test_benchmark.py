@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from export import loadgen
+from export import benchmark_report, loadgen
 from export.alexnet import files
 from export.benchmark import benchmark
 from export.benchmark_report import write
@@ -94,6 +94,15 @@ def test_one_page_and_one_figure_hold_it(report):
     for heading in ("One call", "Threads and spinning", "Against the hardware's limit", "Against other runtimes"):
         assert f"## {heading}" in text
     assert (report / "benchmark.png").stat().st_size > 5_000
+
+
+@pytest.mark.parametrize(("calls", "cell"), [(226, "| too few |"), (1000, "| 7.64 |")])
+def test_the_slowest_of_a_thousand_is_not_read_off_fewer_calls(calls, cell):
+    times = dict.fromkeys(("p50_ms", "p90_ms", "p99_ms", "cpu_p50_ms", "cpu_p99_ms"), 4.0)
+    steady = {"tail": 1.2, "tail_calm": 1.1, "machine_tail": 1.1, "holds": True}
+    row = {"single": times | {"p999_ms": 7.64, "calls": calls}, "steady": steady, "file": "a.onnx", "size_mb": 1.0}
+    row |= {"fresh": {"load_ms": 9.0, "first_ms": 2.0, "peak_mb": 3.0}, "card": {"quantisation": "none"}}
+    assert cell in benchmark_report._single(row)
 
 
 def test_a_missing_model_is_named(tmp_path):
