@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,7 @@ def report(rows: list[Row], summaries: Sequence[Row], note: str = "") -> str:
         "",
         "## Baselines",
         "",
-        *baseline_table(summaries),
+        *baseline_table(summaries, on_shared_starts(rows)),
         "",
         "## What limits it",
         "",
@@ -106,18 +107,36 @@ def paper_table(summaries: Sequence[Row]) -> list[str]:
     return lines
 
 
-def baseline_table(summaries: Sequence[Row]) -> list[str]:
-    """Success and mean trials, who decides by object."""
+def on_shared_starts(rows: list[Row]) -> list[Row]:
+    """Summaries of the belief on the starts that others played too; none if those are all of its own.
+
+    The four extremes come first and never insert at once: a row of few insertions holds a larger share of them.
+    """
+    theirs = {(row["scene"], row["index"]) for row in rows if row["who"] != "belief"}
+    mine = [row for row in rows if row["who"] == "belief"]
+    shared = [row for row in mine if (row["scene"], row["index"]) in theirs]
+    return summarise(shared) if len(shared) < len(mine) else []
+
+
+def baseline_table(summaries: Sequence[Row], shared: Sequence[Row] = ()) -> list[str]:
+    """Success and mean trials, who decides by object; ``shared`` is the belief where all others played, too."""
     scenes = [name for name in OBJECTS if any(row["scene"] == name for row in summaries)]
     head = "| who decides (insertions in all) | " + " | ".join(scenes) + " | all together, 95 % interval |"
     lines = [head, "|---" * (len(scenes) + 2) + "|"]
     for who, contender in CONTENDERS.items():
-        mine = {row["scene"]: row for row in summaries if row["who"] == who}
-        if mine:
-            cells = [f"{m['success']:.0%}, {_trials(m)}" if (m := mine.get(name)) else "" for name in scenes]
-            count = sum(row["insertions"] for row in mine.values())
-            lines.append(f"| {contender.title} ({count}) | " + " | ".join(cells) + f" | {_together(mine.values())} |")
+        lines += _contender_row(contender.title, scenes, [row for row in summaries if row["who"] == who])
+        if who == "belief":
+            lines += _contender_row(f"{contender.title}, on the starts of the rows below", scenes, shared)
     return lines
+
+
+def _contender_row(title: str, scenes: Sequence[str], rows: Sequence[Row]) -> list[str]:
+    if not rows:
+        return []
+    mine = {row["scene"]: row for row in rows}
+    cells = [f"{_round(m['success'])}, {_trials(m)}" if (m := mine.get(name)) else "" for name in scenes]
+    count = sum(row["insertions"] for row in rows)
+    return [f"| {title} ({count}) | " + " | ".join(cells) + f" | {_together(rows)} |"]
 
 
 def _together(rows: Iterable[Row]) -> str:
@@ -125,7 +144,7 @@ def _together(rows: Iterable[Row]) -> str:
     listed = list(rows)
     count, inserted = (sum(row[name] for row in listed) for name in ("insertions", "inserted"))
     trials = sum(row["mean_trials"] * row["insertions"] for row in listed) / count
-    return f"{inserted / count:.0%} ({_interval(wilson(inserted, count))}), {trials:.2f}"
+    return f"{_round(inserted / count)} ({_interval(wilson(inserted, count))}), {trials:.2f}"
 
 
 def limits(rows: list[Row], summaries: Sequence[Row]) -> list[str]:
@@ -141,7 +160,7 @@ def limits(rows: list[Row], summaries: Sequence[Row]) -> list[str]:
         if ours is None or seen is None:
             continue
         error = f"{seen['rmse_x_mm']:.1f} mm, {seen['rmse_theta_deg']:.1f} deg"
-        best = f"{oracle['success']:.0%}, {_trials(oracle)}" if oracle else ""
+        best = f"{_round(oracle['success'])}, {_trials(oracle)}" if oracle else ""
         lines.append(
             f"| {name} | {_short(ours)} | {best} | {error} | {seen['x_errors_in_sigmas']:.1f} |"
             f" {seen['wrong_side_x']:.1%} | {_limit(ours, oracle, seen)} |"
@@ -179,6 +198,11 @@ def _limit(ours: Row, oracle: Row | None, seen: Row) -> str:
 
 def _share(row: Row) -> str:
     return f"{row['inserted']}/{row['insertions']} = {row['success']:.1%}"
+
+
+def _round(share: float) -> str:
+    """Whole per cent; 100 % is said of all alone."""
+    return f"{share:.0%}" if share == 1.0 or share < 0.995 else f"{math.floor(1000 * share) / 10:.1f}%"
 
 
 def _interval(ends: Sequence[float]) -> str:

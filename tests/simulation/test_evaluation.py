@@ -98,3 +98,20 @@ def test_first_estimates_are_judged_against_the_truth():
     found = evaluation.estimates([ROW])
     assert found is not None
     assert (found["rmse_x_mm"], found["rmse_theta_deg"]) == (1.0, 1.0)
+
+
+def test_baselines_are_compared_on_the_starts_that_they_played():
+    """The extremes come first: of 4 starts they are all, of 8 half."""
+    mine = [ROW | {"index": index, "attempts": 3 if index < 4 else 1} for index in range(8)]
+    theirs = [ROW | {"index": index, "who": "oracle", "attempts": 2} for index in range(4)]
+    shared = closed_loop_report.on_shared_starts(mine + theirs)
+    table = "\n".join(closed_loop_report.baseline_table(evaluation.summarise(mine + theirs), shared))
+    assert "our networks (8) | 100%, 2.00 " in table
+    assert "on the starts of the rows below (4) | 100%, 3.00 " in table
+    assert not closed_loop_report.on_shared_starts(mine[:4] + theirs)
+
+
+@given(st.integers(1, 5000), st.data())
+def test_a_hundred_per_cent_is_said_of_all_alone(count, data):
+    inserted = data.draw(st.integers(0, count))
+    assert closed_loop_report._round(inserted / count).startswith("100") == (inserted == count)
