@@ -20,7 +20,7 @@ RANDOM = "random-weights"
 
 
 def files(folder: Path, data: str | None = None) -> dict[str, Path]:
-    """Files of the yardstick by name; what is lacking is made: exported with random weights, then quantised.
+    """Files of the yardstick by name; what is lacking is exported with random weights, int8 twins are kept up to date.
 
     ``folder`` holds the recipe as exported, ``<folder>_shared`` the same behind one whole AlexNet. Calibration takes
     real frames where ``data`` names a dataset, golden ones otherwise (speed is the same). Raises ContractError if one
@@ -32,7 +32,7 @@ def files(folder: Path, data: str | None = None) -> dict[str, Path]:
     found = {"direction": folder / SEQUENCES[0], "magnitude": folder / SEQUENCES[1]}
     for name, home in (("shared convolutions", folder), ("shared backbone", shared)):
         small = home / "pair" / "int8" / "pair.step.onnx"
-        if not small.is_file():
+        if not small.is_file() or small.stat().st_mtime < (home / PAIR).stat().st_mtime:  # of an earlier export
             quantize(home / PAIR, small, _calibration(home / PAIR, data))
         found |= {f"{name} fp32": home / PAIR, f"{name} int8": small}
     return found

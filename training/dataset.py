@@ -19,7 +19,6 @@ from training.config import FRAMES_PER_DECISION, JITTER, WINDOW, DataConfig
 from training.networks.preprocessing import pool_frames
 
 SPLITS = ("train", "validation", "test")
-FIELD_SHAPE = (2, 20, 21, 3)
 Reads = Literal["pictures", "markers"]
 _TABLE = 3  # format of the cached table
 _KEPT: dict[Reads, str] = {"pictures": "pooled-2", "markers": "tracked-1"}  # folders of what is kept of pictures

@@ -1,12 +1,13 @@
 import gc
 import json
 import os
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from export import benchmark_report, loadgen
+from export import alexnet, benchmark_report, loadgen
 from export.alexnet import files
 from export.benchmark import benchmark
 from export.benchmark_report import write
@@ -103,6 +104,24 @@ def test_the_slowest_of_a_thousand_is_not_read_off_fewer_calls(calls, cell):
     row = {"single": times | {"p999_ms": 7.64, "calls": calls}, "steady": steady, "file": "a.onnx", "size_mb": 1.0}
     row |= {"fresh": {"load_ms": 9.0, "first_ms": 2.0, "peak_mb": 3.0}, "card": {"quantisation": "none"}}
     assert cell in benchmark_report._single(row)
+
+
+def test_the_yardsticks_int8_follows_a_new_export(tmp_path, monkeypatch):
+    """Made of random weights before the recipe was trained, it would be timed beside the trained ones for ever."""
+    made = []
+    monkeypatch.setattr(alexnet, "quantize", lambda source, out, _: made.append(source) or out.touch())
+    monkeypatch.setattr(alexnet, "_calibration", lambda *_: [])
+    for home in (tmp_path / "alexnet", tmp_path / "alexnet_shared"):
+        (home / "pair" / "int8").mkdir(parents=True)
+        for name in (*alexnet.SEQUENCES, alexnet.PAIR):
+            (home / name).touch()
+    for _ in range(2):
+        alexnet.files(tmp_path / "alexnet")
+    assert len(made) == 2
+    later_s = time.time() + 10.0
+    os.utime(tmp_path / "alexnet" / alexnet.PAIR, (later_s, later_s))
+    alexnet.files(tmp_path / "alexnet")
+    assert made[2:] == [tmp_path / "alexnet" / alexnet.PAIR]
 
 
 def test_a_missing_model_is_named(tmp_path):
