@@ -115,14 +115,12 @@ def refuse_other_grounds(folder: Path, grounds: str) -> None:
     """Raise ContractError if what ``folder`` holds was learnt from something else: ``grounds`` are hashes of it."""
     path = folder / "learnt_from.txt"
     if path.exists() and path.read_text() != grounds:
-        raise ContractError(
-            f"{folder} was trained on other data or from other weights ({path.read_text()[:12]}, now {grounds[:12]});"
-            " expected the same, a new name or an empty folder"
-        )
+        what = "was trained on other data or from other weights"
+        raise ContractError(f"{folder} {what}; expected the same, a new name or an empty folder")
 
 
 def pin(folder: Path, config: Contract, grounds: str) -> None:
-    """From now on ``folder`` belongs to the run with this config, which learns from ``grounds`` alone."""
+    """From now on ``folder`` belongs to the run with this config, kept beside its weights, and to these grounds."""
     refuse_another(folder, config)
     refuse_other_grounds(folder, grounds)
     (folder / "config.json").write_text(config.model_dump_json(indent=1))
