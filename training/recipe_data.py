@@ -120,10 +120,10 @@ def _convolved(
     """Features [N, 8, 2, 9216], kept in the run's folder with the number of rows done, so that a kill costs one row."""
     path, counter = config.folder / "features.npy", config.folder / "features.done"
     shape = (len(trials), FRAMES_PER_DECISION, 2, FEATURES)
+    done = _rows_done(counter) if path.exists() else 0
     kept = np.lib.format.open_memmap(path, "r+" if path.exists() else "w+", np.float16, shape)
     if kept.shape != shape:
         raise ContractError(f"{path} holds features of {kept.shape[0]} trials, expected {shape[0]}; remove it")
-    done = int(counter.read_text()) if counter.exists() else 0
     rng = np.random.default_rng(config.seed)
     shifts = rng.integers(-CROP_PX, CROP_PX + 1, (len(trials), 2)) * crop[:, None]
     network.eval()
@@ -137,3 +137,9 @@ def _convolved(
             counter.write_text(str(row + 1))
     kept.flush()
     return kept
+
+
+def _rows_done(counter: Path) -> int:
+    """Rows that are computed; none where a kill cut the number short."""
+    text = counter.read_text() if counter.exists() else ""
+    return int(text) if text.isdigit() else 0

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 
@@ -5,10 +6,11 @@ from service.contract import ContractError
 from tests.training.synthetic import SyntheticSource
 from training.checkpoint import Checkpoint
 from training.config import StageConfig
-from training.networks.alexnet import AlexNetLstm, AlexNetPair, difference_images, load_imagenet
+from training.dataset import load_table
+from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 from training.networks.forms import SequenceForm, StepForm
 from training.recipe import train_recipe
-from training.recipe_data import RecipeConfig
+from training.recipe_data import RecipeConfig, _convolved
 from training.shared import share_backbone
 
 TORCHVISION = {
@@ -74,6 +76,29 @@ def test_the_step_form_decides_as_the_sequence_form(network):
         for index in range(8):
             logits, state = StepForm(network, "direction")(frames[:, index], frames[:, 0], state)
     assert torch.allclose(whole, logits, atol=1e-5)
+
+
+class Ones(torch.nn.Module):
+    def convolved(self, images):
+        return torch.ones(len(images), FEATURES)
+
+
+@pytest.mark.parametrize("left", ["the number of rows alone", "a number that a kill cut short"])
+def test_features_that_are_not_there_are_computed_and_not_taken_for_zeros(tmp_path, left):
+    stage = StageConfig(epochs=1)
+    config = RecipeConfig(
+        name="t", runs=str(tmp_path), data="unused", convolutions=stage, direction=stage, magnitude=stage
+    )
+    config.folder.mkdir()
+    source = SyntheticSource(3)
+    table = load_table(source, tmp_path / "cache", 3)
+    which = table, Ones(), np.arange(1), np.zeros(1, bool)
+    assert _convolved(config, source, *which).min() == 1.0
+    if left == "the number of rows alone":
+        (config.folder / "features.npy").unlink()
+    else:
+        (config.folder / "features.done").write_text("")
+    assert _convolved(config, source, *which).min() == 1.0
 
 
 @pytest.mark.slow
