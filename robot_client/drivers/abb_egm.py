@@ -177,17 +177,25 @@ class EgmArm:
         elapsed_s = self._watch.take(state, now_s)
         if elapsed_s is None:
             return
-        if self._guide is None:
-            if self._watch.ready(state):
-                self._guide = MotionGuide(self.limits, self.ramps, measured)
-                self._ready.set()
-            else:
-                return
+        if self._guide is None and not self._begin(state, measured, tilt_deg):
+            return
         self._measured = measured
         self._check(state, measured, tilt_deg)
         self._advance(elapsed_s)
         self._answer()
         self._report(measured, now_s)
+
+    def _begin(self, state: egm.RobotState, measured: WorkPose, tilt_deg: float) -> bool:
+        """Take up guidance where the arm stands. Targets hang vertically: to a tilted tool the first would be a turn."""
+        if not self._watch.ready(state):
+            return False
+        if tilt_deg > self.limits.max_tilt_deg:
+            allowed = f"allowed {self.limits.max_tilt_deg:g}; jog it upright, or correct work_object.rotation and .tool"
+            self._watch.not_ready = f"the tool is tilted by {tilt_deg:.2f} deg, {allowed}"
+            return False
+        self._guide = MotionGuide(self.limits, self.ramps, measured)
+        self._ready.set()
+        return True
 
     def _check(self, state: egm.RobotState, measured: WorkPose, tilt_deg: float) -> None:
         assert self._guide is not None

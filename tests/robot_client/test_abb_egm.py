@@ -1,0 +1,47 @@
+"""The first answer to a robot: it must be where the arm stands already."""
+
+import math
+
+from robot_client.codecs import egm
+from robot_client.drivers.abb_egm import EgmArm, EgmSettings
+from robot_client.geometry import CellFrame, WorkPose
+from robot_client.limits import Limits
+from robot_client.motion import Ramps
+
+
+class Wire:
+    """Stands for the UDP socket; keeps what is sent."""
+
+    def __init__(self):
+        self.sent = []
+
+    def sendto(self, datagram, _address):
+        self.sent.append(egm.decode_guidance(datagram).pose)
+
+
+def answers_to(tilt_deg):
+    """What is answered to ten datagrams of an arm that stands still, its tool tilted; and what is said of it."""
+    half = math.radians(180.0 - tilt_deg) / 2.0
+    measured = egm.Pose(5.0, 0.0, 60.0, math.cos(half), math.sin(half), 0.0, 0.0)
+    arm, wire = EgmArm(EgmSettings(), Limits(), Ramps()), Wire()
+    arm._socket, arm._robot = wire, ("127.0.0.1", 6510)
+    for number in range(10):
+        datagram = egm.encode_robot(egm.RobotState(number, 4 * number, measured))
+        arm._on_datagram(datagram, 0.004 * number)
+    return wire.sent, arm._watch.not_ready
+
+
+def test_an_arm_that_hangs_upright_is_held_where_it_stands():
+    sent, _ = answers_to(0.0)
+    assert len(sent) == 10
+    for pose in sent:
+        here, tilt_deg = CellFrame().from_controller(pose)
+        assert (here.distance_mm(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0)), tilt_deg) == (0.0, 0.0)
+
+
+def test_a_tilted_arm_is_never_answered_since_every_target_would_turn_it_upright():
+    sent, said = answers_to(25.0)
+    assert sent == []
+    assert "tilted by 25.00 deg, allowed 2" in said
+
+
