@@ -58,3 +58,20 @@ def test_a_controller_that_does_not_follow_is_named(changes, expect):
     assert expect in w.not_ready
     with pytest.raises(StreamFault, match=expect):
         w.check(state(1, 4, **changes))
+
+
+def test_datagrams_are_not_late_because_the_robots_clock_wrapped():
+    w = watch()
+    for i in range(10):
+        newest = state(i, (2**32 - 20 + 4 * i) % 2**32)
+        w.take(newest, 0.004 * i)
+        w.check(newest)
+
+
+def test_a_robots_clock_that_steps_back_takes_no_way_and_hides_no_lateness():
+    w = watch()
+    for i in range(100):
+        w.take(state(i, 1000 + 4 * i), 0.004 * i)
+    assert w.take(state(100, 1000), 0.4) == 0.0
+    with pytest.raises(StreamFault, match="late"):
+        w.check(state(100, 1000))
