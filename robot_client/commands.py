@@ -1,6 +1,7 @@
 """What the command line does, one function a command; each returns the exit code."""
 
 import asyncio
+import os
 import secrets
 import signal
 import sys
@@ -81,27 +82,34 @@ def dry_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionSer
 
 def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> int:
     """Run one insertion; 0 inserted, 1 not inserted or failed safe. Raises DriverError if a device is not ready."""
-    print(NOT_A_SAFETY_FUNCTION if live else "DRY RUN: nothing is connected, nothing moves (type --live to move).")
-    print(f"insertion {plan.insertion_id}: start x {plan.approach.x_mm:+.2f} mm, yaw {plan.approach.yaw_deg:+.2f} deg")
+    show(NOT_A_SAFETY_FUNCTION if live else "DRY RUN: nothing is connected, nothing moves (type --live to move).")
+    show(f"insertion {plan.insertion_id}: start x {plan.approach.x_mm:+.2f} mm, yaw {plan.approach.yaw_deg:+.2f} deg")
     return asyncio.run(_insert(settings, plan, live=live, log=log))
 
 
 async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> int:
     arm, gripper, service = (live_ports if live else dry_ports)(settings, plan)
-    report = Report(arm.position, lambda text: print(text, flush=True))
+    report = Report(arm.position, show)
     runner = Runner(plan, arm, gripper, service, Recorder(log, plan), (report,))
-    _stop_on_signals()
+    stop_on_signals()
     state = await runner.run()
     for line in report.final(state, runner.farewell, arm.statistics()):
-        print(line)
+        show(line)
     if log is not None:
         lost = f", BROKEN OFF: {runner.recorder.lost}" if runner.recorder.lost else ""
-        print(f"  log         {log}{lost}")
-    sys.stdout.flush()
+        show(f"  log         {log}{lost}")
     return 0 if state.phase is Phase.INSERTED else 1
 
 
-def _stop_on_signals() -> None:
+def show(text: str) -> None:
+    """Print a line; once the terminal is gone nothing is said any more, and nothing else changes, the exit code least."""
+    try:
+        print(text, flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in its buffer goes there
+
+
+def stop_on_signals() -> None:
     """Ctrl-C and SIGTERM hold the arm and end the insertion in order."""
     task = asyncio.current_task()
     assert task is not None

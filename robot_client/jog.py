@@ -3,13 +3,14 @@
 import asyncio
 
 from robot_client.codecs.wsg50 import HomingDirection
-from robot_client.commands import NOT_A_SAFETY_FUNCTION, live_arm
+from robot_client.commands import NOT_A_SAFETY_FUNCTION, live_arm, stop_on_signals
 from robot_client.drivers.wsg50 import Wsg50
 from robot_client.drivers.wsg50_gcl import GclGripper
 from robot_client.events import Arrived, Event, Failure
 from robot_client.geometry import WorkPose
 from robot_client.limits import check_pose
-from robot_client.ports import DriverError
+from robot_client.ports import Arm, DriverError
+from robot_client.runner import to_the_end
 from robot_client.settings import Settings
 
 
@@ -28,6 +29,7 @@ async def _jog(settings: Settings, target: WorkPose) -> int:
     arm = live_arm(settings)
     events: asyncio.Queue[Event] = asyncio.Queue()
     here = None
+    stop_on_signals()
     try:
         here = await arm.start(events.put_nowait)
         print(f"from {_text(here)}")
@@ -42,10 +44,16 @@ async def _jog(settings: Settings, target: WorkPose) -> int:
             here = event.pose
     except TimeoutError:
         raise DriverError("robot: the arm did not arrive in time") from None
+    except asyncio.CancelledError:
+        raise DriverError("operator: interrupted, the arm is stopped") from None
     finally:
-        print(await arm.close())
+        await to_the_end(_end(arm))
     print(f"at   {_text(here)}")
     return 0
+
+
+async def _end(arm: Arm) -> None:
+    print(await arm.close())
 
 
 def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, live: bool) -> int:
@@ -61,6 +69,7 @@ def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, l
 
 async def _home(settings: Settings, *, acknowledge: bool, direction: HomingDirection) -> int:
     gripper = GclGripper(settings.gripper) if settings.gripper.protocol == "text" else Wsg50(settings.gripper)
+    stop_on_signals()
     try:
         await gripper.connect()
         if acknowledge:
@@ -69,8 +78,10 @@ async def _home(settings: Settings, *, acknowledge: bool, direction: HomingDirec
         await gripper.home(direction)
         width_mm = gripper.width_mm if isinstance(gripper, GclGripper) else await gripper.width_mm()
         print(f"gripper: homed, width {width_mm:.1f} mm")
+    except asyncio.CancelledError:
+        raise DriverError("operator: interrupted, the gripper goes no further") from None
     finally:
-        await gripper.close()
+        await to_the_end(gripper.close())
     return 0
 
 

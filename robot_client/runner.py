@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import time
 from collections import deque
+from collections.abc import Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -25,6 +26,15 @@ class Observer(Protocol):
 
     def summary(self) -> dict[str, Any]:
         """What it adds to the log's last line."""
+
+
+async def to_the_end(work: Coroutine[Any, Any, None]) -> None:
+    """Carry out ``work`` whole: who interrupts once more must not break off the stop that is under way."""
+    task = asyncio.get_running_loop().create_task(work)
+    while not task.done():
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.shield(task)
+    task.result()
 
 
 @dataclass(slots=True)
@@ -51,8 +61,9 @@ class Runner:
         try:
             await self.service.start(self.post)
             await self.gripper.start(self.post)
-            pose = await self.arm.start(self.post)
-            self.post(Begin(at_s=time.monotonic(), pose=pose))
+            if not self.state.done:  # after a failure no motors, no program
+                pose = await self.arm.start(self.post)
+                self.post(Begin(at_s=time.monotonic(), pose=pose))
             while not self._done.is_set():
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(self._done.wait(), _TICK_S)
@@ -60,7 +71,7 @@ class Runner:
         except asyncio.CancelledError:
             self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
         finally:
-            await self._close()
+            await to_the_end(self._close())
         return self.state
 
     def post(self, event: Event) -> None:
@@ -85,7 +96,8 @@ class Runner:
         for command in commands:
             self.recorder.command(command)
         for observer in self.observers:
-            observer.on_event(self.state, event)
+            with contextlib.suppress(OSError):  # a terminal that is gone must not end the task that brought the event
+                observer.on_event(self.state, event)
         if self.state.done:
             self._done.set()
 

@@ -43,5 +43,3 @@ def test_a_tilted_arm_is_never_answered_since_every_target_would_turn_it_upright
     sent, said = answers_to(25.0)
     assert sent == []
     assert "tilted by 25.00 deg, allowed 2" in said
-
-
