@@ -102,7 +102,7 @@ async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | Non
 
 
 def show(text: str) -> None:
-    """Print a line; once the terminal is gone nothing is said any more, and nothing else changes, the exit code least."""
+    """Print a line; once the terminal is gone nothing is said any more, and nothing else changes."""
     try:
         print(text, flush=True)
     except OSError:

@@ -55,9 +55,9 @@ class Plan(Contract):
 
     insertion_id: wire.InsertionId
     approach: WorkPose
-    gap_width_mm: float
-    grasp_height_mm: float | None = None
-    expected_depth_mm: float
+    gap_width_mm: float = Field(gt=0, le=1000)  # these three: as `arm` carries them
+    grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
+    expected_depth_mm: float = Field(gt=0, le=1000)
     depth_tolerance_mm: float = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2

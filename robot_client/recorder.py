@@ -79,8 +79,10 @@ def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
                 entries.append(parse_event(line["event"]))
             elif "command" in line:
                 entries.append(parse_command(line["command"]))
-            elif "end" in line:
-                end = line["end"]
+            elif isinstance(line.get("end", {}), dict):
+                end = line.get("end", end)
+            else:
+                raise ContractError(f"{path}, line {number}: end: expected a JSON object")
         except ValidationError as error:
             raise ContractError(f"{path}, line {number}: {first_error(error)}") from None
     if plan is None:

@@ -45,8 +45,8 @@ class Task(Contract):
     approach_z_mm: float = 35.0  # held 30 mm above its bottom, which is approach_clearance_mm above the blocks
     approach_clearance_mm: Positive = 5.0
     approach_y_mm: float = 0.0
-    gap_width_mm: Positive = 56.0
-    expected_depth_mm: Positive = 25.0
+    gap_width_mm: float = Field(default=56.0, gt=0, le=1000)
+    expected_depth_mm: float = Field(default=25.0, gt=0, le=1000)
     depth_tolerance_mm: Positive = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)  # deeper for an object pushed up in the hand: if free
     max_no_decisions: int = Field(default=2, ge=0, le=15)

@@ -186,7 +186,7 @@ class EgmArm:
         self._report(measured, now_s)
 
     def _begin(self, state: egm.RobotState, measured: WorkPose, tilt_deg: float) -> bool:
-        """Take up guidance where the arm stands. Targets hang vertically: to a tilted tool the first would be a turn."""
+        """Take up guidance where the arm stands. Targets hang upright: to a tilted tool the first would be a turn."""
         if not self._watch.ready(state):
             return False
         if tilt_deg > self.limits.max_tilt_deg:

@@ -9,9 +9,10 @@ import contextlib
 import time
 from collections.abc import Mapping
 from typing import Any, Literal
+from urllib.parse import urlsplit
 
 import httpx
-from pydantic import Field, SecretStr
+from pydantic import Field, SecretStr, field_validator
 
 from robot_client.ports import DriverError
 from service.contract.frames import Contract
@@ -43,6 +44,16 @@ class RwsSettings(Contract):
     poll_s: float = Field(default=0.05, gt=0)
     switch_motors_on: bool = True
     cycle: Literal["asis", "once", "forever"] = "asis"
+
+    @field_validator("url")
+    @classmethod
+    def _reachable(cls, url: str) -> str:
+        """An address that cannot be one is refused here: asked for later it is no error that anybody expects."""
+        try:
+            httpx.URL(url).copy_with(port=urlsplit(url).port)
+        except (ValueError, httpx.InvalidURL) as error:
+            raise ValueError(f"{url!r} is no address: {error}") from None
+        return url
 
 
 class ControllerStatus(Contract):

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from robot_client.events import Arrived, FromService, Grasped, Standstill
+from robot_client.events import Arrived, Failure, FromService, Grasped, Standstill
 from robot_client.geometry import WorkPose
-from robot_client.limits import Limits, Motion
+from robot_client.limits import LimitError, Limits, Motion
 from robot_client.motion import CYCLE_S, MotionGuide, Ramps
 from robot_client.ports import Post
 from service.contract import wire
@@ -70,7 +70,7 @@ class DryArm:
         while True:
             for _ in range(_BATCH):
                 self._cycles += 1
-                pose = self._guide.advance(CYCLE_S)
+                pose = self._advanced()
                 self.on_target(pose)
                 settled = self._guide.observe(pose, self._cycles * CYCLE_S)
                 if settled:
@@ -78,6 +78,14 @@ class DryArm:
                     self._post(event(at_s=time.monotonic(), pose=pose))
                     break
             await asyncio.sleep(0.0 if self._guide.moving else 0.001)
+
+    def _advanced(self) -> WorkPose:
+        try:
+            return self._guide.advance(CYCLE_S)
+        except LimitError as error:  # what the real arm's driver would refuse
+            self._guide.hold()
+            self._post(Failure(at_s=time.monotonic(), source="arm", code="limits", detail=str(error)))
+            return self._guide.target
 
 
 @dataclass(slots=True)

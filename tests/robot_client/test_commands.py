@@ -61,7 +61,16 @@ def test_a_log_that_was_cut_in_the_middle_of_a_line_still_reads(rehearsed, tmp_p
     assert end == {}
 
 
-@pytest.mark.parametrize("text", ["", "nonsense\nmore\n", "[1]\n{}\n", '{"event": {"kind": "begin"}}\n{}\n'])
+@pytest.mark.parametrize("end", ["3", "[]", '{"phase": "inserted", "link": 3}'])
+def test_an_end_that_is_none_is_no_traceback(end, rehearsed, tmp_path, capsys):
+    path = tmp_path / "end.jsonl"
+    path.write_text("\n".join([*rehearsed.read_text().splitlines()[:-1], f'{{"end": {end}}}']))
+    assert main(["replay", str(path)]) in {0, 2}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "nonsense\nmore\n", "[1]\n{}\n", '{"event": {"kind": "begin"}}\n{}\n', '{"end": 3}\n']
+)
 def test_a_file_that_is_no_log_is_refused_in_one_line(text, tmp_path):
     path = tmp_path / "x.jsonl"
     path.write_text(text)
@@ -80,6 +89,7 @@ def test_a_file_that_is_no_log_is_refused_in_one_line(text, tmp_path):
         ("[egm]\nsilence_s = -1.0", "egm.silence_s"),
         ('[service]\nurl = "http://127.0.0.1"', "service.url"),
         ("[task]\ngap_width_mm = -1", "task.gap_width_mm"),
+        ("[limits]\nz_mm = [5, 900]\n[task]\napproach_z_mm = 600", "grasp_height_mm"),
         ("[work_object]\nrotation = [0, 0, 0, 0]", "no rotation"),
         ("[ramps.travel]\nspeed_mm_s = 0\nacceleration_mm_s2 = 1\njerk_mm_s3 = 1", "limits"),
     ],
@@ -100,6 +110,11 @@ def test_a_wrong_configuration_is_one_line_and_exit_code_two(toml, expect, tmp_p
         ["--config", "/nonexistent.toml"],
         ["--egm-port", "99999"],
         ["--rws-url", "nope"],
+        ["--rws-url", "http://192.168.125.1:99999"],
+        ["--rws-url", "http://[::1"],
+        ["--rws-url", "http://\u2603.example"],
+        ["--gap-width-mm", "2000"],
+        ["--expected-depth-mm", "2000"],
         ["--x-mm", "1e308"],
         ["--insertion-id", "../../x"],
         ["--log", "/dev/null/x.jsonl"],
@@ -108,6 +123,13 @@ def test_a_wrong_configuration_is_one_line_and_exit_code_two(toml, expect, tmp_p
 def test_wrong_arguments_are_one_line_and_exit_code_two(arguments, capsys):
     assert main(["insert", *arguments]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_rehearsal_says_what_the_arm_would_refuse(tmp_path, capsys):
+    path = tmp_path / "cell.toml"
+    path.write_text("[ramps.travel]\nspeed_mm_s = 200\nacceleration_mm_s2 = 800\njerk_mm_s3 = 20000")
+    assert main(["insert", "--x-mm", "8", "--config", str(path), "--log", str(tmp_path / "x.jsonl")]) == 1
+    assert "speed mm/s" in capsys.readouterr().out
 
 
 def test_a_section_that_is_no_table_is_refused_beside_an_option_of_it(tmp_path, capsys):
