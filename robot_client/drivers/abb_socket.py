@@ -55,6 +55,7 @@ class SocketArm:
     _number: int = 0
     _move: int = 0
     _pending: tuple[int, WorkPose, float] | None = None
+    _sent: int | None = None  # a move that the motion server has not answered for
     _waiting: Literal["arrived", "fresh position", "standstill"] | None = None
     _asked: int = 0
     _here: WorkPose | None = None
@@ -201,6 +202,7 @@ class SocketArm:
         number, target, speed = self._pending
         self._pending = None
         if self._motion is not None and not self._latched:
+            self._sent = number
             self._motion.write(rapid_text.encode_move(number, self.frame.to_controller(target), speed))
 
     def _on_motion(self, text: str) -> None:
@@ -209,6 +211,8 @@ class SocketArm:
         except ValueError as error:
             self._fail("protocol", str(error))
             return
+        if answer.number == self._sent:
+            self._sent = None
         if answer.result == "refused":
             self._fail("refused", f"the motion server refused: {answer.reason}")
         elif answer.number == self._move and self._waiting == "arrived":
@@ -223,7 +227,8 @@ class SocketArm:
         if self._waiting == "fresh position" and state.number == self._asked:
             self._waiting = None
             self._tell(Arrived(at_s=now_s, pose=here))
-        if self._waiting != "standstill" or not state.stopped:
+        # A move that is still on its way would begin with the release of the next one: it is waited for.
+        if self._waiting != "standstill" or not state.stopped or self._sent is not None:
             return
         if self._still is None or (
             self._still.distance_mm(here) > _STILL_MM or self._still.turn_deg(here) > _STILL_DEG
