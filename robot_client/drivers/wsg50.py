@@ -210,8 +210,8 @@ class Wsg50:
             reply = wsg50.decode_reply(frame)
         except wsg50.WsgError:
             return  # not of this protocol: whoever waits for it times out
-        self._silence.heard(time.monotonic())
         if reply.command == Command.GRASPING_STATE and reply.values:
+            self._silence.heard(time.monotonic())
             self._on_state(int(reply.values[0]))
         if reply.command in self._waiting:
             self._waiting[reply.command].put_nowait(reply)
@@ -233,12 +233,12 @@ class Wsg50:
             self._fail("released", f"gripper: left HOLDING for {new.name} without being told")
 
     async def _watch(self) -> None:
-        """Auto-updates are the heartbeat: silence is a failure."""
+        """Auto-updates of the grasping state are the heartbeat: silence about it is a failure."""
         while True:
             await asyncio.sleep(self.settings.silence_s / 4.0)
             silent_s = self._silence.over(time.monotonic())
             if silent_s is not None:
-                self._fail("silent", f"gripper: no frame for {silent_s * 1e3:.0f} ms")
+                self._fail("silent", f"gripper: no grasping state for {silent_s * 1e3:.0f} ms")
 
     def _fail(self, code: Literal["grasp", "link", "protocol", "error", "released", "silent"], detail: str) -> None:
         if self._post is not None:

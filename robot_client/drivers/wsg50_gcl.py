@@ -161,10 +161,10 @@ class GclGripper:
             if line.startswith(("FIN ", "ERR ")) or line == "ACK FSACK":
                 self._answers.put_nowait(line)
             return
-        self._silence.heard(time.monotonic())
         if value[1] == "POS":
             self.width_mm = float(value[2])
         elif value[1] == "GRIPSTATE":
+            self._silence.heard(time.monotonic())
             self._on_state(float(value[2]))
 
     def _on_state(self, value: float) -> None:
@@ -187,7 +187,7 @@ class GclGripper:
             await asyncio.sleep(self.settings.silence_s / 4.0)
             silent_s = self._silence.over(time.monotonic())
             if silent_s is not None:
-                self._fail("silent", f"gripper: no line for {silent_s * 1e3:.0f} ms")
+                self._fail("silent", f"gripper: no grasping state for {silent_s * 1e3:.0f} ms")
 
     def _fail(self, code: str, detail: str) -> None:
         if self._post is not None:
