@@ -4,7 +4,7 @@ import contextlib
 import shutil
 from pathlib import Path
 
-from service.recording import MAX_INSERTION_BYTES
+from service.recording import MAX_INSERTION_BYTES, NAME
 
 
 def make_room(root: Path, max_bytes: int) -> int:
@@ -18,8 +18,12 @@ def make_room(root: Path, max_bytes: int) -> int:
 
 
 def prune(root: Path, max_bytes: int) -> list[Path]:
-    """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them."""
-    folders = sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+    """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them.
+
+    What is not named as a recording is not ours: neither removed nor counted.
+    """
+    found = root.iterdir() if root.is_dir() else ()
+    folders = sorted(path for path in found if NAME.fullmatch(path.name) and path.is_dir())
     sizes = [_size_bytes(folder) for folder in folders]
     removed: list[Path] = []
     total = sum(sizes)

@@ -27,6 +27,7 @@
 import fcntl
 import json
 import queue
+import re
 import threading
 import time
 import zipfile
@@ -45,6 +46,7 @@ from service.contract import TactileFrame
 from service.observation import Observation
 from service.protowire import COMPRESSED_IMAGE, MARKERS, RAW_IMAGE, Schema
 
+NAME = re.compile(r"[0-9]{8}T[0-9]{6,12}_[A-Za-z0-9_-]{1,64}")  # of a recording's folder
 FLUSH_S = 0.5
 MAX_WAITING_BYTES = 64 << 20  # of frames and markers; some 10 s of JPEG at 2 x 60 fps
 MAX_INSERTION_BYTES = 2 << 30

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import json
-import re
 import shutil
 import zipfile
 from datetime import datetime
@@ -17,11 +16,10 @@ from fastapi import Path as InPath
 from fastapi.responses import FileResponse, Response
 
 from service.contract.wire import MAX_ATTEMPTS
-from service.recording import FINAL
+from service.recording import FINAL, NAME
 from service.routes.access import Access
 from service.station import Station
 
-NAME = re.compile(r"[0-9]{8}T[0-9]{6,12}_[A-Za-z0-9_-]{1,64}")
 Number = Annotated[int, InPath(ge=1, le=MAX_ATTEMPTS)]
 Index = Annotated[int, InPath(ge=0, le=999)]
 

@@ -143,6 +143,14 @@ def test_garbage_is_no_recording(tmp_path: Path) -> None:
         Recording(tmp_path / "x.mcap")
 
 
+def test_folders_that_are_no_recordings_never_make_room(tmp_path: Path) -> None:
+    for name in (".git", "20250101", "20250101T000000_a", "20260101T000000_b", "photos"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "content").write_bytes(b"\0" * 1000)
+    assert [path.name for path in prune(tmp_path, 1500)] == ["20250101T000000_a"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".git", "20250101", "20260101T000000_b", "photos"]
+
+
 def test_the_oldest_insertions_make_room(tmp_path: Path) -> None:
     for index in range(4):
         folder = tmp_path / f"2026010{index}T000000_{index}"
