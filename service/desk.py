@@ -39,6 +39,11 @@ class Desk:
     active: Insertion | None = None
     opened_n: int = 0
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
+    _calibration_text: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Read the calibration's file once, as :attr:`calibration` was: later it may be another, or gone."""
+        self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
         """Both cameras as the wire carries them."""
@@ -63,7 +68,16 @@ class Desk:
             send(ended)
             return
         if active is None:
-            active = self._open(hello)
+            try:
+                active = self._open(hello)
+            except Exception as error:  # whoever asked must hear it: else it waits for a hello that never comes
+                detail = f"no insertion can be opened: {error or type(error).__name__}"
+                self.hub.publish("error", detail)
+                send(wire.Fault(insertion_id=hello.insertion_id, code="not_ready", detail=detail, fatal=True))
+                return
+        if active.send is not None and active.send != send:  # from now on it would hear of no slip
+            detail = "another connection drives this insertion now; hold"
+            active.send(wire.Fault(insertion_id=hello.insertion_id, code="taken_over", detail=detail, fatal=True))
         active.send = send
         active.message(hello)
 
@@ -111,9 +125,14 @@ class Desk:
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation)
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
-        for camera in self.cameras.values():
-            if camera.latest:
-                insertion.prime(camera.latest)
+        try:
+            for camera in self.cameras.values():
+                if camera.latest:
+                    insertion.prime(camera.latest)
+        except Exception:
+            if recorder:
+                recorder.close({"outcome": "failed", "attempts": 0})
+            raise
         self.active = insertion
         self.opened_n += 1
         return insertion
@@ -126,7 +145,7 @@ class Desk:
             "full_depth_look": str(self.settings.full_depth_look),
             "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
             "models_folder": str(self.settings.models),
-            "calibration": self.settings.calibration.read_text() if self.settings.calibration else "",
+            "calibration": self._calibration_text,
         }
         try:
             largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))
