@@ -64,6 +64,11 @@ class Attempt:
     result: WorkResult | None = None
     decision: Correction | NoDecision | None = None
 
+    @property
+    def spoilt(self) -> bool:
+        """Whether its reference holds no more: told to stop, or a finger was blind meanwhile."""
+        return self.slip_sent or self.stale_sent or bool(self.broken)
+
     def rearm(self, watch: FingerWatch, frame: TactileFrame) -> None:
         """Let the first frame of a finger captured after `arm` become the reference of its slip and onset."""
         if self.stage is Stage.ARMING and frame.captured_ns >= self.armed_ns and frame.finger not in self.rearmed:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from service.attempt import Attempt, Stage, WorkResult
-from service.contract import Finger, FramePair, TactileFrame, wire
+from service.contract import FINGERS, Finger, FramePair, TactileFrame, wire
 from service.contract.wire import CameraEntry, ControllerName, Limits, ServiceMessage
 from service.controllers import Command, make_controller
 from service.deadlines import Deadlines
@@ -57,9 +57,9 @@ class InsertionSession:
     attempt: Attempt | None = None
     finished: wire.Finished | None = None
     recording: str | None = None
-    newest_ns: int | None = None
     _judge: Judge | None = None
     _seen: dict[Finger, Observation] = field(default_factory=dict)
+    _newest_ns: dict[Finger, int] = field(default_factory=dict)
     _generation: int = 0
 
     # ---- messages -------------------------------------------------------------------------------------------------
@@ -105,14 +105,14 @@ class InsertionSession:
         ]
 
     def _heartbeat(self, message: wire.ClientHeartbeat, now_ns: int) -> wire.ServiceHeartbeat:
-        age = None if self.newest_ns is None else (now_ns - self.newest_ns) / 1e6
+        age = self._age_ms(now_ns)
         return wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=age)
 
     def _arm(self, message: wire.Arm, now_ns: int) -> Replies:
         last = self.attempt.arm.attempt if self.attempt else 0
         decided = self.attempt is None or self.attempt.stage is Stage.DECIDED
         if self.attempt and message.attempt == last and not decided:
-            if self.attempt.armed and self.attempt.stage is Stage.ARMED and not self.attempt.slip_sent:
+            if self.attempt.armed and self.attempt.stage is Stage.ARMED and not self.attempt.spoilt:
                 return [self.attempt.armed]
         elif message.attempt != last + 1 or not decided:
             state = "decided" if decided else "not decided yet"
@@ -166,7 +166,7 @@ class InsertionSession:
 
     def on_frame(self, frame: TactileFrame, now_ns: int) -> Replies:
         """Perceive one finger's frame and say at once if it slips; the slip path never waits for the other finger."""
-        self.newest_ns = frame.captured_ns
+        self._newest_ns[frame.finger] = frame.captured_ns
         attempt = self.attempt
         if attempt is None or not self.wants_frames:
             return []
@@ -184,7 +184,7 @@ class InsertionSession:
         """Take in both fingers' frames of one instant: slip, reference, onset, and the frames of the decision."""
         attempt = self.attempt
         if attempt is None or not self.wants_frames:
-            self.newest_ns = pair.captured_ns
+            self._newest_ns = {"left": pair.left.captured_ns, "right": pair.right.captured_ns}
             return []
         replies: Replies = []
         for frame in (pair.left, pair.right):
@@ -250,14 +250,17 @@ class InsertionSession:
             return self._conclude(now_ns)
         return self._check_age(attempt, now_ns)
 
+    def _age_ms(self, now_ns: int) -> float | None:
+        """Of the newest frame of the finger that is further behind: slip is not seen by one for the other."""
+        return (now_ns - min(self._newest_ns.values())) / 1e6 if len(self._newest_ns) == len(FINGERS) else None
+
     def _check_age(self, attempt: Attempt, now_ns: int) -> Replies:
-        if attempt.stage is not Stage.ARMED or self.newest_ns is None or attempt.stale_sent:
+        if attempt.stage is not Stage.ARMED or attempt.stale_sent or (age_ms := self._age_ms(now_ns)) is None:
             return []
-        age_ms = (now_ns - self.newest_ns) / 1e6
         if age_ms <= self.limits.max_frame_age_ms:
             return []
         attempt.stale_sent = True
-        return [self._fault("stale_frames", f"newest frame is {age_ms:.0f} ms old; hold until cameras are back")]
+        return [self._fault("stale_frames", f"a finger's newest frame is {age_ms:.0f} ms old; hold until it is back")]
 
     def _conclude(self, now_ns: int) -> Replies:
         if self.attempt is None or self._judge is None:

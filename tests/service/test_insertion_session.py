@@ -140,3 +140,44 @@ def test_another_protocol_is_refused(session: InsertionSession) -> None:
     (fault,) = session.handle(wire.ClientHello(insertion_id=ID, client="old", protocol=99), 0)
     assert fault.fatal
     assert "protocol 99" in fault.detail
+
+
+def armed_with(session: InsertionSession, index: int) -> list:
+    arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    pair = drawn.pair(index, onset=100, slip_at=100)
+    return [*session.handle(arm, pair.captured_ns), *session.on_pair(pair, pair.captured_ns)]
+
+
+@pytest.mark.parametrize("blind", ["left", "right"])
+def test_one_blind_finger_in_a_descent_is_as_stale_as_two(session: InsertionSession, blind: str) -> None:
+    hello(session)
+    armed_with(session, 0)
+    said = []
+    for index in range(1, 20):
+        pair = drawn.pair(index, onset=100, slip_at=100)
+        seen = pair.right if blind == "left" else pair.left
+        said += session.on_frame(seen, seen.captured_ns) + session.on_tick(seen.captured_ns)
+    assert [message.code for message in said] == ["stale_frames"]
+    (beat,) = session.handle(wire.ClientHeartbeat(insertion_id=ID, count=1), seen.captured_ns)
+    assert beat.frame_age_ms == pytest.approx(seen.captured_ns / 1e6)
+
+
+def test_after_a_cameras_fault_the_same_attempt_is_armed_with_a_new_reference_only(session: InsertionSession) -> None:
+    hello(session)
+    armed_with(session, 0)
+    session.on_camera_fault("camera_lost", "left gone")
+    again = drawn.pair(1).captured_ns
+    arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    assert session.handle(arm, again) == [], "the old reference is of another time"
+    (armed,) = session.on_pair(drawn.pair(1), again)
+    assert armed.reference_seq == 1
+    assert session.attempt is not None
+    assert session.attempt.broken == ""
+
+
+def test_frames_that_are_stale_again_after_a_new_arm_are_a_fault_again(session: InsertionSession) -> None:
+    hello(session)
+    armed_with(session, 0)
+    assert kinds(session.on_tick(600_000_000)) == ["fault"]
+    assert kinds(armed_with(session, 21)) == ["armed"]
+    assert kinds(session.on_tick(1_400_000_000)) == ["fault"]
