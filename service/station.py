@@ -138,10 +138,14 @@ class Station:
                 call = self._tick
             if call is None:
                 return
-            try:
-                call()
-            except Exception as error:
-                self._failed(f"{type(error).__name__}: {error}")
+            self._try(call)
+            self._try(self._tick_if_due)  # who talks all the time must not keep deadlines from being looked at
+
+    def _try(self, call: Callable[[], None]) -> None:
+        try:
+            call()
+        except Exception as error:
+            self._failed(f"{type(error).__name__}: {error}")
 
     def _failed(self, detail: str) -> None:
         """A call raised: the client must hold, and this thread must live on."""
@@ -151,7 +155,7 @@ class Station:
             self.desk.fault("internal", detail)
 
     def _tick(self) -> None:
-        now = now_ns()
+        now = self._ticked_ns = now_ns()
         for camera in self.cameras.values():
             camera.check_stall(now)
         self.desk.tick(now)
@@ -178,7 +182,6 @@ class Station:
         frame, pair = self._frames.popleft()
         if self.active and self.active.wants_frames:
             self.active.frame(frame, pair)
-        self._tick_if_due()
 
     def _is_outdated(self) -> bool:
         """Whether the oldest waiting frame is older than a frame period while slip is watched and a newer one waits.
@@ -193,9 +196,7 @@ class Station:
         return now_ns() - oldest.captured_ns > (1e9 / rate_hz if rate_hz else PERIOD_NS)
 
     def _tick_if_due(self) -> None:
-        now = now_ns()
-        if now - self._ticked_ns > TICK_S * 1e9:
-            self._ticked_ns = now
+        if now_ns() - self._ticked_ns > TICK_S * 1e9:
             self._tick()
 
     _ticked_ns = 0
