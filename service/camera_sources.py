@@ -60,6 +60,8 @@ class MjpegSource:
         while not stop.is_set():
             header_end = buffer.find(b"\r\n\r\n")
             if header_end < 0:
+                if len(buffer) > MAX_JPEG_BYTES:
+                    raise CameraError(f"{MAX_JPEG_BYTES} bytes came without the end of a part's header")
                 if not self._fill(response, buffer):
                     return
                 stamp_ns = now_ns()

@@ -54,7 +54,7 @@ class Source(Protocol):
 
 def decode_jpeg(jpeg: bytes) -> NDArray[np.uint8]:
     """BGR pixels of one JPEG; raises CameraError if it is broken."""
-    pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) if jpeg else None
     if pixels is None:
         raise CameraError(f"{len(jpeg)} bytes are not a JPEG image")
     return np.asarray(pixels, np.uint8)

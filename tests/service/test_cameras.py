@@ -108,6 +108,32 @@ def test_a_few_broken_pictures_are_left_out_and_ten_in_a_row_are_a_lost_camera()
         camera._publish(Capture(9, None, b"no picture"))
 
 
+def test_an_empty_picture_is_broken_like_any_other() -> None:
+    whole = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+    camera = Camera("left", PushSource(), lambda _: None, lambda *_: None)
+    for stamp_ns, jpeg in enumerate((whole, b"", whole)):
+        camera._publish(Capture(stamp_ns, None, jpeg))
+    assert camera.latest is not None
+    assert (camera.state, camera.latest.frame.captured_ns) == ("live", 2)
+
+
+class Endless:
+    """An answer whose parts have no header that ends."""
+
+    read_n = 0
+
+    def read1(self, size: int) -> bytes:
+        self.read_n += size
+        assert self.read_n < 1 << 24, "it would go on until the memory is full"
+        return b"x\n" * (size // 2)
+
+
+def test_a_stream_without_the_end_of_a_header_is_a_fault_and_no_memory_leak() -> None:
+    source = MjpegSource("http://127.0.0.1:9/")
+    with pytest.raises(CameraError, match="without the end of a part's header"):
+        next(source._parse(Endless(), b"--frame", threading.Event()))
+
+
 def test_a_changed_size_is_a_fault() -> None:
     finger = FakeFinger("left", 30)
     faults: list[str] = []
