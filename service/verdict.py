@@ -25,12 +25,16 @@ class Work:
 
 def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work:
     """The networks' step on one pair of the attempt's decision; the step on its last pair returns the result."""
+    number, generation = attempt.arm.attempt, attempt.generation
     if attempt.run is None:
-        reference = seen_by(models.card, attempt.network_reference or pair)
+        try:
+            reference = seen_by(models.card, attempt.network_reference or pair)
+        except Refusal as refusal:
+            refused = WorkResult(number, generation, None, refusal, {})
+            return Work(number, lambda: refused)
         attempt.run = DecisionRun(models, reference, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm)
     run, pairs = attempt.run, attempt.decision_pairs
     complete = pair is pairs[-1] and len(pairs) >= models.card.frames_per_decision
-    number, generation = attempt.arm.attempt, attempt.generation
 
     def compute() -> WorkResult | None:
         try:
