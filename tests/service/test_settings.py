@@ -24,6 +24,12 @@ def test_a_public_address_needs_a_token() -> None:
     assert read_settings([*CAMERAS, "--host", "0.0.0.0", "--token-drive", "secret"]).host == "0.0.0.0"
 
 
+@pytest.mark.parametrize("url", ["http://127.0.0.1:8081/stream.mjpg", "v4l2:0", "/dev/video0"])
+def test_one_camera_cannot_be_both_fingers(url: str) -> None:
+    with pytest.raises(SettingsError, match="each finger has its own camera"):
+        read_settings(["--camera-left", url, "--camera-right", url])
+
+
 def test_the_command_line_wins_over_environment_over_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = tmp_path / "c.toml"
     config.write_text('port = 1\ncontroller = "heuristic"\nmax_dx_mm = 5.0\n')
