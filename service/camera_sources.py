@@ -29,7 +29,8 @@ class MjpegSource:
     """``multipart/x-mixed-replace`` JPEG parts over HTTP; stamped when the part's header arrives.
 
     A part's ``X-Timestamp`` (seconds) is its capture time instead where it lies within the last second of this
-    machine's monotonic clock: the camera server then runs here and stamps with the same clock.
+    machine's monotonic clock: the camera server then runs here and stamps with the same clock. Once it was found to,
+    its stamps are believed however old: a picture that was held up for longer must not pass for a fresh one.
     """
 
     def __init__(self, url: str) -> None:
@@ -56,7 +57,7 @@ class MjpegSource:
 
     def _parse(self, response: http.client.HTTPResponse, boundary: bytes, stop: threading.Event) -> Iterator[Capture]:
         buffer = bytearray()
-        stamp_ns = now_ns()
+        stamp_ns, same_clock = now_ns(), False
         while not stop.is_set():
             header_end = buffer.find(b"\r\n\r\n")
             if header_end < 0:
@@ -67,7 +68,9 @@ class MjpegSource:
                 stamp_ns = now_ns()
                 continue
             header = bytes(buffer[:header_end])
-            stamp_ns = told_stamp_ns(header, stamp_ns)
+            arrived_ns = stamp_ns
+            stamp_ns = told_stamp_ns(header, arrived_ns, same_clock=same_clock)
+            same_clock = same_clock or stamp_ns != arrived_ns
             del buffer[: header_end + 4]
             length = _LENGTH.search(header)
             jpeg = self._body(response, buffer, int(length[1]) if length else None, boundary)
@@ -98,13 +101,17 @@ class MjpegSource:
         return bool(data)
 
 
-def told_stamp_ns(header: bytes, arrived_ns: int) -> int:
-    """The capture stamp a part's header tells, if it can be of this machine's monotonic clock; else its arrival."""
+def told_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
+    """The capture stamp a part's header tells, if it can be of this machine's monotonic clock; else its arrival.
+
+    ``same_clock``: earlier stamps of this stream were, so that an old one is old.
+    """
     told = _STAMP.search(header.replace(b"\r\n", b"\n"))
     if told is None:
         return arrived_ns
     stamp_ns = int(told[1]) * 1_000_000_000 + int(told[2].ljust(9, b"0"))
-    return stamp_ns if 0 <= arrived_ns - stamp_ns <= _SAME_CLOCK_NS else arrived_ns
+    age_ns = arrived_ns - stamp_ns
+    return stamp_ns if age_ns >= 0 and (same_clock or age_ns <= _SAME_CLOCK_NS) else arrived_ns
 
 
 class V4l2Source:

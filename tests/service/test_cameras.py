@@ -288,6 +288,25 @@ def test_a_stamp_of_this_machines_clock_is_believed_and_no_other() -> None:
     assert told_stamp_ns(b"Content-Length: 3\r\n", now) == now
 
 
+class Parts:
+    """An answer of parts, each with its stamp in s."""
+
+    def __init__(self, *stamps_s: float) -> None:
+        self.parts = [b"--f\r\nX-Timestamp: %.9f\r\nContent-Length: 1\r\n\r\nx\r\n" % stamp_s for stamp_s in stamps_s]
+
+    def read1(self, _size: int) -> bytes:
+        return self.parts.pop(0) if self.parts else b""
+
+
+def test_a_picture_that_was_held_up_for_seconds_does_not_pass_for_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.camera_sources.now_ns", lambda: 5_000_000_000_000)
+    source = MjpegSource("http://127.0.0.1:9/")
+    captures = source._parse(Parts(4999.98, 4997.5, 4999.99), b"--f", threading.Event())
+    assert [capture.captured_ns / 1e9 for capture in captures] == pytest.approx([4999.98, 4997.5, 4999.99])
+    captures = source._parse(Parts(4000.5, 4000.6), b"--f", threading.Event())
+    assert [capture.captured_ns / 1e9 for capture in captures] == [5000.0, 5000.0], "another machine's clock"
+
+
 def test_a_recording_plays_and_an_absent_one_says_so(tmp_path: Path) -> None:
     for index in range(3):
         cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((8, 9, 3), index, np.uint8))
