@@ -54,6 +54,9 @@ class Desk:
         if refused := wire.unspoken(hello):
             send(refused)
             return
+        if ended := self._ended.get(hello.insertion_id):  # it wants nothing: whoever drives now is left alone
+            send(ended)
+            return
         active = self.active
         if active and active.session.insertion_id != hello.insertion_id:
             if active.send is not None:
@@ -64,9 +67,6 @@ class Desk:
                 return
             self.abort("another client takes over after a lost connection")
             active = None
-        if active is None and (ended := self._ended.get(hello.insertion_id)):
-            send(ended)
-            return
         if active is None:
             try:
                 active = self._open(hello)

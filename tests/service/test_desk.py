@@ -103,3 +103,17 @@ def test_a_client_that_loses_its_insertion_to_another_connection_is_told_at_once
     assert [message.type for message in second.heard] == ["hello", "hello"], "who says hello again loses nothing"
     shared.abort("done")
     wait_for_recorders()
+
+
+def test_asking_for_the_end_of_an_insertion_ends_no_other_one(models: ModelSet, tmp_path: Path) -> None:
+    shared = desk(models, tmp_path)
+    Client(shared).connect("first")
+    shared.abort("done")
+    driver = Client(shared)
+    driver.connect("second")
+    shared.disconnect(driver.send)
+    assert Client(shared).connect("first").type == "finished"
+    assert shared.active is not None
+    assert shared.active.session.insertion_id == "second"
+    shared.abort("done")
+    wait_for_recorders()
