@@ -26,15 +26,26 @@ log = structlog.get_logger()
 def recover(root: Path) -> list[Path]:
     """Close every recording under ``root`` that lost its writer; returns the files made whole.
 
-    A part that holds no insertion at all is renamed to ``insertion.mcap.unreadable`` and left for people.
+    What cannot be closed is left as it is: an old recording must not keep the service from starting. A part that holds
+    no insertion at all is renamed to ``insertion.mcap.unreadable`` and left for people.
     """
     found = []
     for part in sorted(root.glob(f"*/{PART}")):
         with part.open("rb") as stream, contextlib.suppress(BlockingIOError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _close(part, stream):
+            if _closed(part, stream):
                 found.append(part.with_name(FINAL))
     return found
+
+
+def _closed(part: Path, stream: IO[bytes]) -> bool:
+    """Whether the part was made whole; one that cannot be now (a full disk) is left for the next start."""
+    try:
+        return _close(part, stream)
+    except Exception as error:
+        part.with_name(RECOVERING).unlink(missing_ok=True)
+        log.warning("recording not recovered", path=str(part), error=repr(error))
+        return False
 
 
 def _close(part: Path, stream: IO[bytes]) -> bool:

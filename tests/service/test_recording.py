@@ -160,3 +160,21 @@ def test_the_oldest_insertions_make_room(tmp_path: Path) -> None:
     assert [path.name[-1] for path in removed] == ["0", "1"]
     assert len(prune(tmp_path, 0)) == 1
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "insertion.mcap.part").write_bytes(b"\0" * 1000)
+
+    def disk_is_full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("service.recovery._copy", disk_is_full)
+    assert recover(tmp_path) == []
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.glob("*/*")) == [
+        "a/insertion.mcap.part",
+        "b/insertion.mcap.part",
+    ]
