@@ -12,6 +12,7 @@ from robot_client.drivers.wsg50 import Wsg50
 from robot_client.drivers.wsg50_gcl import GclGripper
 from robot_client.events import Event, Failure, FromService
 from robot_client.limits import check_pose
+from robot_client.motion import check_ramps
 from robot_client.ports import DriverError
 from robot_client.service_link import ServiceLink
 from robot_client.settings import Settings
@@ -53,6 +54,7 @@ async def _plan(settings: Settings) -> list[Finding]:
     bottom = plan.deepest
     check_pose(settings.limits, plan.approach, "approach")
     check_pose(settings.limits, bottom, "full insertion")
+    check_ramps(settings.limits, settings.ramps)
     settings.work_object.frame()
     seconds = settings.ramps.duration_s(plan.approach, bottom, "descend")
     return [(True, f"approach z {plan.approach.z_mm:g} mm, full depth z {bottom.z_mm:g} mm, {seconds:.1f} s down")]

@@ -28,6 +28,7 @@ from robot_client.events import (
 from robot_client.insertion_actions import Result, approach, arm, descend, fail, go, hold, retract, say
 from robot_client.insertion_state import Phase, Plan, State, Timeouts
 from robot_client.limits import LimitError, check_correction, check_pose
+from robot_client.motion import check_ramps
 from service.contract import wire
 
 __all__ = ["Phase", "Plan", "Result", "State", "Timeouts", "step"]
@@ -88,6 +89,7 @@ def _on_begin(state: State, event: Begin) -> Result:
     try:
         for target in (plan.approach, plan.deepest):
             check_pose(plan.limits, target, "plan")
+        check_ramps(plan.limits, plan.ramps)
     except LimitError as error:
         return fail(state, "limits", "plan", str(error))
     hello = wire.ClientHello(insertion_id=plan.insertion_id, client=plan.client, controller=plan.controller)

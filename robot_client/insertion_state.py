@@ -7,7 +7,7 @@ from enum import StrEnum
 from pydantic import Field
 
 from robot_client.geometry import WorkPose
-from robot_client.limits import Limits
+from robot_client.limits import Limits, Positive
 from robot_client.motion import Ramps
 from service.contract import wire
 from service.contract.frames import Contract
@@ -37,13 +37,13 @@ TERMINAL = frozenset({Phase.INSERTED, Phase.FAILED})
 class Timeouts(Contract):
     """How long each phase may last; ``motion_s`` is added to the planned time of a move."""
 
-    greeting_s: float = 10.0
-    grasping_s: float = 15.0
-    arming_s: float = 3.0
-    stopping_s: float = 1.5
-    deciding_s: float = 4.0
-    closing_s: float = 5.0
-    motion_s: float = 3.0
+    greeting_s: Positive = 10.0
+    grasping_s: Positive = 15.0
+    arming_s: Positive = 3.0
+    stopping_s: Positive = 1.5
+    deciding_s: Positive = 4.0
+    closing_s: Positive = 5.0
+    motion_s: Positive = 3.0
 
 
 class Plan(Contract):

@@ -9,6 +9,7 @@ from robot_client.drivers.wsg50_gcl import GclGripper
 from robot_client.events import Arrived, Event, Failure
 from robot_client.geometry import WorkPose
 from robot_client.limits import check_pose
+from robot_client.motion import check_ramps
 from robot_client.ports import Arm, DriverError
 from robot_client.runner import to_the_end
 from robot_client.settings import Settings
@@ -17,6 +18,7 @@ from robot_client.settings import Settings
 def jog(settings: Settings, target: WorkPose, *, live: bool) -> int:
     """Take the TCP to ``target``: up, over, down, all at travel speed; raises LimitError, DriverError."""
     check_pose(settings.limits, target)
+    check_ramps(settings.limits, settings.ramps)
     if not live:
         print("DRY RUN: nothing is connected, nothing moves (type --live to move).")
         print(f"would go up or stay, over, then down to {_text(target)}; within the limits")

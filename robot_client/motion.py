@@ -1,9 +1,10 @@
 """From a commanded move to the next target, 250 times a second; shared by every arm driver. No I/O, no clock."""
 
-from typing import Literal
+import math
+from typing import Literal, get_args
 
 from robot_client.geometry import WorkPose
-from robot_client.limits import Limits, Motion, StepGuard, check_pose
+from robot_client.limits import LimitError, Limits, Motion, StepGuard, check_pose
 from robot_client.profile import Profile, plan_profile
 from service.contract.frames import Contract
 
@@ -47,6 +48,18 @@ class Ramps(Contract):
         ramp = self.of(motion)
         length = max(start.distance_mm(end), start.turn_deg(end))
         return plan_profile(length, ramp.speed_mm_s, ramp.acceleration_mm_s2, ramp.jerk_mm_s3)
+
+
+def check_ramps(limits: Limits, ramps: Ramps) -> None:
+    """Raise LimitError for a ramp whose motion the limits would break off on its way, at full speed."""
+    for motion in get_args(Motion):
+        ramp: Ramp = ramps.of(motion)
+        top = limits.max_descent_speed_mm_s if motion == "descend" else limits.max_speed_mm_s
+        bounds = {"speed_mm_s": top, "acceleration_mm_s2": limits.max_acceleration_mm_s2, "jerk_mm_s3": math.inf}
+        for name, bound in bounds.items():
+            value = getattr(ramp, name)
+            if not 0.0 < value <= bound:
+                raise LimitError(f"ramps.{motion}.{name} = {value:g}, the limits allow above 0 and up to {bound:g}")
 
 
 class MotionGuide:

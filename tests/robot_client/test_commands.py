@@ -90,6 +90,7 @@ def test_a_file_that_is_no_log_is_refused_in_one_line(text, tmp_path):
         ('[service]\nurl = "http://127.0.0.1"', "service.url"),
         ("[task]\ngap_width_mm = -1", "task.gap_width_mm"),
         ("[limits]\nz_mm = [5, 900]\n[task]\napproach_z_mm = 600", "grasp_height_mm"),
+        ("[timeouts]\ndeciding_s = 0", "timeouts.deciding_s"),
         ("[work_object]\nrotation = [0, 0, 0, 0]", "no rotation"),
         ("[ramps.travel]\nspeed_mm_s = 0\nacceleration_mm_s2 = 1\njerk_mm_s3 = 1", "limits"),
     ],
@@ -127,9 +128,9 @@ def test_wrong_arguments_are_one_line_and_exit_code_two(arguments, capsys):
 
 def test_a_rehearsal_says_what_the_arm_would_refuse(tmp_path, capsys):
     path = tmp_path / "cell.toml"
-    path.write_text("[ramps.travel]\nspeed_mm_s = 200\nacceleration_mm_s2 = 800\njerk_mm_s3 = 20000")
-    assert main(["insert", "--x-mm", "8", "--config", str(path), "--log", str(tmp_path / "x.jsonl")]) == 1
-    assert "speed mm/s" in capsys.readouterr().out
+    path.write_text("[limits]\nmax_turn_deg_s = 5")
+    assert main(["insert", "--x-mm", "0", "--theta-deg", "9", "--config", str(path), "--log", str(tmp_path / "x")]) == 1
+    assert "turn deg/s" in capsys.readouterr().out
 
 
 def test_a_section_that_is_no_table_is_refused_beside_an_option_of_it(tmp_path, capsys):

@@ -230,3 +230,17 @@ def test_a_plan_that_does_not_fit_the_box_never_starts():
     assert state.phase is Phase.FAILED
     assert "z_mm" in state.reason
     assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
+
+
+FAST = {"speed_mm_s": 81.0, "acceleration_mm_s2": 1600.0, "jerk_mm_s3": 0.0}
+
+
+@pytest.mark.parametrize("motion", ["travel", "descend", "retract"])
+@pytest.mark.parametrize("name", list(FAST))
+def test_ramps_that_the_limits_would_break_off_on_the_way_never_start(motion, name):
+    ramp = PLAN.ramps.of(motion).model_copy(update={name: FAST[name]})
+    hasty = PLAN.model_copy(update={"ramps": PLAN.ramps.model_copy(update={motion: ramp})})
+    state, commands = step(State(hasty), TO_ARMING[0])
+    assert state.phase is Phase.FAILED
+    assert f"ramps.{motion}.{name}" in state.reason
+    assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]

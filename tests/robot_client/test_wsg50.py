@@ -1,4 +1,4 @@
-"""What keeps the watch over a grasp alive: the grasping state itself, and nothing that merely comes from the gripper."""
+"""What keeps the watch over a grasp alive: the grasping state itself, not whatever else comes from the gripper."""
 
 import pytest
 
