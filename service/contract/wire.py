@@ -207,7 +207,7 @@ class Fault(_Message):
 
 
 class ServiceHeartbeat(_Message):
-    """Answer to a client heartbeat, same count, with the age of the newest frame pair."""
+    """Answer to a client heartbeat, same count; the age is of the newest frame of the finger that is further behind."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int
