@@ -165,6 +165,8 @@ _ON_ARRIVAL: dict[Phase, Callable[[State, Arrived], Result]] = {
 
 def _on_service(state: State, event: FromService) -> Result:
     message, at_s = event.message, event.at_s
+    if isinstance(message, wire.Fault):  # of whatever insertion: one about the connection names none
+        return fail(state, "service", message.code, message.detail)
     if message.insertion_id != state.plan.insertion_id:
         detail = f"message of insertion {message.insertion_id}, expected {state.plan.insertion_id}"
         return fail(state, "service", "protocol", detail)
@@ -173,8 +175,6 @@ def _on_service(state: State, event: FromService) -> Result:
             return _on_hello(state, message, at_s)
         case wire.ServiceHeartbeat():
             return _on_heartbeat(state, message)
-        case wire.Fault():
-            return fail(state, "service", message.code, message.detail)
         case wire.Finished():
             return _on_finished(state, message)
         case _:

@@ -22,7 +22,7 @@ from service.routes.ending import (
 )
 from service.station import Station
 
-HELLO_TIMEOUT_S = 5.0
+HELLO_TIMEOUT_S = 30.0  # a robot client connects first, then switches motors on and waits for the arm to be guided
 MAX_WAITING = 256
 log = structlog.get_logger()
 

@@ -244,3 +244,10 @@ def test_ramps_that_the_limits_would_break_off_on_the_way_never_start(motion, na
     assert state.phase is Phase.FAILED
     assert f"ramps.{motion}.{name}" in state.reason
     assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
+
+
+def test_a_fault_of_the_connection_itself_is_told_in_its_own_words():
+    fault = wire.Fault(insertion_id="none", code="bad_message", detail="no hello within 30 s")
+    state, _ = run([TO_ARMING[0], service(fault)])
+    assert state.phase is Phase.FAILED
+    assert state.reason == "service: bad_message: no hello within 30 s"

@@ -8,6 +8,7 @@ from robot_client.drivers.abb_rws import RwsClient, RwsError
 from robot_client.ports import DriverError
 from robot_client.settings import SettingsError, load_settings
 from service.contract import wire
+from service.routes.insertion import HELLO_TIMEOUT_S
 from tests.robot_client.live_cell import bench
 
 MUTE_RWS = {"rws": {"request_timeout_s": 0.3, "stop_timeout_s": 0.3}}  # only what never answers is given up soon
@@ -152,3 +153,10 @@ def test_a_foreign_host_is_not_guided():
 
 def test_an_rws_error_is_a_driver_error():
     assert issubclass(RwsError, DriverError)
+
+
+def test_the_service_waits_for_a_hello_as_long_as_an_arm_may_take_to_be_guided():
+    settings = load_settings(None)
+    gripper_s = settings.gripper.reply_timeout_s * 5  # the connection, three questions, the first update
+    motors_s = settings.rws.motors_timeout_s + settings.rws.start_timeout_s
+    assert gripper_s + motors_s + settings.egm.ready_timeout_s < HELLO_TIMEOUT_S
