@@ -4,6 +4,7 @@ import asyncio
 import os
 import secrets
 import signal
+import socket
 import sys
 import time
 from pathlib import Path
@@ -58,10 +59,17 @@ def live_arm(settings: Settings) -> Arm:
         return SocketArm(settings.socket, settings.limits, settings.ramps, frame, rws)
     rws = RwsClient(settings.rws)
     egm = settings.egm
-    host = urlsplit(settings.rws.url).hostname
-    if egm.robot_host is None and host is not None and host.replace(".", "").isdigit():
-        egm = egm.model_copy(update={"robot_host": host})
+    if egm.robot_host is None:
+        egm = egm.model_copy(update={"robot_host": _address_of(settings.rws.url)})
     return EgmArm(egm, settings.limits, settings.ramps, frame, rws)
+
+
+def _address_of(url: str) -> str | None:
+    """The address behind a URL's host, as datagrams carry it; None where nobody knows it: then RWS finds no robot."""
+    try:
+        return socket.gethostbyname(urlsplit(url).hostname or "")
+    except OSError:
+        return None
 
 
 def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:

@@ -84,6 +84,8 @@ class EgmArm:
         except TimeoutError:
             where = f"UDP port {self._socket.getsockname()[1]}"
             why = self._watch.not_ready or "no datagram came: check UCdevice address and port, and that EGM runs"
+            if self._foreign and not self._watch.datagrams:
+                why = f"{self._foreign} datagrams came, none from {self.settings.robot_host} (egm.robot_host)"
             raise DriverError(
                 f"robot: EGM not ready on {where} in {self.settings.ready_timeout_s:g} s: {why}"
             ) from None

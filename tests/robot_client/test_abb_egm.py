@@ -1,12 +1,18 @@
-"""The first answer to a robot: it must be where the arm stands already."""
+"""Who is answered, and with what first: the robot that was started, where its arm stands already."""
 
+import asyncio
 import math
 
+import pytest
+
 from robot_client.codecs import egm
+from robot_client.commands import live_arm
 from robot_client.drivers.abb_egm import EgmArm, EgmSettings
 from robot_client.geometry import CellFrame, WorkPose
 from robot_client.limits import Limits
 from robot_client.motion import Ramps
+from robot_client.ports import DriverError
+from robot_client.settings import load_settings
 
 
 class Wire:
@@ -43,3 +49,28 @@ def test_a_tilted_arm_is_never_answered_since_every_target_would_turn_it_upright
     sent, said = answers_to(25.0)
     assert sent == []
     assert "tilted by 25.00 deg, allowed 2" in said
+
+
+@pytest.mark.parametrize("url", ["http://127.0.0.1:8", "http://localhost:8"])
+def test_only_the_robot_whose_program_is_started_is_guided(url):
+    async def story():
+        settings = load_settings(None, {"rws": {"url": url}})
+        arm = live_arm(settings)
+        assert not arm._is_robot(("192.0.2.7", 6510)), "another robot that sends to the same port"
+        assert arm._is_robot(("127.0.0.1", 6510))
+        await arm.rws._client.aclose()
+
+    asyncio.run(story())
+
+
+def test_datagrams_of_another_host_are_named_as_such():
+    async def story():
+        arm = EgmArm(
+            EgmSettings(bind="127.0.0.1", port=0, robot_host="192.0.2.7", ready_timeout_s=0.05), Limits(), Ramps()
+        )
+        arm._foreign = 3
+        with pytest.raises(DriverError, match=r"3 datagrams came, none from 192\.0\.2\.7"):
+            await arm.start(lambda _event: None)
+        await arm.close()
+
+    asyncio.run(story())
