@@ -159,7 +159,7 @@ class RwsClient:
             bounded = self._client.request(method, path, params=params, data=form)
             # httpx bounds each network operation; this bounds the whole exchange, digest round included
             answer = await asyncio.wait_for(bounded, 2.0 * self.settings.request_timeout_s)
-        except (httpx.HTTPError, TimeoutError) as error:
+        except Exception as error:  # not HTTP errors alone: a challenge that httpx does not know is a KeyError
             raise RwsError(f"{method} {path}: {type(error).__name__} {error}".rstrip()) from None
         if answer.is_success:
             return answer
