@@ -118,9 +118,10 @@ def show(text: str) -> None:
 
 
 def stop_on_signals() -> None:
-    """Ctrl-C and SIGTERM hold the arm and end the insertion in order."""
+    """Ctrl-C, SIGTERM and a terminal that hangs up (but for `nohup`) hold the arm and end the insertion in order."""
     task = asyncio.current_task()
     assert task is not None
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    hang_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+    for number in (signal.SIGINT, signal.SIGTERM, *hang_up):
         loop.add_signal_handler(number, task.cancel)

@@ -1,12 +1,14 @@
 """What the runner owes the arm whatever happens around it: an end in order, and no start after a failure."""
 
 import asyncio
+import os
+import signal
 import subprocess
 import sys
 
 import pytest
 
-from robot_client import jog
+from robot_client import commands, jog
 from robot_client.events import Failure
 from robot_client.insertion_state import Phase
 from robot_client.ports import DriverError
@@ -130,3 +132,22 @@ def test_an_insertion_ends_as_it_would_have_where_nobody_reads_its_lines(tmp_pat
         client.stdout.close()
         said = client.stderr.read()
     assert (client.returncode, said) == (0, "")
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_terminal_that_hangs_up_ends_the_insertion_in_order_but_under_nohup(ignored):
+    async def wait():
+        commands.stop_on_signals()
+        os.kill(os.getpid(), signal.SIGHUP)
+        await asyncio.sleep(0.05)
+        return "went on"
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.default_int_handler)
+    try:
+        if ignored:
+            assert asyncio.run(wait()) == "went on"
+        else:
+            with pytest.raises(asyncio.CancelledError):
+                asyncio.run(wait())
+    finally:
+        signal.signal(signal.SIGHUP, before)
