@@ -97,6 +97,9 @@ class ServiceLink:
             self._fail("protocol", f"unreadable message: {error}")
         except ConnectionClosed as error:
             self._fail("link", f"connection lost: {error}")
+        except Exception as error:  # a defect of ours must not leave the arm moving with nobody listening
+            self._fail("internal", f"{type(error).__name__}: {error}")
+            raise
 
     async def _send(self) -> None:
         assert self._connection is not None
