@@ -252,10 +252,6 @@ class StreamParser:
         self._buffer += data
         return list(self._frames())
 
-    def reset(self) -> None:
-        """Forget an unfinished frame (after a reconnect or a reply that timed out)."""
-        self._buffer.clear()
-
     def _skip(self, count: int) -> None:
         self.skipped_bytes += count
         del self._buffer[:count]
