@@ -170,7 +170,7 @@ def limits(rows: list[Row], summaries: Sequence[Row]) -> list[str]:
     return [
         *lines,
         "",
-        f"Insertions without an equilibrium of the physics (counted as failed): {void}.",
+        f"Void, the physics came to its end (no equilibrium, or an object pushed 12 mm up in the hand): {void}.",
         f"Insertions that the client took for done and were not (belief): {wrong}.",
     ]
 

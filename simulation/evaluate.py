@@ -34,7 +34,7 @@ from service.perception.rectify import CameraCalibration
 from service.verdict import Work
 from simulation.contenders import CONTENDERS, Chooser, Contender, View
 from simulation.gel_eyes import GelFinger
-from simulation.lockstep import CREEP_ALLOWANCE_MM, Course, LockstepCell, hash_seed
+from simulation.lockstep import CREEP_ALLOWANCE_MM, Course, GraspEndError, LockstepCell, hash_seed
 from simulation.rig import PhysicsError
 from simulation.scene import load_scene
 
@@ -48,7 +48,7 @@ FAR = ClientLimits(max_dx_mm=45.0, max_dtheta_deg=45.0)
 class Outcome:
     """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
 
-    ``inserted`` is the truth, ``claimed`` what the client believes; ``void``: the physics found no way on.
+    ``inserted`` is the truth, ``claimed`` what the client believes; ``void``: the physics came to its end.
     """
 
     inserted: bool
@@ -100,11 +100,11 @@ class Insertion:
         self._skipped: list[Work] = []
 
     def run(self) -> Outcome:
-        """Play the insertion to its end; where the physics finds no way on, it is void and counts as failed."""
+        """Play the insertion to its end; where the physics comes to its end, it is void and counts as failed."""
         world, void = self.world, ""
         try:
             self._play()
-        except PhysicsError as stuck:
+        except (PhysicsError, GraspEndError) as stuck:
             void = f"physics: {stuck}"
         error = world.state.object_error
         return Outcome(

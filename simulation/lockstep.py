@@ -25,6 +25,10 @@ MAX_UNSOLVED = 6  # moves in a row without an equilibrium: the cell cannot say w
 Image = NDArray[np.uint8]
 
 
+class GraspEndError(Exception):
+    """The object left the grasp as far as it is simulated: what the gels would see from here on is not known."""
+
+
 @dataclass(slots=True)
 class Course:
     """What happened to object and blocks up to now; lengths in mm, angles in deg.
@@ -105,7 +109,12 @@ class LockstepCell:
         self.now_ns += round(duration_s * 1e9)
 
     def descend(self, bottom_z_mm: float) -> None:
-        """Begin to go down at the scene's speed; every `next_pair` shows what came of it."""
+        """Begin to go down at the scene's speed; every `next_pair` shows what came of it.
+
+        Raises GraspEndError if an earlier descent pushed the object out of its grasp.
+        """
+        if self.state.grasp_lost:
+            raise GraspEndError("the object was pushed out of the grasp that is simulated (12 mm, a tenth of the grip)")
         self.bottom_z_mm, self.moving = bottom_z_mm, True
 
     def hold(self) -> None:

@@ -59,6 +59,17 @@ def test_an_object_that_slid_up_in_the_hand_without_a_slip_message_is_not_claime
     assert seen.attempts == blind.attempts
 
 
+def test_nothing_is_claimed_of_an_object_that_left_the_simulated_grasp(models):
+    """What the gels would see of it is not known: the insertion is void, not inserted and not a false claim."""
+    play = stage(job(), models)
+    play.world.cell.grasp_lost = True
+    play.world.state = play.world.cell.look()
+    ended = play.run()
+    assert ended.void
+    assert not ended.claimed
+    assert "out of the grasp" in ended.reason
+
+
 class FeltError(Exception):
     """Ends an insertion after its first attempt."""
 
