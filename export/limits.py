@@ -4,8 +4,8 @@ Both are probed here and now, by the same runtime. A graph cannot be faster than
 the slower of the two; a layer's bytes are its weights and what it reads and writes, so that frames and activations
 count. Pooling, gates and the runtime's own work come on top and are what a kernel could still save. Two limits differ
 in the rate of multiplications: ``limit_ms`` takes the best that the core reaches on any large product, ``shaped_ms``
-that of the plain matrix product of every layer's own rows, depth and columns, which a convolution can at best equal: it
-has to gather its patches besides. A shallow or narrow product cannot fill the units.
+that of the plain matrix product of every layer's own rows, depth and columns, which a convolution that gathers its
+patches besides can at best equal (the runtime's direct fp32 ones do not gather). A shallow or narrow product cannot fill the units.
 """
 
 from collections.abc import Callable, Iterator
