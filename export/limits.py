@@ -5,7 +5,8 @@ the slower of the two; a layer's bytes are its weights and what it reads and wri
 count. Pooling, gates and the runtime's own work come on top and are what a kernel could still save. Two limits differ
 in the rate of multiplications: ``limit_ms`` takes the best that the core reaches on any large product, ``shaped_ms``
 that of the plain matrix product of every layer's own rows, depth and columns, which a convolution that gathers its
-patches besides can at best equal (the runtime's direct fp32 ones do not gather). A shallow or narrow product cannot fill the units.
+patches besides can at best equal (the runtime's direct fp32 ones do not gather). A shallow or narrow product cannot
+fill the units.
 """
 
 from collections.abc import Callable, Iterator
