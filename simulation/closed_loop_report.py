@@ -119,7 +119,7 @@ def on_shared_starts(rows: list[Row]) -> list[Row]:
 
 
 def baseline_table(summaries: Sequence[Row], shared: Sequence[Row] = ()) -> list[str]:
-    """Success and mean trials, who decides by object; ``shared`` is the belief where all others played, too."""
+    """Success and mean trials, who decides by object; ``shared`` is the belief where others played, too."""
     scenes = [name for name in OBJECTS if any(row["scene"] == name for row in summaries)]
     head = "| who decides (insertions in all) | " + " | ".join(scenes) + " | all together, 95 % interval |"
     lines = [head, "|---" * (len(scenes) + 2) + "|"]

@@ -8,6 +8,7 @@ from robot_client.events import Standstill
 from robot_client.geometry import WorkPose
 from robot_client.limits import Limits
 from robot_client.motion import Ramps
+from tests.robot_client.clock import stopped_clock
 
 
 class Writer:
@@ -23,18 +24,9 @@ class Writer:
         return False
 
 
-class Clock:
-    now_s = 0.0
-
-    def monotonic(self):
-        return self.now_s
-
-
 @pytest.fixture
 def clock(monkeypatch):
-    clock = Clock()
-    monkeypatch.setattr(abb_socket, "time", clock)
-    return clock
+    return stopped_clock(monkeypatch, abb_socket)
 
 
 def guard_says(arm, number, *, stopped):

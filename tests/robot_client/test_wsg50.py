@@ -8,21 +8,12 @@ from robot_client.drivers import wsg50 as driver
 from robot_client.drivers import wsg50_gcl
 from robot_client.drivers.wsg50 import Wsg50, WsgSettings
 from robot_client.drivers.wsg50_gcl import GclGripper
-
-
-class Clock:
-    now_s = 0.0
-
-    def monotonic(self):
-        return self.now_s
+from tests.robot_client.clock import stopped_clock
 
 
 @pytest.fixture
 def clock(monkeypatch):
-    clock = Clock()
-    for module in (driver, wsg50_gcl):
-        monkeypatch.setattr(module, "time", clock)
-    return clock
+    return stopped_clock(monkeypatch, driver, wsg50_gcl)
 
 
 def told(gripper, *frame):

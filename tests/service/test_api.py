@@ -1,3 +1,4 @@
+import tomllib
 from pathlib import Path
 
 import httpx
@@ -5,6 +6,7 @@ import pytest
 
 from service.contract import TactileFrame, encode_frame, wire
 from service.perception.rectify import Rectifier
+from tests.docs.commands import ROOT
 from tests.service import drawn
 from tests.service.client import Driver
 from tests.service.conftest import LiveService, live_service
@@ -74,3 +76,9 @@ def test_tokens_give_roles(tmp_path: Path, models_folder: Path) -> None:
         infer = "/v2/models/direction.step/infer"
         assert [code("POST", infer, token) for token in (None, "x", "w", "d")] == [401, 401, 403, 400]
         assert [code("POST", infer.replace("direction", "no"), token) for token in ("w", "d")] == [403, 404]
+
+
+def test_every_door_tells_the_version_of_the_package(live: LiveService) -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    told = [httpx.get(live.url(page)).json()["info"]["version"] for page in ("/openapi.json", "/v1/asyncapi.json")]
+    assert [*told, httpx.get(live.url("/v2")).json()["version"]] == 3 * [version]

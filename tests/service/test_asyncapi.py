@@ -1,7 +1,6 @@
 """The description of the WebSockets is the code's own: nothing is missing, nothing is left over, examples are valid."""
 
 import json
-import tomllib
 from typing import Any
 
 import httpx
@@ -10,7 +9,6 @@ import pytest
 
 from service import __version__, asyncapi
 from service.contract import wire
-from tests.docs.commands import ROOT
 from tests.service.conftest import LiveService
 
 DOCUMENT = json.loads(json.dumps(asyncapi.document(__version__)))
@@ -73,8 +71,3 @@ def test_a_key_that_the_code_refuses_is_refused_by_the_schema() -> None:
 
 def test_the_service_serves_it(live: LiveService) -> None:
     assert httpx.get(live.url("/v1/asyncapi.json")).json() == DOCUMENT
-
-
-def test_the_service_says_the_version_of_the_package() -> None:
-    package = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert DOCUMENT["info"]["version"] == package["version"]
