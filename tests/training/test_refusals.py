@@ -10,8 +10,8 @@ import torch
 
 from export.__main__ import main as export_main
 from service.contract import ContractError
-from simulation.dataset import DatasetWriter
-from simulation.manifest import MANIFEST, ShardEntry
+from simulation.data.dataset import DatasetWriter
+from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 from training.__main__ import main
 from training.checkpoint import Checkpoint
