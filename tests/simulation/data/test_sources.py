@@ -24,9 +24,9 @@ def root(tmp_path):
     ],
 )
 def test_a_result_is_known_by_all_that_computed_it_and_by_nothing_else(root, file, text, counts):
-    before = sources_sha256("simulation.rig", root)
+    before = sources_sha256("simulation.physics.quasistatic", root)
     (root / "simulation" / file).write_text(text)
-    assert (sources_sha256("simulation.rig", root) != before) == counts
+    assert (sources_sha256("simulation.physics.quasistatic", root) != before) == counts
 
 
 def test_an_insertion_is_played_by_the_solver_the_service_and_the_client(monkeypatch):
@@ -39,7 +39,7 @@ def test_an_insertion_is_played_by_the_solver_the_service_and_the_client(monkeyp
         "simulation/physics/kernels/newton.py",
         "service/belief.py",
         "service/perception/slip.py",
-        "robot_client/insertion.py",
+        "robot_client/insertion/machine.py",
     }
     assert wanted <= found
     assert "simulation/closed_loop/report.py" not in found
