@@ -7,7 +7,7 @@ from simulation.data.sources import sources_sha256
 def root(tmp_path):
     package = tmp_path / "simulation"
     (package / "scenes").mkdir(parents=True)
-    (package / "rig.py").write_text("from simulation import solver\n")
+    (package / "arm.py").write_text("from simulation import solver\n")
     (package / "solver.py").write_text('"""Solves."""\nSTEPS = 3\n')
     (package / "report.py").write_text("WIDTH = 80\n")
     (package / "scenes" / "circle.toml").write_text("mass_kg = 0.1\n")
@@ -24,9 +24,9 @@ def root(tmp_path):
     ],
 )
 def test_a_result_is_known_by_all_that_computed_it_and_by_nothing_else(root, file, text, counts):
-    before = sources_sha256("simulation.physics.quasistatic", root)
+    before = sources_sha256("simulation.arm", root)
     (root / "simulation" / file).write_text(text)
-    assert (sources_sha256("simulation.physics.quasistatic", root) != before) == counts
+    assert (sources_sha256("simulation.arm", root) != before) == counts
 
 
 def test_an_insertion_is_played_by_the_solver_the_service_and_the_client(monkeypatch):
