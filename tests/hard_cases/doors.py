@@ -29,8 +29,8 @@ from tests.hard_cases.motion import pose
 from tests.hard_cases.registry import case, non_finite, not_refused
 from tests.service.perception.synthetic import patch_fields, rigid
 from tests.simulation.strategies import made_up_trial
-from training.evaluate import Predictions
-from training.labels import class_of
+from training.data.labels import class_of
+from training.metrics.figures import Predictions
 
 BAD = (math.nan, math.inf, -math.inf)
 Door = Callable[[float], object]
@@ -143,7 +143,7 @@ def doors_of_the_simulator(seed: int) -> float:
     "networks",
     why="a mean over a thousand trials hides the one that was not a number, or becomes one",
     holds="labels and predictions with such numbers are refused before any figure: doors open",
-    guard=("training/evaluate.py", "if not np.isfinite(getattr(self, name)).all():", "if False:"),
+    guard=("training/metrics/figures.py", "if not np.isfinite(getattr(self, name)).all():", "if False:"),
 )
 def doors_of_the_training(_seed: int) -> float:
     def predictions(**changed: float) -> Predictions:
