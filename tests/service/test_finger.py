@@ -9,9 +9,9 @@ from service.models import load_models
 from service.observation import Observation
 from service.perception.rectify import Calibration, CameraCalibration, Rectifier
 from service.sessions import make_session
-from simulation.imprint import Appearance, Renderer
-from simulation.rig import Cell
-from simulation.scene import load_scene
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.quasistatic import Cell
+from simulation.scene.scene import load_scene
 from tests.service import drawn, tiny_models
 
 FREE = np.zeros((20, 21, 3), np.float32)

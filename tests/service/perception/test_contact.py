@@ -10,9 +10,9 @@ from service.perception.field import empty_field
 from service.perception.grasp import GraspWatch
 from service.perception.markers import MarkerTracker
 from service.perception.slip import SlipDetector
-from simulation.imprint import Appearance, Renderer
-from simulation.rig import Cell
-from simulation.scene import BUILT_IN, load_scene
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.quasistatic import Cell
+from simulation.scene.scene import BUILT_IN, load_scene
 from tests.service.perception.synthetic import FRAME_NS, draw, grid
 
 FREE = np.zeros((20, 21, 3), np.float32)
