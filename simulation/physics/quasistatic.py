@@ -103,8 +103,14 @@ class Cell:
         self.pose[2] = APPROACH_MM + spread.height_mm
         return self.look()
 
+    def _work(self) -> records.Workspace:
+        """The kernels' memory; made anew, so that a study may put other nodes in place."""
+        return records.Workspace(
+            self.constants, self.record, self.trials, self.rows, self.slots, self.nodes, self.foot, self.corner
+        )
+
     def _close(self) -> None:
-        close_fingers(self.scene, self.constants, self.record, self.trials, self.nodes)
+        close_fingers(self.scene, self._work())
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
         """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium was found."""
@@ -155,21 +161,8 @@ class Cell:
         return float(heights.min() - max(0.0, float(self.state["block"][:, 2].max())))
 
     def _solve(self, target: Array, blend: float) -> int:
-        status: int = load_step.advance(
-            self.constants,
-            self.record,
-            self.trials,
-            self.rows,
-            self.slots,
-            self.nodes,
-            self.foot,
-            self.corner,
-            self.pose,
-            target,
-            self.scene.numerics.residual_n,
-            self.direct,
-            blend,
-        )
+        tolerance_n = self.scene.numerics.residual_n
+        status: int = load_step.advance(self._work(), self.pose, target, tolerance_n, self.direct, blend)
         return status
 
     def _step(self, target: Array, blend: float) -> int:
