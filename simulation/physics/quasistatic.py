@@ -22,7 +22,7 @@ from simulation.physics.state import CellState, PhysicsError, Reason, block_moti
 from simulation.scene.effects import Active, active_effects
 from simulation.scene.scene import Scene
 
-__all__ = ["Cell", "CellState", "PhysicsError"]
+__all__ = ["CellState", "PhysicsError", "QuasiStaticCell"]
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ MAX_HALVINGS = 6
 DAMPING = 0.02  # share of a round by which friction limits follow where no shorter step helps
 
 
-class Cell:
+class QuasiStaticCell:
     """A scene with its state.
 
     `regrasp` puts the object back into the hand, `move_to` moves the hand quasi-statically.

@@ -22,7 +22,7 @@ from service.perception.rectify import CameraCalibration
 from service.perception.rigid import fit_motion, moving_patch
 from service.perception.slip import SlipDetector
 from simulation.optics.renderer import Appearance, Renderer
-from simulation.physics.quasistatic import Cell
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import load_scene
 from tests.hard_cases.decision import LIMITS, _cards, told
 from tests.hard_cases.motion import pose
@@ -119,7 +119,7 @@ def doors_of_the_robot_client(_seed: int) -> float:
     ),
 )
 def doors_of_the_simulator(seed: int) -> float:
-    cell, renderer = Cell(load_scene("circle"), seed), Renderer(Appearance())
+    cell, renderer = QuasiStaticCell(load_scene("circle"), seed), Renderer(Appearance())
 
     def gel(value: float) -> np.ndarray:
         state = np.zeros((20, 21, 3), np.float32)

@@ -10,7 +10,7 @@ from service.observation import Observation
 from service.perception.rectify import Calibration, CameraCalibration, Rectifier
 from service.sessions import make_session
 from simulation.optics.renderer import Appearance, Renderer
-from simulation.physics.quasistatic import Cell
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import load_scene
 from tests.service import drawn, tiny_models
 
@@ -20,7 +20,7 @@ FREE = np.zeros((20, 21, 3), np.float32)
 @pytest.mark.parametrize(("name", "noise"), [("circle", 2.0), ("white_box", 6.0)])
 def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_while_it_is_not(name, noise) -> None:
     scene = load_scene(name, camera__noise_grey=noise)
-    cell = Cell(scene, 1)
+    cell = QuasiStaticCell(scene, 1)
     cell.regrasp(3.0, 2.0)
     held = cell.look().gel[0].astype(np.float32)
     clip = [FREE] * 4 + [held * np.float32(share) for share in (0.3, 0.6)] + [held] * 6 + [FREE] * 4

@@ -11,7 +11,7 @@ from service.perception.grasp import GraspWatch
 from service.perception.markers import MarkerTracker
 from service.perception.slip import SlipDetector
 from simulation.optics.renderer import Appearance, Renderer
-from simulation.physics.quasistatic import Cell
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import BUILT_IN, load_scene
 from tests.service.perception.synthetic import FRAME_NS, draw, grid
 
@@ -33,7 +33,7 @@ def bulged(points, px):
 @pytest.mark.parametrize("noise", [2.0, 6.0])
 def test_a_simulated_finger_knows_from_its_picture_whether_it_holds_something(name, noise):
     scene = load_scene(name, camera__noise_grey=noise, grasp__force_n=0.6 * load_scene(name).grasp.force_n)
-    cell = Cell(scene, 1)
+    cell = QuasiStaticCell(scene, 1)
     cell.regrasp(3.0, 2.0)
     renderer = Renderer(Appearance.draw(scene, "left", 5))
     held, free = (seen(renderer, [gel])[0] for gel in (cell.look().gel[0], FREE))
@@ -72,7 +72,7 @@ def test_half_a_picture_says_nothing():
 
 def test_a_watch_goes_from_no_contact_over_grasping_to_hold_and_back():
     scene = load_scene("circle")
-    cell = Cell(scene, 1)
+    cell = QuasiStaticCell(scene, 1)
     cell.regrasp(3.0, 2.0)
     held = cell.look().gel[0]
     closing = [FREE] * 20 + [held * np.float32(share) for share in np.linspace(0.2, 1.0, 5)]
