@@ -15,7 +15,7 @@ from export.agreement import GAIN, density_mean, paper_rule
 from export.measure import Timing, example_inputs, time_calls
 from export.verify import Arrays, Model, open_model, told
 from service.contract import ContractError, ModelCard
-from service.perception.sequence import track_pairs
+from service.perception.markers.sequence import track_pairs
 from training.dataset import SPLITS, open_source
 from training.labels import class_of
 

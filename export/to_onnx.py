@@ -18,7 +18,7 @@ from export.runtime import cpu_name, session
 from export.verify import open_model, verify_forms
 from service.contract import Calibration, ContractError, FrameSpec, MarkerSpec, ModelCard
 from service.contract.self_test import make_self_test
-from service.perception.field import LATTICE
+from service.perception.markers.field import LATTICE
 from training.checkpoint import Checkpoint
 from training.config import FRAMES_PER_DECISION
 from training.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM

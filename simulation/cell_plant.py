@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS
-from service.perception.rectify import Calibration, CameraCalibration
+from service.perception.rectification import Calibration, CameraCalibration
 from simulation.cell import Plant
 from simulation.cell_cameras import Draw
 from simulation.cell_options import CellOptions

@@ -22,16 +22,16 @@ from robot_client.geometry import WorkPose
 from robot_client.insertion import step
 from robot_client.insertion_state import Phase, Plan, State
 from robot_client.limits import Limits as ClientLimits
-from service.attempt import WorkResult
 from service.contract import FINGERS, FramePair
 from service.contract.wire import Correction, Estimate, NoDecision
-from service.decision import Evidence
-from service.finger import TactileFinger
-from service.insertion_session import InsertionSession
-from service.models import ModelSet, load_models
-from service.observation import FingerWatch
-from service.perception.rectify import CameraCalibration
-from service.verdict import Work
+from service.decision.attempt import WorkResult
+from service.decision.evidence import Evidence
+from service.decision.models import ModelSet, load_models
+from service.decision.work import Work
+from service.perception.finger import TactileFinger
+from service.perception.observation import FingerWatch
+from service.perception.rectification import CameraCalibration
+from service.session.state_machine import InsertionSession
 from simulation.contenders import CONTENDERS, Chooser, Contender, View
 from simulation.gel_eyes import GelFinger
 from simulation.lockstep import CREEP_ALLOWANCE_MM, Course, GraspEndError, LockstepCell, hash_seed

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.field import MarkerField
-from service.perception.markers import MarkerTracker, TrackerSettings
+from service.perception.markers.field import MarkerField
+from service.perception.markers.tracker import MarkerTracker, TrackerSettings
 from simulation.evaluate_slip import Tally, Tracker, alarm_of, pictures, see
 from simulation.slip_baselines import LucasKanade, NearestBlob
 from simulation.slip_trials import SlipTrial, draw_trials

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.models import load_models
+from service.decision.models import load_models
 from simulation.contenders import Oracle, error_from_levers, lever_arms_mm
 from simulation.evaluate import Job, insert, stage
 from simulation.lockstep import LockstepCell

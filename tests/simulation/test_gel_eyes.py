@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.perception.markers import MarkerTracker
+from service.perception.markers.tracker import MarkerTracker
 from simulation.gel_eyes import GelFinger
 from simulation.lockstep import LockstepCell
 from simulation.scene import load_scene

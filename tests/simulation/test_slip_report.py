@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from service.perception.markers import MarkerTracker
+from service.perception.markers.tracker import MarkerTracker
 from simulation.__main__ import main
 from simulation.evaluate_slip import Tally, alarm_of, true_fields, wilson
 from simulation.slip_trials import draw_trials

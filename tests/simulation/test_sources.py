@@ -33,6 +33,11 @@ def test_an_insertion_is_played_by_the_solver_the_service_and_the_client(monkeyp
     from simulation import sources
 
     found = {str(path.relative_to(sources.ROOT)) for path in sources._closure("simulation.evaluate", sources.ROOT)}
-    wanted = {"simulation/newton.py", "service/belief.py", "service/perception/slip.py", "robot_client/insertion.py"}
+    wanted = {
+        "simulation/newton.py",
+        "service/decision/belief.py",
+        "service/perception/slip/detector.py",
+        "robot_client/insertion.py",
+    }
     assert wanted <= found
     assert "simulation/closed_loop_report.py" not in found
