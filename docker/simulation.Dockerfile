@@ -12,7 +12,8 @@ COPY service/__init__.py /opt/app/service/__init__.py
 COPY service/contract /opt/app/service/contract
 COPY service/perception /opt/app/service/perception
 COPY robot_client/__init__.py /opt/app/robot_client/__init__.py
-COPY robot_client/codecs /opt/app/robot_client/codecs
+COPY robot_client/robots /opt/app/robot_client/robots
+COPY robot_client/grippers /opt/app/robot_client/grippers
 COPY docker/healthcheck.py /opt/app/healthcheck.py
 RUN /opt/venv/bin/python -m compileall -q -j 0 /opt/app
 

@@ -6,9 +6,9 @@ Each driver reports its own trouble as a Failure event; nothing it does in the b
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from robot_client.events import Event
-from robot_client.geometry import WorkPose
-from robot_client.limits import Motion
+from robot_client.insertion.events import Event
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import Motion
 from service.contract.wire import ClientMessage
 
 Post = Callable[[Event], None]

@@ -7,15 +7,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, SecretStr, ValidationError
 
-from robot_client.drivers.abb_egm import EgmSettings
-from robot_client.drivers.abb_rws import RwsSettings
-from robot_client.drivers.abb_socket import SocketSettings
-from robot_client.drivers.wsg50 import WsgSettings
-from robot_client.geometry import IDENTITY, TOOL_DOWN, CellFrame, Quaternion, Vector, normalised
-from robot_client.insertion_state import Timeouts
-from robot_client.limits import Limits
-from robot_client.motion import Ramps
-from robot_client.service_link import ServiceSettings
+from robot_client.grippers.wsg50.driver import WsgSettings
+from robot_client.insertion.geometry import IDENTITY, TOOL_DOWN, CellFrame, Quaternion, Vector, normalised
+from robot_client.insertion.limits import Limits
+from robot_client.insertion.motion import Ramps
+from robot_client.insertion.state import Timeouts
+from robot_client.robots.abb_egm.driver import EgmSettings
+from robot_client.robots.abb_rapid.driver import SocketSettings
+from robot_client.robots.abb_rws.client import RwsSettings
+from robot_client.session.service_link import ServiceSettings
 from service.contract.frames import Contract, ContractError, first_error
 from service.contract.toml import read_toml
 

@@ -16,12 +16,24 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robot_client.events import Arrived, Begin, Command, Event, FromService, Grasp, Grasped, Hold, Move, Say, Standstill
-from robot_client.events import Tick as ClientTick
-from robot_client.geometry import WorkPose
-from robot_client.insertion import step
-from robot_client.insertion_state import Phase, Plan, State
-from robot_client.limits import Limits as ClientLimits
+from robot_client.insertion.events import (
+    Arrived,
+    Begin,
+    Command,
+    Event,
+    FromService,
+    Grasp,
+    Grasped,
+    Hold,
+    Move,
+    Say,
+    Standstill,
+)
+from robot_client.insertion.events import Tick as ClientTick
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import Limits as ClientLimits
+from robot_client.insertion.machine import step
+from robot_client.insertion.state import Phase, Plan, State
 from service.contract import FINGERS, FramePair
 from service.contract.wire import Correction, Estimate, NoDecision
 from service.decision.attempt import WorkResult

@@ -23,7 +23,7 @@ TOLERANCE_X_MM, TOLERANCE_THETA_DEG = 2.0, 3.5
 SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7
 SURE_INSERT = 0.95  # probability of insertion at zero error
 # A blocked object is left tilted outwards in the hand: by about half a millimetre, and by more the longer the lever
-# from its bottom to the fingers and the nearer the edge that it pivots on (measured in simulation, see DECISIONS.md)
+# from its bottom to the fingers and the nearer the edge that it pivots on (docs/decisions/0039-belief-expects-creep.md)
 CREEP_MM, CREEP_NEAR_MM, CREEP_NEAR_MM_PER_MM, CREEP_NEAR_BELOW_MM = 0.45, 0.28, 0.022, 5.0
 CREEP_SPREAD_MM, CREEP_NEAR_SPREAD_MM, CREEP_THETA_DEG = 0.35, 0.35, 0.3
 SHORT_LEVER_MM, UNKNOWN_LEVER_MM = 30.0, 45.0

@@ -1,7 +1,7 @@
 """EGM on the robot's side: the controller sends its state first, at 250 Hz, to the configured guide; the guide answers.
 
-Bytes come from ``robot_client.codecs.egm``. A guide's message counts only if it parses, is finite and carries a unit
-quaternion; a non-finite target ends guidance with the arm braking to a hold.
+Bytes come from ``robot_client.robots.abb_egm.codec``. A guide's message counts only if it parses, is finite and
+carries a unit quaternion; a non-finite target ends guidance with the arm braking to a hold.
 """
 
 import asyncio
@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from robot_client.codecs.egm import EgmError, Guidance, RobotState, decode_guidance, encode_robot
-from robot_client.codecs.egm import Pose as WirePose
+from robot_client.robots.abb_egm.codec import EgmError, Guidance, RobotState, decode_guidance, encode_robot
+from robot_client.robots.abb_egm.codec import Pose as WirePose
 from simulation.emulators.abb_cabinet import Cabinet
 from simulation.emulators.abb_frames import CellFrames
 from simulation.emulators.abb_motion import Pose, normalised

@@ -11,7 +11,7 @@ import socket
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 
-from robot_client.codecs.rapid_text import MAX_TEXT, TextParser
+from robot_client.robots.abb_rapid.codec import MAX_TEXT, TextParser
 from simulation.emulators.abb_cabinet import Cabinet
 from simulation.emulators.abb_motion import Pose, normalised, rotated, rotation_between
 

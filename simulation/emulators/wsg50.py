@@ -1,6 +1,6 @@
 """The WSG-50's binary protocol over TCP: two-stage replies, auto-updates, and FAST STOP when a client vanishes.
 
-One client at a time. Bytes come from ``robot_client.codecs.wsg50``; what they do from :class:`Gripper`.
+One client at a time. Bytes come from ``robot_client.grippers.wsg50.codec``; what they do from :class:`Gripper`.
 """
 
 import asyncio
@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from robot_client.codecs.wsg50 import (
+from robot_client.grippers.wsg50.codec import (
     ACKNOWLEDGE_WORD,
     STATE_QUERIES,
     Command,

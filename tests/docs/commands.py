@@ -1,4 +1,4 @@
-"""What the documentation tells people to type: every fenced shell block of README.md and docs/*.md, with its marker.
+"""What the documentation tells people to type: every fenced shell block of the root's pages and docs/, with its marker.
 
 A block that a machine without a robot cannot run carries, on the line before the fence, `<!-- not executed: why -->`.
 """
@@ -44,8 +44,8 @@ class Block:
 
 
 def pages() -> list[Path]:
-    """README.md, if there is one, and every page in docs/."""
-    return [path for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))] if path.exists()]
+    """The pages in the root and every page below docs/."""
+    return [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks(page: Path) -> list[Block]:

@@ -11,7 +11,7 @@ from service.decision.controllers import Command as Move
 from service.decision.evidence import Density, Evidence, Refusal, from_joint, from_pair, softmax
 from service.decision.models import load_models
 from tests.hard_cases.registry import ROOT, case, non_finite, not_refused
-from training.labels import CLASSES
+from training.data.labels import CLASSES
 
 LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
 CONTROLLERS, BELIEF, DECISION = (

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_client.codecs.egm import Guidance, Pose, RobotState, encode_guidance, encode_robot
-from robot_client.codecs.wsg50 import Command, encode_request
-from robot_client.geometry import CellFrame, WorkPose, multiply, normalised, rotate, yaw_quaternion
-from robot_client.limits import Limits
-from robot_client.motion import MotionGuide, Ramps
-from robot_client.profile import plan_profile
+from robot_client.grippers.wsg50.codec import Command, encode_request
+from robot_client.insertion.geometry import CellFrame, WorkPose, multiply, normalised, rotate, yaw_quaternion
+from robot_client.insertion.limits import Limits
+from robot_client.insertion.motion import MotionGuide, Ramps
+from robot_client.insertion.profile import plan_profile
+from robot_client.robots.abb_egm.codec import Guidance, Pose, RobotState, encode_guidance, encode_robot
 from service.contract import wire
 from service.decision.belief import BeliefGrid
 from service.decision.controllers import axis_command, make_controller
@@ -29,8 +29,8 @@ from tests.hard_cases.motion import pose
 from tests.hard_cases.registry import case, non_finite, not_refused
 from tests.service.perception.synthetic import patch_fields, rigid
 from tests.simulation.strategies import made_up_trial
-from training.evaluate import Predictions
-from training.labels import class_of
+from training.data.labels import class_of
+from training.metrics.figures import Predictions
 
 BAD = (math.nan, math.inf, -math.inf)
 Door = Callable[[float], object]
@@ -73,7 +73,7 @@ def doors_of_the_decision(_seed: int) -> float:
     "motion",
     why="a target is a dozen multiplications away from the number that spoilt it",
     holds="every function of the robot client that takes numbers refuses those that are none: doors open",
-    guard=("robot_client/geometry.py", "if not all(map(math.isfinite, self.origin_mm)):", "if False:"),
+    guard=("robot_client/insertion/geometry.py", "if not all(map(math.isfinite, self.origin_mm)):", "if False:"),
 )
 def doors_of_the_robot_client(_seed: int) -> float:
     def advance(value: float) -> object:
@@ -143,7 +143,7 @@ def doors_of_the_simulator(seed: int) -> float:
     "networks",
     why="a mean over a thousand trials hides the one that was not a number, or becomes one",
     holds="labels and predictions with such numbers are refused before any figure: doors open",
-    guard=("training/evaluate.py", "if not np.isfinite(getattr(self, name)).all():", "if False:"),
+    guard=("training/metrics/figures.py", "if not np.isfinite(getattr(self, name)).all():", "if False:"),
 )
 def doors_of_the_training(_seed: int) -> float:
     def predictions(**changed: float) -> Predictions:

@@ -5,9 +5,9 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
-from robot_client.codecs.egm import Pose
-from robot_client.geometry import CellFrame, WorkPose, multiply, normalised, rotate, yaw_quaternion
-from robot_client.profile import plan_profile
+from robot_client.insertion.geometry import CellFrame, WorkPose, multiply, normalised, rotate, yaw_quaternion
+from robot_client.insertion.profile import plan_profile
+from robot_client.robots.abb_egm.codec import Pose
 from service.decision.belief import BeliefGrid
 from service.decision.controllers import axis_command, make_controller
 from service.decision.evidence import from_joint, from_pair, softmax
@@ -55,7 +55,7 @@ def spilled(doors: list[Door]) -> float:
     "motion",
     why="the largest double plus itself is infinite, the smallest divided into one too",
     holds="finite extremes give finite results or are refused by name: numbers that are not finite",
-    guard=("robot_client/geometry.py", "if not all(map(math.isfinite, product)):", "if False:"),
+    guard=("robot_client/insertion/geometry.py", "if not all(map(math.isfinite, product)):", "if False:"),
 )
 def extremes_in_the_robot_client(_seed: int) -> float:
     def profile(length: float, speed: float) -> list[float]:

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from export.verify import open_model
+from export.onnx.model import open_model
 from service.contract import ContractError, ModelCard
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
 from service.recordings.reader import Recording, RecordingError
 from service.tools.replay import ReplayError, ReplayOptions, read_clip
 from simulation.scene import SceneError, load_scene
 from tests.hard_cases.registry import ROOT, case, not_refused
-from training.checkpoint import Checkpoint
+from training.fit.checkpoint import Checkpoint
 
 
 def _with_card(change: Callable[[dict[str, object]], object] | None) -> Callable[[], object]:
@@ -62,7 +62,7 @@ def models_with_a_foreign_card(_seed: int) -> float:
     "data",
     why="a file that ends early may still parse",
     holds="truncated and random model, checkpoint and recording files are refused: not refused",
-    guard=("export/runtime.py", "except Exception as error:", "except KeyError as error:"),
+    guard=("export/onnx/runtime.py", "except Exception as error:", "except KeyError as error:"),
 )
 def files_that_end_early(seed: int) -> float:
     rng = np.random.default_rng(seed)

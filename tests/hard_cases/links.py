@@ -5,11 +5,19 @@ from types import MappingProxyType
 
 import numpy as np
 
-from robot_client.codecs.egm import EgmError, Guidance, Pose, RobotState, decode_guidance, decode_robot, encode_guidance
-from robot_client.codecs.wsg50 import Command, StreamParser, WsgError, encode_frame, encode_request
-from robot_client.drivers.egm_watch import EgmWatch
-from robot_client.events import Arrived, Begin, FromService, Grasped, Move, Standstill, Tick
-from robot_client.insertion import Phase, Plan, State, step
+from robot_client.grippers.wsg50.codec import Command, StreamParser, WsgError, encode_frame, encode_request
+from robot_client.insertion.events import Arrived, Begin, FromService, Grasped, Move, Standstill, Tick
+from robot_client.insertion.machine import Phase, Plan, State, step
+from robot_client.robots.abb_egm.codec import (
+    EgmError,
+    Guidance,
+    Pose,
+    RobotState,
+    decode_guidance,
+    decode_robot,
+    encode_guidance,
+)
+from robot_client.robots.abb_egm.watch import EgmWatch
 from robot_client.silence import Silence
 from service.contract import wire
 from tests.hard_cases.motion import BAD, EGM, WATCH, WSG, pose
@@ -124,7 +132,7 @@ def deciding() -> State:
     "motion",
     why="a correction may come twice, late, for another attempt, or not be a number",
     holds="no such correction moves the arm; only the right one does, once: wrong moves",
-    guard=("robot_client/insertion.py", "if message.attempt < state.attempt:", "if False:"),
+    guard=("robot_client/insertion/machine.py", "if message.attempt < state.attempt:", "if False:"),
 )
 def corrections_that_are_stale_or_absurd(_seed: int) -> float:
     state = deciding()
@@ -151,7 +159,7 @@ def corrections_that_are_stale_or_absurd(_seed: int) -> float:
     "motion",
     why="a clock that jumps makes every deadline pass at once, or never",
     holds="a tick at any time ends in a hold or nothing, never in a move: moves",
-    guard=("robot_client/insertion.py", "if event.at_s < state.deadline_s:"),
+    guard=("robot_client/insertion/machine.py", "if event.at_s < state.deadline_s:"),
 )
 def ticks_at_impossible_times(_seed: int) -> float:
     state = deciding()

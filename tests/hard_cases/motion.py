@@ -5,16 +5,24 @@ import math
 
 import numpy as np
 
-from robot_client.codecs.egm import Pose
-from robot_client.geometry import CellFrame, WorkPose, multiply, normalised, yaw_quaternion
-from robot_client.limits import LimitError, Limits, StepGuard, check_correction, check_pose
-from robot_client.motion import CYCLE_S, MotionGuide, Ramps
-from robot_client.profile import plan_profile
+from robot_client.insertion.geometry import CellFrame, WorkPose, multiply, normalised, yaw_quaternion
+from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_correction, check_pose
+from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
+from robot_client.insertion.profile import plan_profile
+from robot_client.robots.abb_egm.codec import Pose
 from service.contract import wire
 from tests.hard_cases.registry import case, not_refused
 
-GEOMETRY, LIMITS, MOTION = "robot_client/geometry.py", "robot_client/limits.py", "robot_client/motion.py"
-WATCH, EGM, WSG = "robot_client/drivers/egm_watch.py", "robot_client/codecs/egm.py", "robot_client/codecs/wsg50.py"
+GEOMETRY, LIMITS, MOTION = (
+    "robot_client/insertion/geometry.py",
+    "robot_client/insertion/limits.py",
+    "robot_client/insertion/motion.py",
+)
+WATCH, EGM, WSG = (
+    "robot_client/robots/abb_egm/watch.py",
+    "robot_client/robots/abb_egm/codec.py",
+    "robot_client/grippers/wsg50/codec.py",
+)
 BAD = (math.nan, math.inf, -math.inf)
 
 
@@ -112,7 +120,11 @@ def moves_of_no_length(_seed: int) -> float:
     "motion",
     why="the seven segments of a jerk-limited move degenerate one after the other as the way gets short",
     holds="position rises from 0 to its end without a step back: fall or overshoot relative to the way",
-    guard=("robot_client/profile.py", "ramp_s = math.cbrt(length / (2.0 * jerk))", "ramp_s = acceleration / jerk"),
+    guard=(
+        "robot_client/insertion/profile.py",
+        "ramp_s = math.cbrt(length / (2.0 * jerk))",
+        "ramp_s = acceleration / jerk",
+    ),
     limit=1e-9,
 )
 def ways_of_any_length(seed: int) -> float:

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from websockets.asyncio.server import serve
 from websockets.exceptions import ConnectionClosed
 
-from robot_client.commands import live_ports, make_plan
-from robot_client.recorder import Recorder
-from robot_client.report import Report
-from robot_client.runner import Runner
+from robot_client.cli.insert import live_ports, make_plan
+from robot_client.session.recorder import Recorder
+from robot_client.session.report import Report
+from robot_client.session.runner import Runner
 from robot_client.settings import Settings, load_settings
 from service.contract import wire
 from simulation.emulators.abb_cabinet import Cabinet, Delays

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from robot_client.events import Hold, Move
-from robot_client.insertion_state import Phase
-from robot_client.recorder import read_log
+from robot_client.insertion.events import Hold, Move
+from robot_client.insertion.state import Phase
+from robot_client.session.recorder import read_log
 from service.contract import wire
 from simulation.emulators.abb_motion import Follower, Pose, normalised
 from tests.robot_client.live_cell import Bench, bench

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from robot_client.insertion_state import Phase
-from robot_client.replay import replay
+from robot_client.insertion.state import Phase
+from robot_client.session.replay import replay
 from service.contract import wire
 from tests.robot_client.live_cell import bench
 

@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
-from robot_client.drivers.abb_rws import RwsClient, RwsError
 from robot_client.ports import DriverError
+from robot_client.robots.abb_rws.client import RwsClient, RwsError
 from robot_client.settings import SettingsError, load_settings
 from service.contract import wire
 from service.web.routes.insertion import HELLO_TIMEOUT_S

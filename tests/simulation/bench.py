@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from robot_client.codecs.wsg50 import Command, Reply, Status, StreamParser, decode_reply, encode_request
+from robot_client.grippers.wsg50.codec import Command, Reply, Status, StreamParser, decode_reply, encode_request
 from simulation.cell import APPROACH_MM, LiveCell, Plant, bind_all
 from simulation.cell_options import CellOptions
 from simulation.emulators.abb_motion import Pose, tool_down

@@ -5,7 +5,7 @@ import socket
 import httpx
 import pytest
 
-from robot_client.codecs.wsg50 import Command
+from robot_client.grippers.wsg50.codec import Command
 from simulation.cell import bind_all
 from simulation.cell_options import CellError, CellOptions
 from simulation.emulators.faults import FaultBoard, FaultError

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from robot_client.codecs import egm
+from robot_client.robots.abb_egm import codec
 from simulation.emulators.abb_egm import CYCLE_S
 from simulation.emulators.net import free_port
 from tests.simulation.bench import bench, forever
@@ -24,17 +24,17 @@ class Guide:
 
     def state(self):
         data, self.robot = self.sock.recvfrom(4096)
-        return egm.decode_robot(data)
+        return codec.decode_robot(data)
 
     def send(self, pose):
         self.count += 1
-        self.sock.sendto(egm.encode_guidance(egm.Guidance(self.count, 0, pose)), self.robot)
+        self.sock.sendto(codec.encode_guidance(codec.Guidance(self.count, 0, pose)), self.robot)
 
     def descend(self, speed_mm_s, seconds):
         """Follow the stream with a falling target; the last target sent."""
         start = self.state().feedback
         for k in range(round(seconds / CYCLE_S)):  # by the robot's cycles, whatever the machine does
-            pose = egm.Pose(start.x_mm, start.y_mm, start.z_mm - speed_mm_s * k * CYCLE_S, *start.quaternion)
+            pose = codec.Pose(start.x_mm, start.y_mm, start.z_mm - speed_mm_s * k * CYCLE_S, *start.quaternion)
             self.send(pose)
             self.state()
         return pose
@@ -118,7 +118,7 @@ def test_silence_of_the_guide_ends_the_run_and_holds(up):
 def test_a_target_that_is_not_finite_never_moves_the_arm(up):
     cell, guide = up
     state = guide.state()
-    good = egm.encode_guidance(egm.Guidance(1, 0, state.feedback))
+    good = codec.encode_guidance(codec.Guidance(1, 0, state.feedback))
     bad = good.replace(struct.pack("<d", state.feedback.z_mm), struct.pack("<d", float("nan")))
     guide.sock.sendto(bad, guide.robot)
     cell.wait(lambda: not cell.cell.cabinet.running)
@@ -179,7 +179,7 @@ def test_dropped_garbled_and_delayed_datagrams_can_be_had(up):
     for _ in range(4000):  # what was sent before the fault may still be queued: count from the first garbled one
         try:
             state = guide.state()
-        except egm.EgmError:
+        except codec.EgmError:
             bad += 1
             continue
         if bad:

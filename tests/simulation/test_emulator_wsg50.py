@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from robot_client.codecs.wsg50 import Command, GraspingState, Status, SystemState, encode_frame
+from robot_client.grippers.wsg50.codec import Command, GraspingState, Status, SystemState, encode_frame
 from tests.simulation.bench import WsgClient, bench
 
 

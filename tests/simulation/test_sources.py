@@ -37,7 +37,7 @@ def test_an_insertion_is_played_by_the_solver_the_service_and_the_client(monkeyp
         "simulation/newton.py",
         "service/decision/belief.py",
         "service/perception/slip/detector.py",
-        "robot_client/insertion.py",
+        "robot_client/insertion/machine.py",
     }
     assert wanted <= found
     assert "simulation/closed_loop_report.py" not in found

@@ -12,7 +12,7 @@ from service.perception.rectification import Calibration
 from service.settings import read_settings
 from simulation.scene import load_scene
 from training.config import RunConfig
-from training.recipe_data import RecipeConfig
+from training.data.recipe_data import RecipeConfig
 
 NO_TOML = {
     "text": b"hello world\n",

@@ -1,1 +1,0 @@
-"""Device drivers behind the ports of :mod:`robot_client.ports`."""

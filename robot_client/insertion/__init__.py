@@ -1,0 +1,1 @@
+"""The insertion as a pure state machine: no clock, no socket, no device."""

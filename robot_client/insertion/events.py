@@ -1,0 +1,128 @@
+"""What the insertion is told (events) and what it orders (commands): plain records that an episode log holds as JSON.
+
+``at_s`` is the client's monotonic clock. Non-finite numbers cannot be put into any of them.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter
+
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import Motion
+from service.contract.frames import Contract
+from service.contract.wire import ClientMessage, ServiceMessage
+
+Source = Literal["arm", "gripper", "service", "limits", "client", "operator"]
+
+
+class _Event(Contract):
+    at_s: float
+
+
+class Begin(_Event):
+    """Every device is connected; the arm stands at ``pose``."""
+
+    kind: Literal["begin"] = "begin"
+    pose: WorkPose
+
+
+class Grasped(_Event):
+    """The gripper holds the object, fingers ``width_mm`` apart."""
+
+    kind: Literal["grasped"] = "grasped"
+    width_mm: float
+
+
+class PartLost(_Event):
+    """The gripper no longer feels the object."""
+
+    kind: Literal["part_lost"] = "part_lost"
+
+
+class Arrived(_Event):
+    """The commanded move is done and the arm has settled at ``pose`` (measured)."""
+
+    kind: Literal["arrived"] = "arrived"
+    pose: WorkPose
+
+
+class Standstill(_Event):
+    """After a hold the arm has come to rest at ``pose`` (measured)."""
+
+    kind: Literal["standstill"] = "standstill"
+    pose: WorkPose
+
+
+class FromService(_Event):
+    """A message of the decision service."""
+
+    kind: Literal["service"] = "service"
+    message: ServiceMessage
+
+
+class Failure(_Event):
+    """A device, a link, a limit or the operator says no; the insertion holds for good."""
+
+    kind: Literal["failure"] = "failure"
+    source: Source
+    code: str
+    detail: str
+
+
+class Tick(_Event):
+    """Time has passed."""
+
+    kind: Literal["tick"] = "tick"
+
+
+Event = Annotated[
+    Begin | Grasped | PartLost | Arrived | Standstill | FromService | Failure | Tick, Field(discriminator="kind")
+]
+
+
+class Grasp(Contract):
+    """Make sure that the gripper holds the object."""
+
+    kind: Literal["grasp"] = "grasp"
+
+
+class Move(Contract):
+    """Go to ``target`` in a straight line; the driver answers Arrived."""
+
+    kind: Literal["move"] = "move"
+    target: WorkPose
+    motion: Motion
+
+
+class Hold(Contract):
+    """Freeze the target at once; the driver answers Standstill. ``stop`` also stops the controller's program."""
+
+    kind: Literal["hold"] = "hold"
+    reason: str
+    stop: bool = False
+
+
+class Say(Contract):
+    """Send a message to the decision service."""
+
+    kind: Literal["say"] = "say"
+    message: ClientMessage
+
+
+Command = Annotated[Grasp | Move | Hold | Say, Field(discriminator="kind")]
+MOTION_COMMANDS = (Grasp, Move)
+
+_EVENT: TypeAdapter[Any] = TypeAdapter(Event)
+_COMMAND: TypeAdapter[Any] = TypeAdapter(Command)
+
+
+def parse_event(data: object) -> Event:
+    """An event out of its JSON object; raises pydantic's ValidationError (a ValueError)."""
+    event: Event = _EVENT.validate_python(data, strict=False)
+    return event
+
+
+def parse_command(data: object) -> Command:
+    """A command out of its JSON object; raises pydantic's ValidationError (a ValueError)."""
+    command: Command = _COMMAND.validate_python(data, strict=False)
+    return command

@@ -1,0 +1,137 @@
+"""Poses in the work-object frame and their way to and from the quaternions that the controller speaks.
+
+Work-object frame: origin at the gap's centre at the height of the blocks' top faces, x across the gap, y along it,
+z up; mm and deg. Quaternions are (w, x, y, z) of unit norm. Half-angle formulas hold at any angle.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from robot_client.robots.abb_egm.codec import Pose
+from service.contract.frames import Contract
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+Reach = Annotated[float, Field(ge=-1e6, le=1e6)]
+"""A kilometre, or a million degrees: beyond it lies a mistake, and sums of such numbers overflow."""
+
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+TOOL_DOWN: Quaternion = (0.0, 1.0, 0.0, 0.0)
+
+
+class WorkPose(Contract):
+    """Pose of the TCP (midway between the fingertips), tool vertical, in the work-object frame."""
+
+    x_mm: Reach
+    y_mm: Reach
+    z_mm: Reach
+    yaw_deg: Reach
+
+    def at_height(self, z_mm: float) -> "WorkPose":
+        """The same x, y and yaw at another height: a move along the vertical."""
+        return WorkPose(x_mm=self.x_mm, y_mm=self.y_mm, z_mm=z_mm, yaw_deg=self.yaw_deg)
+
+    def corrected(self, dx_mm: float, dtheta_deg: float) -> "WorkPose":
+        """This pose moved by a correction: new error = old error + correction."""
+        return WorkPose(x_mm=self.x_mm + dx_mm, y_mm=self.y_mm, z_mm=self.z_mm, yaw_deg=self.yaw_deg + dtheta_deg)
+
+    def distance_mm(self, other: "WorkPose") -> float:
+        """Length of the straight line to ``other`` in mm."""
+        return math.dist((self.x_mm, self.y_mm, self.z_mm), (other.x_mm, other.y_mm, other.z_mm))
+
+    def turn_deg(self, other: "WorkPose") -> float:
+        """Absolute yaw to ``other`` in deg."""
+        return abs(other.yaw_deg - self.yaw_deg)
+
+    def towards(self, other: "WorkPose", share: float) -> "WorkPose":
+        """The point at ``share`` (0..1) of the straight way to ``other``, yaw in the same share."""
+        return WorkPose(
+            x_mm=self.x_mm + (other.x_mm - self.x_mm) * share,
+            y_mm=self.y_mm + (other.y_mm - self.y_mm) * share,
+            z_mm=self.z_mm + (other.z_mm - self.z_mm) * share,
+            yaw_deg=self.yaw_deg + (other.yaw_deg - self.yaw_deg) * share,
+        )
+
+
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product: the rotation b followed by a; raises ValueError if it is not finite."""
+    product = (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+    if not all(map(math.isfinite, product)):
+        raise ValueError(f"product of {a} and {b} is {product}, expected finite numbers")
+    return product
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """The inverse rotation of a unit quaternion."""
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+def rotate(q: Quaternion, vector: Vector) -> Vector:
+    """``vector`` turned by ``q``."""
+    _, x, y, z = multiply(multiply(q, (0.0, *vector)), conjugate(q))
+    return (x, y, z)
+
+
+def yaw_quaternion(yaw_deg: float) -> Quaternion:
+    """Rotation by ``yaw_deg`` about +z; raises ValueError if it is not finite."""
+    if not math.isfinite(yaw_deg):
+        raise ValueError(f"yaw of {yaw_deg} deg, expected a finite number")
+    half = math.radians(yaw_deg) / 2.0
+    return (math.cos(half), 0.0, 0.0, math.sin(half))
+
+
+def normalised(q: Quaternion) -> Quaternion:
+    """Unit quaternion along ``q``; raises ValueError if it has no direction."""
+    norm = math.hypot(*q)
+    if not (math.isfinite(norm) and norm > 1e-9):
+        raise ValueError(f"{q} is no rotation, expected a quaternion w, x, y, z")
+    return (q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm)
+
+
+@dataclass(frozen=True, slots=True)
+class CellFrame:
+    r"""Where the work object lies in the frame of the controller's poses, and how the tool hangs at yaw 0.
+
+    With the work object active on the controller (\WObj of EGMActPose) the frame is the identity.
+    """
+
+    origin_mm: Vector = (0.0, 0.0, 0.0)
+    rotation: Quaternion = IDENTITY
+    tool: Quaternion = TOOL_DOWN
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for an origin that is not finite or a rotation that is none."""
+        if not all(map(math.isfinite, self.origin_mm)):
+            raise ValueError(f"origin of the work object {self.origin_mm} mm, expected finite numbers")
+        normalised(self.rotation)
+        normalised(self.tool)
+
+    def to_controller(self, pose: WorkPose) -> Pose:
+        """The controller's pose of the TCP; raises EgmError if it is not finite."""
+        x, y, z = rotate(self.rotation, (pose.x_mm, pose.y_mm, pose.z_mm))
+        orientation = multiply(multiply(self.rotation, yaw_quaternion(pose.yaw_deg)), self.tool)
+        ox, oy, oz = self.origin_mm
+        return Pose(x + ox, y + oy, z + oz, *normalised(orientation)).check()
+
+    def from_controller(self, pose: Pose, near_yaw_deg: float = 0.0) -> tuple[WorkPose, float]:
+        """The TCP in the work-object frame and its tilt from the vertical in deg.
+
+        Yaw is taken within half a turn of ``near_yaw_deg``, so that it never jumps by a whole turn.
+        """
+        ox, oy, oz = self.origin_mm
+        back = conjugate(self.rotation)
+        x, y, z = rotate(back, (pose.x_mm - ox, pose.y_mm - oy, pose.z_mm - oz))
+        qw, qx, qy, qz = multiply(multiply(back, normalised(pose.quaternion)), conjugate(self.tool))
+        yaw_deg = math.degrees(2.0 * math.atan2(qz, qw))
+        yaw_deg += 360.0 * round((near_yaw_deg - yaw_deg) / 360.0)
+        tilt_deg = math.degrees(2.0 * math.atan2(math.hypot(qx, qy), math.hypot(qw, qz)))
+        return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw_deg), tilt_deg

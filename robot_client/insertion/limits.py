@@ -1,0 +1,116 @@
+"""The last check before the wire: every target passes here, and a refusal says why. Nothing is ever clamped."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from robot_client.insertion.geometry import WorkPose
+from service.contract.frames import Contract
+from service.contract.wire import MAX_ATTEMPTS
+
+Motion = Literal["travel", "descend", "retract"]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class LimitError(ValueError):
+    """A motion that is not allowed; the text names the quantity, its value and its bound."""
+
+
+class Limits(Contract):
+    """Bounds in the work-object frame. The box holds the TCP; ``z_mm`` includes the lowest height ever commanded."""
+
+    x_mm: tuple[float, float] = (-40.0, 40.0)
+    y_mm: tuple[float, float] = (-20.0, 20.0)
+    z_mm: tuple[float, float] = (5.0, 150.0)
+    yaw_deg: tuple[float, float] = (-45.0, 45.0)
+    max_tilt_deg: Positive = 2.0
+    max_speed_mm_s: Positive = 80.0
+    max_descent_speed_mm_s: Positive = 15.0
+    max_turn_deg_s: Positive = 60.0
+    max_acceleration_mm_s2: Positive = 1500.0
+    max_turn_acceleration_deg_s2: Positive = 1500.0
+    max_dx_mm: Positive = 16.0
+    max_dtheta_deg: Positive = 16.0
+    max_attempts: int = Field(default=MAX_ATTEMPTS, ge=1, le=MAX_ATTEMPTS)
+    max_correction_age_s: Positive = 5.0
+    max_tracking_mm: Positive = 10.0
+
+
+_TOLERANCE = 1.0 + 1e-6
+
+
+def check_pose(limits: Limits, pose: WorkPose, name: str = "target") -> WorkPose:
+    """``pose`` if it lies in the box; raises LimitError otherwise (also for values that are not finite)."""
+    values = {"x_mm": pose.x_mm, "y_mm": pose.y_mm, "z_mm": pose.z_mm, "yaw_deg": pose.yaw_deg}
+    for field_name, value in values.items():
+        low, high = getattr(limits, field_name)
+        if not (math.isfinite(value) and low <= value <= high):
+            raise LimitError(f"{name} {field_name} = {value:.3f}, allowed {low:g} .. {high:g}")
+    return pose
+
+
+def check_correction(limits: Limits, attempt: int, dx_mm: float, dtheta_deg: float, age_s: float) -> None:
+    """Raise LimitError unless the correction is finite, small enough, young enough and of an allowed attempt."""
+    checks = (
+        ("correction dx_mm", abs(dx_mm), limits.max_dx_mm),
+        ("correction dtheta_deg", abs(dtheta_deg), limits.max_dtheta_deg),
+        ("correction age_s", age_s, limits.max_correction_age_s),
+        ("attempt", float(attempt), float(limits.max_attempts)),
+    )
+    for name, value, bound in checks:
+        if not (math.isfinite(value) and value <= bound):
+            raise LimitError(f"{name} = {value:.3f}, allowed up to {bound:g}")
+
+
+def _slows_down(new: tuple[float, ...], old: tuple[float, ...]) -> bool:
+    """True if ``new`` is ``old`` times a factor of 0..1: losing speed, as a stop does, is never refused."""
+    square = sum(v * v for v in old)
+    share = sum(a * b for a, b in zip(new, old, strict=True)) / square if square > 0.0 else 0.0
+    return 0.0 <= share <= 1.0 and math.dist(new, [share * v for v in old]) <= 1e-6 * math.sqrt(square)
+
+
+@dataclass(slots=True)
+class StepGuard:
+    """Watches the stream of targets: box, speed and acceleration between one target and the next.
+
+    A target equal to the last one (a hold) is always allowed: stopping must never be refused.
+    """
+
+    limits: Limits
+    last: WorkPose
+    _speed: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    _turn_deg_s: float = 0.0
+    _elapsed_s: float = 0.004
+
+    def check(self, target: WorkPose, elapsed_s: float, motion: Motion) -> WorkPose:
+        """``target`` if it may follow the last one after ``elapsed_s``; raises LimitError otherwise."""
+        if target == self.last:
+            self.rest()
+            return target
+        check_pose(self.limits, target)
+        if not (math.isfinite(elapsed_s) and elapsed_s > 0.0):
+            raise LimitError(f"target after {elapsed_s} s, expected a positive time step")
+        step = (target.x_mm - self.last.x_mm, target.y_mm - self.last.y_mm, target.z_mm - self.last.z_mm)
+        speed = (step[0] / elapsed_s, step[1] / elapsed_s, step[2] / elapsed_s)
+        turn = (target.yaw_deg - self.last.yaw_deg) / elapsed_s
+        top = self.limits.max_descent_speed_mm_s if motion == "descend" else self.limits.max_speed_mm_s
+        self._bound("speed mm/s", math.hypot(*speed), top)
+        self._bound("turn deg/s", abs(turn), self.limits.max_turn_deg_s)
+        between_s = (elapsed_s + self._elapsed_s) / 2.0  # both speeds are means over their step
+        if not _slows_down((*speed, turn), (*self._speed, self._turn_deg_s)):
+            change = math.dist(speed, self._speed) / between_s
+            self._bound("acceleration mm/s2", change, self.limits.max_acceleration_mm_s2)
+            change = abs(turn - self._turn_deg_s) / between_s
+            self._bound("turn acceleration deg/s2", change, self.limits.max_turn_acceleration_deg_s2)
+        self.last, self._speed, self._turn_deg_s, self._elapsed_s = target, speed, turn, elapsed_s
+        return target
+
+    def rest(self) -> None:
+        """The target stands still from now on."""
+        self._speed, self._turn_deg_s = (0.0, 0.0, 0.0), 0.0
+
+    def _bound(self, name: str, value: float, bound: float) -> None:
+        if not value <= bound * _TOLERANCE:
+            raise LimitError(f"{name} = {value:.3f}, allowed up to {bound:g}")

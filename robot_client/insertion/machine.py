@@ -1,0 +1,245 @@
+"""The insertion as a pure state machine: ``step(state, event) -> (state, commands)``. It owns no clock and no socket.
+
+greeting -> grasping -> approaching -> arming -> descending -> stopping -> closing -> inserted
+                                          ^                        |
+                                      correcting <- retracting <- deciding        any phase -> failed
+
+The same machine drives the live cell, the dry run, the lock-step simulation and the replay of an episode log.
+Once ``inserted`` or ``failed`` no event makes it order anything.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from robot_client.insertion.actions import Result, approach, arm, descend, fail, go, hold, retract, say
+from robot_client.insertion.events import (
+    Arrived,
+    Begin,
+    Event,
+    Failure,
+    FromService,
+    Grasp,
+    Grasped,
+    PartLost,
+    Source,
+    Standstill,
+    Tick,
+)
+from robot_client.insertion.limits import LimitError, check_correction, check_pose
+from robot_client.insertion.motion import check_ramps
+from robot_client.insertion.state import Phase, Plan, State, Timeouts
+from service.contract import wire
+
+__all__ = ["Phase", "Plan", "Result", "State", "Timeouts", "step"]
+
+
+def step(state: State, event: Event) -> Result:
+    """The state after ``event`` and the commands to carry out, in order. Never raises on an event it can be given."""
+    if state.done:
+        return state, ()
+    match event:
+        case Failure():
+            result = _on_failure(state, event)
+        case Tick():
+            result = _on_tick(state, event)
+        case FromService():
+            result = _on_service(state, event)
+        case PartLost():
+            result = _on_part_lost(state, event)
+        case Begin() if state.phase is Phase.START:
+            result = _on_begin(state, event)
+        case Grasped() if state.phase is Phase.GRASPING:
+            result = approach(state, event.at_s)
+        case Arrived() if state.phase in _ON_ARRIVAL:
+            result = _ON_ARRIVAL[state.phase](replace(state, pose=event.pose), event)
+        case Standstill() if state.phase is Phase.STOPPING:
+            result = _on_standstill(state, event)
+        case _:
+            result = state, ()
+    return result
+
+
+def _on_failure(state: State, event: Failure) -> Result:
+    return fail(state, event.source, event.code, event.detail + _unclaimed(state))
+
+
+def _on_tick(state: State, event: Tick) -> Result:
+    if event.at_s < state.deadline_s:
+        return state, ()
+    source: Source = "arm" if state.phase in _MOVING else "service"
+    if state.phase is Phase.GRASPING:
+        source = "gripper"
+    detail = f"{state.phase} took longer than allowed (attempt {state.attempt})"
+    return fail(state, source, "timeout", detail + _unclaimed(state))
+
+
+def _unclaimed(state: State) -> str:
+    """What a failure after the last standstill means: depth alone is no insertion, the gels have the last word."""
+    if state.phase is not Phase.CLOSING:
+        return ""
+    return "; full depth was reached, but the service did not say that the object came along: not claimed"
+
+
+_MOVING = frozenset({Phase.APPROACHING, Phase.DESCENDING, Phase.STOPPING, Phase.RETRACTING, Phase.CORRECTING})
+
+
+def _on_begin(state: State, event: Begin) -> Result:
+    plan = state.plan
+    try:
+        for target in (plan.approach, plan.deepest):
+            check_pose(plan.limits, target, "plan")
+        check_ramps(plan.limits, plan.ramps)
+    except LimitError as error:
+        return fail(state, "limits", "plan", str(error))
+    hello = wire.ClientHello(insertion_id=plan.insertion_id, client=plan.client, controller=plan.controller)
+    deadline_s = event.at_s + plan.timeouts.greeting_s
+    return replace(state, phase=Phase.GREETING, pose=event.pose, deadline_s=deadline_s), (say(hello),)
+
+
+# ---- motion ---------------------------------------------------------------------------------------------------------
+
+
+def _on_approached(state: State, event: Arrived) -> Result:
+    if state.path:
+        return go(state, Phase.APPROACHING, state.path, "travel", event.at_s)
+    return arm(state, state.plan.approach, event.at_s)
+
+
+def _on_bottom(state: State, event: Arrived) -> Result:
+    return hold(state, "depth reached", event.at_s)
+
+
+def _on_standstill(state: State, event: Standstill) -> Result:
+    """Report the depth; short of it is blocked, and whether full depth is an insertion is the service's to say."""
+    assert state.armed is not None
+    plan, depth_mm = state.plan, state.armed.z_mm - event.pose.z_mm
+    state = replace(state, pose=event.pose, stopped_s=event.at_s)
+    inserted = depth_mm >= plan.expected_depth_mm - plan.depth_tolerance_mm
+    outcome: wire.Outcome = "dropped" if state.dropped else "inserted" if inserted else "blocked"
+    if outcome == "blocked":
+        first_mm = depth_mm if state.first_touch_mm is None else state.first_touch_mm
+        state = replace(state, first_touch_mm=first_mm, creep_mm=max(0.0, depth_mm - first_mm))
+    said = say(wire.Stopped(insertion_id=plan.insertion_id, attempt=state.attempt, depth_mm=depth_mm, outcome=outcome))
+    if outcome == "dropped":
+        state, commands = fail(state, "gripper", "part_lost", f"the object was lost at {depth_mm:.2f} mm")
+        return state, (said, *commands)
+    if outcome == "blocked" and state.attempt >= plan.limits.max_attempts:
+        state, commands = fail(state, "client", "attempts", f"not inserted after {state.attempt} attempts")
+        return state, (said, *commands)
+    phase = Phase.CLOSING if outcome == "inserted" else Phase.DECIDING
+    wait_s = plan.timeouts.closing_s if outcome == "inserted" else plan.timeouts.deciding_s
+    return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (said,)
+
+
+def _on_part_lost(state: State, event: PartLost) -> Result:
+    if state.phase is Phase.CLOSING:  # it lies in its gap; letting go of it there is no loss
+        return state, ()
+    if state.phase is Phase.DESCENDING:
+        return hold(replace(state, dropped=True), "part lost", event.at_s)
+    if state.phase is Phase.STOPPING:
+        return replace(state, dropped=True), ()
+    return fail(state, "gripper", "part_lost", f"the object was lost while {state.phase}")
+
+
+def _on_retracted(state: State, event: Arrived) -> Result:
+    state = replace(state, armed=state.path[0])  # the vertical of the next attempt
+    return go(state, Phase.CORRECTING, state.path, "travel", event.at_s)
+
+
+def _on_corrected(state: State, event: Arrived) -> Result:
+    assert state.armed is not None
+    return arm(state, state.armed, event.at_s)
+
+
+_ON_ARRIVAL: dict[Phase, Callable[[State, Arrived], Result]] = {
+    Phase.APPROACHING: _on_approached,
+    Phase.DESCENDING: _on_bottom,
+    Phase.RETRACTING: _on_retracted,
+    Phase.CORRECTING: _on_corrected,
+}
+
+
+# ---- the service ----------------------------------------------------------------------------------------------------
+
+
+def _on_service(state: State, event: FromService) -> Result:
+    message, at_s = event.message, event.at_s
+    if isinstance(message, wire.Fault):  # of whatever insertion: one about the connection names none
+        return fail(state, "service", message.code, message.detail)
+    if message.insertion_id != state.plan.insertion_id:
+        detail = f"message of insertion {message.insertion_id}, expected {state.plan.insertion_id}"
+        return fail(state, "service", "protocol", detail)
+    match message:
+        case wire.ServiceHello():
+            return _on_hello(state, message, at_s)
+        case wire.ServiceHeartbeat():
+            return _on_heartbeat(state, message)
+        case wire.Finished():
+            return _on_finished(state, message)
+        case _:
+            return _on_attempt_message(state, message, at_s)
+
+
+def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
+    if message.protocol != wire.PROTOCOL:
+        return fail(state, "service", "protocol", f"protocol {message.protocol}, expected {wire.PROTOCOL}")
+    lost = [camera.finger for camera in message.cameras if camera.state == "lost"]
+    if lost:
+        return fail(state, "service", "camera", f"camera of finger {', '.join(lost)} is lost")
+    if state.phase is not Phase.GREETING:
+        return state, ()
+    return replace(state, phase=Phase.GRASPING, deadline_s=at_s + state.plan.timeouts.grasping_s), (Grasp(),)
+
+
+def _on_heartbeat(state: State, message: wire.ServiceHeartbeat) -> Result:
+    age_ms, bound_ms = message.frame_age_ms, state.plan.max_frame_age_ms
+    if state.phase is Phase.DESCENDING and (age_ms is None or not age_ms <= bound_ms):
+        return fail(state, "service", "camera_stale", f"newest frame is {age_ms} ms old, allowed {bound_ms:g}")
+    return state, ()
+
+
+def _on_finished(state: State, message: wire.Finished) -> Result:
+    if state.phase is Phase.CLOSING and message.outcome == "inserted":
+        return replace(state, phase=Phase.INSERTED, deadline_s=math.inf), ()
+    return fail(state, "service", "finished", f"the service closed the insertion: {message.outcome}")
+
+
+def _on_attempt_message(
+    state: State, message: wire.Armed | wire.Slip | wire.Correction | wire.NoDecision, at_s: float
+) -> Result:
+    """Late messages of an older attempt and repeated ones change nothing; one of a future attempt is a fault."""
+    if message.attempt > state.attempt:
+        detail = f"{message.type} of attempt {message.attempt} during attempt {state.attempt}"
+        return fail(state, "service", "protocol", detail)
+    if isinstance(message, wire.Slip) and state.phase is Phase.DESCENDING:  # whatever its attempt: stopping is safe
+        return hold(state, f"slip on finger {message.finger}, frame {message.frame_seq}", at_s)
+    result: Result = state, ()
+    if message.attempt < state.attempt:
+        return result
+    match message:
+        case wire.Armed() if state.phase is Phase.ARMING:
+            result = descend(state, at_s)
+        case wire.Correction() if state.phase is Phase.DECIDING:
+            result = _on_correction(state, message, at_s)
+        case wire.NoDecision() if state.phase is Phase.DECIDING:
+            result = _on_no_decision(state, message, at_s)
+    return result
+
+
+def _on_correction(state: State, message: wire.Correction, at_s: float) -> Result:
+    """Applied once: the phase leaves DECIDING with it, so a repeated correction finds nothing to do."""
+    try:
+        age_s = at_s - state.stopped_s
+        check_correction(state.plan.limits, message.attempt, message.dx_mm, message.dtheta_deg, age_s)
+    except LimitError as error:
+        return fail(state, "limits", "correction", str(error))
+    return retract(replace(state, no_decisions=0), message.dx_mm, message.dtheta_deg, at_s)
+
+
+def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
+    """Probe the same spot again: the one motion that is no guess. Not for non-finite results, and not for ever."""
+    count = state.no_decisions + 1
+    if message.reason == "non_finite" or count > state.plan.max_no_decisions:
+        return fail(state, "service", "no_decision", f"{message.reason}: {message.detail}")
+    return retract(replace(state, no_decisions=count), 0.0, 0.0, at_s)

@@ -1,0 +1,143 @@
+"""From a commanded move to the next target, 250 times a second; shared by every arm driver. No I/O, no clock."""
+
+import math
+from typing import Literal, get_args
+
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import LimitError, Limits, Motion, StepGuard, check_pose
+from robot_client.insertion.profile import Profile, plan_profile
+from service.contract.frames import Contract
+
+CYCLE_S = 0.004
+MISSED_CYCLES = 3
+_RESUME_S = 0.05  # after a gap the way is taken up again with this ramp
+_SETTLE_MM = 0.03
+_SETTLE_DEG = 0.03
+_STILL_MM = 0.015  # within a window this small for _SETTLE_S: standing still
+_STILL_DEG = 0.01
+_SETTLE_S = 0.04
+
+Settled = Literal["arrived", "standstill"]
+
+
+class Ramp(Contract):
+    """Speed, acceleration and jerk of one kind of motion, in mm; yaw follows the same profile in deg."""
+
+    speed_mm_s: float
+    acceleration_mm_s2: float
+    jerk_mm_s3: float
+
+
+class Ramps(Contract):
+    """How the arm moves in free air, while probing and on the way up."""
+
+    travel: Ramp = Ramp(speed_mm_s=40.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0)
+    descend: Ramp = Ramp(speed_mm_s=10.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0)
+    retract: Ramp = Ramp(speed_mm_s=25.0, acceleration_mm_s2=200.0, jerk_mm_s3=4000.0)
+
+    def of(self, motion: Motion) -> Ramp:
+        """The ramp of one kind of motion."""
+        return {"travel": self.travel, "descend": self.descend, "retract": self.retract}[motion]
+
+    def duration_s(self, start: WorkPose, end: WorkPose, motion: Motion) -> float:
+        """Time from rest to rest, lag not counted."""
+        return self.profile(start, end, motion).duration_s
+
+    def profile(self, start: WorkPose, end: WorkPose, motion: Motion) -> Profile:
+        """Profile over the longer of way (mm) and turn (deg); raises ValueError for a ramp of zero."""
+        ramp = self.of(motion)
+        length = max(start.distance_mm(end), start.turn_deg(end))
+        return plan_profile(length, ramp.speed_mm_s, ramp.acceleration_mm_s2, ramp.jerk_mm_s3)
+
+
+def check_ramps(limits: Limits, ramps: Ramps) -> None:
+    """Raise LimitError for a ramp whose motion the limits would break off on its way, at full speed."""
+    for motion in get_args(Motion):
+        ramp: Ramp = ramps.of(motion)
+        top = limits.max_descent_speed_mm_s if motion == "descend" else limits.max_speed_mm_s
+        bounds = {"speed_mm_s": top, "acceleration_mm_s2": limits.max_acceleration_mm_s2, "jerk_mm_s3": math.inf}
+        for name, bound in bounds.items():
+            value = getattr(ramp, name)
+            if not 0.0 < value <= bound:
+                raise LimitError(f"ramps.{motion}.{name} = {value:g}, the limits allow above 0 and up to {bound:g}")
+
+
+class MotionGuide:
+    """Holds the target, walks it along the commanded line and tells when the arm has settled on it."""
+
+    def __init__(self, limits: Limits, ramps: Ramps, start: WorkPose) -> None:
+        self.limits = limits
+        self.ramps = ramps
+        self.target = start
+        self._guard = StepGuard(limits, start)
+        self._motion: Motion = "travel"
+        self._start = self._end = start
+        self._profile: Profile | None = None
+        self._walked_s = 0.0
+        self._rate = 1.0
+        self._waiting: Settled | None = None
+        self._still: WorkPose | None = None
+        self._still_since_s = 0.0
+
+    @property
+    def moving(self) -> bool:
+        """True while the target walks."""
+        return self._profile is not None
+
+    @property
+    def motion(self) -> Motion:
+        """Kind of the move under way or of the last one."""
+        return self._motion
+
+    def move(self, end: WorkPose, motion: Motion) -> None:
+        """Begin a straight move to ``end``; raises LimitError and changes nothing if the end is not allowed."""
+        check_pose(self.limits, end)
+        self._guard.rest()
+        self._start, self._end, self._motion = self.target, end, motion
+        self._profile = self.ramps.profile(self.target, end, motion)
+        self._walked_s, self._rate = 0.0, 1.0
+        self._waiting, self._still = "arrived", None
+
+    def hold(self) -> None:
+        """Freeze the target where it is and report when the arm stands; idempotent."""
+        if self._waiting != "standstill":
+            self._still = None
+        self._profile = None
+        self._waiting = "standstill"
+
+    def advance(self, elapsed_s: float) -> WorkPose:
+        """Target after ``elapsed_s``; raises LimitError (target unchanged) if it may not be sent.
+
+        Over a gap of more than MISSED_CYCLES the target takes their way at most, then gains speed on a ramp.
+        """
+        if self._profile is None or elapsed_s <= 0.0:
+            return self.target
+        if elapsed_s > (MISSED_CYCLES + 0.5) * CYCLE_S:
+            self._rate = min(self._rate, MISSED_CYCLES * CYCLE_S / elapsed_s)
+            self._walked_s += elapsed_s * self._rate
+        else:
+            # The speed grows during the step, not after it: else a long step before a short one is a jolt.
+            before, self._rate = self._rate, min(1.0, self._rate + elapsed_s / _RESUME_S)
+            self._walked_s += elapsed_s * (before + self._rate) / 2.0
+        share = self._profile.position(self._walked_s) / self._profile.length if self._profile.length > 0 else 1.0
+        target = self._end if share >= 1.0 else self._start.towards(self._end, share)
+        self.target = self._guard.check(target, elapsed_s, self._motion)
+        if self._walked_s >= self._profile.duration_s:
+            self._profile = None
+        return self.target
+
+    def observe(self, measured: WorkPose, now_s: float) -> Settled | None:
+        """What the arm has come to, once for each command: "arrived" on its end or "standstill" after a hold."""
+        if self._waiting is None or self.moving:
+            return None
+        near = self._still is not None and (
+            self._still.distance_mm(measured) <= _STILL_MM and self._still.turn_deg(measured) <= _STILL_DEG
+        )
+        on_target = self.target.distance_mm(measured) <= _SETTLE_MM and self.target.turn_deg(measured) <= _SETTLE_DEG
+        if not near or (self._waiting == "arrived" and not on_target):
+            self._still, self._still_since_s = measured, now_s
+            return None
+        if now_s - self._still_since_s < _SETTLE_S:
+            return None
+        settled, self._waiting = self._waiting, None
+        return settled

@@ -1,0 +1,107 @@
+"""What an insertion is told to do (Plan) and what it remembers (State)."""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from pydantic import Field
+
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import Limits, Positive
+from robot_client.insertion.motion import Ramps
+from service.contract import wire
+from service.contract.frames import Contract
+
+
+class Phase(StrEnum):
+    """Where an insertion stands."""
+
+    START = "start"
+    GREETING = "greeting"
+    GRASPING = "grasping"
+    APPROACHING = "approaching"
+    ARMING = "arming"
+    DESCENDING = "descending"
+    STOPPING = "stopping"
+    DECIDING = "deciding"
+    RETRACTING = "retracting"
+    CORRECTING = "correcting"
+    CLOSING = "closing"
+    INSERTED = "inserted"
+    FAILED = "failed"
+
+
+TERMINAL = frozenset({Phase.INSERTED, Phase.FAILED})
+
+
+class Timeouts(Contract):
+    """How long each phase may last; ``motion_s`` is added to the planned time of a move."""
+
+    greeting_s: Positive = 10.0
+    grasping_s: Positive = 15.0
+    arming_s: Positive = 3.0
+    stopping_s: Positive = 1.5
+    deciding_s: Positive = 4.0
+    closing_s: Positive = 5.0
+    motion_s: Positive = 3.0
+
+
+class Plan(Contract):
+    """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
+
+    ``creep_allowance_mm``: how much deeper than ``expected_depth_mm`` the TCP may go where earlier attempts pushed the
+    object up in the hand, so that its bottom gets as deep as it should. 0: never deeper.
+    """
+
+    insertion_id: wire.InsertionId
+    approach: WorkPose
+    gap_width_mm: float = Field(gt=0, le=1000)  # these three: as `arm` carries them
+    grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
+    expected_depth_mm: float = Field(gt=0, le=1000)
+    depth_tolerance_mm: float = 1.0
+    creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
+    max_no_decisions: int = 2
+    max_frame_age_ms: float = 1000.0
+    client: str = "tactile-insertion robot client"
+    controller: wire.ControllerName | None = None
+    limits: Limits = Limits()
+    ramps: Ramps = Ramps()
+    timeouts: Timeouts = Timeouts()
+
+    @property
+    def deepest(self) -> WorkPose:
+        """The lowest pose below the approach that a descent may ever end at."""
+        return self.approach.at_height(self.approach.z_mm - self.expected_depth_mm - self.creep_allowance_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Everything the machine remembers. ``pose`` is the last pose that the arm was sent to or measured at.
+
+    ``first_touch_mm`` is the depth at which the first blocked attempt stopped, ``creep_mm`` how much deeper the last
+    one did: the object stood on the blocks at both, so it has been pushed up in the hand by about that much.
+    """
+
+    plan: Plan
+    phase: Phase = Phase.START
+    attempt: int = 0
+    deadline_s: float = math.inf
+    pose: WorkPose | None = None
+    path: tuple[WorkPose, ...] = ()
+    armed: WorkPose | None = None
+    stopped_s: float = 0.0
+    dropped: bool = False
+    no_decisions: int = 0
+    reason: str = ""
+    first_touch_mm: float | None = None
+    creep_mm: float = 0.0
+
+    @property
+    def done(self) -> bool:
+        """True once nothing more will be ordered."""
+        return self.phase in TERMINAL
+
+    @property
+    def bottom_mm(self) -> float:
+        """How far below the armed pose the next descent ends, with what the object has crept up as far as allowed."""
+        return self.plan.expected_depth_mm + min(self.creep_mm, self.plan.creep_allowance_mm)

@@ -1,0 +1,1 @@
+"""Arms, one folder a device, behind the port :class:`robot_client.ports.Arm`."""

@@ -1,0 +1,1 @@
+"""ABB arms over EGM position guidance; RWS starts and stops the program."""

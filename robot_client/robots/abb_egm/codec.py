@@ -1,0 +1,211 @@
+"""EGM datagrams, both directions: robot state (EgmRobot) and guidance (EgmSensor).
+
+Positions mm, quaternion w, x, y, z (unit), joints deg, speeds mm/s and deg/s, times ms of the sender's clock.
+Decoding refuses what a controller or a guide must not act on: unparsable, oversized, non-finite, no unit quaternion.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from google.protobuf.message import DecodeError, EncodeError
+
+from robot_client.robots.abb_egm import tactile_insertion_egm_pb2 as pb
+
+UDP_PORT = 6510
+MAX_DATAGRAM_BYTES = 4096
+QUATERNION_TOLERANCE = 1e-2  # a real controller rounds; more than this is no rotation
+
+
+class EgmError(ValueError):
+    """A datagram or a target that does not belong on the wire; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Position in mm and unit quaternion (w, x, y, z) of the tool in the work object active on the controller."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    qw: float = 1.0
+    qx: float = 0.0
+    qy: float = 0.0
+    qz: float = 0.0
+
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """(w, x, y, z)."""
+        return (self.qw, self.qx, self.qy, self.qz)
+
+    def check(self, name: str = "pose") -> "Pose":
+        """This pose if finite and of unit quaternion; raises EgmError otherwise."""
+        _check_finite(name, (self.x_mm, self.y_mm, self.z_mm, *self.quaternion))
+        norm = math.hypot(*self.quaternion)
+        if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+            raise EgmError(f"{name} has a quaternion of norm {norm:.4f}, expected 1")
+        return self
+
+
+McState = Literal["undefined", "error", "stopped", "running"]
+_MC_VALUES = {
+    "undefined": pb.EgmMCIState.MCI_UNDEFINED,
+    "error": pb.EgmMCIState.MCI_ERROR,
+    "stopped": pb.EgmMCIState.MCI_STOPPED,
+    "running": pb.EgmMCIState.MCI_RUNNING,
+}
+_MC_STATES: tuple[McState, ...] = get_args(McState)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """One EgmRobot message. ``feedback`` is measured, ``planned`` what the controller is heading for."""
+
+    sequence: int
+    time_ms: int
+    feedback: Pose
+    planned: Pose | None = None
+    joints_deg: tuple[float, ...] = ()
+    motors_on: bool = True
+    rapid_running: bool = True
+    mc_state: McState = "running"
+    converged: bool = False
+
+    @property
+    def moving_allowed(self) -> bool:
+        """Motors on, RAPID running and motion control in EGM: the robot follows targets."""
+        return self.motors_on and self.rapid_running and self.mc_state == "running"
+
+
+@dataclass(frozen=True, slots=True)
+class Guidance:
+    """One EgmSensor message: a position target, a joint target or a speed reference (mm/s, deg/s)."""
+
+    sequence: int
+    time_ms: int = 0
+    pose: Pose | None = None
+    joints_deg: tuple[float, ...] = ()
+    speed: tuple[float, ...] = ()
+
+
+def _check_finite(name: str, values: Iterable[float]) -> None:
+    values = tuple(values)
+    if not all(math.isfinite(value) for value in values):
+        raise EgmError(f"{name} is {values}, expected finite numbers")
+
+
+def _put_pose(target: pb.EgmPose, pose: Pose) -> None:
+    target.pos.x, target.pos.y, target.pos.z = pose.x_mm, pose.y_mm, pose.z_mm
+    target.orient.u0, target.orient.u1, target.orient.u2, target.orient.u3 = pose.quaternion
+
+
+def _euler_quaternion(x_deg: float, y_deg: float, z_deg: float) -> tuple[float, float, float, float]:
+    """Quaternion of RAPID's ZYX Euler angles."""
+    cx, cy, cz = (math.cos(math.radians(a) / 2) for a in (x_deg, y_deg, z_deg))
+    sx, sy, sz = (math.sin(math.radians(a) / 2) for a in (x_deg, y_deg, z_deg))
+    return (
+        cx * cy * cz + sx * sy * sz,
+        sx * cy * cz - cx * sy * sz,
+        cx * sy * cz + sx * cy * sz,
+        cx * cy * sz - sx * sy * cz,
+    )
+
+
+def _get_pose(source: pb.EgmPose, name: str) -> Pose:
+    if not source.HasField("pos"):
+        raise EgmError(f"{name} has no position")
+    position = (source.pos.x, source.pos.y, source.pos.z)
+    if source.HasField("euler"):  # Euler wins if both are sent
+        angles = (source.euler.x, source.euler.y, source.euler.z)
+        _check_finite(name, angles)
+        return Pose(*position, *_euler_quaternion(*angles)).check(name)
+    if not source.HasField("orient"):
+        raise EgmError(f"{name} has no orientation")
+    orient = source.orient
+    return Pose(*position, orient.u0, orient.u1, orient.u2, orient.u3).check(name)
+
+
+def encode_guidance(guidance: Guidance) -> bytes:
+    """EgmSensor bytes (type CORRECTION); raises EgmError for non-finite values or no unit quaternion."""
+    message = pb.EgmSensor()
+    message.header.seqno = guidance.sequence & 0xFFFFFFFF
+    message.header.tm = guidance.time_ms & 0xFFFFFFFF
+    message.header.mtype = pb.EgmHeader.MSGTYPE_CORRECTION
+    if guidance.pose is not None:
+        _put_pose(message.planned.cartesian, guidance.pose.check("target pose"))
+    if guidance.joints_deg:
+        _check_finite("target joints", guidance.joints_deg)
+        message.planned.joints.joints.extend(guidance.joints_deg)
+    if guidance.speed:
+        _check_finite("speed reference", guidance.speed)
+        message.speedRef.cartesians.value.extend(guidance.speed)
+    return message.SerializeToString()
+
+
+def decode_guidance(datagram: bytes) -> Guidance:
+    """Read EgmSensor bytes (the controller's side); raises EgmError."""
+    message = pb.EgmSensor()
+    _parse(message, datagram)
+    joints = tuple(message.planned.joints.joints)
+    speed = tuple(message.speedRef.cartesians.value)
+    _check_finite("joints or speed", (*joints, *speed))
+    has_pose = message.planned.cartesian.HasField("pos")
+    pose = _get_pose(message.planned.cartesian, "target pose") if has_pose else None
+    return Guidance(message.header.seqno, message.header.tm, pose, joints, speed)
+
+
+def encode_robot(state: RobotState) -> bytes:
+    """EgmRobot bytes (type DATA, the controller's side); raises EgmError for non-finite values."""
+    message = pb.EgmRobot()
+    message.header.seqno = state.sequence & 0xFFFFFFFF
+    message.header.tm = state.time_ms & 0xFFFFFFFF
+    message.header.mtype = pb.EgmHeader.MSGTYPE_DATA
+    _check_finite("joints", state.joints_deg)
+    for block, pose in ((message.feedBack, state.feedback), (message.planned, state.planned)):
+        if pose is not None:
+            _put_pose(block.cartesian, pose.check())
+            block.joints.joints.extend(state.joints_deg)
+            block.time.sec, block.time.usec = state.time_ms // 1000, state.time_ms % 1000 * 1000
+    message.motorState.state = pb.EgmMotorState.MOTORS_ON if state.motors_on else pb.EgmMotorState.MOTORS_OFF
+    message.mciState.state = _MC_VALUES[state.mc_state]
+    message.mciConvergenceMet = state.converged
+    running = state.rapid_running
+    message.rapidExecState.state = (
+        pb.EgmRapidCtrlExecState.RAPID_RUNNING if running else pb.EgmRapidCtrlExecState.RAPID_STOPPED
+    )
+    message.utilizationRate = 0.0
+    return message.SerializeToString()
+
+
+def decode_robot(datagram: bytes) -> RobotState:
+    """Read EgmRobot bytes; raises EgmError. States that are absent count as off, stopped or undefined."""
+    message = pb.EgmRobot()
+    _parse(message, datagram)
+    joints = tuple(message.feedBack.joints.joints)
+    _check_finite("joints", joints)
+    has_planned = message.planned.cartesian.HasField("pos")
+    return RobotState(
+        sequence=message.header.seqno,
+        time_ms=message.header.tm,
+        feedback=_get_pose(message.feedBack.cartesian, "feedback pose"),
+        planned=_get_pose(message.planned.cartesian, "planned pose") if has_planned else None,
+        joints_deg=joints,
+        motors_on=message.motorState.state == pb.EgmMotorState.MOTORS_ON,
+        rapid_running=message.rapidExecState.state == pb.EgmRapidCtrlExecState.RAPID_RUNNING,
+        mc_state=_MC_STATES[message.mciState.state],
+        converged=message.mciConvergenceMet,
+    )
+
+
+def _parse(message: pb.EgmRobot | pb.EgmSensor, datagram: bytes) -> None:
+    if len(datagram) > MAX_DATAGRAM_BYTES:
+        raise EgmError(f"datagram of {len(datagram)} bytes, expected at most {MAX_DATAGRAM_BYTES}")
+    try:
+        message.ParseFromString(datagram)
+    except (DecodeError, EncodeError) as error:
+        raise EgmError(
+            f"datagram of {len(datagram)} bytes does not parse as {type(message).__name__}: {error}"
+        ) from None
+    if not message.HasField("header"):
+        raise EgmError(f"{type(message).__name__} has no header")

@@ -1,0 +1,273 @@
+"""The arm over EGM position guidance: it answers every datagram of the robot with the next target.
+
+The robot sends first, to our UDP port, 250 times a second; only the newest datagram is answered. Targets advance on the
+robot's own clock, so a stalled link stalls the motion and never makes it leap. All trouble ends in a latched hold:
+the target stays frozen, datagrams are still answered with it, and no move is taken any more.
+"""
+
+import asyncio
+import contextlib
+import socket
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import Field
+
+from robot_client.insertion.events import Arrived, Failure, Standstill
+from robot_client.insertion.geometry import CellFrame, WorkPose
+from robot_client.insertion.limits import LimitError, Limits, Motion
+from robot_client.insertion.motion import MotionGuide, Ramps
+from robot_client.ports import DriverError, Post
+from robot_client.robots.abb_egm import codec
+from robot_client.robots.abb_egm.watch import EgmWatch, StreamFault
+from robot_client.robots.abb_rws.client import RwsClient, RwsError
+from robot_client.silence import Silence
+from service.contract.frames import Contract
+
+_DRAIN = 64
+
+
+class EgmSettings(Contract):
+    """Where we listen, who may guide us, and how long the stream may be silent or late."""
+
+    bind: str = "0.0.0.0"  # noqa: S104 the controller is another host; robot_host narrows who is heard
+    port: int = Field(default=codec.UDP_PORT, ge=0, le=65535)
+    robot_host: str | None = None
+    ready_timeout_s: float = Field(default=8.0, gt=0)
+    silence_s: float = Field(default=0.25, gt=0)  # harmless in position mode: targets stop with the stream
+    max_age_s: float = Field(default=0.25, gt=0)
+
+
+@dataclass(slots=True)
+class EgmArm:
+    """Arm port over EGM, with RWS to start and stop the program (None: started by hand, stopped by silence)."""
+
+    settings: EgmSettings
+    limits: Limits
+    ramps: Ramps
+    frame: CellFrame = field(default_factory=CellFrame)
+    rws: RwsClient | None = None
+    _post: Post = field(init=False, repr=False)
+    _socket: socket.socket | None = None
+    _robot: tuple[str, int] | None = None
+    _guide: MotionGuide | None = None
+    _watch: EgmWatch = field(init=False)
+    _measured: WorkPose | None = None
+    _sequence: int = 0
+    _failed: str = ""
+    _closing: bool = False
+    _ready: asyncio.Event = field(default_factory=asyncio.Event)
+    _timer: asyncio.TimerHandle | None = None
+    _stopping: asyncio.Task[str] | None = None
+    _foreign: int = 0
+    _worst_reply_us: float = 0.0
+    _holds_us: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        silence = Silence(self.settings.silence_s, self.settings.silence_s / 4.0)
+        self._watch = EgmWatch(silence, self.settings.max_age_s)
+
+    # ---- port -----------------------------------------------------------------------------------------------------
+
+    async def start(self, post: Post) -> WorkPose:
+        """Listen, start motors and program, wait for the first good datagram."""
+        self._post = post
+        self._socket = _listen(self.settings)
+        asyncio.get_running_loop().add_reader(self._socket, self._on_readable)
+        try:
+            if self.rws is not None:
+                await self.rws.start_program()
+            await asyncio.wait_for(self._ready.wait(), self.settings.ready_timeout_s)
+        except RwsError as error:
+            raise DriverError(f"robot: {error}") from None
+        except TimeoutError:
+            where = f"UDP port {self._socket.getsockname()[1]}"
+            why = self._watch.not_ready or "no datagram came: check UCdevice address and port, and that EGM runs"
+            if self._foreign and not self._watch.datagrams:
+                why = f"{self._foreign} datagrams came, none from {self.settings.robot_host} (egm.robot_host)"
+            raise DriverError(
+                f"robot: EGM not ready on {where} in {self.settings.ready_timeout_s:g} s: {why}"
+            ) from None
+        assert self._guide is not None
+        self._watchdog()
+        return self._guide.target
+
+    def move(self, target: WorkPose, motion: Motion) -> None:
+        """Begin a move; raises LimitError if it is not allowed or the arm is latched."""
+        if self._failed or self._guide is None:
+            raise LimitError(f"the arm takes no motion: {self._failed or 'not started'}")
+        self._guide.move(target, motion)
+
+    def hold(self, reason: str, *, stop: bool) -> None:
+        """Freeze the target and put it on the wire now, without waiting for the robot's next datagram."""
+        begun_ns = time.perf_counter_ns()
+        if self._guide is not None:
+            self._guide.hold()
+            self._answer()
+            self._holds_us.append((time.perf_counter_ns() - begun_ns) / 1e3)
+        if stop:
+            self._failed = self._failed or reason
+            self._stop_program()
+
+    async def close(self) -> str:
+        """Stop the program while still answering with the frozen target, then stop listening."""
+        self._closing = True
+        if self._guide is not None:
+            self._guide.hold()
+        self._stop_program()
+        outcome = await self._stopping if self._stopping else "no program was started"
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket)
+            self._socket.close()
+        if self.rws is not None:
+            await self.rws.close()
+        return outcome
+
+    def position(self) -> WorkPose | None:
+        """Measured by the newest datagram."""
+        return self._measured
+
+    def statistics(self) -> dict[str, Any]:
+        """Counts of the stream and the worst times in microseconds from datagram to answer and from hold to wire."""
+        return {
+            **self._watch.statistics(),
+            "foreign_datagrams": self._foreign,
+            "worst_reply_us": round(self._worst_reply_us),
+            "worst_hold_us": round(max(self._holds_us, default=0.0)),
+        }
+
+    # ---- wire -----------------------------------------------------------------------------------------------------
+
+    def _on_readable(self) -> None:
+        """Take the newest datagram of those that wait and answer it."""
+        received_ns = time.perf_counter_ns()
+        newest: bytes | None = None
+        assert self._socket is not None
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            for _ in range(_DRAIN):
+                datagram, address = self._socket.recvfrom(codec.MAX_DATAGRAM_BYTES + 1)
+                if self._is_robot(address):
+                    newest = datagram
+                    self._watch.datagrams += 1
+        if newest is not None:
+            try:
+                self._on_datagram(newest, time.monotonic())
+            except Exception as error:  # a defect of ours must not leave the arm moving on old orders
+                self._fail("internal", f"{type(error).__name__}: {error}")
+                raise
+            self._worst_reply_us = max(self._worst_reply_us, (time.perf_counter_ns() - received_ns) / 1e3)
+
+    def _is_robot(self, address: tuple[str, int]) -> bool:
+        expected = self.settings.robot_host
+        if (expected is not None and address[0] != expected) or (self._robot is not None and address != self._robot):
+            self._foreign += 1
+            return False
+        self._robot = address
+        return True
+
+    def _on_datagram(self, datagram: bytes, now_s: float) -> None:
+        try:
+            state = codec.decode_robot(datagram)
+            near_deg = self._guide.target.yaw_deg if self._guide else 0.0
+            measured, tilt_deg = self.frame.from_controller(state.feedback, near_deg)
+        except ValueError as error:
+            self._watch.bad(str(error))
+            return
+        elapsed_s = self._watch.take(state, now_s)
+        if elapsed_s is None:
+            return
+        if self._guide is None and not self._begin(state, measured, tilt_deg):
+            return
+        self._measured = measured
+        self._check(state, measured, tilt_deg)
+        self._advance(elapsed_s)
+        self._answer()
+        self._report(measured, now_s)
+
+    def _begin(self, state: codec.RobotState, measured: WorkPose, tilt_deg: float) -> bool:
+        """Take up guidance where the arm stands. Targets hang upright: to a tilted tool the first would be a turn."""
+        if not self._watch.ready(state):
+            return False
+        if tilt_deg > self.limits.max_tilt_deg:
+            allowed = f"allowed {self.limits.max_tilt_deg:g}; jog it upright, or correct work_object.rotation and .tool"
+            self._watch.not_ready = f"the tool is tilted by {tilt_deg:.2f} deg, {allowed}"
+            return False
+        self._guide = MotionGuide(self.limits, self.ramps, measured)
+        self._ready.set()
+        return True
+
+    def _check(self, state: codec.RobotState, measured: WorkPose, tilt_deg: float) -> None:
+        assert self._guide is not None
+        if self._failed or self._closing or not self._timer:
+            return
+        away_mm = self._guide.target.distance_mm(measured)
+        try:
+            self._watch.check(state)
+        except StreamFault as fault:
+            self._fail(fault.code, fault.detail)
+        if tilt_deg > self.limits.max_tilt_deg:
+            self._fail("tilt", f"the tool is tilted by {tilt_deg:.2f} deg, allowed {self.limits.max_tilt_deg:g}")
+        if away_mm > self.limits.max_tracking_mm:
+            bound_mm = self.limits.max_tracking_mm
+            self._fail("tracking", f"the arm is {away_mm:.2f} mm away from its target, allowed {bound_mm:g}")
+
+    def _advance(self, elapsed_s: float) -> None:
+        assert self._guide is not None
+        try:
+            self._guide.advance(elapsed_s)
+        except LimitError as error:
+            self._fail("limits", str(error))
+
+    def _answer(self) -> None:
+        if self._guide is None or self._robot is None or self._socket is None:
+            return
+        self._sequence += 1
+        pose = self.frame.to_controller(self._guide.target)
+        time_ms = time.monotonic_ns() // 1_000_000
+        with contextlib.suppress(OSError):  # a full buffer or an unreachable host shows as silence of the stream
+            self._socket.sendto(codec.encode_guidance(codec.Guidance(self._sequence, time_ms, pose)), self._robot)
+
+    def _report(self, measured: WorkPose, now_s: float) -> None:
+        assert self._guide is not None
+        settled = self._guide.observe(measured, now_s)
+        if settled and not self._failed and not self._closing:
+            event = Arrived if settled == "arrived" else Standstill
+            self._post(event(at_s=now_s, pose=measured))
+
+    # ---- trouble --------------------------------------------------------------------------------------------------
+
+    def _watchdog(self) -> None:
+        loop = asyncio.get_running_loop()
+        self._timer = loop.call_later(self.settings.silence_s / 4.0, self._watchdog)
+        try:
+            self._watch.check_silence(time.monotonic())
+        except StreamFault as fault:
+            self._fail(fault.code, fault.detail)
+
+    def _fail(self, code: str, detail: str) -> None:
+        """Freeze first, tell afterwards; once."""
+        if self._failed or self._closing:
+            return
+        self._failed = f"{code}: {detail}"
+        assert self._guide is not None
+        self._guide.hold()
+        self._answer()
+        self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
+
+    def _stop_program(self) -> None:
+        if self.rws is not None and self.rws.started and self._stopping is None:
+            self._stopping = asyncio.get_running_loop().create_task(self.rws.stop_program())
+
+
+def _listen(settings: EgmSettings) -> socket.socket:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    listener.setblocking(False)
+    try:
+        listener.bind((settings.bind, settings.port))
+    except OSError as error:
+        listener.close()
+        raise DriverError(f"robot: cannot listen on UDP {settings.bind}:{settings.port}: {error}") from None
+    return listener

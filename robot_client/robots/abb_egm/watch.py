@@ -1,0 +1,113 @@
+"""Health of the EGM stream: order, gaps, age, readiness of the controller. Pure; the driver owns socket and clock."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from robot_client.robots.abb_egm.codec import RobotState
+from robot_client.silence import Silence
+
+_BAD_IN_A_ROW = 25
+_DRIFT = 2e-4  # two quartz clocks may drift apart this fast without a datagram being late
+
+
+class StreamFault(Exception):  # noqa: N818 it reports the stream's state, the driver turns it into a Failure event
+    """The stream is not fit to be followed; ``code`` and ``detail`` go into the Failure event."""
+
+    def __init__(self, code: str, detail: str) -> None:
+        super().__init__(f"{code}: {detail}")
+        self.code = code
+        self.detail = detail
+
+
+@dataclass(slots=True)
+class EgmWatch:
+    """Counts and judges datagrams. Age is measured against the least delay ever seen on this stream."""
+
+    silence: Silence
+    max_age_s: float
+    datagrams: int = 0
+    bad_datagrams: int = 0
+    repeated: int = 0
+    gaps: int = 0
+    worst_gap_s: float = 0.0
+    worst_age_s: float = 0.0
+    not_ready: str = ""
+    _bad_in_a_row: int = 0
+    _sequence: int | None = None
+    _robot_ms: int = 0
+    _robot_s: float = 0.0  # since the first datagram, on the robot's clock
+    _newest_s: float | None = None
+    _least_lag_s: float | None = None
+    _age_s: float = 0.0
+
+    def bad(self, reason: str) -> None:
+        """A datagram that does not decode; only valid ones keep the stream alive."""
+        self.bad_datagrams += 1
+        self._bad_in_a_row += 1
+        self.not_ready = reason
+
+    def take(self, state: RobotState, now_s: float) -> float | None:
+        """Time in s on the robot's clock since the last datagram; None for one that is repeated or out of order."""
+        if self._sequence is not None and not 0 < (state.sequence - self._sequence) % 2**32 < 2**31:
+            self.repeated += 1
+            return None
+        first = self._sequence is None
+        step_ms = 0 if first else (state.time_ms - self._robot_ms + 2**31) % 2**32 - 2**31  # their clock wraps
+        self._robot_s += step_ms / 1e3
+        elapsed_s = max(0.0, step_ms / 1e3)
+        if self._newest_s is not None and now_s - self._newest_s > 0.014:
+            self.gaps += 1
+            self.worst_gap_s = max(self.worst_gap_s, now_s - self._newest_s)
+        self.silence.heard(now_s)
+        self._sequence, self._robot_ms, self._newest_s, self._bad_in_a_row = state.sequence, state.time_ms, now_s, 0
+        lag_s = now_s - self._robot_s
+        drifted_s = lag_s if self._least_lag_s is None else self._least_lag_s + _DRIFT * elapsed_s
+        self._least_lag_s = min(drifted_s, lag_s)
+        self._age_s = lag_s - self._least_lag_s
+        self.worst_age_s = max(self.worst_age_s, self._age_s)
+        return elapsed_s
+
+    def ready(self, state: RobotState) -> bool:
+        """True if the controller follows targets; ``not_ready`` says what is missing."""
+        self.not_ready = _missing(state)
+        return not self.not_ready
+
+    def check(self, state: RobotState) -> None:
+        """Raise StreamFault if the controller no longer follows or its datagrams come late."""
+        missing = _missing(state)
+        if missing:
+            raise StreamFault("controller", missing)
+        if self._age_s > self.max_age_s:
+            raise StreamFault(
+                "stale", f"datagrams are {self._age_s * 1e3:.0f} ms late, allowed {self.max_age_s * 1e3:g}"
+            )
+
+    def check_silence(self, now_s: float) -> None:
+        """Raise StreamFault if no new valid datagram came for too long."""
+        silent_s = self.silence.over(now_s)
+        if silent_s is not None:
+            why = (
+                "only unreadable ones came" if self._bad_in_a_row >= _BAD_IN_A_ROW else "the stream is silent or frozen"
+            )
+            raise StreamFault("silent", f"no new datagram for {silent_s * 1e3:.0f} ms: {why}")
+
+    def statistics(self) -> dict[str, Any]:
+        """Counts, and the worst gap and age in ms."""
+        return {
+            "datagrams": self.datagrams,
+            "bad_datagrams": self.bad_datagrams,
+            "repeated": self.repeated,
+            "gaps": self.gaps,
+            "worst_gap_ms": round(self.worst_gap_s * 1e3, 1),
+            "worst_age_ms": round(self.worst_age_s * 1e3, 1),
+        }
+
+
+def _missing(state: RobotState) -> str:
+    if not state.motors_on:
+        return "the motors are off"
+    if not state.rapid_running:
+        return "the RAPID program does not run"
+    if state.mc_state != "running":
+        return f"motion control reports EGM {state.mc_state}"
+    return ""

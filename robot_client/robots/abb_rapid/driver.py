@@ -1,0 +1,255 @@
+"""The arm on a controller without EGM: RAPID moves along straight lines, a guard task stops it.
+
+Two connections: motion (one request, one answer when it is over) and guard (position, release, stop, dead man). A hold
+goes to the guard at once and does not wait for the motion server, which is busy moving. If this process falls silent,
+the guard stops the arm by itself. Slower to stop than EGM: the figure to expect is the controller's, not ours.
+"""
+
+import asyncio
+import contextlib
+import time
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from pydantic import Field
+
+from robot_client.insertion.events import Arrived, Failure, Standstill
+from robot_client.insertion.geometry import CellFrame, WorkPose
+from robot_client.insertion.limits import LimitError, Limits, Motion, check_pose
+from robot_client.insertion.motion import Ramps
+from robot_client.ports import DriverError, Post
+from robot_client.robots.abb_rapid import codec
+from robot_client.robots.abb_rapid.codec import GuardState, MotionAnswer, TextParser
+from robot_client.robots.abb_rws.client import RwsClient
+from robot_client.silence import Silence
+from service.contract.frames import Contract
+
+_STILL_MM, _STILL_DEG, _STILL_S = 0.03, 0.05, 0.15  # the guard answers with 0.01 mm
+
+
+class SocketSettings(Contract):
+    """Where TactileMotion.mod and TactileGuard.mod listen."""
+
+    host: str = "192.168.125.1"
+    motion_port: int = Field(default=codec.MOTION_PORT, ge=0, le=65535)
+    guard_port: int = Field(default=codec.GUARD_PORT, ge=0, le=65535)
+    connect_timeout_s: float = Field(default=5.0, gt=0)
+    poll_s: float = Field(default=0.05, gt=0)
+    silence_s: float = Field(default=0.5, gt=0)
+
+
+@dataclass(slots=True)
+class SocketArm:
+    """Arm port over the two RAPID sockets, with RWS to start and stop the program."""
+
+    settings: SocketSettings
+    limits: Limits
+    ramps: Ramps
+    frame: CellFrame = field(default_factory=CellFrame)
+    rws: RwsClient | None = None
+    _post: Post | None = None
+    _motion: asyncio.StreamWriter | None = None
+    _guard: asyncio.StreamWriter | None = None
+    _tasks: list[asyncio.Task[None]] = field(default_factory=list)
+    _stopping: asyncio.Task[str] | None = None
+    _number: int = 0
+    _move: int = 0
+    _pending: tuple[int, WorkPose, float] | None = None
+    _sent: int | None = None  # a move that the motion server has not answered for
+    _waiting: Literal["arrived", "fresh position", "standstill"] | None = None
+    _asked: int = 0
+    _here: WorkPose | None = None
+    _still: WorkPose | None = None
+    _still_since_s: float = 0.0
+    _silence: Silence = field(init=False)
+    _latched: str = ""
+    _answers: int = 0
+    _tilt_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._silence = Silence(self.settings.silence_s, self.settings.poll_s)
+
+    # ---- port -----------------------------------------------------------------------------------------------------
+
+    async def start(self, post: Post) -> WorkPose:
+        """Start the program, connect to both ports, wait for the first position; raises DriverError."""
+        if self.rws is not None:
+            await self.rws.start_program()
+        motion_reader, self._motion = await self._connect(self.settings.motion_port, "motion server")
+        guard_reader, self._guard = await self._connect(self.settings.guard_port, "guard")
+        self._silence.heard(time.monotonic())
+        for work in (self._read_motion(motion_reader), self._read_guard(guard_reader), self._beat()):
+            self._tasks.append(asyncio.get_running_loop().create_task(work))
+        deadline_s = time.monotonic() + self.settings.connect_timeout_s
+        while self._here is None:
+            if time.monotonic() > deadline_s:
+                raise DriverError("robot: the guard does not say where the arm is; is TactileGuard.mod running?")
+            await asyncio.sleep(0.01)
+        self._post = post
+        return self._here
+
+    def move(self, target: WorkPose, motion: Motion) -> None:
+        """Lower the guard's stop flag, then send the move; raises LimitError if it is not allowed."""
+        check_pose(self.limits, target)
+        if self._latched or self._guard is None or self._here is None:
+            raise LimitError(f"the arm takes no motion: {self._latched or 'not started'}")
+        speed = self.ramps.of(motion).speed_mm_s
+        top = self.limits.max_descent_speed_mm_s if motion == "descend" else self.limits.max_speed_mm_s
+        if not speed <= top:
+            raise LimitError(f"{motion} speed mm/s = {speed:g}, allowed up to {top:g}")
+        self._move = self._next()
+        self._pending, self._waiting, self._still = (self._move, target, speed), "arrived", None
+        self._say("R", self._move)
+
+    def hold(self, reason: str, *, stop: bool) -> None:
+        """Raise the guard's stop flag now; a move that still waits for its release is dropped."""
+        self._pending, self._waiting, self._still = None, "standstill", None
+        self._say("S", self._next())
+        if stop:
+            self._latched = self._latched or reason
+            self._stop_program()
+
+    async def close(self) -> str:
+        """Stop, end the program, disconnect."""
+        self._post, self._latched = None, self._latched or "closed"
+        self._say("S", self._next())
+        self._stop_program()
+        outcome = await self._stopping if self._stopping else "guard stopped the arm; no program was started"
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for writer in (self._motion, self._guard):
+            if writer is not None:
+                writer.close()
+        if self.rws is not None:
+            await self.rws.close()
+        return outcome
+
+    def position(self) -> WorkPose | None:
+        """The guard's newest answer."""
+        return self._here
+
+    def statistics(self) -> dict[str, Any]:
+        """Answers of the guard."""
+        return {"guard_answers": self._answers}
+
+    # ---- wire -----------------------------------------------------------------------------------------------------
+
+    async def _connect(self, port: int, name: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """A RAPID server may need a moment after the start before it listens."""
+        deadline_s = time.monotonic() + self.settings.connect_timeout_s
+        while True:
+            opening = asyncio.open_connection(self.settings.host, port)
+            try:
+                return await asyncio.wait_for(opening, self.settings.connect_timeout_s)
+            except (OSError, TimeoutError) as error:
+                if time.monotonic() > deadline_s:
+                    where = f"{self.settings.host}:{port}"
+                    raise DriverError(f"robot: cannot connect to the {name} at {where}: {error}") from None
+            await asyncio.sleep(0.1)
+
+    def _next(self) -> int:
+        self._number = self._number % codec.MAX_NUMBER + 1
+        return self._number
+
+    def _say(self, kind: Literal["H", "R", "S"], number: int) -> None:
+        if self._guard is not None and not self._guard.is_closing():
+            self._guard.write(codec.encode_guard(kind, number))
+
+    async def _beat(self) -> None:
+        """Ask where the arm is; the guard's dead man lives on these, our watchdog on their answers."""
+        while True:
+            await asyncio.sleep(self.settings.poll_s)
+            self._say("H", self._next())
+            silent_s = self._silence.over(time.monotonic())
+            if silent_s is not None:
+                self._fail("silent", f"the guard has not answered for {silent_s * 1e3:.0f} ms")
+
+    async def _read_guard(self, reader: asyncio.StreamReader) -> None:
+        parser = TextParser()
+        with contextlib.suppress(OSError):
+            while data := await reader.read(4096):
+                for text in parser.feed(data):
+                    self._on_guard(text)
+        self._fail("link", "the guard closed the connection")
+
+    async def _read_motion(self, reader: asyncio.StreamReader) -> None:
+        parser = TextParser()
+        with contextlib.suppress(OSError):
+            while data := await reader.read(4096):
+                for text in parser.feed(data):
+                    self._on_motion(text)
+        self._fail("link", "the motion server closed the connection")
+
+    def _on_guard(self, text: str) -> None:
+        try:
+            state = codec.decode_guard(text)
+            near_deg = self._here.yaw_deg if self._here else 0.0
+            self._here, self._tilt_deg = self.frame.from_controller(state.pose, near_deg)
+        except ValueError:
+            return  # not an answer: only answers keep the link alive
+        self._silence.heard(time.monotonic())
+        self._answers += 1
+        if self._tilt_deg > self.limits.max_tilt_deg:
+            self._fail("tilt", f"the tool is tilted by {self._tilt_deg:.2f} deg")
+        self._release(state)
+        self._settle(self._here, state)
+
+    def _release(self, state: GuardState) -> None:
+        """The guard confirmed that its flag is down for this move: now it may start."""
+        if self._pending is None or state.number != self._pending[0] or state.stopped:
+            return
+        number, target, speed = self._pending
+        self._pending = None
+        if self._motion is not None and not self._latched:
+            self._sent = number
+            self._motion.write(codec.encode_move(number, self.frame.to_controller(target), speed))
+
+    def _on_motion(self, text: str) -> None:
+        try:
+            answer: MotionAnswer = codec.decode_motion(text)
+        except ValueError as error:
+            self._fail("protocol", str(error))
+            return
+        if answer.number == self._sent:
+            self._sent = None
+        if answer.result == "refused":
+            self._fail("refused", f"the motion server refused: {answer.reason}")
+        elif answer.number == self._move and self._waiting == "arrived":
+            if answer.result == "stopped":
+                self._fail("guard", "the guard stopped the arm without being asked")
+            else:  # where it is now is the next question's answer, not the last one's
+                self._waiting, self._asked = "fresh position", self._next()
+                self._say("H", self._asked)
+
+    def _settle(self, here: WorkPose, state: GuardState) -> None:
+        now_s = time.monotonic()
+        if self._waiting == "fresh position" and state.number == self._asked:
+            self._waiting = None
+            self._tell(Arrived(at_s=now_s, pose=here))
+        # A move that is still on its way would begin with the release of the next one: it is waited for.
+        if self._waiting != "standstill" or not state.stopped or self._sent is not None:
+            return
+        if self._still is None or (
+            self._still.distance_mm(here) > _STILL_MM or self._still.turn_deg(here) > _STILL_DEG
+        ):
+            self._still, self._still_since_s = here, now_s
+        elif now_s - self._still_since_s >= _STILL_S:
+            self._waiting = None
+            self._tell(Standstill(at_s=now_s, pose=here))
+
+    def _tell(self, event: Arrived | Standstill) -> None:
+        if self._post is not None and not self._latched:
+            self._post(event)
+
+    def _fail(self, code: str, detail: str) -> None:
+        if self._latched or self._post is None:
+            return
+        self._latched = f"{code}: {detail}"
+        self._pending = None
+        self._say("S", self._next())
+        self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
+
+    def _stop_program(self) -> None:
+        if self.rws is not None and self.rws.started and self._stopping is None:
+            self._stopping = asyncio.get_running_loop().create_task(self.rws.stop_program())

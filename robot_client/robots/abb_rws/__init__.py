@@ -1,0 +1,1 @@
+"""Robot Web Services of an ABB controller, shared by its arms."""

@@ -1,0 +1,108 @@
+"""The episode log: one JSON object a line, every event and every command in order; enough to replay the insertion.
+
+First line: the plan. Then ``{"event": ...}`` and ``{"command": ...}`` as they happened; last ``{"end": ...}``.
+"""
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from pydantic import ValidationError
+
+from robot_client.insertion.events import Command, Event, parse_command, parse_event
+from robot_client.insertion.state import Plan
+from service.contract.frames import ContractError, first_error
+
+LOG_VERSION = 1
+
+
+class Recorder:
+    """Writes one episode; a line is on its way to the disk before the next event is handled.
+
+    A log that cannot be begun raises ContractError. One that can be written no further (a full disk) ends there and
+    ``lost`` says why: an error among the events would kill the task that listens for slip.
+    """
+
+    def __init__(self, path: Path | None, plan: Plan) -> None:
+        self.path = path
+        self.lost = ""
+        self._file: IO[str] | None = None
+        if path is not None:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = path.open("x", encoding="utf-8", buffering=1)
+            except OSError as error:
+                raise ContractError(f"cannot write the episode log {path}: {error.strerror}") from None
+        self._write({"version": LOG_VERSION, "plan": plan.model_dump(mode="json")})
+
+    def event(self, event: Event) -> None:
+        """Log an event."""
+        self._write({"event": event.model_dump(mode="json")})
+
+    def command(self, command: Command) -> None:
+        """Log a command that is being carried out."""
+        self._write({"command": command.model_dump(mode="json")})
+
+    def end(self, summary: dict[str, Any]) -> None:
+        """Log how it ended and close."""
+        self._write({"end": summary})
+        self._close()
+
+    def _write(self, line: dict[str, Any]) -> None:
+        if self._file is None:
+            return
+        try:
+            self._file.write(json.dumps(line, allow_nan=False) + "\n")
+        except OSError as error:
+            self.lost = error.strerror or str(error)
+            self._close()
+
+    def _close(self) -> None:
+        if self._file is not None:
+            with contextlib.suppress(OSError):  # what it could not write, it tries to write again
+                self._file.close()
+            self._file = None
+
+
+def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
+    """Plan, events and commands in order, and the end (empty if the episode was cut); raises ContractError."""
+    entries: list[Event | Command] = []
+    plan: Plan | None = None
+    end: dict[str, Any] = {}
+    for number, line in _lines(path):
+        try:
+            if "plan" in line:
+                plan = Plan.model_validate_json(json.dumps(line["plan"]))
+            elif "event" in line:
+                entries.append(parse_event(line["event"]))
+            elif "command" in line:
+                entries.append(parse_command(line["command"]))
+            elif isinstance(line.get("end", {}), dict):
+                end = line.get("end", end)
+            else:
+                raise ContractError(f"{path}, line {number}: end: expected a JSON object")
+        except ValidationError as error:
+            raise ContractError(f"{path}, line {number}: {first_error(error)}") from None
+    if plan is None:
+        raise ContractError(f"{path} has no plan in its first line; is it an episode log?")
+    return plan, entries, end
+
+
+def _lines(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ContractError(f"cannot read episode log {path}: {error}") from None
+    lines = text.splitlines()
+    for number, line in enumerate(lines, 1):
+        try:
+            data = json.loads(line)
+        except json.JSONDecodeError as error:
+            if number == len(lines):
+                return  # the client died while it wrote this line; what came before still counts
+            raise ContractError(f"{path}, line {number}: {error.msg}") from None
+        if not isinstance(data, dict):
+            raise ContractError(f"{path}, line {number}: expected a JSON object")
+        yield number, data

@@ -1,0 +1,170 @@
+"""What the operator sees: each attempt as it happens, and one screen at the end. Also the rows for the episode log."""
+
+from collections.abc import Callable
+from typing import Any
+
+from pydantic import Field
+
+from robot_client.insertion.events import Event, FromService, Grasped, Standstill
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.state import Phase, State
+from service.contract import wire
+from service.contract.frames import Contract
+
+
+class AttemptRow(Contract):
+    """One attempt. Depths below the armed pose; ``overtravel_mm`` from the slip message to standstill."""
+
+    attempt: int
+    x_mm: float = 0.0
+    yaw_deg: float = 0.0
+    slip_depth_mm: float | None = None
+    slip_finger: str = ""
+    slip_age_ms: float | None = None
+    stop_depth_mm: float | None = None
+    overtravel_mm: float | None = None
+    probabilities: dict[str, float] = Field(default_factory=dict)
+    estimate: tuple[float, float] | None = None
+    correction: tuple[float, float] | None = None
+    controller: str = ""
+    reason: str = ""
+    service_ms: dict[str, float] = Field(default_factory=dict)
+    decided_after_ms: float | None = None
+
+
+class Report:
+    """Observer that collects the attempts and prints them."""
+
+    def __init__(self, position: Callable[[], WorkPose | None], show: Callable[[str], None]) -> None:
+        self.rows: list[AttemptRow] = []
+        self._position = position
+        self._show = show
+        self._phase = Phase.START
+        self._stopped_s = 0.0
+
+    def on_event(self, state: State, event: Event) -> None:
+        """Note what the event adds and print it."""
+        entered, self._phase = state.phase is not self._phase, state.phase
+        if isinstance(event, FromService):
+            self._on_message(state, event.message, event.at_s)
+        elif isinstance(event, Grasped):
+            self._show(f"gripper holds the object, width {event.width_mm:.1f} mm")
+        elif isinstance(event, Standstill) and self.rows and state.armed is not None:
+            self._on_standstill(state.armed, event)
+        if entered and state.phase is Phase.APPROACHING:
+            self._show("approaching")
+        if entered and state.phase is Phase.ARMING and state.armed is not None:
+            self.rows.append(AttemptRow(attempt=state.attempt, x_mm=state.armed.x_mm, yaw_deg=state.armed.yaw_deg))
+        if entered and state.phase is Phase.FAILED:
+            self._show(f"HOLD  {state.reason}")
+
+    def _on_message(self, state: State, message: wire.ServiceMessage, at_s: float) -> None:
+        if isinstance(message, wire.ServiceHello):
+            models = ", ".join(entry.card.name for entry in message.models) or "none"
+            cameras = ", ".join(f"{camera.finger} {camera.state}" for camera in message.cameras) or "none"
+            self._show(f"service: controller {message.controller}, models {models}, cameras {cameras}")
+        elif not self.rows or getattr(message, "attempt", None) != self.rows[-1].attempt:
+            return
+        elif isinstance(message, wire.Slip) and self.rows[-1].slip_depth_mm is None:
+            self._on_slip(state, message)
+        elif isinstance(message, wire.Correction) and self.rows[-1].correction is None:
+            self._on_correction(message, at_s)
+        elif isinstance(message, wire.NoDecision):
+            self._update(reason=f"no decision: {message.reason}: {message.detail}")
+            self._show(_attempt_line(self.rows[-1]))
+
+    def _on_slip(self, state: State, message: wire.Slip) -> None:
+        here = self._position()
+        if here is not None and state.armed is not None:
+            depth_mm = state.armed.z_mm - here.z_mm
+            self._update(slip_depth_mm=depth_mm, slip_finger=message.finger, slip_age_ms=message.age_ms)
+
+    def _on_standstill(self, armed: WorkPose, event: Standstill) -> None:
+        self._stopped_s = event.at_s
+        depth_mm = armed.z_mm - event.pose.z_mm
+        slip_mm = self.rows[-1].slip_depth_mm
+        self._update(stop_depth_mm=depth_mm, overtravel_mm=None if slip_mm is None else depth_mm - slip_mm)
+        if self._phase in (Phase.CLOSING, Phase.FAILED):
+            self._show(_attempt_line(self.rows[-1]))
+
+    def _on_correction(self, message: wire.Correction, at_s: float) -> None:
+        self._update(
+            probabilities=message.class_probabilities,
+            estimate=(message.estimate.dx_mm, message.estimate.dtheta_deg),
+            correction=(message.dx_mm, message.dtheta_deg),
+            controller=message.controller,
+            reason=message.reason,
+            service_ms=message.latency_ms,
+            decided_after_ms=(at_s - self._stopped_s) * 1e3,
+        )
+        for line in _correction_lines(self.rows[-1]):
+            self._show(line)
+
+    def _update(self, **values: Any) -> None:
+        self.rows[-1] = self.rows[-1].model_copy(update=values)
+
+    def summary(self) -> dict[str, Any]:
+        """The rows, for the episode log."""
+        return {"rows": [row.model_dump(mode="json") for row in self.rows]}
+
+    def final(self, state: State, farewell: str, link: dict[str, Any]) -> list[str]:
+        """One screen: outcome, attempts, overtravel, link."""
+        word = "INSERTED" if state.phase is Phase.INSERTED else "NOT INSERTED"
+        lines = [f"{word} after {state.attempt} attempt{'s' if state.attempt != 1 else ''}"]
+        if state.reason:
+            lines.append(f"  reason      {state.reason}")
+        lines += _seat(state)
+        over = [row.overtravel_mm for row in self.rows if row.overtravel_mm is not None]
+        if over:
+            mean_mm = sum(over) / len(over)
+            lines.append(f"  overtravel  mean {mean_mm:.2f} mm, worst {max(over):.2f} mm after the slip message")
+        waits = sorted(row.decided_after_ms for row in self.rows if row.decided_after_ms is not None)
+        if waits:
+            median_ms = waits[len(waits) // 2]
+            lines.append(f"  decisions   median {median_ms:.0f} ms after standstill, worst {waits[-1]:.0f} ms")
+        if link:
+            lines.append("  arm link    " + ", ".join(f"{key} {value}" for key, value in link.items()))
+        lines.append(f"  robot       {farewell}")
+        return lines
+
+
+def _seat(state: State) -> list[str]:
+    """What blocked attempts did to an inserted object's place in the hand, where that is worth a line."""
+    creep_mm, plan = state.creep_mm, state.plan
+    if state.phase is not Phase.INSERTED or creep_mm <= plan.depth_tolerance_mm:
+        return []
+    assert state.armed is not None
+    assert state.pose is not None
+    deeper_mm = state.armed.z_mm - state.pose.z_mm - plan.expected_depth_mm
+    pushed = f"  seat        pushed up about {creep_mm:.1f} mm in the hand by blocked attempts; "
+    if creep_mm - deeper_mm <= plan.depth_tolerance_mm:
+        return [f"{pushed}went {deeper_mm:.1f} mm deeper for it"]
+    allowed = f"creep_allowance_mm is {plan.creep_allowance_mm:g}"
+    return [f"{pushed}its bottom may be {creep_mm - deeper_mm:.1f} mm HIGHER than asked ({allowed})"]
+
+
+def _attempt_line(row: AttemptRow) -> str:
+    parts = [f"attempt {row.attempt:2d}  at x {row.x_mm:+6.2f} mm, yaw {row.yaw_deg:+6.2f} deg"]
+    if row.slip_depth_mm is not None:
+        parts.append(f"slip ({row.slip_finger}) at {row.slip_depth_mm:.2f} mm")
+    if row.stop_depth_mm is not None:
+        parts.append(f"stopped at {row.stop_depth_mm:.2f} mm")
+    if row.overtravel_mm is not None:
+        parts.append(f"overtravel {row.overtravel_mm:.2f} mm")
+    if row.reason and row.correction is None:
+        parts.append(row.reason)
+    return ", ".join(parts)
+
+
+def _correction_lines(row: AttemptRow) -> list[str]:
+    assert row.estimate is not None
+    assert row.correction is not None
+    likely = sorted(row.probabilities.items(), key=lambda item: -item[1])[:4]
+    classes = "  ".join(f"{name} {share:.0%}" for name, share in likely) or "-"
+    took = f"service {sum(row.service_ms.values()):.1f} ms, {row.decided_after_ms or 0.0:.0f} ms after standstill"
+    moved = f"correction {row.correction[0]:+.2f} mm, {row.correction[1]:+.2f} deg ({row.controller}; {took})"
+    return [
+        _attempt_line(row),
+        f"            classes {classes}",
+        f"            estimate x {row.estimate[0]:+.2f} mm, theta {row.estimate[1]:+.2f} deg -> {moved}",
+    ]

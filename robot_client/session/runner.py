@@ -1,0 +1,137 @@
+"""Carries out what the insertion orders: owns the ports, the clock and the log; decides nothing."""
+
+import asyncio
+import contextlib
+import time
+from collections import deque
+from collections.abc import Coroutine
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from robot_client.insertion.events import Begin, Command, Event, Failure, Grasp, Hold, Move, Say, Tick
+from robot_client.insertion.limits import LimitError
+from robot_client.insertion.machine import step
+from robot_client.insertion.state import Phase, Plan, State
+from robot_client.ports import Arm, DecisionService, Gripper
+from robot_client.session.recorder import Recorder
+
+_TICK_S = 0.02
+
+
+class Observer(Protocol):
+    """Told of everything that happens, for the terminal."""
+
+    def on_event(self, state: State, event: Event) -> None:
+        """``event`` happened; ``state`` is the one after it."""
+
+    def summary(self) -> dict[str, Any]:
+        """What it adds to the log's last line."""
+
+
+async def to_the_end(work: Coroutine[Any, Any, None]) -> None:
+    """Carry out ``work`` whole: who interrupts once more must not break off the stop that is under way."""
+    task = asyncio.get_running_loop().create_task(work)
+    while not task.done():
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.shield(task)
+    task.result()
+
+
+@dataclass(slots=True)
+class Runner:
+    """Runs one insertion to its end. Events are handled in the order they come, commands at once, on one event loop."""
+
+    plan: Plan
+    arm: Arm
+    gripper: Gripper
+    service: DecisionService
+    recorder: Recorder
+    observers: tuple[Observer, ...] = ()
+    state: State = field(init=False)
+    farewell: str = ""
+    _events: deque[Event] = field(default_factory=deque)
+    _handling: bool = False
+    _done: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def __post_init__(self) -> None:
+        self.state = State(self.plan)
+
+    async def run(self) -> State:
+        """From connecting to closing; raises DriverError if a device cannot be made ready (nothing has moved then)."""
+        try:
+            await self.service.start(self.post)
+            await self.gripper.start(self.post)
+            if not self.state.done:  # after a failure no motors, no program
+                pose = await self.arm.start(self.post)
+                self.post(Begin(at_s=time.monotonic(), pose=pose))
+            while not self._done.is_set():
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._done.wait(), _TICK_S)
+                self.post(Tick(at_s=time.monotonic()))
+        except asyncio.CancelledError:
+            self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
+        finally:
+            await to_the_end(self._close())
+        return self.state
+
+    def post(self, event: Event) -> None:
+        """Handle an event now, or right after the one being handled. Called by the drivers on the event loop."""
+        self._events.append(event)
+        if self._handling:
+            return
+        self._handling = True
+        try:
+            while self._events:
+                self._handle(self._events.popleft())
+        finally:
+            self._handling = False
+
+    def _handle(self, event: Event) -> None:
+        before = self.state
+        self.state, commands = step(before, event)
+        for command in commands:
+            self._carry_out(command)
+        if not isinstance(event, Tick) or self.state is not before:
+            self.recorder.event(event)
+        for command in commands:
+            self.recorder.command(command)
+        for observer in self.observers:
+            with contextlib.suppress(OSError):  # a terminal that is gone must not end the task that brought the event
+                observer.on_event(self.state, event)
+        if self.state.done:
+            self._done.set()
+
+    def _carry_out(self, command: Command) -> None:
+        try:
+            match command:
+                case Hold():
+                    self.arm.hold(command.reason, stop=command.stop)
+                case Move():
+                    self.arm.move(command.target, command.motion)
+                case Grasp():
+                    self.gripper.grasp()
+                case Say():
+                    self.service.send(command.message)
+        except LimitError as error:
+            self._events.append(Failure(at_s=time.monotonic(), source="limits", code="move", detail=str(error)))
+
+    async def _close(self) -> None:
+        """Arm first: whatever else hangs, the program is stopped."""
+        with contextlib.suppress(Exception):
+            self.farewell = await self.arm.close()
+        for port in (self.service, self.gripper):
+            with contextlib.suppress(Exception):
+                await port.close()
+        self.recorder.end(self.summary())
+
+    def summary(self) -> dict[str, Any]:
+        """How it ended, for the log."""
+        return {
+            "phase": str(self.state.phase),
+            "inserted": self.state.phase is Phase.INSERTED,
+            "attempts": self.state.attempt,
+            "reason": self.state.reason,
+            "controller": self.farewell,
+            "link": self.arm.statistics(),
+            **{key: value for observer in self.observers for key, value in observer.summary().items()},
+        }

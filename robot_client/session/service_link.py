@@ -1,0 +1,132 @@
+"""The WebSocket to the decision service: one connection is one insertion.
+
+Messages go out in order from a queue; what comes in is parsed strictly and posted as an event. Heartbeats run both
+ways: a service that does not answer them is a lost link, whatever TCP still believes.
+"""
+
+import asyncio
+import contextlib
+import time
+from dataclasses import dataclass, field
+
+from pydantic import Field
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, WebSocketException
+
+from robot_client.insertion.events import Failure, FromService
+from robot_client.ports import DriverError, Post
+from robot_client.silence import Silence
+from service.contract import wire
+from service.contract.frames import Contract, ContractError
+
+
+class ServiceSettings(Contract):
+    """Where the service is and how long it may be silent."""
+
+    url: str = Field(default="ws://127.0.0.1:8000/v1/insertion", pattern=r"^wss?://[^/\s]+(/\S*)?$")
+    connect_timeout_s: float = Field(default=3.0, gt=0)
+    heartbeat_s: float = Field(default=0.1, gt=0, le=1.0)
+    silence_s: float = Field(default=0.75, gt=0)
+
+
+@dataclass(slots=True)
+class ServiceLink:
+    """DecisionService port over WebSocket."""
+
+    settings: ServiceSettings
+    insertion_id: str
+    _post: Post | None = None
+    _connection: ClientConnection | None = None
+    _outbox: asyncio.Queue[wire.ClientMessage] = field(default_factory=asyncio.Queue)
+    _tasks: list[asyncio.Task[None]] = field(default_factory=list)
+    _silence: Silence = field(init=False)
+    _greeted: bool = False
+
+    def __post_init__(self) -> None:
+        self._silence = Silence(self.settings.silence_s, self.settings.heartbeat_s)
+
+    async def start(self, post: Post) -> None:
+        """Connect; raises DriverError."""
+        self._post = post
+        settings = self.settings
+        try:
+            self._connection = await connect(
+                settings.url,
+                compression=None,
+                open_timeout=settings.connect_timeout_s,
+                close_timeout=1.0,
+                ping_interval=None,  # our own heartbeat is the stricter one
+                max_size=wire.MAX_TEXT_BYTES,
+                proxy=None,
+            )
+        except (OSError, TimeoutError, WebSocketException, ValueError) as error:
+            raise DriverError(f"service: cannot connect to {settings.url}: {type(error).__name__} {error}") from None
+        self._silence.heard(time.monotonic())
+        for work in (self._receive(), self._send(), self._beat()):
+            self._tasks.append(asyncio.get_running_loop().create_task(work))
+
+    def send(self, message: wire.ClientMessage) -> None:
+        """Queue a message."""
+        self._outbox.put_nowait(message)
+
+    async def close(self) -> None:
+        """Send what is queued, then close."""
+        self._post = None
+        if self._connection is None:
+            return
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._outbox.join(), 1.0)
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        with contextlib.suppress(WebSocketException, OSError, TimeoutError):
+            await asyncio.wait_for(self._connection.close(), 2.0)
+
+    async def _receive(self) -> None:
+        assert self._connection is not None
+        try:
+            async for text in self._connection:
+                now_s = time.monotonic()
+                message = wire.parse_service(text)
+                self._silence.heard(now_s)
+                self._greeted = self._greeted or isinstance(message, wire.ServiceHello)
+                if self._post is not None:
+                    self._post(FromService(at_s=now_s, message=message))
+            self._fail("link", "the service closed the connection")
+        except ContractError as error:
+            self._fail("protocol", f"unreadable message: {error}")
+        except ConnectionClosed as error:
+            self._fail("link", f"connection lost: {error}")
+        except Exception as error:  # a defect of ours must not leave the arm moving with nobody listening
+            self._fail("internal", f"{type(error).__name__}: {error}")
+            raise
+
+    async def _send(self) -> None:
+        assert self._connection is not None
+        while True:
+            message = await self._outbox.get()
+            try:
+                await self._connection.send(message.model_dump_json())
+            except ConnectionClosed as error:
+                self._fail("link", f"connection lost: {error}")
+                return
+            finally:
+                self._outbox.task_done()
+
+    async def _beat(self) -> None:
+        """Heartbeats once greeted; silence counts from the last message of any kind."""
+        count = 0
+        while True:
+            await asyncio.sleep(self.settings.heartbeat_s)
+            if not self._greeted:
+                continue
+            count += 1
+            self.send(wire.ClientHeartbeat(insertion_id=self.insertion_id, count=count))
+            silent_s = self._silence.over(time.monotonic())
+            if silent_s is not None:
+                self._fail("silent", f"no message for {silent_s * 1e3:.0f} ms")
+
+    def _fail(self, code: str, detail: str) -> None:
+        if self._post is not None:
+            post, self._post = self._post, None
+            post(Failure(at_s=time.monotonic(), source="service", code=code, detail=detail))

@@ -1,0 +1,294 @@
+"""The command line: a rehearsal by default, one clear line for wrong input, and exit codes that scripts can trust."""
+
+import asyncio
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import robot_client
+from robot_client.__main__ import main
+from robot_client.cli.check import _check
+from robot_client.cli.jog import _home, _jog
+from robot_client.grippers.wsg50.codec import HomingDirection
+from robot_client.grippers.wsg50.driver import GripperError, Wsg50
+from robot_client.insertion.geometry import WorkPose
+from robot_client.ports import DriverError
+from robot_client.session.recorder import Recorder, read_log
+from robot_client.session.replay import ReplayError, replay
+from robot_client.settings import PASSWORD_VARIABLE, SettingsError, load_settings
+from service.contract import ContractError
+from tests.robot_client.live_cell import bench
+
+
+@pytest.fixture(scope="module")
+def rehearsed(tmp_path_factory):
+    log = tmp_path_factory.mktemp("log") / "episode.jsonl"
+    assert main(["insert", "--x-mm", "8", "--theta-deg", "6", "--log", str(log)]) == 0
+    return log
+
+
+def test_a_rehearsal_inserts_and_replays(rehearsed, capsys):
+    assert main(["replay", str(rehearsed)]) == 0
+    out = capsys.readouterr().out
+    assert "INSERTED after 3 attempts" in out
+
+
+def test_a_log_is_never_overwritten(rehearsed, capsys):
+    assert main(["insert", "--log", str(rehearsed)]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_a_changed_log_does_not_replay(rehearsed, tmp_path):
+    lines = rehearsed.read_text().splitlines()
+    index = next(i for i, line in enumerate(lines) if '"motion": "retract"' in line)
+    changed = json.loads(lines[index])
+    changed["command"]["target"]["x_mm"] += 0.001
+    path = tmp_path / "changed.jsonl"
+    path.write_text("\n".join([*lines[:index], json.dumps(changed), *lines[index + 1 :]]))
+    with pytest.raises(ReplayError, match=f"line {index + 1}"):
+        replay(path, show=lambda _line: None)
+    assert main(["replay", str(path)]) == 2
+
+
+def test_a_log_that_was_cut_in_the_middle_of_a_line_still_reads(rehearsed, tmp_path):
+    path = tmp_path / "cut.jsonl"
+    path.write_text(rehearsed.read_text()[:-200])
+    plan, entries, end = read_log(path)
+    assert plan.gap_width_mm == 56.0
+    assert entries
+    assert end == {}
+
+
+@pytest.mark.parametrize("end", ["3", "[]", '{"phase": "inserted", "link": 3}'])
+def test_an_end_that_is_none_is_no_traceback(end, rehearsed, tmp_path, capsys):
+    path = tmp_path / "end.jsonl"
+    path.write_text("\n".join([*rehearsed.read_text().splitlines()[:-1], f'{{"end": {end}}}']))
+    assert main(["replay", str(path)]) in {0, 2}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "nonsense\nmore\n", "[1]\n{}\n", '{"event": {"kind": "begin"}}\n{}\n', '{"end": 3}\n']
+)
+def test_a_file_that_is_no_log_is_refused_in_one_line(text, tmp_path):
+    path = tmp_path / "x.jsonl"
+    path.write_text(text)
+    with pytest.raises(ContractError):
+        read_log(path)
+
+
+@pytest.mark.parametrize(
+    ("toml", "expect"),
+    [
+        ("[limits]\nmax_dx = 3", "limits.max_dx"),
+        ("[limits]\nx_mm = [1]", "limits.x_mm"),
+        ("[limits]\nmax_dx_mm = nan", "limits.max_dx_mm"),
+        ("[egm\n", "cannot read configuration"),
+        ("[egm]\nport = -5", "egm.port"),
+        ("[egm]\nsilence_s = -1.0", "egm.silence_s"),
+        ('[service]\nurl = "http://127.0.0.1"', "service.url"),
+        ("[task]\ngap_width_mm = -1", "task.gap_width_mm"),
+        ("[limits]\nz_mm = [5, 900]\n[task]\napproach_z_mm = 600", "grasp_height_mm"),
+        ("[timeouts]\ndeciding_s = 0", "timeouts.deciding_s"),
+        ("[work_object]\nrotation = [0, 0, 0, 0]", "no rotation"),
+        ("[ramps.travel]\nspeed_mm_s = 0\nacceleration_mm_s2 = 1\njerk_mm_s3 = 1", "limits"),
+    ],
+)
+def test_a_wrong_configuration_is_one_line_and_exit_code_two(toml, expect, tmp_path, capsys):
+    path = tmp_path / "cell.toml"
+    path.write_text(toml)
+    code = main(["insert", "--config", str(path), "--log", str(tmp_path / "x.jsonl")])
+    err = capsys.readouterr()
+    assert code == 2 or (code == 1 and "limits" in err.out)
+    assert expect in err.err + err.out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--gripper", "nohost"],
+        ["--config", "/nonexistent.toml"],
+        ["--egm-port", "99999"],
+        ["--rws-url", "nope"],
+        ["--rws-url", "http://192.168.125.1:99999"],
+        ["--rws-url", "http://[::1"],
+        ["--rws-url", "http://\u2603.example"],
+        ["--gap-width-mm", "2000"],
+        ["--expected-depth-mm", "2000"],
+        ["--x-mm", "1e308"],
+        ["--insertion-id", "../../x"],
+        ["--log", "/dev/null/x.jsonl"],
+    ],
+)
+def test_wrong_arguments_are_one_line_and_exit_code_two(arguments, capsys):
+    assert main(["insert", *arguments]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_rehearsal_says_what_the_arm_would_refuse(tmp_path, capsys):
+    path = tmp_path / "cell.toml"
+    path.write_text("[limits]\nmax_turn_deg_s = 5")
+    assert main(["insert", "--x-mm", "0", "--theta-deg", "9", "--config", str(path), "--log", str(tmp_path / "x")]) == 1
+    assert "turn deg/s" in capsys.readouterr().out
+
+
+def test_a_section_that_is_no_table_is_refused_beside_an_option_of_it(tmp_path, capsys):
+    path = tmp_path / "cell.toml"
+    path.write_text("egm = 3")
+    assert main(["insert", "--config", str(path), "--egm-port", "6511"]) == 2
+    assert "egm" in capsys.readouterr().err
+
+
+def test_a_full_disk_ends_the_log_and_not_the_insertion(tmp_path, capsys, monkeypatch):
+    kept = Recorder._write
+
+    def fills_up(self, line):
+        if self.written > 5 and self._file is not None and self._file.name != "/dev/full":
+            self._file.close()
+            self._file = Path("/dev/full").open("w", encoding="utf-8", buffering=1)  # noqa: SIM115 the recorder closes it
+        self.written += 1
+        kept(self, line)
+
+    monkeypatch.setattr(Recorder, "written", 0, raising=False)
+    monkeypatch.setattr(Recorder, "_write", fills_up)
+    log = tmp_path / "episode.jsonl"
+    assert main(["insert", "--x-mm", "8", "--log", str(log)]) == 0
+    assert "BROKEN OFF: No space left on device" in capsys.readouterr().out
+    assert read_log(log)[1]
+
+
+def test_the_password_can_come_from_the_environment_and_is_never_shown(monkeypatch):
+    monkeypatch.setenv(PASSWORD_VARIABLE, "secret")
+    settings = load_settings(None)
+    assert settings.rws.password.get_secret_value() == "secret"
+    assert "secret" not in repr(settings)
+
+
+def test_unknown_sections_are_refused():
+    with pytest.raises(SettingsError, match="gripperr"):
+        load_settings(None, {"gripperr": {"port": 1}})
+
+
+def test_without_live_nothing_is_connected(capsys):
+    assert main(["jog", "--z-mm", "60", "--dry-run"]) == 0
+    assert main(["home", "--acknowledge"]) == 0
+    assert main(["jog", "--z-mm", "500"]) == 2
+    assert capsys.readouterr().out.count("DRY RUN") == 2
+
+
+def test_check_reads_every_device_and_moves_nothing(capsys):
+    async def story():
+        async with bench() as cell:
+            code = await _check(cell.settings)
+            moved = {pose.position_mm for _, _, pose in cell.trace}
+            commands = set(cell.wsg.counters.commands)
+            return code, moved, commands, cell.cabinet.running, cell.service.received
+
+    code, moved, commands, running, received = asyncio.run(story())
+    out = capsys.readouterr().out
+    assert code == 0, out
+    assert len(moved) == 1
+    assert not running
+    assert not commands & {"GRASP", "MOVE", "RELEASE", "HOMING", "STOP", "ACKNOWLEDGE"}
+    assert [message.role for message in received] == ["watch"]
+    assert "ready to insert" in out
+
+
+def test_check_names_what_is_not_ready(capsys):
+    async def story():
+        async with bench(overrides={"service": {"url": "ws://127.0.0.1:9"}}) as cell:
+            cell.board.update({"robot": {"mode": "MANF"}, "gripper": {"not_homed": True}})
+            return await _check(cell.settings)
+
+    assert asyncio.run(story()) == 1
+    out = capsys.readouterr().out
+    assert "BAD  robot     operating mode MANF" in out
+    assert "not homed" in out
+    assert "BAD  service" in out
+
+
+def test_jog_goes_up_over_and_down(capsys):
+    async def story():
+        async with bench() as cell:
+            code = await _jog(cell.settings, WorkPose(x_mm=-4.0, y_mm=1.0, z_mm=36.0, yaw_deg=-5.0))
+            return code, cell.cabinet.arm.pose, [pose for _, _, pose in cell.trace]
+
+    code, pose, path = asyncio.run(story())
+    assert code == 0
+    assert pose.position_mm == pytest.approx((-4.0, 1.0, 36.0), abs=0.05)
+    assert pose.yaw_deg == pytest.approx(-5.0, abs=0.1)
+    assert min(p.position_mm[2] for p in path if p.position_mm[0] > -3.9) > 39.9
+
+
+def test_jog_fails_safe_when_the_robot_stops(capsys):
+    async def story():
+        async with bench() as cell:
+
+            def stop_on_the_way():
+                if cell.cabinet.arm.pose.position_mm[2] > 45.0:
+                    cell.board.update({"robot": {"protective_stop": True}})
+
+            cell.egm.on_cycle.append(stop_on_the_way)
+            await _jog(cell.settings, WorkPose(x_mm=-30.0, y_mm=0.0, z_mm=100.0, yaw_deg=0.0))
+
+    with pytest.raises(DriverError, match="motors are off"):
+        asyncio.run(story())
+
+
+def test_home_refuses_to_drop_a_part_and_acknowledges_only_when_told(capsys):
+    async def story():
+        async with bench(holding=True) as cell:
+            with pytest.raises(GripperError, match="would drop"):
+                await _home(cell.settings, acknowledge=False, direction=HomingDirection.DEFAULT)
+        async with bench(holding=False) as cell:
+            cell.gripper.fast_stop()
+            with pytest.raises(GripperError, match="ACCESS_DENIED"):
+                await _home(cell.settings, acknowledge=False, direction=HomingDirection.DEFAULT)
+            assert "ACKNOWLEDGE" not in cell.wsg.counters.commands
+            return await _home(cell.settings, acknowledge=True, direction=HomingDirection.OUTWARD)
+
+    assert asyncio.run(story()) == 0
+
+
+def test_a_grasp_out_of_the_grippers_range_is_refused_before_it_is_sent():
+    async def story():
+        async with bench(holding=False, overrides={"gripper": {"force_limit_n": 200.0}}) as cell:
+            state = await cell.insert()
+            assert "GRASP" not in cell.wsg.counters.commands
+            return state
+
+    state = asyncio.run(story())
+    assert "force_limit_n = 200" in state.reason
+
+
+def test_the_gripper_driver_recovers_from_garbage_between_frames():
+    async def story():
+        async with bench() as cell:
+            gripper = Wsg50(cell.settings.gripper)
+            await gripper.connect()
+            cell.board.update({"wsg": {"garbage_next": 5}})
+            widths = [await gripper.width_mm() for _ in range(5)]
+            await gripper.close()
+            return widths
+
+    assert asyncio.run(story()) == pytest.approx([50.0] * 5)
+
+
+def test_the_client_loads_no_heavy_package():
+    code = (
+        "import sys, robot_client.cli.insert, robot_client.cli.check, robot_client.cli.jog;"
+        "import robot_client.session.replay;"
+        "bad = {'torch', 'numba', 'onnxruntime', 'fastapi', 'cv2', 'simulation', 'training'} & set(sys.modules);"
+        "sys.exit(str(sorted(bad)) if bad else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_configuration_in_the_readme_is_valid_and_is_the_default(tmp_path):
+    readme = (Path(robot_client.__file__).parent / "README.md").read_text()
+    path = tmp_path / "cell.toml"
+    path.write_text(readme.split("```toml\n")[1].split("```")[0])
+    assert load_settings(path) == load_settings(None)

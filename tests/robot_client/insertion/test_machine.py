@@ -1,0 +1,264 @@
+"""The insertion's state machine: the story it must tell."""
+
+import math
+
+import pytest
+
+from robot_client.insertion.events import (
+    MOTION_COMMANDS,
+    Begin,
+    Failure,
+    Grasped,
+    Hold,
+    Move,
+    PartLost,
+    Say,
+    Standstill,
+    Tick,
+)
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.machine import Phase, State, step
+from robot_client.session.report import Report
+from service.contract import wire
+from tests.robot_client.insertion.stories import (
+    APPROACH,
+    ID,
+    PLAN,
+    TO_ARMING,
+    TO_DECISION,
+    TO_DESCENT,
+    TO_STOP,
+    armed,
+    at,
+    correction,
+    hello,
+    no_decision,
+    run,
+    service,
+    slip,
+)
+
+
+def test_a_blocked_attempt_is_reported_corrected_in_the_air_and_tried_again():
+    state, commands = run(TO_DECISION)
+    assert state.phase is Phase.DECIDING
+    said = [c.message for c in commands if isinstance(c, Say)]
+    assert [m.type for m in said] == ["hello", "arm", "descending", "stopped"]
+    assert (said[-1].depth_mm, said[-1].outcome) == (7.0, "blocked")
+    state, (retract,) = step(state, service(correction(1)))
+    assert (retract.motion, retract.target) == ("retract", APPROACH), "up along the vertical it came down"
+    state, (travel,) = step(state, at(APPROACH))
+    assert (travel.motion, travel.target) == ("travel", APPROACH.corrected(-3.0, -2.0))
+    state, (arm,) = step(state, at(APPROACH.corrected(-3.0, -2.0)))
+    assert (state.phase, arm.message.attempt) == (Phase.ARMING, 2)
+
+
+def test_a_full_descent_is_an_insertion():
+    state, _ = run([*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)])
+    assert state.phase is Phase.CLOSING
+    state, commands = step(state, service(wire.Finished(insertion_id=ID, outcome="inserted", attempts=1)))
+    assert (state.phase, commands) == (Phase.INSERTED, ())
+
+
+TO_FULL_DEPTH = [*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)]
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        service(wire.Fault(insertion_id=ID, code="not_seated", detail="the gels still carry a push", fatal=False)),
+        service(wire.Fault(insertion_id=ID, code="not_seen", detail="no frame pair", fatal=False)),
+        service(wire.Finished(insertion_id=ID, outcome="failed", attempts=1)),
+        Failure(at_s=0.0, source="service", code="link", detail="connection lost"),
+        Failure(at_s=0.0, source="service", code="silent", detail="no message"),
+        Tick(at_s=5.1),
+    ],
+    ids=["not seated", "not seen", "failed", "link lost", "silent", "no answer"],
+)
+def test_full_depth_alone_is_no_claim(event):
+    state, _ = run(TO_FULL_DEPTH)
+    assert state.phase is Phase.CLOSING
+    state, commands = step(state, event)
+    assert state.phase is Phase.FAILED
+    assert isinstance(commands[0], Hold)
+    assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
+    if not isinstance(getattr(event, "message", None), wire.Finished | wire.Fault):
+        assert "not claimed" in state.reason
+
+
+def test_a_late_slip_still_counts_as_inserted_when_the_depth_says_so():
+    state, commands = run([*TO_STOP, at(APPROACH.at_height(11.0), Standstill)])
+    assert state.phase is Phase.CLOSING
+    assert commands[-1].message.outcome == "inserted"
+
+
+def test_the_approach_goes_up_over_and_down():
+    low = WorkPose(x_mm=-5.0, y_mm=2.0, z_mm=20.0, yaw_deg=0.0)
+    state, commands = run([Begin(at_s=0.0, pose=low), service(hello()), Grasped(at_s=0.0, width_mm=50.0)])
+    path = [commands[-1].target, *state.path]
+    assert path == [low.at_height(35.0), APPROACH, APPROACH]
+
+
+@pytest.mark.parametrize("repeat", [1, 2, 5])
+def test_a_correction_is_applied_once(repeat):
+    state, _ = run(TO_DECISION)
+    moves = []
+    for _ in range(repeat):
+        state, commands = step(state, service(correction(1)))
+        moves += commands
+    assert len(moves) == 1
+    state, again = run([service(correction(1)), at(APPROACH), service(correction(1))], state)
+    assert [c.motion for c in again if isinstance(c, Move)] == ["travel"]
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        correction(1, dx=math.nan),
+        correction(1, dtheta=math.inf),
+        correction(1, dx=16.5),
+        correction(1, dtheta=-16.5),
+        correction(2),
+        correction(1, insertion_id="other"),
+        no_decision(1, "non_finite"),
+        wire.Fault(insertion_id=ID, code="x", detail="y", fatal=False),
+        wire.Finished(insertion_id=ID, outcome="failed", attempts=1),
+    ],
+)
+def test_a_decision_that_cannot_be_trusted_holds_and_moves_nothing(message):
+    state, _ = run(TO_DECISION)
+    state, commands = step(state, service(message))
+    assert state.phase is Phase.FAILED
+    assert state.reason
+    assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
+    assert isinstance(commands[0], Hold)
+
+
+def test_a_correction_that_leaves_the_box_is_refused():
+    state, _ = run(TO_DECISION)
+    wide = PLAN.model_copy(update={"limits": PLAN.limits.model_copy(update={"x_mm": (-10.0, 10.0)})})
+    state = State(wide, **{f: getattr(state, f) for f in ("phase", "attempt", "pose", "armed", "deadline_s")})
+    state, commands = step(state, service(correction(1, dx=3.0)))
+    assert state.phase is Phase.FAILED
+    assert "x_mm = 11" in state.reason
+    assert isinstance(commands[0], Hold)
+
+
+def test_a_correction_that_comes_too_late_is_refused():
+    state, _ = run(TO_DECISION)
+    state, _ = step(state, service(correction(1), at_s=5.1))
+    assert state.phase is Phase.FAILED
+    assert "age" in state.reason
+
+
+def test_no_decision_probes_the_same_spot_again_but_not_for_ever():
+    state, _ = run(TO_DECISION)
+    for attempt in (1, 2):
+        state, commands = step(state, service(no_decision(attempt)))
+        assert commands[0].target == APPROACH
+        events = [at(APPROACH), at(APPROACH), service(armed(attempt + 1)), service(slip(attempt + 1))]
+        state, _ = run([*events, at(APPROACH.at_height(28.0), Standstill)], state)
+        assert state.armed == APPROACH
+    state, _ = step(state, service(no_decision(3)))
+    assert state.phase is Phase.FAILED
+
+
+def _second_descent(allowance_mm, first_mm, second_mm):
+    """State and descent target of the third attempt, two blocked ones before it, and the depths those stopped at."""
+    state = State(PLAN.model_copy(update={"creep_allowance_mm": allowance_mm}))
+    state, _ = run(TO_ARMING, state)
+    for attempt, depth_mm in ((1, first_mm), (2, second_mm)):
+        blocked = at(APPROACH.at_height(APPROACH.z_mm - depth_mm), Standstill)
+        state, _ = run([service(armed(attempt)), service(slip(attempt)), blocked], state)
+        state, _ = run([service(correction(attempt, 0.0, 0.0)), at(APPROACH), at(APPROACH)], state)
+    return run([service(armed(3))], state)
+
+
+@pytest.mark.parametrize(
+    ("allowance_mm", "second_mm", "bottom_mm"), [(0.0, 9.0, 25.0), (4.0, 9.0, 27.5), (2.0, 9.0, 27.0), (4.0, 6.0, 25.0)]
+)
+def test_a_part_pushed_up_in_the_hand_is_brought_as_much_deeper_as_is_allowed(allowance_mm, second_mm, bottom_mm):
+    _, commands = _second_descent(allowance_mm, 6.5, second_mm)
+    assert commands[-1].target == APPROACH.at_height(APPROACH.z_mm - bottom_mm)
+
+
+@pytest.mark.parametrize(("allowance_mm", "says"), [(0.0, "may be 2.5 mm HIGHER"), (4.0, "went 2.5 mm deeper")])
+def test_the_last_screen_says_where_the_part_sits_in_the_hand(allowance_mm, says):
+    state, commands = _second_descent(allowance_mm, 6.5, 9.0)
+    bottom = commands[-1].target
+    finished = service(wire.Finished(insertion_id=ID, outcome="inserted", attempts=3))
+    state, _ = run([at(bottom), at(bottom, Standstill), finished], state)
+    assert state.phase is Phase.INSERTED
+    assert says in "\n".join(Report(lambda: None, print).final(state, "", {}))
+
+
+def test_an_allowance_that_leaves_the_box_never_starts():
+    state, commands = step(State(PLAN.model_copy(update={"creep_allowance_mm": 6.0})), TO_ARMING[0])
+    assert state.phase is Phase.FAILED
+    assert "z_mm" in state.reason
+    assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
+
+
+def test_a_lost_part_stops_the_descent_and_is_reported_as_dropped():
+    state, commands = run([*TO_DESCENT, PartLost(at_s=0.0)])
+    assert (state.phase, type(commands[-1])) == (Phase.STOPPING, Hold)
+    state, commands = step(state, at(APPROACH.at_height(20.0), Standstill))
+    assert state.phase is Phase.FAILED
+    assert commands[0].message.outcome == "dropped"
+
+
+def test_fifteen_attempts_are_enough():
+    state, _ = run(TO_ARMING)
+    for attempt in range(1, 16):
+        here = state.armed
+        blocked = [service(armed(attempt)), service(slip(attempt)), at(here.at_height(28.0), Standstill)]
+        state, _ = run(blocked, state)
+        if attempt < 15:
+            state, _ = run([service(correction(attempt, 0.1, 0.1)), at(here), at(here.corrected(0.1, 0.1))], state)
+    assert (state.phase, state.attempt) == (Phase.FAILED, 15)
+
+
+@pytest.mark.parametrize("age", [None, 1500.0])
+def test_a_camera_that_stands_still_stops_the_descent(age):
+    state, _ = run(TO_DESCENT)
+    beat = wire.ServiceHeartbeat(insertion_id=ID, count=1, frame_age_ms=age)
+    state, commands = step(state, service(beat))
+    assert state.phase is Phase.FAILED
+    assert isinstance(commands[0], Hold)
+
+
+def test_a_service_with_a_lost_camera_or_another_protocol_is_refused_before_any_motion():
+    lost = wire.CameraEntry(finger="left", source="s", state="lost")
+    for message in (hello(cameras=(lost,)), hello(protocol=2)):
+        state, commands = run([TO_ARMING[0], service(message)])
+        assert state.phase is Phase.FAILED
+        assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
+
+
+def test_a_plan_that_does_not_fit_the_box_never_starts():
+    deep = PLAN.model_copy(update={"expected_depth_mm": 31.0})
+    state, commands = step(State(deep), TO_ARMING[0])
+    assert state.phase is Phase.FAILED
+    assert "z_mm" in state.reason
+    assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
+
+
+FAST = {"speed_mm_s": 81.0, "acceleration_mm_s2": 1600.0, "jerk_mm_s3": 0.0}
+
+
+@pytest.mark.parametrize("motion", ["travel", "descend", "retract"])
+@pytest.mark.parametrize("name", list(FAST))
+def test_ramps_that_the_limits_would_break_off_on_the_way_never_start(motion, name):
+    ramp = PLAN.ramps.of(motion).model_copy(update={name: FAST[name]})
+    hasty = PLAN.model_copy(update={"ramps": PLAN.ramps.model_copy(update={motion: ramp})})
+    state, commands = step(State(hasty), TO_ARMING[0])
+    assert state.phase is Phase.FAILED
+    assert f"ramps.{motion}.{name}" in state.reason
+    assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
+
+
+def test_a_fault_of_the_connection_itself_is_told_in_its_own_words():
+    fault = wire.Fault(insertion_id="none", code="bad_message", detail="no hello within 30 s")
+    state, _ = run([TO_ARMING[0], service(fault)])
+    assert state.phase is Phase.FAILED
+    assert state.reason == "service: bad_message: no hello within 30 s"

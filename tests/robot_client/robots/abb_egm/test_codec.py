@@ -1,0 +1,96 @@
+"""The EGM codec carries poses exactly and refuses everything a controller must not act on."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_client.robots.abb_egm import codec
+from robot_client.robots.abb_egm import tactile_insertion_egm_pb2 as pb
+from robot_client.robots.abb_egm.codec import EgmError, Guidance, Pose, RobotState
+
+MM = st.floats(-5000, 5000)
+
+
+@st.composite
+def poses(draw):
+    q = [draw(st.floats(-1, 1)) for _ in range(4)]
+    norm = math.hypot(*q)
+    q = [c / norm for c in q] if norm > 1e-3 else [1.0, 0.0, 0.0, 0.0]
+    return Pose(draw(MM), draw(MM), draw(MM), *q)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), poses(), poses(), st.booleans(), st.booleans())
+def test_robot_states_survive_the_wire(sequence, time_ms, feedback, planned, motors_on, running):
+    state = RobotState(sequence, time_ms, feedback, planned, (1.0,) * 6, motors_on, running, "running", True)
+    assert codec.decode_robot(codec.encode_robot(state)) == state
+
+
+@given(st.integers(0, 2**32 - 1), st.none() | poses(), st.lists(MM, min_size=6, max_size=6) | st.just([]))
+def test_guidance_survives_the_wire(sequence, pose, speed):
+    guidance = Guidance(sequence, 4, pose, (), tuple(speed))
+    assert codec.decode_guidance(codec.encode_guidance(guidance)) == guidance
+
+
+@given(st.binary(max_size=300))
+def test_random_bytes_are_refused_or_finite(datagram):
+    for decode in (codec.decode_robot, codec.decode_guidance):
+        try:
+            value = decode(datagram)
+        except EgmError:
+            continue
+        pose = value.feedback if isinstance(value, RobotState) else value.pose
+        assert pose is None or math.isfinite(pose.x_mm + pose.y_mm + pose.z_mm)
+
+
+@given(st.integers(0, 400), st.integers(1, 255))
+def test_a_damaged_byte_is_refused_or_still_finite(index, flip):
+    wire = bytearray(codec.encode_robot(RobotState(5, 6, Pose(1, 2, 3), Pose(1, 2, 3), (0.0,) * 6)))
+    wire[index % len(wire)] ^= flip
+    try:
+        state = codec.decode_robot(bytes(wire))
+    except EgmError:
+        return
+    assert all(map(math.isfinite, (state.feedback.x_mm, *state.feedback.quaternion)))
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_non_finite_targets_never_reach_the_wire(bad):
+    with pytest.raises(EgmError):
+        codec.encode_guidance(Guidance(1, pose=Pose(bad, 0, 0)))
+    with pytest.raises(EgmError):
+        codec.encode_guidance(Guidance(1, speed=(bad,) * 6))
+    message = pb.EgmRobot()
+    message.header.seqno = 1
+    codec._put_pose(message.feedBack.cartesian, Pose(0, bad, 0))
+    with pytest.raises(EgmError, match="finite"):
+        codec.decode_robot(message.SerializeToString())
+
+
+def test_a_quaternion_that_is_no_rotation_is_refused():
+    with pytest.raises(EgmError, match="norm"):
+        codec.encode_guidance(Guidance(1, pose=Pose(0, 0, 0, 0.5, 0, 0, 0)))
+
+
+def test_euler_angles_are_read_as_rapid_orders_them():
+    message = pb.EgmSensor()
+    message.header.seqno = 1
+    pose = message.planned.cartesian
+    pose.pos.x, pose.pos.y, pose.pos.z = 1.0, 2.0, 3.0
+    pose.euler.x, pose.euler.y, pose.euler.z = 0.0, 0.0, 90.0
+    read = codec.decode_guidance(message.SerializeToString()).pose
+    assert read.quaternion == pytest.approx((math.sqrt(0.5), 0, 0, math.sqrt(0.5)))
+
+
+def test_oversized_datagrams_are_refused():
+    with pytest.raises(EgmError, match="at most"):
+        codec.decode_robot(b"\0" * 5000)
+
+
+def test_absent_states_count_as_not_ready():
+    message = pb.EgmRobot()
+    message.header.seqno = 1
+    codec._put_pose(message.feedBack.cartesian, Pose(0, 0, 0))
+    state = codec.decode_robot(message.SerializeToString())
+    assert not state.moving_allowed

@@ -1,0 +1,232 @@
+"""The arm without EGM: straight lines by RAPID, a guard that stops them, and a dead man behind both."""
+
+import asyncio
+import contextlib
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_client.insertion.events import Arrived, Failure, Standstill
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import LimitError, Limits
+from robot_client.insertion.motion import Ramps
+from robot_client.insertion.state import Phase
+from robot_client.robots.abb_egm.codec import EgmError
+from robot_client.robots.abb_egm.codec import Pose as WirePose
+from robot_client.robots.abb_rapid import codec
+from robot_client.robots.abb_rapid.codec import RapidTextError, TextParser
+from robot_client.robots.abb_rapid.driver import SocketArm, SocketSettings
+from simulation.emulators.abb_cabinet import Cabinet, Delays
+from simulation.emulators.abb_motion import Follower, Pose, tool_down
+from simulation.emulators.abb_rapid import REACTION_S, RapidServers
+from simulation.emulators.faults import FaultBoard
+from simulation.emulators.net import bind_tcp
+from tests.robot_client.live_cell import bench
+
+
+def pose(x=5.0, z=45.0, yaw=0.0):
+    return WorkPose(x_mm=x, y_mm=0.0, z_mm=z, yaw_deg=yaw)
+
+
+@contextlib.asynccontextmanager
+async def connected(**options):
+    cabinet = Cabinet(Follower(Pose((5.0, 0.0, 45.0), tool_down(0.0))), FaultBoard(), Delays(program_start_s=0.0))
+    peer = RapidServers(cabinet, **{"silence_s": 5.0, **options})
+    await peer.start(bind_tcp(0, "motion"), bind_tcp(0, "guard"))
+    clock = asyncio.create_task(run_clock(peer))
+    cabinet.state = "motoron"
+    cabinet.request_start()
+    while not cabinet.running:  # noqa: ASYNC110 set by the clock
+        await asyncio.sleep(0.01)
+    ports = {"motion_port": peer.motion_port, "guard_port": peer.guard_port}
+    settings = SocketSettings(host="127.0.0.1", poll_s=0.02, **ports)
+    arm, events = SocketArm(settings, Limits(), Ramps()), asyncio.Queue()
+    assert (await arm.start(events.put_nowait)).x_mm == pytest.approx(5.0)
+    try:
+        yield peer, arm, events
+    finally:
+        await arm.close()
+        await peer.close()
+        clock.cancel()
+
+
+async def run_clock(peer):
+    now_s = 0.0
+    while True:
+        now_s += 0.004
+        peer.cabinet.advance(now_s)
+        peer.cycle()
+        await asyncio.sleep(0.004)
+
+
+async def soon(events):
+    return await asyncio.wait_for(events.get(), 30.0)
+
+
+async def at_rest(peer):
+    while peer.moving or not peer.cabinet.arm.at_rest:  # noqa: ASYNC110 set by the clock
+        await asyncio.sleep(0.01)
+    return peer.cabinet.arm.pose.position_mm[2]
+
+
+def test_a_move_is_released_carried_out_and_reported():
+    async def story():
+        async with connected() as (peer, arm, events):
+            arm.move(pose(x=8.0, z=40.0, yaw=6.0), "travel")
+            event = await soon(events)
+            assert isinstance(event, Arrived)
+            assert event.pose.distance_mm(pose(x=8.0, z=40.0)) < 0.2
+            assert event.pose.yaw_deg == pytest.approx(6.0, abs=0.1)
+            assert peer.moves[0].endswith(" 40.0")
+
+    asyncio.run(story())
+
+
+def test_a_hold_goes_to_the_guard_at_once_and_standstill_follows():
+    async def story():
+        async with connected() as (peer, arm, events):
+            arm.move(pose(z=20.0), "descend")
+            while peer.cabinet.arm.pose.position_mm[2] > 42.0:  # noqa: ASYNC110 moved by the clock
+                await asyncio.sleep(0.004)
+            flagged = []
+            peer.cabinet.board = Flag(peer, flagged, peer.cabinet.board)
+            arm.hold("slip", stop=False)
+            assert isinstance(await soon(events), Standstill)
+            assert 0.0 < flagged[0] - peer.cabinet.arm.pose.position_mm[2] < 10.0 * (REACTION_S + 0.004) + 0.05
+            arm.move(pose(z=45.0), "retract")
+            assert isinstance(await soon(events), Arrived)
+
+    asyncio.run(story())
+
+
+class Flag:
+    """Stands before the cabinet's faults, which are read every cycle, and notes where the arm was at the flag."""
+
+    def __init__(self, peer, noted, board):
+        self.peer, self.noted, self.board = peer, noted, board
+
+    @property
+    def faults(self):
+        if self.peer.stop and not self.noted:
+            self.noted.append(self.peer.cabinet.arm.pose.position_mm[2])
+        return self.board.faults
+
+
+def test_a_hold_right_after_a_move_keeps_it_from_ever_starting():
+    async def story():
+        async with connected() as (peer, arm, events):
+            arm.move(pose(z=20.0), "descend")
+            arm.hold("slip", stop=False)
+            assert isinstance(await soon(events), Standstill)
+            assert peer.moves == []
+
+    asyncio.run(story())
+
+
+def test_the_guard_stops_the_arm_when_the_client_falls_silent():
+    async def story():
+        async with connected(silence_s=0.3) as (peer, arm, events):
+            arm.move(pose(z=20.0), "descend")
+            await asyncio.sleep(0.3)
+            arm._tasks[2].cancel()
+            assert isinstance(await soon(events), Failure)  # the guard hung up
+            assert await at_rest(peer) > 21.0, "stopped on the way"
+            assert peer.stopped_by_silence == 1
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("fault", ["mute", "guard gone", "motion gone", "stop pressed", "program stopped"])
+def test_trouble_is_a_failure_and_the_arm_takes_no_more_moves(fault):
+    async def story():
+        async with connected() as (peer, arm, events):
+            arm.move(pose(z=20.0), "descend")
+            await asyncio.sleep(0.2)
+            if fault == "mute":
+                peer.mute = True
+            elif fault == "program stopped":
+                peer.cabinet.request_stop()
+            elif fault == "stop pressed":
+                peer.stop = True
+            else:
+                peer.hang_up(motion=fault == "motion gone", guard=fault == "guard gone")
+            assert isinstance(await soon(events), Failure)
+            count = len(peer.moves)
+            with pytest.raises(LimitError):
+                arm.move(pose(), "retract")
+            assert await at_rest(peer) > 21.0, "stopped on the way"
+            assert len(peer.moves) == count
+
+    asyncio.run(story())
+
+
+def test_no_move_leaves_the_box():
+    async def story():
+        async with connected() as (peer, arm, _):
+            with pytest.raises(LimitError):
+                arm.move(pose(z=1.0), "descend")
+            assert peer.moves == []
+
+    asyncio.run(story())
+
+
+def test_what_the_modules_refuse_is_refused_by_their_emulation():
+    async def story():
+        async with connected() as (peer, _, _):
+            for request, answer in (("M 4 0 0 40 0 1 0 0 90", "E 4 speed"), ("M 4 0 0", "E 0 format"), ("?", "E 0")):
+                said = []
+                peer._answer = lambda _writer, text, said=said: said.append(text)
+                peer._on_move(request)
+                assert said[0].startswith(answer)
+            assert peer.moves == []
+
+    asyncio.run(story())
+
+
+def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop(tmp_path):
+    async def story():
+        async with bench(link="socket") as cell:
+            state = await cell.insert(log=tmp_path / "log.jsonl")
+            assert state.phase is Phase.INSERTED, state.reason
+            assert state.attempt == 2
+            assert cell.runner.farewell.startswith("controller confirms")
+            assert not cell.cabinet.running
+            assert cell.egm.counters.received == 0
+            assert cell.report.rows[0].overtravel_mm < 10.0 * (REACTION_S + 0.06)
+
+    asyncio.run(asyncio.wait_for(story(), 90.0))
+
+
+@given(st.integers(1, 99999), st.tuples(*[st.floats(-999, 999)] * 3), st.floats(0.1, 999))
+def test_a_move_fits_a_rapid_string(number, position, speed):
+    text = codec.encode_move(number, WirePose(*position, -0.5, 0.5, -0.5, 0.5), speed)
+    assert len(text) <= 80
+    assert text.endswith(b"#")
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -1.0, 0.0])
+def test_bad_numbers_never_become_text(bad):
+    with pytest.raises(RapidTextError):
+        codec.encode_move(1, WirePose(0, 0, 0), bad)
+    if not math.isfinite(bad):
+        with pytest.raises(EgmError):
+            codec.encode_move(1, WirePose(bad, 0, 0), 10.0)
+
+
+@given(st.lists(st.binary(max_size=120), max_size=10))
+def test_random_bytes_are_refused_without_harm(chunks):
+    parser = TextParser()
+    for chunk in chunks:
+        for text in parser.feed(chunk):
+            for decode in (codec.decode_guard, codec.decode_motion):
+                with contextlib.suppress(ValueError):
+                    decode(text)
+    assert len(parser._rest) <= 80
+
+
+@given(st.text(st.characters(codec="ascii"), max_size=80))
+def test_a_guard_answer_is_read_or_refused(text):
+    with contextlib.suppress(ValueError):
+        codec.decode_guard("P " + text)

@@ -1,0 +1,154 @@
+"""What the runner owes the arm whatever happens around it: an end in order, and no start after a failure."""
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from robot_client.cli import insert as insert_command
+from robot_client.cli import jog
+from robot_client.insertion.events import Failure
+from robot_client.insertion.state import Phase
+from robot_client.ports import DriverError
+from robot_client.session.recorder import Recorder
+from robot_client.session.runner import Runner
+from robot_client.settings import Settings
+from tests.robot_client.insertion.stories import PLAN, TO_ARMING
+
+
+class Port:
+    """Any of the three ports: notes what it is told, in order, in a list that all share."""
+
+    def __init__(self, name, told, breaks=""):
+        self.name, self.told, self.breaks = name, told, breaks
+        self.closing = asyncio.Event()
+
+    async def start(self, post):
+        self.told.append(f"start {self.name}")
+        if self.breaks:
+            post(Failure(at_s=0.0, source="gripper", code="link", detail=self.breaks))
+        return TO_ARMING[0].pose
+
+    def hold(self, _reason, *, stop):  # noqa: ARG002 the port's signature
+        self.told.append(f"hold {self.name}")
+
+    def send(self, _message):
+        pass
+
+    def grasp(self):
+        self.told.append("grasp")
+
+    def statistics(self):
+        return {}
+
+    async def close(self):
+        self.told.append(f"stopping {self.name}")
+        await self.closing.wait()
+        self.told.append(f"stopped {self.name}")
+        return "controller confirms"
+
+
+def runner(told, observers=(), **breaks):
+    arm, gripper, service = (Port(name, told, breaks.get(name, "")) for name in ("arm", "gripper", "service"))
+    return Runner(PLAN, arm, gripper, service, Recorder(None, PLAN), observers)
+
+
+def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_the_first_press_asked_for():
+    async def story():
+        told = []
+        run = runner(told)
+        task = asyncio.ensure_future(run.run())
+        await asyncio.sleep(0.05)
+        for _ in range(3):
+            task.cancel()
+            await asyncio.sleep(0)
+            await asyncio.sleep(0)
+        for port in (run.arm, run.service, run.gripper):
+            port.closing.set()
+        state = await task
+        assert told[-6:] == [
+            f"{word} {name}" for name in ("arm", "service", "gripper") for word in ("stopping", "stopped")
+        ]
+        assert (state.phase, run.farewell) == (Phase.FAILED, "controller confirms")
+
+    asyncio.run(story())
+
+
+def test_no_program_is_started_once_a_device_has_failed():
+    async def story():
+        told = []
+        run = runner(told, service="gone")
+        for port in (run.arm, run.service, run.gripper):
+            port.closing.set()
+        state = await run.run()
+        assert state.phase is Phase.FAILED
+        assert "start arm" not in told
+
+    asyncio.run(story())
+
+
+class BrokenPipe:
+    """A terminal that nobody reads any more."""
+
+    def on_event(self, _state, _event):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    def summary(self):
+        return {}
+
+
+def test_a_terminal_that_is_gone_ends_no_task_that_brings_events():
+    async def story():
+        run = runner([], observers=(BrokenPipe(),))
+        for event in TO_ARMING[:2]:
+            run.post(event)
+        assert run.state.phase is Phase.GRASPING
+
+    asyncio.run(story())
+
+
+def test_a_jog_that_is_interrupted_stops_the_arm_and_says_so_in_one_line(monkeypatch, capsys):
+    async def story():
+        arm = Port("arm", [])
+        arm.start = lambda _post: asyncio.Event().wait()
+        monkeypatch.setattr(jog, "live_arm", lambda _settings: arm)
+        task = asyncio.ensure_future(jog._jog(Settings(), PLAN.approach))
+        for _ in range(3):
+            await asyncio.sleep(0)
+            task.cancel()
+        arm.closing.set()
+        with pytest.raises(DriverError, match="interrupted"):
+            await task
+
+    asyncio.run(story())
+    assert "controller confirms" in capsys.readouterr().out
+
+
+def test_an_insertion_ends_as_it_would_have_where_nobody_reads_its_lines(tmp_path):
+    arguments = [sys.executable, "-m", "robot_client", "insert", "--x-mm", "8", "--log", str(tmp_path / "log.jsonl")]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as client:
+        client.stdout.close()
+        said = client.stderr.read()
+    assert (client.returncode, said) == (0, "")
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_terminal_that_hangs_up_ends_the_insertion_in_order_but_under_nohup(ignored):
+    async def wait():
+        insert_command.stop_on_signals()
+        os.kill(os.getpid(), signal.SIGHUP)
+        await asyncio.sleep(0.05)
+        return "went on"
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.default_int_handler)
+    try:
+        if ignored:
+            assert asyncio.run(wait()) == "went on"
+        else:
+            with pytest.raises(asyncio.CancelledError):
+                asyncio.run(wait())
+    finally:
+        signal.signal(signal.SIGHUP, before)
