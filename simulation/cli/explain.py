@@ -7,11 +7,11 @@ import time
 
 import numpy as np
 
-from simulation.appearance import Appearance
-from simulation.effects import EFFECTS, decide
-from simulation.imprint import Renderer
-from simulation.rig import Cell
-from simulation.scene import Scene, load_scene
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
+from simulation.physics.quasistatic import Cell
+from simulation.scene.effects import EFFECTS, decide
+from simulation.scene.scene import Scene, load_scene
 
 IN_THE_PHYSICS = ("gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling")
 REPEATS = 7

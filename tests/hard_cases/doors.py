@@ -21,9 +21,9 @@ from service.perception.slip.detector import SlipDetector
 from service.perception.slip.grasp import GraspWatch
 from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.rigid import fit_motion, moving_patch
-from simulation.imprint import Appearance, Renderer
-from simulation.rig import Cell
-from simulation.scene import load_scene
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.quasistatic import Cell
+from simulation.scene.scene import load_scene
 from tests.hard_cases.decision import LIMITS, _cards, told
 from tests.hard_cases.motion import pose
 from tests.hard_cases.registry import case, non_finite, not_refused
@@ -113,7 +113,7 @@ def doors_of_the_robot_client(_seed: int) -> float:
     why="one node that is not a number spreads over the whole gel with the next solve",
     holds="poses, scenes, gel states and trials with such numbers are refused: doors open",
     guard=(
-        "simulation/rig.py",
+        "simulation/physics/quasistatic.py",
         'raise ValueError(f"regrasp: expected finite numbers, got {x_mm}, {theta_deg}")',
         "pass",
     ),

@@ -12,7 +12,7 @@ from service.contract import ContractError, ModelCard
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
 from service.recordings.reader import Recording, RecordingError
 from service.tools.replay import ReplayError, ReplayOptions, read_clip
-from simulation.scene import SceneError, load_scene
+from simulation.scene.scene import SceneError, load_scene
 from tests.hard_cases.registry import ROOT, case, not_refused
 from training.fit.checkpoint import Checkpoint
 
@@ -130,7 +130,11 @@ def calibration_files_edited_by_hand(_seed: int) -> float:
     "data",
     why="a scene with a negative stiffness or a part wider than its gap has no equilibrium to find",
     holds="impossible scenes are refused with the key and its range: not refused",
-    guard=("simulation/scene.py", "friction: float = Field(default=0.8, ge=0.0, le=2.0)", "friction: float = 0.8"),
+    guard=(
+        "simulation/scene/scene.py",
+        "friction: float = Field(default=0.8, ge=0.0, le=2.0)",
+        "friction: float = 0.8",
+    ),
 )
 def scenes_that_cannot_be(_seed: int) -> float:
     changes = [

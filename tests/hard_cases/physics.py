@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from simulation.rig import Cell, CellState, PhysicsError
-from simulation.scene import SceneError, load_scene
+from simulation.physics.quasistatic import Cell, CellState, PhysicsError
+from simulation.scene.scene import SceneError, load_scene
 from tests.hard_cases.registry import case, non_finite, not_refused
 
 MECHANICS, RIG, EQUILIBRIUM, CONTACT = (
@@ -157,7 +157,10 @@ def gel_stiffness_over_six_decades(seed: int) -> tuple[float, str]:
     "physics",
     why="contact stiffness over four decades scales one block of the matrix and not the others",
     holds="blocks from 5 to 50,000 N/mm solve: share of the bound used",
-    guard=("simulation/convex.py", "MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 1000"),
+    guard=(
+        "simulation/physics/kernels/convex.py",
+        "MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 1000",
+    ),
     limit=1.0,
     quick=False,
 )
@@ -186,7 +189,7 @@ def gel_friction_0(seed: int) -> tuple[float, str]:
     "physics",
     why="an interference fit wedges: side walls on both sides and friction that locks them",
     holds="a part wider than its gap is refused by name: not refused",
-    guard=("simulation/scene.py", "must exceed object.size_x_mm"),
+    guard=("simulation/scene/scene.py", "must exceed object.size_x_mm"),
 )
 def interference_fit(_seed: int) -> float:
     gaps = (50.8, 51.0, np.nextafter(51.0, 0))

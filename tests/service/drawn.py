@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from service.contract import Finger, FramePair, TactileFrame
 from service.perception.rectification import Calibration, CameraCalibration
-from simulation.imprint import Appearance, Renderer
+from simulation.optics.renderer import Appearance, Renderer
 
 PERIOD_NS = 33_333_333
 

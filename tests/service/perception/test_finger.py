@@ -9,9 +9,9 @@ from service.perception.finger import TactileFinger
 from service.perception.observation import Observation
 from service.perception.rectification import Calibration, CameraCalibration, Rectifier
 from service.session.factory import make_session
-from simulation.imprint import Appearance, Renderer
-from simulation.rig import Cell
-from simulation.scene import load_scene
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.quasistatic import Cell
+from simulation.scene.scene import load_scene
 from tests.service import drawn, tiny_models
 
 FREE = np.zeros((20, 21, 3), np.float32)

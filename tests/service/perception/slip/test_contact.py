@@ -10,9 +10,9 @@ from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.grasp import GraspWatch
-from simulation.imprint import Appearance, Renderer
-from simulation.rig import Cell
-from simulation.scene import BUILT_IN, load_scene
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.quasistatic import Cell
+from simulation.scene.scene import BUILT_IN, load_scene
 from tests.service.perception.synthetic import FRAME_NS, draw, grid
 
 FREE = np.zeros((20, 21, 3), np.float32)
