@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS
-from service.perception.rectify import Calibration, CameraCalibration
+from service.perception.rectification import Calibration, CameraCalibration
 from simulation.cell.cameras import Draw
 from simulation.cell.emulators.abb.motion import Pose, tool_down
 from simulation.cell.live import Plant
