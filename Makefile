@@ -114,7 +114,7 @@ bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside ML
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
 
 soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models and garbage make trouble: docs/soak.md, .json
-	$(BIN)/python -m tests.service.soak --minutes $(MINUTES) --models $(MODELS)
+	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)
 
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
 	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS
-from service.perception.rectify import Calibration, CameraCalibration
+from service.perception.rectification import Calibration, CameraCalibration
 from simulation.cell.cameras import Draw
 from simulation.cell.emulators.abb.motion import Pose, tool_down
 from simulation.cell.live import Plant
 from simulation.cell.options import CellOptions
 from simulation.cell.world import Gel
-from simulation.data.probe import Cell
+from simulation.data.probe import QuasiStaticCell
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.scene.effects import dropped_share
 from simulation.scene.scene import Scene, load_scene
@@ -42,7 +42,7 @@ def _drawer(renderer: Renderer, seed: int) -> Draw:
 def build(scene: Scene, options: CellOptions) -> Plant:
     """Physics and optics of ``scene``, compiled and warm, the object in the hand with the error asked for."""
     _compile(scene, options)
-    cell = Cell(scene, seed=options.seed)
+    cell = QuasiStaticCell(scene, seed=options.seed)
     cell.regrasp(options.x_mm, options.theta_deg)
     x, y, z, yaw = (float(value) for value in cell.pose)
     renderers = {finger: Renderer(Appearance.draw(scene, finger, options.seed)) for finger in FINGERS}
@@ -68,7 +68,7 @@ def build(scene: Scene, options: CellOptions) -> Plant:
 
 def _compile(scene: Scene, options: CellOptions) -> None:
     """Touch a block once on a throw-away cell, so that the compiled code is loaded before the clock starts."""
-    cell = Cell(scene, seed=options.seed)
+    cell = QuasiStaticCell(scene, seed=options.seed)
     cell.regrasp(8.0, 6.0)
     x, y, z, yaw = (float(value) for value in cell.pose)
     for depth_mm in (5.2, 5.6):

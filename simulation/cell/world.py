@@ -20,7 +20,7 @@ Gel = NDArray[np.floating[Any]]
 
 
 class CellStateLike(Protocol):
-    """What the world reads of the mechanics' state (``simulation.data.probe.CellState``)."""
+    """What the world reads of the mechanics' state (``simulation.physics.state.CellState``)."""
 
     @property
     def gel(self) -> Gel:
@@ -64,7 +64,7 @@ class CellStateLike(Protocol):
 
 
 class Mechanics(Protocol):
-    """The simulated cell as the world uses it (``simulation.data.probe.Cell``)."""
+    """The simulated cell as the world uses it (``QuasiStaticCell``)."""
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellStateLike:
         """Advance the TCP and return the new state."""

@@ -24,7 +24,7 @@ class _Album:
         self._command = command
 
     def attempt(self, attempt: Any) -> None:
-        """Keep the reference and the last frames of a `service.attempt.Attempt`."""
+        """Keep the reference and the last frames of a `service.decision.attempt.Attempt`."""
         if attempt.reference is None:
             return
         last = attempt.decision_pairs[-1] if attempt.decision_pairs else attempt.ring[-1]

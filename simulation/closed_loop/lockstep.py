@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from service.contract import FINGERS, FramePair, TactileFrame
 from simulation.optics.renderer import Appearance, Renderer
-from simulation.physics.quasistatic import Cell, CellState, PhysicsError
+from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
 from simulation.scene.effects import dropped_share
 from simulation.scene.scene import Scene
 
@@ -54,7 +54,7 @@ class LockstepCell:
     """
 
     scene: Scene
-    cell: Cell
+    cell: QuasiStaticCell
     renderers: tuple[Renderer, Renderer]
     stop_lag_s: float
     seed: int
@@ -80,7 +80,7 @@ class LockstepCell:
         cls, scene: Scene, x_mm: float, theta_deg: float, seed: int, *, stop_lag_s: float = 0.03, draws: bool = True
     ) -> LockstepCell:
         """A cell with the object grasped at the error given, at approach height."""
-        cell = Cell(scene, seed)
+        cell = QuasiStaticCell(scene, seed)
         cell.regrasp(x_mm, theta_deg)
         left, right = (Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS)
         return cls(scene, cell, (left, right), stop_lag_s, seed, draws)

@@ -34,16 +34,16 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits as ClientLimits
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import Phase, Plan, State
-from service.attempt import WorkResult
 from service.contract import FINGERS, FramePair
 from service.contract.wire import Correction, Estimate, NoDecision
-from service.decision import Evidence
-from service.finger import TactileFinger
-from service.insertion_session import InsertionSession
-from service.models import ModelSet, load_models
-from service.observation import FingerWatch
-from service.perception.rectify import CameraCalibration
-from service.verdict import Work
+from service.decision.attempt import WorkResult
+from service.decision.evidence import Evidence
+from service.decision.models import ModelSet, load_models
+from service.decision.work import Work
+from service.perception.finger import TactileFinger
+from service.perception.observation import FingerWatch
+from service.perception.rectification import CameraCalibration
+from service.session.state_machine import InsertionSession
 from simulation.closed_loop.baselines import CONTENDERS, Chooser, Contender, View
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, Course, GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import GelFinger

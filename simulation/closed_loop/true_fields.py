@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS, Finger, TactileFrame
-from service.observation import Observation
-from service.perception.field import field_from_gel
-from service.perception.onset import OnsetDetector
-from service.perception.rectify import CameraCalibration, Rectifier
-from service.perception.slip import SlipDetector
+from service.perception.markers.field import field_from_gel
+from service.perception.observation import Observation
+from service.perception.rectification import CameraCalibration, Rectifier
+from service.perception.slip.detector import SlipDetector
+from service.perception.slip.onset import OnsetDetector
 from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
 
 # RMS per axis at 2 grey levels of camera noise, and what each grey level more adds (docs/slip_report.md).
@@ -42,7 +42,7 @@ class LatePicture:
 
 
 class GelFinger:
-    """A `service.observation.FingerWatch` that looks at the cell's gel of this moment instead of the frame."""
+    """A :class:`FingerWatch` that looks at the cell's gel of this moment instead of the frame."""
 
     def __init__(self, world: LockstepCell, finger: Finger) -> None:
         self._world = world

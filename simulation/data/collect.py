@@ -23,7 +23,7 @@ import tyro
 from service.contract import FINGERS
 from simulation.data.dataset import DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, encode_shard, split_of
 from simulation.data.manifest import shard_file_name, write_durably
-from simulation.data.probe import Cell, PhysicsError, Probe, descend
+from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
 from simulation.data.sources import sources_sha256
 from simulation.optics.appearance import Appearance
 from simulation.scene.scene import Scene, load_scene
@@ -118,7 +118,7 @@ class Hand:
     """A cell between two fixtures: pokes follow one another and the object keeps its drift in the hand."""
 
     def __init__(self, fixture: Fixture) -> None:
-        self._cell = Cell(fixture.scene, seed=fixture.cell_seed)
+        self._cell = QuasiStaticCell(fixture.scene, seed=fixture.cell_seed)
         self._cell.regrasp(0.0, 0.0)
         self._zero = self._cell.pose.copy()  # TCP x, y, z (mm) and yaw (rad) that put the fresh object at no error
 

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.physics.quasistatic import Cell, CellState, PhysicsError
+from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
 from simulation.scene.scene import Scene
 
-__all__ = ["Cell", "CellState", "Outcome", "PhysicsError", "Probe", "run_probe"]
+__all__ = ["CellState", "Outcome", "PhysicsError", "Probe", "QuasiStaticCell", "run_probe"]
 
 Outcome = Literal["blocked", "inserted", "grasp_lost"]
 INSERTION_DEPTH_MM = 25.0
@@ -66,7 +66,7 @@ class _Recorder:
 
 
 def run_probe(
-    scene: Scene | Cell,
+    scene: Scene | QuasiStaticCell,
     x_mm: float,
     theta_deg: float,
     *,
@@ -87,8 +87,8 @@ def run_probe(
     pokes that leave blocks and object as they are, use `descend`. Raises PhysicsError where no equilibrium is found
     and ValueError for arguments that make no sense.
     """
-    cell = scene if isinstance(scene, Cell) else Cell(scene, seed)
-    if isinstance(scene, Cell):
+    cell = scene if isinstance(scene, QuasiStaticCell) else QuasiStaticCell(scene, seed)
+    if isinstance(scene, QuasiStaticCell):
         cell.reset_blocks()
     cell.regrasp(x_mm, theta_deg)
     return descend(
@@ -105,7 +105,7 @@ def run_probe(
 
 
 def descend(
-    cell: Cell,
+    cell: QuasiStaticCell,
     x_mm: float,
     theta_deg: float,
     *,
@@ -142,7 +142,12 @@ def _check(frames: int, rate: float, speed: float, stop_delay_frames: int, overt
 
 
 def _lower(
-    cell: Cell, record: _Recorder, pitch_mm: float, phase: float, stop_delay_frames: int, overtravel_mm: float
+    cell: QuasiStaticCell,
+    record: _Recorder,
+    pitch_mm: float,
+    phase: float,
+    stop_delay_frames: int,
+    overtravel_mm: float,
 ) -> tuple[int, Outcome]:
     """Go down by pitch_mm a frame until something ends it; gives the frame that truly slips (-1: none) and the end."""
     start, limits = cell.pose.copy(), cell.scene.numerics

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from simulation.physics.kernels import load_step
-from simulation.physics.kernels.records import Records
+from simulation.physics.kernels.records import Workspace
 from simulation.physics.state import PhysicsError
 from simulation.scene.scene import Scene
 
 BISECTIONS = 60
 
 
-def close_fingers(scene: Scene, constants: Records, record: Records, trials: Records, nodes: Records) -> None:
+def close_fingers(scene: Scene, work: Workspace) -> None:
     """Close to the grip force: bisection on the opening, the object held still. Raises PhysicsError."""
+    constants, nodes = work.constants, work.nodes
     crest = 2.0 * float(constants["profile"][0, 0])
     wide, tight = crest + 8.0, crest - 1.9 * scene.gel.thickness_mm
     area = float(constants["area"][0])
 
     def grip(opening: float) -> float:
-        record["opening"][0] = opening
-        load_step.grip_pressures(constants, record, trials, nodes)
+        work.state["opening"][0] = opening
+        load_step.grip_pressures(work)
         return 0.5 * float(nodes["pressure"].sum()) * area
 
     if grip(tight) < scene.grasp.force_n:

@@ -22,7 +22,7 @@ from simulation.physics.state import CellState, PhysicsError, Reason, block_moti
 from simulation.scene.effects import Active, active_effects
 from simulation.scene.scene import Scene
 
-__all__ = ["Cell", "CellState", "PhysicsError"]
+__all__ = ["CellState", "PhysicsError", "QuasiStaticCell"]
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ MAX_HALVINGS = 6
 DAMPING = 0.02  # share of a round by which friction limits follow where no shorter step helps
 
 
-class Cell:
+class QuasiStaticCell:
     """A scene with its state.
 
     `regrasp` puts the object back into the hand, `move_to` moves the hand quasi-statically.
@@ -103,8 +103,14 @@ class Cell:
         self.pose[2] = APPROACH_MM + spread.height_mm
         return self.look()
 
+    def _work(self) -> records.Workspace:
+        """The kernels' memory; made anew, so that a study may put other nodes in place."""
+        return records.Workspace(
+            self.constants, self.record, self.trials, self.rows, self.slots, self.nodes, self.foot, self.corner
+        )
+
     def _close(self) -> None:
-        close_fingers(self.scene, self.constants, self.record, self.trials, self.nodes)
+        close_fingers(self.scene, self._work())
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
         """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium was found."""
@@ -155,21 +161,8 @@ class Cell:
         return float(heights.min() - max(0.0, float(self.state["block"][:, 2].max())))
 
     def _solve(self, target: Array, blend: float) -> int:
-        status: int = load_step.advance(
-            self.constants,
-            self.record,
-            self.trials,
-            self.rows,
-            self.slots,
-            self.nodes,
-            self.foot,
-            self.corner,
-            self.pose,
-            target,
-            self.scene.numerics.residual_n,
-            self.direct,
-            blend,
-        )
+        tolerance_n = self.scene.numerics.residual_n
+        status: int = load_step.advance(self._work(), self.pose, target, tolerance_n, self.direct, blend)
         return status
 
     def _step(self, target: Array, blend: float) -> int:

@@ -23,7 +23,7 @@ from simulation.data.probe import run_probe
 from simulation.data.progress import progress
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
-from simulation.physics.quasistatic import Cell, CellState
+from simulation.physics.quasistatic import CellState, QuasiStaticCell
 from simulation.scene.scene import Scene, load_scene
 from simulation.studies import accuracy_report
 
@@ -104,7 +104,7 @@ class End:
 
 def poke(scene: str, tier: Tier, changes: Changes, repeats: int) -> End:
     """Poke a scene; CPU time is the best of that many repeats."""
-    cell, best = Cell(load_scene(scene, **{"gel__tier": tier, **CLEAN, **changes})), float("inf")
+    cell, best = QuasiStaticCell(load_scene(scene, **{"gel__tier": tier, **CLEAN, **changes})), float("inf")
     for _ in range(repeats):
         held = cell.regrasp(X_MM, THETA_DEG)
         x, y, z, yaw = cell.pose
@@ -152,7 +152,7 @@ def probe_times(repeats: int) -> dict[str, dict[str, float]]:
 def _probe_times(scene: Scene, repeats: int) -> dict[str, float]:
     out = {}
     for tier in ("bristle", "layer"):
-        cell = Cell(scene.varied({"gel.tier": tier}))
+        cell = QuasiStaticCell(scene.varied({"gel.tier": tier}))
         out[f"{tier}, marker fields"] = _best_ms(lambda cell=cell: run_probe(cell, X_MM, THETA_DEG), repeats)  # type: ignore[misc]
     gel = run_probe(scene, X_MM, THETA_DEG).gel.astype(np.float32)
     eyes = [Renderer(Appearance.draw(scene, finger, 0)) for finger in FINGERS]

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from simulation.physics.quasistatic import Cell, CellState, PhysicsError
+from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
 from simulation.scene.scene import BUILT_IN, Scene, load_scene
 
 RESIDUAL_N, CONE_N_PER_MM2 = 1e-6, 1e-9  # what a solved probe must keep
@@ -91,7 +91,7 @@ def hard_probe(seed: int, number: int, tier: str, tally: Tally) -> str:
 
 
 def _descend(scene: Scene, rng: np.random.Generator, tally: Tally) -> str:
-    cell = Cell(scene, int(rng.integers(1 << 30)))
+    cell = QuasiStaticCell(scene, int(rng.integers(1 << 30)))
     span = scene.x_range_mm
     cell.regrasp(float(rng.uniform(-span, span)), float(rng.uniform(-15.0, 15.0)))
     x, y, z, yaw = cell.pose
@@ -105,7 +105,7 @@ def _descend(scene: Scene, rng: np.random.Generator, tally: Tally) -> str:
     return "solved"
 
 
-def _check(cell: Cell, state: CellState) -> None:
+def _check(cell: QuasiStaticCell, state: CellState) -> None:
     numbers = (state.gel, state.wrench_n_nmm, state.in_hand, state.block_motion)
     if not all(np.isfinite(array).all() for array in numbers):
         raise ImpossibleStateError(f"{cell.scene.name}: a non-finite number at TCP {cell.pose.tolist()}")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from simulation.physics import elastic_layer
 from simulation.physics.kernels import bristles
-from simulation.physics.quasistatic import Cell
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import load_scene
 
 Floats = NDArray[np.float64]
@@ -46,10 +46,10 @@ class Compared:
     limit: float
 
 
-def hang(nodes: int, tier: str, modulus_n_per_mm2: float = 1.0) -> Cell:
+def hang(nodes: int, tier: str, modulus_n_per_mm2: float = 1.0) -> QuasiStaticCell:
     """The hanging box, at rest; its pads are half-spaces of Poisson's ratio 0.5 in the layer tier."""
     grid = {"gel__node_rows": nodes, "gel__node_columns": nodes, "gel__shear_modulus_n_per_mm2": modulus_n_per_mm2}
-    cell = Cell(load_scene("rectangle", gel__tier=tier, **grid, **HANGING))
+    cell = QuasiStaticCell(load_scene("rectangle", gel__tier=tier, **grid, **HANGING))
     cell.nodes = bristles.make_nodes(nodes, nodes, WIDTH_MM, WIDTH_MM, CROWN_MM)
     cell.constants["area"] = (WIDTH_MM / nodes) ** 2
     if cell.layer is not None:
@@ -69,7 +69,7 @@ def dome(r: Floats, a: float) -> Floats:
     return np.asarray(np.sqrt(np.clip(1.0 - (r / a) ** 2, 0.0, None)))
 
 
-def half_space(nodes: int, cell: Cell | None = None) -> list[Compared]:
+def half_space(nodes: int, cell: QuasiStaticCell | None = None) -> list[Compared]:
     """Hertz's pressure, Cattaneo and Mindlin's traction and displacement, nodes x nodes a pad."""
     cell = cell or hang(nodes, "layer")
     shear, share = 1.0, LOAD_N / (FRICTION * FORCE_N)
@@ -89,7 +89,7 @@ def half_space(nodes: int, cell: Cell | None = None) -> list[Compared]:
     ]
 
 
-def winkler(nodes: int, cell: Cell | None = None) -> list[Compared]:
+def winkler(nodes: int, cell: QuasiStaticCell | None = None) -> list[Compared]:
     """A bed of springs (Winkler): pressure, displacement and traction follow from both loads in closed form."""
     cell = cell or hang(nodes, "bristle", modulus_n_per_mm2=0.5)
     kn, kt = float(cell.constants["kn"][0]), float(cell.constants["kt"][0])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from service.contract import ContractError
-from service.perception.sequence import track_pairs
+from service.perception.markers.sequence import track_pairs
 from training.config import FRAMES_PER_DECISION, JITTER, WINDOW, DataConfig
 from training.networks.preprocessing import pool_frames
 

@@ -22,11 +22,12 @@ SHARED_STIFFNESS = 8.0  # a curved footprint's many vertices share the stiffness
 
 
 @njit(cache=True)
-def locate(constants: Any, trial: Any, b: int, foot: Any, corner: Any) -> None:
+def locate(work: Any, b: int) -> None:
     """Footprint vertices, at the object's pose in the world, in block b's frame: into corner [v, 3]."""
+    trial, foot, corner, bottom = work.trials[0], work.foot, work.corner, work.constants[0].bottom
     frame, origin = trial.block_turn[b], trial.block[b]
     for k in range(foot.shape[0]):
-        x, y, z = apply(trial.world_turn, foot[k, 0], foot[k, 1], constants.bottom)
+        x, y, z = apply(trial.world_turn, foot[k, 0], foot[k, 1], bottom)
         x, y, z = x + trial.world[0] - origin[0], y + trial.world[1] - origin[1], z + trial.world[2] - origin[2]
         corner[k, 0], corner[k, 1], corner[k, 2] = apply_t(frame, x, y, z)
 
@@ -79,12 +80,11 @@ def in_face(edge: Vector, normal: Vector) -> tuple[Vector, Vector]:
 
 
 @njit(cache=True)
-def add(
-    constants: Any, state: Any, trial: Any, rows: Any, b: int, kind: int, slot: int, local: Vector, gap: float, k: float
-) -> None:
+def add(work: Any, b: int, kind: int, slot: int, local: Vector, gap: float, k: float) -> None:
     """Append a contact of kind EDGE, FACE or SIDE at a point of block b's frame; k: its stiffness, N/mm."""
     if gap > NEAR_MM:
         return
+    constants, state, trial = work.constants[0], work.state[0], work.trials[0]
     frame, origin, turn = trial.block_turn[b], trial.block[b], trial.world_turn
     x, y, z = apply(frame, local[0], local[1], local[2])
     point = (x + origin[0], y + origin[1], z + origin[2])
@@ -105,7 +105,7 @@ def add(
         along, across = in_face(along, normal)
     i = trial.filled
     trial.filled = i + 1
-    row, n = rows[i], constants.unknowns
+    row, n = work.rows[i], constants.unknowns
     _fill(row, trial, 0, n, b, normal, point)
     _fill(row, trial, 1, n, b, along, point)
     _fill(row, trial, 2, n, b, across, point)
@@ -115,10 +115,11 @@ def add(
 
 
 @njit(cache=True)
-def find_top(constants: Any, state: Any, trial: Any, rows: Any, slots: Any, b: int, corner: Any) -> None:
+def find_top(work: Any, b: int) -> None:
     """Contacts of the bottom face with block b's edge and of footprint vertices with its top."""
+    trial, slots, corner = work.trials[0], work.slots, work.corner
     n = corner.shape[0]
-    first, stiff = b * (2 + 2 * n), constants.contact_k
+    first, stiff = b * (2 + 2 * n), work.constants[0].contact_k
     shared = stiff if n <= SHARED_STIFFNESS else stiff * SHARED_STIFFNESS / n
     turn = trial.world_turn
     nx, ny, nz = apply_t(trial.block_turn[b], turn[0, 2], turn[1, 2], turn[2, 2])
@@ -129,31 +130,33 @@ def find_top(constants: Any, state: Any, trial: Any, rows: Any, slots: Any, b: i
             # the edge point (0, y, 0) against the plane of the bottom face
             gap = x0 * nx - (y - corner[k, 1]) * ny + corner[k, 2] * nz
             slot = first if x0 <= 0.0 else first + 1
-            add(constants, state, trial, rows, b, EDGE, slot, (0.0, y, 0.0), gap, stiff)
+            add(work, b, EDGE, slot, (0.0, y, 0.0), gap, stiff)
         if x0 > slots[first + 2 + k].rim:
             point = (x0, corner[k, 1], corner[k, 2])
-            add(constants, state, trial, rows, b, FACE, first + 2 + k, point, corner[k, 2], shared)
+            add(work, b, FACE, first + 2 + k, point, corner[k, 2], shared)
 
 
 @njit(cache=True)
-def hold_rim(constants: Any, trial: Any, slots: Any, foot: Any, corner: Any, margin: float) -> None:
+def hold_rim(work: Any, margin: float) -> None:
     """Have footprint vertices within margin mm of a block's edge count as they do now; margin 0: as they lie.
 
     A vertex that crosses the edge brings its share of the load with it at once; where that share pushes it back there
     is no equilibrium with it and none without.
     """
+    slots, corner = work.slots, work.corner
     n = corner.shape[0]
     for b in range(2):
-        locate(constants, trial, b, foot, corner)
+        locate(work, b)
         for k in range(n):
             slots[b * (2 + 2 * n) + 2 + k].rim = -margin if corner[k, 0] > 0.0 else margin
 
 
 @njit(cache=True)
-def find_side(constants: Any, state: Any, trial: Any, rows: Any, b: int, corner: Any) -> None:
+def find_side(work: Any, b: int) -> None:
     """Contacts of the prism's vertical edges with block b's wall and with its top edge."""
+    trial, corner = work.trials[0], work.corner
     n = corner.shape[0]
-    first, stiff = b * (2 + 2 * n), constants.contact_k
+    first, stiff = b * (2 + 2 * n), work.constants[0].contact_k
     shared = stiff if n <= SHARED_STIFFNESS else stiff * SHARED_STIFFNESS / n
     turn = trial.world_turn
     nx, ny, nz = apply_t(trial.block_turn[b], turn[0, 2], turn[1, 2], turn[2, 2])
@@ -161,15 +164,16 @@ def find_side(constants: Any, state: Any, trial: Any, rows: Any, b: int, corner:
         x, y, z = corner[k, 0], corner[k, 1], corner[k, 2]
         if z >= 0.0:
             continue
-        add(constants, state, trial, rows, b, SIDE, first + 2 + k, (x, y, z), -x, shared)
+        add(work, b, SIDE, first + 2 + k, (x, y, z), -x, shared)
         rise = -z / nz
         x, y = x + rise * nx, y + rise * ny
-        add(constants, state, trial, rows, b, SIDE, first + 2 + n + k, (x, y, 0.0), -x, shared)
+        add(work, b, SIDE, first + 2 + n + k, (x, y, 0.0), -x, shared)
 
 
 @njit(cache=True)
-def find_bases(constants: Any, state: Any, trial: Any, rows: Any, first: int) -> None:
+def find_bases(work: Any, first: int) -> None:
     """The four base corners of each free block on the table."""
+    constants, state, trial = work.constants[0], work.state[0], work.trials[0]
     size = constants.block_size
     for b in range(2):
         for c in range(4):
@@ -178,7 +182,7 @@ def find_bases(constants: Any, state: Any, trial: Any, rows: Any, first: int) ->
             ax, ay, _ = apply(state.block_turn[b], lx, ly, lz)
             i = trial.filled
             trial.filled = i + 1
-            row, at = rows[i], 6 + 6 * b
+            row, at = work.rows[i], 6 + 6 * b
             line = row.line
             for k in range(3):
                 for a in range(18):
@@ -193,27 +197,26 @@ def find_bases(constants: Any, state: Any, trial: Any, rows: Any, first: int) ->
 
 
 @njit(cache=True)
-def refresh(
-    constants: Any, state: Any, trial: Any, rows: Any, slots: Any, foot: Any, corner: Any, lagged: bool
-) -> None:
+def refresh(work: Any, lagged: bool) -> None:
     """Rebuild all rows at the trial pose. lagged: friction bounds from the last step instead of from the gaps."""
+    trial, unknowns = work.trials[0], work.constants[0].unknowns
     trial.filled = 0
-    for a in range(constants.unknowns):
+    for a in range(unknowns):
         trial.xi[a] = 0.0
     product_into(trial.world_turn, trial.hand, trial.turn)
     x, y, z = apply(trial.hand, trial.place[0], trial.place[1], trial.place[2])
     trial.world[0], trial.world[1], trial.world[2] = x + trial.tcp[0], y + trial.tcp[1], z + trial.tcp[2]
     for b in range(2):
-        locate(constants, trial, b, foot, corner)
-        if state.mode[b] == TOP:
-            find_top(constants, state, trial, rows, slots, b, corner)
+        locate(work, b)
+        if work.state[0].mode[b] == TOP:
+            find_top(work, b)
         else:
-            find_side(constants, state, trial, rows, b, corner)
-    if constants.unknowns > 6:
-        find_bases(constants, state, trial, rows, 2 * (2 + 2 * foot.shape[0]))
+            find_side(work, b)
+    if unknowns > 6:
+        find_bases(work, 2 * (2 + 2 * work.foot.shape[0]))
     for i in range(trial.filled):
-        row = rows[i]
-        slot = slots[row.slot]
+        row = work.rows[i]
+        slot = work.slots[row.slot]
         force = slot.force if lagged else max(0.0, -row.gap * row.stiffness)
         row.bound = row.friction * force
         row.slide[0] += slot.slide[0]

@@ -47,23 +47,25 @@ def _convex_step(trial: Any, n: int) -> float:
 
 
 @njit(cache=True)
-def _potential(constants: Any, trial: Any, rows: Any, nodes: Any) -> float:
-    total = bristles.energy(constants, nodes, trial) + equilibrium.rows_energy(constants, trial, rows)
+def _potential(work: Any) -> float:
+    constants, trial = work.constants[0], work.trials[0]
+    total = bristles.energy(constants, work.nodes, trial) + equilibrium.rows_energy(constants, trial, work.rows)
     return float(total + equilibrium.masses(constants, trial))
 
 
 @njit(cache=True)
-def _descend(constants: Any, trial: Any, spare: Any, rows: Any, nodes: Any, slope: float) -> None:
+def _descend(work: Any, slope: float) -> None:
     """Move the trial along its twist as far as Armijo's rule on the potential allows."""
-    n, scale = constants.unknowns, 1.0
+    trial, spare = work.trials[0], work.trials[1]
+    n, scale = work.constants[0].unknowns, 1.0
     if slope > -1e-9:
         equilibrium.move(trial, n, scale)
         return
-    start = _potential(constants, trial, rows, nodes)
+    start = _potential(work)
     equilibrium.copy_trial(trial, spare)
     for _ in range(25):
         equilibrium.move(trial, n, scale)
-        value = _potential(constants, trial, rows, nodes)
+        value = _potential(work)
         if value <= start + 1e-4 * scale * slope + 1e-12 * abs(start):
             return
         equilibrium.copy_trial(spare, trial)
@@ -72,24 +74,14 @@ def _descend(constants: Any, trial: Any, spare: Any, rows: Any, nodes: Any, slop
 
 
 @njit(cache=True)
-def converge(
-    constants: Any,
-    state: Any,
-    trial: Any,
-    spare: Any,
-    rows: Any,
-    slots: Any,
-    nodes: Any,
-    foot: Any,
-    corner: Any,
-    tol: float,
-) -> tuple[float, int, int]:
+def converge(work: Any, tol: float) -> tuple[float, int, int]:
     """Lagged friction; gives the residual, N, all iterations (-1: the object left the hand) and the rounds."""
+    constants, trial = work.constants[0], work.trials[0]
     count, goal, value, exact = 0, 1e-3, math.inf, False
-    contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
+    contact.refresh(work, True)
     for outer in range(MAX_CONVEX):
         for inner in range(MAX_INNER):
-            value = forces(constants, trial, rows, nodes, False)
+            value = forces(work, False)
             if inner == 0 and outer > 0:
                 if value <= tol and (exact or outer > FREEZE_CONVEX):
                     return value, count, outer
@@ -98,35 +90,37 @@ def converge(
                 break
             count += 1
             slope = _convex_step(trial, constants.unknowns)
-            _descend(constants, trial, spare, rows, nodes, slope)
+            _descend(work, slope)
             if gone(trial):
                 return math.inf, -1, outer
         if not value <= goal:
             return value, count, outer
         if outer < FREEZE_CONVEX:
             exact = outer < 12 or value <= 1e3 * tol
-            bristles.renew_limits(constants, nodes, trial, 1.0 if exact else 0.5)
-            contact.refresh(constants, state, trial, rows, slots, foot, corner, False)
+            bristles.renew_limits(constants, work.nodes, trial, 1.0 if exact else 0.5)
+            contact.refresh(work, False)
     return value, count, MAX_CONVEX
 
 
 @njit(cache=True)
-def _renew_damped(constants: Any, trial: Any, rows: Any, slots: Any, nodes: Any, blend: float) -> None:
+def _renew_damped(work: Any, blend: float) -> None:
     """Move all friction limits a part of the way to what pressures and gaps say; rows were just refreshed."""
-    bristles.renew_limits(constants, nodes, trial, blend)
+    trial = work.trials[0]
+    bristles.renew_limits(work.constants[0], work.nodes, trial, blend)
     for i in range(trial.filled):
-        row = rows[i]
-        slot = slots[row.slot]
+        row = work.rows[i]
+        slot = work.slots[row.slot]
         slot.guess += blend * (row.bound - slot.guess)
         row.bound = slot.guess
 
 
 @njit(cache=True)
-def _begin_damped(constants: Any, state: Any, trial: Any, rows: Any, slots: Any, foot: Any, corner: Any) -> None:
+def _begin_damped(work: Any) -> None:
     """Rows at the trial pose, and the limits that they had as the first guess of the new ones."""
-    contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
-    contact.hold_rim(constants, trial, slots, foot, corner, RIM_MM)
-    contact.refresh(constants, state, trial, rows, slots, foot, corner, True)
+    trial, rows, slots = work.trials[0], work.rows, work.slots
+    contact.refresh(work, True)
+    contact.hold_rim(work, RIM_MM)
+    contact.refresh(work, True)
     for i in range(slots.shape[0]):
         slots[i].guess = 0.0
     for i in range(trial.filled):
@@ -134,50 +128,26 @@ def _begin_damped(constants: Any, state: Any, trial: Any, rows: Any, slots: Any,
 
 
 @njit(cache=True)
-def _finish(
-    constants: Any,
-    state: Any,
-    trial: Any,
-    spare: Any,
-    kept: Any,
-    rows: Any,
-    slots: Any,
-    nodes: Any,
-    foot: Any,
-    corner: Any,
-    tol: float,
-) -> tuple[float, int]:
+def _finish(work: Any, tol: float) -> tuple[float, int]:
     """Coupled Newton from where damped rounds stand; gives its residual and iterations. Puts all back if it fails."""
+    trial, kept, nodes, rows = work.trials[0], work.trials[2], work.nodes, work.rows
     equilibrium.copy_trial(trial, kept)
     for j in range(nodes.shape[0]):
         nodes[j].guess = nodes[j].limit
-    value, count = direct(constants, state, trial, spare, rows, slots, nodes, foot, corner, tol, MAX_FINISH)
+    value, count = direct(work, tol, MAX_FINISH)
     if value <= tol:
         return value, count
     equilibrium.copy_trial(kept, trial)
-    contact.refresh(constants, state, trial, rows, slots, foot, corner, False)
+    contact.refresh(work, False)
     for i in range(trial.filled):
-        rows[i].bound = slots[rows[i].slot].guess
+        rows[i].bound = work.slots[rows[i].slot].guess
     for j in range(nodes.shape[0]):
         nodes[j].limit = nodes[j].guess
     return math.inf, count
 
 
 @njit(cache=True)
-def damped(
-    constants: Any,
-    state: Any,
-    trial: Any,
-    spare: Any,
-    kept: Any,
-    rows: Any,
-    slots: Any,
-    nodes: Any,
-    foot: Any,
-    corner: Any,
-    tol: float,
-    blend: float,
-) -> tuple[float, int]:
+def damped(work: Any, tol: float, blend: float) -> tuple[float, int]:
     """Lagged friction again, its limits moved by blend a round: goes where whole steps jump from side to side.
 
     The way to the end is long at such steps (a part wedged between both walls comes 1 to 2 % closer a round), so every
@@ -186,12 +156,13 @@ def damped(
 
     Gives the residual, N, and all iterations (-1: the object left the hand).
     """
+    trial, unknowns = work.trials[0], work.constants[0].unknowns
     count, value = 0, math.inf
-    _begin_damped(constants, state, trial, rows, slots, foot, corner)
+    _begin_damped(work)
     for outer in range(MAX_DAMPED):
         goal = 1e-3
         for inner in range(MAX_INNER):
-            value = forces(constants, trial, rows, nodes, False)
+            value = forces(work, False)
             if inner == 0 and outer > 0:
                 if value <= tol * blend:
                     return value / blend, count
@@ -199,16 +170,16 @@ def damped(
             if value <= goal:
                 break
             count += 1
-            slope = _convex_step(trial, constants.unknowns)
-            _descend(constants, trial, spare, rows, nodes, slope)
+            slope = _convex_step(trial, unknowns)
+            _descend(work, slope)
             if gone(trial):
                 return math.inf, -1
         if not value <= goal:
             return math.inf, count
-        contact.refresh(constants, state, trial, rows, slots, foot, corner, False)
-        _renew_damped(constants, trial, rows, slots, nodes, blend)
+        contact.refresh(work, False)
+        _renew_damped(work, blend)
         if outer % FINISH_EVERY == FINISH_EVERY - 1:
-            value, tries = _finish(constants, state, trial, spare, kept, rows, slots, nodes, foot, corner, tol)
+            value, tries = _finish(work, tol)
             count += tries
             if value <= tol:
                 return value, count

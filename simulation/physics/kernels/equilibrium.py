@@ -44,8 +44,9 @@ def copy_trial(source: Any, into: Any) -> None:
 
 
 @njit(cache=True)
-def begin(constants: Any, state: Any, trial: Any, nodes: Any, foot: Any, corner: Any, pose: Any, target: Any) -> None:
+def begin(work: Any, pose: Any, target: Any) -> None:
     """Set the trial to the state, with the hand already at its target (x, y, z mm, yaw rad)."""
+    state, trial, nodes, friction = work.state[0], work.trials[0], work.nodes, work.constants[0].friction
     copy_poses(state, trial)
     trial.opening = state.opening
     for a in range(trial.xi.shape[0]):
@@ -61,10 +62,10 @@ def begin(constants: Any, state: Any, trial: Any, nodes: Any, foot: Any, corner:
         for c in range(3):
             trial.world_turn[a, c] = trial.start_turn[a, c]
     for b in range(2):
-        contact.locate(constants, trial, b, foot, corner)
-        state.mode[b] = contact.update_mode(corner, state.mode[b])
+        contact.locate(work, b)
+        state.mode[b] = contact.update_mode(work.corner, state.mode[b])
     for j in range(nodes.shape[0]):
-        nodes[j].limit = constants.friction * nodes[j].pressure
+        nodes[j].limit = friction * nodes[j].pressure
 
 
 @njit(cache=True)

@@ -23,8 +23,9 @@ MAX_DIRECT = 20
 
 
 @njit(cache=True)
-def _finish(constants: Any, state: Any, trial: Any, rows: Any, slots: Any, nodes: Any) -> None:
+def _finish(work: Any) -> None:
     """Write the equilibrium into the state: poses, return-mapped stretches, contact forces, wrench."""
+    constants, state, trial, rows, slots = work.constants[0], work.state[0], work.trials[0], work.rows, work.slots
     n = constants.unknowns
     for a in range(n):
         trial.grad[a] = 0.0
@@ -32,7 +33,7 @@ def _finish(constants: Any, state: Any, trial: Any, rows: Any, slots: Any, nodes
     equilibrium.masses(constants, trial)
     for a in range(6):
         state.wrench[a] = -trial.grad[a]
-    state.report[3], state.report[4] = bristles.settle(constants, nodes, trial)
+    state.report[3], state.report[4] = bristles.settle(constants, work.nodes, trial)
     equilibrium.copy_poses(trial, state)
     for i in range(slots.shape[0]):
         slots[i].force = slots[i].slide[0] = slots[i].slide[1] = 0.0
@@ -48,23 +49,20 @@ def _finish(constants: Any, state: Any, trial: Any, rows: Any, slots: Any, nodes
 
 
 @njit(cache=True, nogil=True)
-def advance(
-    constants_: Any, state_: Any, trials: Any, rows: Any, slots: Any, nodes: Any, foot: Any, corner: Any,
-    pose: Any, target: Any, tol: float, direct: bool, blend: float,
-) -> int:  # fmt: skip
+def advance(work: Any, pose: Any, target: Any, tol: float, direct: bool, blend: float) -> int:
     """One load step: the hand goes from pose to target (x, y, z mm, yaw rad); the state follows. Gives a status code.
 
-    Records come as arrays [1], trials as [3]. STALLED and LOST leave the state as it was. blend below 1: the
-    share of a round by which friction limits follow where whole rounds do not settle.
+    work is a `Workspace`; STALLED and LOST leave its state as it was. blend below 1: the share of a round by which
+    friction limits follow where whole rounds do not settle.
     """
-    constants, state, trial, spare, kept = constants_[0], state_[0], trials[0], trials[1], trials[2]
+    state = work.state[0]
     value, tries, rounds = math.inf, 0, 0
-    equilibrium.begin(constants, state, trial, nodes, foot, corner, pose, target)
+    equilibrium.begin(work, pose, target)
     if direct:
-        value, tries = newton.direct(constants, state, trial, spare, rows, slots, nodes, foot, corner, tol, MAX_DIRECT)
+        value, tries = newton.direct(work, tol, MAX_DIRECT)
     if not value <= tol:
-        equilibrium.begin(constants, state, trial, nodes, foot, corner, pose, target)
-        value, count, rounds = convex.converge(constants, state, trial, spare, rows, slots, nodes, foot, corner, tol)
+        equilibrium.begin(work, pose, target)
+        value, count, rounds = convex.converge(work, tol)
         tries += count
         state.report[0] = value
         if count < 0:
@@ -72,25 +70,23 @@ def advance(
         if not value <= tol or rounds > FREEZE_CONVEX:
             if blend >= 1.0:
                 return STALLED
-            equilibrium.begin(constants, state, trial, nodes, foot, corner, pose, target)
-            value, count = convex.damped(
-                constants, state, trial, spare, kept, rows, slots, nodes, foot, corner, tol, blend
-            )
+            equilibrium.begin(work, pose, target)
+            value, count = convex.damped(work, tol, blend)
             tries += count
-            contact.hold_rim(constants, trial, slots, foot, corner, 0.0)
+            contact.hold_rim(work, 0.0)
             if count < 0:
                 return LOST
             if not value <= tol:
                 return STALLED
-    _finish(constants, state, trial, rows, slots, nodes)
+    _finish(work)
     state.report[0], state.report[1], state.report[2] = value, tries, rounds
     return SETTLED
 
 
 @njit(cache=True)
-def grip_pressures(constants_: Any, state_: Any, trials: Any, nodes: Any) -> None:
+def grip_pressures(work: Any) -> None:
     """Pressures at all nodes for the state's pose in hand and opening."""
-    constants, state, trial = constants_[0], state_[0], trials[0]
+    constants, state, trial, nodes = work.constants[0], work.state[0], work.trials[0], work.nodes
     equilibrium.copy_poses(state, trial)
     trial.opening = state.opening
     for j in range(nodes.shape[0]):

@@ -18,15 +18,16 @@ FAR_IN_HAND_MM = 30.0
 
 
 @njit(cache=True)
-def forces(constants: Any, trial: Any, rows: Any, nodes: Any, coupled: bool) -> float:
+def forces(work: Any, coupled: bool) -> float:
     """Unbalanced force, N, at the trial pose, with gradient, lower Hessian and coupling."""
+    constants, trial = work.constants[0], work.trials[0]
     n = constants.unknowns
     for a in range(n):
         trial.grad[a] = 0.0
         for b in range(n):
             trial.hess[a, b] = trial.skew[a, b] = 0.0
-    bristles.assemble(constants, nodes, trial, coupled)
-    equilibrium.rows_assemble(constants, trial, rows, coupled)
+    bristles.assemble(constants, work.nodes, trial, coupled)
+    equilibrium.rows_assemble(constants, trial, work.rows, coupled)
     equilibrium.masses(constants, trial)
     return float(equilibrium.residual(trial, n))
 
@@ -63,26 +64,14 @@ def _coupled_step(trial: Any, n: int) -> bool:
 
 
 @njit(cache=True)
-def direct(
-    constants: Any,
-    state: Any,
-    trial: Any,
-    spare: Any,
-    rows: Any,
-    slots: Any,
-    nodes: Any,
-    foot: Any,
-    corner: Any,
-    tol: float,
-    most: int,
-) -> tuple[float, int]:
+def direct(work: Any, tol: float, most: int) -> tuple[float, int]:
     """Coupled Newton; gives the residual, N, and how many of `most` iterations it took.
 
     Leaves the equilibrium in trial when it converged.
     """
-    n = constants.unknowns
-    contact.refresh(constants, state, trial, rows, slots, foot, corner, False)
-    value = forces(constants, trial, rows, nodes, True)
+    trial, spare, n = work.trials[0], work.trials[1], work.constants[0].unknowns
+    contact.refresh(work, False)
+    value = forces(work, True)
     for i in range(most):
         if value <= tol:
             return value, i
@@ -94,8 +83,8 @@ def direct(
         equilibrium.copy_trial(trial, spare)
         for _ in range(5):
             equilibrium.move(trial, n, scale)
-            contact.refresh(constants, state, trial, rows, slots, foot, corner, False)
-            value = forces(constants, trial, rows, nodes, True)
+            contact.refresh(work, False)
+            value = forces(work, True)
             if value < before * (1.0 - 0.1 * scale) or (i < 3 and value < 10.0 * before):
                 break
             equilibrium.copy_trial(spare, trial)

@@ -6,7 +6,7 @@ annotations: numba types them, mypy cannot.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,6 +123,24 @@ ROW = np.dtype(
 )
 
 Records = NDArray[Any]
+
+
+class Workspace(NamedTuple):
+    """All memory of a load step: what the kernels read and write, arrays of the records above.
+
+    constants [1]. state [1]: where the last step ended. trials [3]: the pose on trial, a spare for line searches, and
+    one kept while the coupled Newton tries to finish. rows, slots, nodes [n]. foot [v, 2]: footprint, mm, object
+    frame. corner [v, 3]: scratch, the footprint in a block's frame.
+    """
+
+    constants: Any
+    state: Any
+    trials: Any
+    rows: Any
+    slots: Any
+    nodes: Any
+    foot: Any
+    corner: Any
 
 
 def slot_count(vertices: int) -> int:

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.detect import MarkerDetector
-from service.perception.field import MarkerField, empty_field
-from service.perception.lattice import Lattice, find_lattice
+from service.perception.markers.detect import MarkerDetector
+from service.perception.markers.field import MarkerField, empty_field
+from service.perception.markers.lattice import Lattice, find_lattice
 
 Image = NDArray[np.uint8]
 

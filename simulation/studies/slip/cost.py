@@ -7,11 +7,11 @@ import time
 import numpy as np
 
 from service.contract import FINGERS
-from service.perception.contact import FreeGel
-from service.perception.markers import MarkerTracker
-from service.perception.onset import OnsetDetector
-from service.perception.rectify import CameraCalibration, Rectifier
-from service.perception.slip import SlipDetector
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.rectification import CameraCalibration, Rectifier
+from service.perception.slip.contact import FreeGel
+from service.perception.slip.detector import SlipDetector
+from service.perception.slip.onset import OnsetDetector
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.studies.slip.trials import draw_trials
 

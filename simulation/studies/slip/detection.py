@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS
-from service.perception.field import MarkerField, field_from_gel
-from service.perception.markers import MarkerTracker, TrackerSettings
-from service.perception.onset import OnsetDetector
-from service.perception.slip import SlipDetector, SlipSettings
+from service.perception.markers.field import MarkerField, field_from_gel
+from service.perception.markers.tracker import MarkerTracker, TrackerSettings
+from service.perception.slip.detector import SlipDetector, SlipSettings
+from service.perception.slip.onset import OnsetDetector
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.studies.slip.baselines import rule_2019
 from simulation.studies.slip.cost import cost_ms

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.field import MarkerField
-from service.perception.grasp import WATCH_SLIP_PITCH, GraspWatch, watch_settings
-from service.perception.markers import MarkerTracker
-from service.perception.slip import SlipSettings
+from service.perception.markers.field import MarkerField
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.slip.detector import SlipSettings
+from service.perception.slip.grasp import WATCH_SLIP_PITCH, GraspWatch, watch_settings
 from simulation.studies.slip.baselines import plain_residual
 
 FRAME_NS = 125_000_000  # true capture was about 8 a second, whatever the files' headers say

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.field import MarkerField
-from service.perception.markers import MarkerTracker, TrackerSettings
+from service.perception.markers.field import MarkerField
+from service.perception.markers.tracker import MarkerTracker, TrackerSettings
 from simulation.optics.texture import MARKER_PITCH_PX, marker_rest_px
 from simulation.studies.slip.baselines import LucasKanade, NearestBlob
 from simulation.studies.slip.detection import Tally, Tracker, alarm_of, pictures, see

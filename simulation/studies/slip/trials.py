@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.physics.quasistatic import Cell, PhysicsError
+from simulation.physics.quasistatic import PhysicsError, QuasiStaticCell
 from simulation.scene.scene import BUILT_IN, Scene, load_scene
 
 Kind = Literal["slip", "hold", "free"]
@@ -70,7 +70,7 @@ def draw_trials(count: int, seed: int, fps: int) -> Iterator[SlipTrial]:
 def _trial(name: str, kind: Kind, rng: np.random.Generator, held_out: bool, seed: int, fps: int) -> SlipTrial:
     scene = load_scene(name).randomised(rng, held_out=held_out)
     x_mm, theta_deg = _error(scene, kind, rng)
-    cell = Cell(scene, seed)
+    cell = QuasiStaticCell(scene, seed)
     cell.regrasp(x_mm, theta_deg)
     gel, share = _descend(cell, scene.speed_mm_s / fps, float(rng.random()), scene.numerics.slip_share)
     moved = np.abs(gel[..., :2] - gel[0, ..., :2]).max((1, 2, 3, 4)) > ONSET_MM
@@ -112,7 +112,7 @@ def _error(scene: Scene, kind: Kind, rng: np.random.Generator) -> tuple[float, f
 
 
 def _descend(
-    cell: Cell, step_mm: float, phase: float, slip_share: float
+    cell: QuasiStaticCell, step_mm: float, phase: float, slip_share: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Gel and slipping share frame by frame, until a few frames after slip, full depth or a lost grasp."""
     start = cell.pose.copy()

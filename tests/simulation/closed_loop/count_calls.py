@@ -14,7 +14,7 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"
 
 import numpy as np
 
-from simulation.data.probe import Cell
+from simulation.data.probe import QuasiStaticCell
 from simulation.physics.kernels import load_step
 from simulation.scene.scene import load_scene
 
@@ -47,7 +47,7 @@ def calls(**switches: str) -> Counter[str]:
             seen[frame.f_code.co_name] += 1
 
     sys.setprofile(count)
-    cell = Cell(load_scene("rectangle", **ROUGH, **switches))
+    cell = QuasiStaticCell(load_scene("rectangle", **ROUGH, **switches))
     cell.regrasp(8.0, 5.0)
     cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 5.3, 5.0)
     sys.setprofile(None)

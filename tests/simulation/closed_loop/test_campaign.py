@@ -59,7 +59,7 @@ def test_results_of_other_networks_are_not_mixed_in(models, tmp_path):
         campaign.claim(tmp_path, {**setup, "belief/direction.step.onnx": "0" * 64})
 
 
-@pytest.mark.parametrize("kept", [{campaign.PLAYED_BY: "0" * 64}, {"service.belief": "0" * 64}])
+@pytest.mark.parametrize("kept", [{campaign.PLAYED_BY: "0" * 64}, {"service.decision.belief": "0" * 64}])
 def test_results_of_other_physics_are_not_mixed_in(models, tmp_path, kept):
     (tmp_path / "setup.json").write_text(json.dumps(kept))
     with pytest.raises(ValueError, match="holds results of other code of the simulator"):

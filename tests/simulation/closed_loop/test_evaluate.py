@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.models import load_models
+from service.decision.models import load_models
 from simulation.closed_loop.baselines import Oracle, error_from_levers, lever_arms_mm
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.closed_loop.play import Job, insert, stage

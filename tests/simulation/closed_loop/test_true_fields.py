@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.perception.markers import MarkerTracker
+from service.perception.markers.tracker import MarkerTracker
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.closed_loop.true_fields import GelFinger
 from simulation.scene.scene import load_scene

@@ -37,8 +37,8 @@ def test_an_insertion_is_played_by_the_solver_the_service_and_the_client(monkeyp
     }
     wanted = {
         "simulation/physics/kernels/newton.py",
-        "service/belief.py",
-        "service/perception/slip.py",
+        "service/decision/belief.py",
+        "service/perception/slip/detector.py",
         "robot_client/insertion/machine.py",
     }
     assert wanted <= found

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulation.data.probe import Cell, CellState
+from simulation.data.probe import CellState, QuasiStaticCell
 from simulation.scene.scene import load_scene
 
 WIDTH_MM, HEIGHT_MM, WEIGHT_N = 20.0, 100.0, 0.6 * 9.81
@@ -24,7 +24,7 @@ def push(table_friction: float) -> CellState:
         grasp__pre_tilt_spread_deg=0.0,
         grasp__pre_yaw_spread_deg=0.0,
     )
-    cell = Cell(scene)
+    cell = QuasiStaticCell(scene)
     cell.regrasp(0.0, 0.0)
     x, y, z, _ = cell.pose
     cell.move_to(x, y, z - 5.0 - DEEP_MM, 0.0)

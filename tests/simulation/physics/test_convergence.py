@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from simulation.data.probe import Cell, CellState
+from simulation.data.probe import CellState, QuasiStaticCell
 from simulation.scene.scene import BUILT_IN, load_scene
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 TIERS = ("bristle", "layer")
 
 
-def pressed(name: str, tier: str = "bristle", **changes: object) -> tuple[Cell, CellState]:
+def pressed(name: str, tier: str = "bristle", **changes: object) -> tuple[QuasiStaticCell, CellState]:
     """A poke 1.2 mm past touchdown: partly slipping, on one block."""
-    cell = Cell(load_scene(name, gel__tier=tier, **CLEAN, **changes))
+    cell = QuasiStaticCell(load_scene(name, gel__tier=tier, **CLEAN, **changes))
     cell.regrasp(8.0, 5.0)
     return cell, cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.2, 5.0)
 
@@ -36,7 +36,7 @@ def test_where_no_bristle_slips_the_load_step_changes_nothing() -> None:
     """The tips keep to the object's material, so that the way there is forgotten; the edge slides straight."""
 
     def stuck(step_mm: float) -> CellState:
-        cell = Cell(load_scene("rectangle", numerics__load_step_mm=step_mm, effects__gravity="off", **CLEAN))
+        cell = QuasiStaticCell(load_scene("rectangle", numerics__load_step_mm=step_mm, effects__gravity="off", **CLEAN))
         cell.regrasp(8.0, 0.0)
         return cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.0, 0.0)
 
@@ -75,7 +75,7 @@ def test_a_held_load_does_not_drift_in_a_second(name: str, tier: str) -> None:
     assert apart(last, first)[0] < 1.0
 
 
-def slides(cell: Cell, before: np.ndarray) -> np.ndarray:
+def slides(cell: QuasiStaticCell, before: np.ndarray) -> np.ndarray:
     """Work of friction on every node in the last load step, N mm: traction times how far the object slid on it."""
     nodes, trial = cell.nodes, cell.trials[0]
     y = 0.5 * nodes["side"] * float(cell.state["opening"])
@@ -88,7 +88,7 @@ def slides(cell: Cell, before: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["rectangle", "circle", "hexagon"])
 def test_friction_never_gives_work_back(name: str) -> None:
-    cell = Cell(load_scene(name))
+    cell = QuasiStaticCell(load_scene(name))
     cell.regrasp(9.0, 5.0)
     x, y, z, yaw = cell.pose
     total = 0.0
@@ -103,7 +103,7 @@ def test_friction_never_gives_work_back(name: str) -> None:
 
 def cycle_work(step_mm: float, **changes: object) -> float:
     """Work of the hand over a poke down and up again, N mm (trapezoid rule)."""
-    cell = Cell(load_scene("rectangle", effects__gravity="off", **CLEAN, **changes))
+    cell = QuasiStaticCell(load_scene("rectangle", effects__gravity="off", **CLEAN, **changes))
     cell.regrasp(9.0, 0.0)
     x, _, z, _ = cell.pose
     depths = 4.99 + np.concatenate([np.arange(0.0, 1.2, step_mm), np.arange(1.2, -0.01, -step_mm)])

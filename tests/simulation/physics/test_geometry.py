@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulation.__main__ import main
-from simulation.data.probe import Cell
+from simulation.data.probe import QuasiStaticCell
 from simulation.scene.scene import load_scene
 from simulation.scene.shapes import half_width_mm
 from simulation.studies.theory import INSERTS, inserting
@@ -54,7 +54,7 @@ def test_the_page_beside_theory_is_printed_and_written(tmp_path: Path, capsys) -
 @pytest.mark.parametrize("x", [4.0, 10.0, -7.0])
 def test_the_lever_arm_is_half_the_gap_less_the_offset(x: float) -> None:
     scene = load_scene("rectangle", blocks__friction=0.0, effects__gravity="off", **CLEAN)
-    cell = Cell(scene)
+    cell = QuasiStaticCell(scene)
     cell.regrasp(x, 0.0)
     state = cell.move_to(x, 0.0, 30.0 - 0.3, 0.0)
     along, force, moment = state.wrench_n_nmm[0], state.wrench_n_nmm[2], state.wrench_n_nmm[4]
@@ -68,7 +68,7 @@ def test_a_descent_inserts_exactly_when_geometry_says_so() -> None:
     rng = np.random.default_rng(5)
     for name in ("circle", "rectangle", "ellipse", "hexagon"):
         scene = load_scene(name, **CLEAN)
-        cell = Cell(scene)
+        cell = QuasiStaticCell(scene)
         for _ in range(6):
             x, theta = rng.uniform(-4, 4), rng.uniform(-5, 5)
             if abs(abs(x) + half_width_mm(scene.object.footprint_mm, theta) - 28.0) < 0.02:

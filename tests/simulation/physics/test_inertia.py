@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulation.data.probe import Cell, run_probe
+from simulation.data.probe import QuasiStaticCell, run_probe
 from simulation.scene.effects import active_effects, inertia_share
 from simulation.scene.scene import BUILT_IN, load_scene
 
@@ -23,7 +23,7 @@ def test_an_object_that_is_stopped_swings_as_a_mass_on_the_gels_springs() -> Non
         numerics__load_step_mm=0.01,
         **CLEAN,
     )
-    cell = Cell(scene)
+    cell = QuasiStaticCell(scene)
     cell.regrasp(0.0, 0.0)
     cell.coasting.velocity[:] = (0.0, 0.0, -5.0)
     heights = []
@@ -41,7 +41,7 @@ def test_the_shipped_scenes_are_too_slow_and_light_for_inertia(name: str) -> Non
     scene = load_scene(name)
     assert inertia_share(scene) < 0.1
     assert not active_effects(scene).inertia
-    assert Cell(scene).coasting is None
+    assert QuasiStaticCell(scene).coasting is None
 
 
 def test_speed_and_mass_call_for_inertia() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from simulation.data.probe import Cell, CellState, run_probe
+from simulation.data.probe import CellState, QuasiStaticCell, run_probe
 from simulation.physics import elastic_layer
 from simulation.physics.quasistatic import PhysicsError
 from simulation.scene.scene import SceneError, load_scene
@@ -84,7 +84,7 @@ def test_a_kernel_is_reciprocal_and_stores_energy(make) -> None:
 
 
 def poke(tier: str, name: str = "rectangle", **changes: float) -> CellState:
-    cell = Cell(load_scene(name, gel__tier=tier, **CLEAN, **changes))
+    cell = QuasiStaticCell(load_scene(name, gel__tier=tier, **CLEAN, **changes))
     cell.regrasp(8.0, 5.0)
     return cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.2, 5.0)
 
@@ -108,7 +108,7 @@ def test_a_probe_runs_on_either_tier_and_a_thick_gel_tells_them_apart() -> None:
 
 
 def test_the_layers_equilibrium_is_as_exact_as_the_bristles() -> None:
-    cell = Cell(load_scene("ellipse", gel__tier="layer"))
+    cell = QuasiStaticCell(load_scene("ellipse", gel__tier="layer"))
     cell.regrasp(8.0, 5.0)
     for depth in (5.5, 6.0, 6.5):
         state = cell.move_to(cell.pose[0], 0.0, 35.0 - depth, 5.0)
@@ -129,4 +129,4 @@ def test_the_layer_tier_refuses_what_it_cannot_be() -> None:
     with pytest.raises(ValueError, match="Poisson"):
         elastic_layer.half_space(elastic_layer.Grid(4, 4, 1.0, 1.0), 0.1, 0.6)
     with pytest.raises(PhysicsError, match=r"grasp\.force_n"):
-        Cell(load_scene("ellipse", gel__tier="layer", grasp__force_n=120.0, gel__thickness_mm=0.5))
+        QuasiStaticCell(load_scene("ellipse", gel__tier="layer", grasp__force_n=120.0, gel__thickness_mm=0.5))

@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from simulation.data.probe import Cell, PhysicsError, run_probe
+from simulation.data.probe import PhysicsError, QuasiStaticCell, run_probe
 from simulation.physics.state import Reason
 from simulation.scene.scene import load_scene
 from simulation.studies.hard_probes import ImpossibleStateError, Tally, _check, hard_probe, run
@@ -26,7 +26,7 @@ def test_random_hard_probes_end_solved_lost_or_refused_by_name() -> None:
 
 
 def test_a_probe_that_breaks_a_promise_is_never_called_solved() -> None:
-    cell = Cell(load_scene("rectangle"))
+    cell = QuasiStaticCell(load_scene("rectangle"))
     state = cell.look()
     with pytest.raises(ImpossibleStateError, match="residual"):
         _check(cell, dataclasses.replace(state, residual_n=2e-6))
@@ -52,7 +52,7 @@ def test_what_the_grip_cannot_carry_is_lost_at_once() -> None:
 def test_the_convex_and_the_coupled_solver_find_one_equilibrium(name: str) -> None:
     ends = []
     for direct in (True, False):
-        cell = Cell(load_scene(name, **CLEAN))
+        cell = QuasiStaticCell(load_scene(name, **CLEAN))
         cell.direct = direct
         cell.regrasp(8.0, 5.0)
         ends.append(cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.2, 5.0))
@@ -61,7 +61,7 @@ def test_the_convex_and_the_coupled_solver_find_one_equilibrium(name: str) -> No
 
 
 def test_drift_in_the_hand_is_remembered_after_the_load_is_gone() -> None:
-    cell = Cell(load_scene("rectangle", **CLEAN))
+    cell = QuasiStaticCell(load_scene("rectangle", **CLEAN))
     cell.regrasp(9.0, 0.0)
     x, y, z, yaw = cell.pose
     cell.move_to(x, y, z - 7.5, float(np.degrees(yaw)))
@@ -77,8 +77,8 @@ def test_without_friction_a_load_pushes_the_object_out_of_the_hand_or_up() -> No
 
 
 def test_free_blocks_move_only_when_pushed_hard_enough() -> None:
-    light = Cell(load_scene("circle", blocks__free=True, blocks__table_friction=0.02, **CLEAN))
-    heavy = Cell(load_scene("circle", blocks__free=True, blocks__mass_kg=20.0, **CLEAN))
+    light = QuasiStaticCell(load_scene("circle", blocks__free=True, blocks__table_friction=0.02, **CLEAN))
+    heavy = QuasiStaticCell(load_scene("circle", blocks__free=True, blocks__mass_kg=20.0, **CLEAN))
     for cell, moved in ((light, True), (heavy, False)):
         cell.regrasp(6.0, 0.0)
         cell.move_to(6.0, 0.0, cell.pose[2] - 7.0, 0.0)
@@ -87,7 +87,7 @@ def test_free_blocks_move_only_when_pushed_hard_enough() -> None:
 
 def test_a_cell_probed_again_starts_with_its_blocks_in_place() -> None:
     scene = load_scene("circle", blocks__free=True, blocks__table_friction=0.02, blocks__mass_kg=0.2, **CLEAN)
-    cell = Cell(scene)
+    cell = QuasiStaticCell(scene)
     first = run_probe(cell, 7.0, 0.0)
     assert np.abs(first.block_motion[:, 0]).max() > 0.05
     again = run_probe(cell, 7.0, 0.0)
@@ -124,4 +124,4 @@ def test_one_process_and_two_get_the_same_bits() -> None:
 
 def test_a_grip_that_squeezes_the_gel_through_is_refused() -> None:
     with pytest.raises(PhysicsError, match=r"grasp\.force_n"):
-        Cell(load_scene("ellipse", grasp__force_n=120.0, gel__thickness_mm=0.5))
+        QuasiStaticCell(load_scene("ellipse", grasp__force_n=120.0, gel__thickness_mm=0.5))

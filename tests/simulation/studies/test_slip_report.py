@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from service.perception.markers import MarkerTracker
+from service.perception.markers.tracker import MarkerTracker
 from simulation.__main__ import main
 from simulation.studies.slip.detection import Tally, alarm_of, true_fields, wilson
 from simulation.studies.slip.tracker_costs import accuracy_at_noise

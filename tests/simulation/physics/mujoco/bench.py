@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from simulation.data.probe import Cell
+from simulation.data.probe import QuasiStaticCell
 from simulation.scene.scene import load_scene
 from tests.simulation.physics.mujoco.model import Effort
 from tests.simulation.physics.mujoco.press import Press, Pressed
@@ -26,9 +26,9 @@ BETWEEN = "<!-- tables: written by the command below -->"
 DEEP_HEAD = "The same and others deeper, where objects tilt by 2 deg and more:"
 
 
-def ours(poke: Poke, load_step_mm: float) -> tuple[Cell, Pressed]:
+def ours(poke: Poke, load_step_mm: float) -> tuple[QuasiStaticCell, Pressed]:
     """A freshly grasped cell, and the end of the poke by our own mechanics."""
-    cell = Cell(load_scene(poke.scene, numerics__load_step_mm=load_step_mm, **{**SETTINGS, **poke.changes}))
+    cell = QuasiStaticCell(load_scene(poke.scene, numerics__load_step_mm=load_step_mm, **{**SETTINGS, **poke.changes}))
     cell.regrasp(poke.x_mm, poke.theta_deg)
     x, _, _, yaw = cell.pose
     state = cell.move_to(x, 0.0, cell.scene.grasp.height_mm - poke.depth_mm, np.degrees(yaw))
@@ -36,7 +36,7 @@ def ours(poke: Poke, load_step_mm: float) -> tuple[Cell, Pressed]:
     return cell, Pressed(state.wrench_n_nmm[:3], np.degrees(state.in_hand[3:]), tuple(state.slipping_share))
 
 
-def theirs(poke: Poke, cell: Cell, effort: Effort) -> Pressed:
+def theirs(poke: Poke, cell: QuasiStaticCell, effort: Effort) -> Pressed:
     """The end of the poke by MuJoCo, from the grasp of a cell of ours."""
     return Press(cell, effort, poke.depth_mm, apart=poke.apart).run()
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from simulation.data.probe import Cell
+from simulation.data.probe import QuasiStaticCell
 
 TIP_G = 1.0
 TIP_MM, START_MM = 0.02, 0.05
@@ -40,7 +40,7 @@ def _prism(name: str, outline: np.ndarray, low_mm: float, high_mm: float) -> str
     return f'<mesh name="{name}" vertex="{points}"/>'
 
 
-def _held_surface(cell: Cell) -> tuple[str, str]:
+def _held_surface(cell: QuasiStaticCell) -> tuple[str, str]:
     """Mesh and geoms of the held section, a tip's radius inside it, so that the tips' centres run on it.
 
     Flats are boxes and round corners cylinders, which MuJoCo meets exactly; only an ellipse is a fine polygon.
@@ -84,7 +84,7 @@ def _tip(name: str, place_mm: tuple[float, float, float], joints: str, contact: 
     )
 
 
-def _tips(cell: Cell, *, apart: bool) -> str:
+def _tips(cell: QuasiStaticCell, *, apart: bool) -> str:
     constants, opening = cell.constants[0], float(cell.state["opening"])
     kt, kn = (float(constants[name] * constants["area"]) for name in ("kt", "kn"))
     rubs = f'friction="{cell.scene.gel.friction} 0 0" condim="3"'
@@ -101,7 +101,7 @@ def _tips(cell: Cell, *, apart: bool) -> str:
     return "".join(parts)
 
 
-def _ends_mm(cell: Cell, x_mm: float, theta_deg: float) -> list[tuple[float, float]]:
+def _ends_mm(cell: QuasiStaticCell, x_mm: float, theta_deg: float) -> list[tuple[float, float]]:
     """Where the blocks' edges enter and leave the footprint, world frame."""
     turn = np.radians(theta_deg)
     x = cell.foot @ [np.cos(turn), -np.sin(turn)] + x_mm
@@ -114,7 +114,7 @@ def _ends_mm(cell: Cell, x_mm: float, theta_deg: float) -> list[tuple[float, flo
     return ends
 
 
-def _beads(cell: Cell, bead_mm: float) -> str:
+def _beads(cell: QuasiStaticCell, bead_mm: float) -> str:
     x_mm, theta_deg = cell.look().object_error
     # a skew object bears on the last bead alone, which changes as it slides; a coarse row would kick it
     pitch = 0.6 * bead_mm if abs(theta_deg) > 1e-9 else PITCH_MM
@@ -127,7 +127,7 @@ def _beads(cell: Cell, bead_mm: float) -> str:
     )
 
 
-def model_of(cell: Cell, effort: Effort, *, apart: bool) -> mujoco.MjModel:
+def model_of(cell: QuasiStaticCell, effort: Effort, *, apart: bool) -> mujoco.MjModel:
     """The scene of a cell that has just grasped its object."""
     low = -cell.scene.grasp.height_mm
     plate = (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from simulation.data.probe import Cell
+from simulation.data.probe import QuasiStaticCell
 from tests.simulation.physics.mujoco.model import START_MM, TIP_MM, Effort, model_of
 
 HOLD_MS = 50.0  # rest before the motion: the grasp settles
@@ -30,7 +30,7 @@ class Pressed:
 class Press:
     """MuJoCo's world in one poke of depth_mm past touchdown."""
 
-    def __init__(self, cell: Cell, effort: Effort, depth_mm: float, *, apart: bool) -> None:
+    def __init__(self, cell: QuasiStaticCell, effort: Effort, depth_mm: float, *, apart: bool) -> None:
         self.effort, self.apart = effort, apart
         self.model = model_of(cell, effort, apart=apart)
         self.data = mujoco.MjData(self.model)
