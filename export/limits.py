@@ -20,8 +20,8 @@ import onnxruntime
 from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
-from export.measure import example_inputs, time_calls
-from export.verify import Arrays, Model
+from export.bench.measure import example_inputs, time_calls
+from export.onnx.model import Arrays, Model
 
 MATMUL_SIZES = (512, 1024)
 CONV = (256, 28)

@@ -4,11 +4,11 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from export.alexnet import files, trained
+from export.bench.alexnet import files, trained
+from export.bench.measure import example_inputs, quartiles, time_in_turn
+from export.bench.profile import operators, profile
 from export.limits import probe, work_of
-from export.measure import example_inputs, quartiles, time_in_turn
-from export.profile import operators, profile
-from export.verify import Model, open_model
+from export.onnx.model import Model, open_model
 
 SHARED = "shared backbone int8"
 CLAIMS = {"released": 1 / 150, SHARED: 1 / 25}

@@ -59,7 +59,10 @@ class Arm(Protocol):
         """Freeze the target before returning; Standstill follows. ``stop``: end the controller's program too."""
 
     async def close(self) -> str:
-        """Stop the program, wait until the controller confirms, release everything; returns how it ended."""
+        """Stop the program, wait until the controller confirms, release everything; returns how it ended.
+
+        Allowed before :meth:`start`, where nothing is to be stopped.
+        """
 
     def position(self) -> WorkPose | None:
         """The last measured pose."""

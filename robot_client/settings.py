@@ -1,5 +1,6 @@
 """The client's configuration: one TOML file, every key checked, an unknown one refused with the nearest allowed."""
 
+import difflib
 import json
 import os
 from pathlib import Path
@@ -97,9 +98,11 @@ def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) ->
     chosen = {key: _device(key, data.pop(key, {}), source) for key in REGISTRIES}
     known = [name for device in chosen.values() for name in device.variables]
     for name in os.environ:
-        if name.startswith(VARIABLES) and name not in known:
+        ours = name.startswith(VARIABLES) or difflib.get_close_matches(name, known, 1, 0.8)
+        if ours and name not in known:
             raise SettingsError(f"environment: {name} is not used; {nearest(name, known)}")
-    settings = _table(Settings, data, source).model_copy(update=chosen)
+    names = {key: {"device": device.device} for key, device in chosen.items()}
+    settings = _table(Settings, {**data, **names}, source).model_copy(update=chosen)
     try:
         settings.work_object.frame()
     except ValueError as error:

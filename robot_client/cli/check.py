@@ -39,7 +39,7 @@ async def _check(settings: Settings) -> Outcome:
                 print(f"{'ok  ' if finding.good else 'BAD '} {name:9s} {finding.text}", flush=True)
     finally:
         for port in (arm, gripper):
-            with contextlib.suppress(DriverError):
+            with contextlib.suppress(Exception):
                 await port.close()
     ready = all(row["good"] for row in rows)
     print("ready to insert" if ready else "NOT ready")

@@ -5,11 +5,11 @@ import pytest
 import torch
 from filelock import FileLock
 
-from export.to_onnx import export_checkpoint
-from training.checkpoint import Checkpoint
+from export.onnx.to_onnx import export_checkpoint
 from training.config import NetworkConfig
-from training.evaluate import Scales
-from training.labels import CLASSES
+from training.data.labels import CLASSES
+from training.fit.checkpoint import Checkpoint
+from training.metrics.figures import Scales
 from training.networks import build
 
 EXPORTED = ("direction.step", "direction.sequence", "magnitude.step", "joint.step", "pair.step")

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from export.golden import hard_input
-from export.verify import Model, decide, open_model
+from export.onnx.golden import hard_input
+from export.onnx.model import Model, open_model
+from export.onnx.verify import decide
 from tests.hard_cases.networks import LARGEST, PICTURES, golden, largest_of, released
 from tests.hard_cases.registry import ROOT, case
 
@@ -27,7 +28,7 @@ def single_against_double_precision(seed: int) -> float:
     import torch
 
     from training.config import NetworkConfig
-    from training.labels import CLASSES
+    from training.data.labels import CLASSES
     from training.networks import build
 
     torch.manual_seed(seed)
@@ -47,8 +48,8 @@ def single_against_double_precision(seed: int) -> float:
 @lru_cache
 def _small(name: str) -> Model:
     """int8 twin of a released step model that reads pictures, multiplied in int8 where it can be."""
-    from export.candidates import Decision
-    from export.quantize import quantize
+    from export.onnx.decisions import Decision
+    from export.quantise.quantise import quantize
 
     truth = np.zeros(2, np.float32)
     calibrating = [Decision(golden(seed), 56.0, 30.0, truth, "golden") for seed in range(4)]
@@ -78,7 +79,7 @@ def int8_with_a_bit_in_reserve(seed: int) -> float:
     "networks",
     why="extreme inputs drive every quantised activation to the ends of its 256 steps",
     holds="the int8 twins stay finite and bounded on every hard input: largest",
-    guard=("export/quantize.py", "_self_test(model, open_model(out), decisions[:2])"),
+    guard=("export/quantise/quantise.py", "_self_test(model, open_model(out), decisions[:2])"),
     limit=LARGEST,
     quick=False,
 )
@@ -95,7 +96,7 @@ def int8_at_its_extremes(_seed: int) -> float:
     "networks",
     why="a weight of eight bits is off by a 250th of the largest beside it, and a state carries that on",
     holds="the int8 twins stay near fp32 on golden frames that they were not rounded for: mean gap relative to the output",
-    guard=("export/quantize.py", "if not gap < FAR_OFF:"),
+    guard=("export/quantise/quantise.py", "if not gap < FAR_OFF:"),
     limit=0.02,
     quick=False,
 )

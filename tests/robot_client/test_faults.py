@@ -17,7 +17,7 @@ from robot_client.insertion.events import Hold, Move
 from robot_client.insertion.state import Phase
 from robot_client.session.recorder import read_log
 from service.contract import wire
-from simulation.emulators.abb_motion import Follower, Pose, normalised
+from simulation.cell.emulators.abb.motion import Follower, Pose, normalised
 from tests.robot_client.live_cell import Bench, bench
 
 EGM_S = 0.25 + 0.15  # silence bound, watchdog grain, and a loaded machine
@@ -202,7 +202,10 @@ class Injector:
 
 async def break_it(name, phase, folder):
     fault = FAULTS[name]
-    overrides = {"timeouts": {"arming_s": 1.0, "deciding_s": 1.5, "motion_s": 3.0}, "rws": {"stop_timeout_s": 0.5}}
+    overrides = {
+        "timeouts": {"arming_s": 1.0, "deciding_s": 1.5, "motion_s": 3.0},
+        "robot": {"rws": {"stop_timeout_s": 0.5}},
+    }
     overrides["egm"] = {"max_age_s": 0.25}
     log = folder / f"{name}-{phase}.jsonl".replace(" ", "_")
     async with bench(overrides=overrides) as cell:

@@ -75,8 +75,7 @@ def _checked(name: str, pose: Pose) -> Pose:
         raise EgmError(str(error)) from None
 
 
-def _put_pose(target: pb.EgmPose, pose: Pose, name: str = "pose") -> None:
-    pose = _checked(name, pose)
+def _put_pose(target: pb.EgmPose, pose: Pose) -> None:
     target.pos.x, target.pos.y, target.pos.z = pose.x_mm, pose.y_mm, pose.z_mm
     target.orient.u0, target.orient.u1, target.orient.u2, target.orient.u3 = pose.quaternion
 
@@ -114,7 +113,7 @@ def encode_guidance(guidance: Guidance) -> bytes:
     message.header.tm = guidance.time_ms & 0xFFFFFFFF
     message.header.mtype = pb.EgmHeader.MSGTYPE_CORRECTION
     if guidance.pose is not None:
-        _put_pose(message.planned.cartesian, guidance.pose, "target pose")
+        _put_pose(message.planned.cartesian, _checked("target pose", guidance.pose))
     if guidance.joints_deg:
         _check_finite("target joints", guidance.joints_deg)
         message.planned.joints.joints.extend(guidance.joints_deg)
@@ -145,7 +144,7 @@ def encode_robot(state: RobotState) -> bytes:
     _check_finite("joints", state.joints_deg)
     for block, pose in ((message.feedBack, state.feedback), (message.planned, state.planned)):
         if pose is not None:
-            _put_pose(block.cartesian, pose)
+            _put_pose(block.cartesian, _checked("pose", pose))
             block.joints.joints.extend(state.joints_deg)
             block.time.sec, block.time.usec = state.time_ms // 1000, state.time_ms % 1000 * 1000
     message.motorState.state = pb.EgmMotorState.MOTORS_ON if state.motors_on else pb.EgmMotorState.MOTORS_OFF

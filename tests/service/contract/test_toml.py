@@ -8,11 +8,11 @@ import pytest
 
 from robot_client.settings import load_settings
 from service.contract.toml import read_toml
-from service.perception.rectify import Calibration
+from service.perception.rectification import Calibration
 from service.settings import read_settings
-from simulation.scene import load_scene
+from simulation.scene.scene import load_scene
 from training.config import RunConfig
-from training.recipe_data import RecipeConfig
+from training.data.recipe_data import RecipeConfig
 
 NO_TOML = {
     "text": b"hello world\n",

@@ -1,0 +1,173 @@
+"""Peers: the same network under torch, torch.compile and OpenVINO, one thread each, from the same released file.
+
+torch gets the weights out of the ONNX file, so no checkpoint is needed and nothing but the runtime differs.
+"""
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import onnx
+
+from export.bench.measure import example_inputs
+from export.onnx.model import Arrays, Model
+from service.contract import ContractError
+
+Peer = Callable[[], Any]
+NAMES = ("torch", "torch.compile", "openvino")
+CLOSE = {"none": 1e-3, "fp16": 1e-2, "int8": 0.2}
+"""How far a peer's outputs may be, relative to the largest or one: the same network was computed."""
+
+
+class PeerAbsentError(ContractError):
+    """A peer that cannot run here, or not this file; the text says why."""
+
+
+def known(asked: str) -> tuple[str, ...]:
+    """Names of peers separated by commas; raises ContractError on one that there is none of."""
+    names = tuple(name.strip() for name in asked.split(",") if name.strip())
+    for name in names:
+        if name not in NAMES:
+            raise ContractError(f"no peer {name}, expected some of {', '.join(NAMES)}")
+    return names
+
+
+def peer(name: str, model: Model) -> Peer:
+    """A call of one peer on the model's golden inputs; its outputs were compared first.
+
+    Raises ContractError on an unknown name, PeerAbsentError where the peer cannot run this file.
+    """
+    makers = {"torch": _torch, "torch.compile": _compiled, "openvino": _openvino}
+    (name,) = known(name)
+    inputs = example_inputs(model)
+    call = makers[name](model, inputs)
+    _compare(name, model, inputs, call())
+    return call
+
+
+def _compare(name: str, model: Model, inputs: Arrays, got: list[Any]) -> None:
+    wanted = list(model(inputs).values())
+    for ours, theirs in zip(wanted, got, strict=True):
+        gap = float(np.abs(ours - np.asarray(theirs)).max() / max(1.0, float(np.abs(ours).max())))
+        if not gap <= CLOSE[model.card.quantisation]:
+            raise PeerAbsentError(f"{name} gives other outputs for {model.file.name}: off by {gap:.1e}")
+
+
+def _torch(model: Model, inputs: Arrays) -> Peer:
+    return _torch_call(model, inputs, compiled=False)
+
+
+def _compiled(model: Model, inputs: Arrays) -> Peer:
+    return _torch_call(model, inputs, compiled=True)
+
+
+def _torch_call(model: Model, inputs: Arrays, *, compiled: bool) -> Peer:
+    import torch
+
+    torch.set_num_threads(1)
+    network: Any = rebuild(model)
+    if compiled:
+        try:
+            torch.compiler.reset()  # it compiles one forward at most eight times, and runs it as it is from then on
+            network = torch.compile(network)
+            with torch.inference_mode():  # as it will be called: another mode is compiled anew
+                _ = network(**{name: torch.from_numpy(value) for name, value in inputs.items()})
+        except Exception as error:  # no compiler, or one of inductor's many failures
+            raise PeerAbsentError(f"torch.compile cannot run here: {str(error).splitlines()[0][:120]}") from error
+    given = {name: torch.from_numpy(value) for name, value in inputs.items()}
+
+    def call() -> list[Any]:
+        with torch.inference_mode():
+            return [output.numpy() for output in network(**given)]
+
+    return call
+
+
+def rebuild(model: Model) -> Any:
+    """The torch module of a released fp32 file, with the weights found in it; PeerAbsentError if it has none such."""
+    import torch
+
+    from training.networks.forms import SequenceForm, StepForm
+
+    if model.card.quantisation != "none":
+        raise PeerAbsentError(f"torch has no {model.card.quantisation} twin of {model.file.name}")
+    weights = {
+        tensor.name.removeprefix("network."): torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy())
+        for tensor in onnx.load(str(model.file)).graph.initializer
+        if tensor.name.startswith("network.")
+    }
+    network = _empty(model, weights)
+    known = network.state_dict()
+    if "field_scale" in known and "field_scale" not in weights:
+        weights["field_scale"] = _folded_scale(model, known["field_scale"])
+    try:
+        network.load_state_dict(known | {name: value for name, value in weights.items() if name in known})
+    except RuntimeError as error:
+        raise PeerAbsentError(f"{model.file.name} is of an older architecture; torch cannot rebuild it") from error
+    form = SequenceForm if model.card.form == "sequence" else StepForm
+    return form(network, model.card.role).eval()
+
+
+def _folded_scale(model: Model, otherwise: Any) -> Any:
+    """The spread of a marker's motion, which the exporter folds into the one nameless pair of numbers of the graph."""
+    import torch
+
+    graph = onnx.load(str(model.file)).graph
+    constants = [onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer]
+    pairs = [value for value in constants if value.shape == (2,) and value.dtype == np.float32]
+    if len(pairs) != 1:
+        return otherwise
+    return torch.cat([torch.from_numpy(pairs[0].copy()), otherwise[2:]])
+
+
+def _empty(model: Model, weights: dict[str, Any]) -> Any:
+    from training.config import NetworkConfig
+    from training.networks import build
+    from training.networks.alexnet import AlexNetLstm, AlexNetPair
+
+    classes = len(model.card.classes)
+    if any("alexnet" in name for name in weights):
+        if model.card.role == "pair":
+            pair = AlexNetPair(classes)
+            apart = "magnitude.alexnet.classifier.1.weight" in weights
+            ours, theirs = pair.direction.alexnet, pair.magnitude.alexnet
+            (theirs.features if apart else theirs).load_state_dict((ours.features if apart else ours).state_dict())
+            return pair.of("pair")
+        return AlexNetLstm(classes if model.card.role == "direction" else 2)
+    front = weights.get("front.cells.weight")
+    try:
+        settings = NetworkConfig(
+            kind="markers" if front is None else "compact",
+            front_width=NetworkConfig().front_width if front is None else front.shape[0],
+            trunk_width=weights["trunk.convolutions.0.weight"].shape[0],
+            feature_size=weights["trunk.project.weight"].shape[0],
+            state_size=weights["trunk.cell.weight_hh"].shape[1],
+            affine_fit="trunk.affine.read.weight" in weights,
+        )
+    except KeyError as error:
+        raise PeerAbsentError(f"{model.file.name} has no weights named {error}; torch cannot rebuild it") from error
+    return build(settings, classes)
+
+
+def _openvino(model: Model, inputs: Arrays) -> Peer:
+    try:
+        import openvino
+    except ImportError as error:
+        raise PeerAbsentError('openvino is not installed: pip install ".[bench]"') from error
+    core = openvino.Core()
+    # fp32 as asked: on processors with AMX OpenVINO would otherwise compute in bfloat16, which is another network.
+    wanted = {"INFERENCE_NUM_THREADS": "1", "PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": "f32"}
+    try:
+        compiled = core.compile_model(core.read_model(str(model.file)), "CPU", wanted)
+    except RuntimeError as error:
+        first = re.sub(r"\s+", " ", str(error))[:160]
+        raise PeerAbsentError(f"openvino cannot read {model.file.name}: {first}") from error
+    request = compiled.create_infer_request()
+    outputs = list(compiled.outputs)
+
+    def call() -> list[Any]:
+        request.infer(inputs)
+        return [request.get_tensor(output).data for output in outputs]
+
+    return call

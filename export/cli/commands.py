@@ -1,0 +1,200 @@
+"""Export, verify and measure networks: ``python -m export onnx runs/compact/checkpoint.pt --out models/``."""
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from service.contract import ContractError
+
+
+def _positive(**given: float) -> None:
+    """Refuse what a measurement cannot last for: ContractError names the option."""
+    for name, value in given.items():
+        if not 0 < value < math.inf:
+            raise ContractError(f"--{name.replace('_', '-')} {value:g}: expected a finite number above 0")
+
+
+def onnx(checkpoint: Annotated[Path, tyro.conf.Positional], out: Path = Path("models")) -> None:
+    """Write both networks in sequence and step form, each with its card, after proving parity with torch.
+
+    Args:
+        checkpoint: a ``checkpoint.pt`` of ``python -m training train``.
+        out: folder of the released models.
+    """
+    from export.onnx.to_onnx import export_checkpoint
+
+    for file in export_checkpoint(checkpoint, out):
+        print(f"{file}  {file.stat().st_size / 1e6:.2f} MB")
+
+
+def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models"), stream_steps: int = 10_000) -> None:
+    """Check every model of a folder: card, graph, self-test, forms, batches, threads, hard inputs, a long stream.
+
+    Args:
+        folder: folder of released models.
+        stream_steps: how many steps without a fresh state.
+    """
+    from export.onnx.verify import verify as check
+
+    _positive(stream_steps=stream_steps)
+    print("\n".join(check(folder, stream_steps)))
+
+
+def quantize(
+    folder: Annotated[Path, tyro.conf.Positional] = Path("models"),
+    out: Path = Path("runs/int8"),
+    data: Path = Path("data/probes"),
+    decisions: int = 300,
+    dynamic: bool = False,
+) -> None:
+    """Make the int8 twins of released step models and say how many robot commands they would change.
+
+    Weights are stored as int8; AlexNet's convolutions and large layers are multiplied in int8, too.
+
+    Args:
+        folder: folder of released fp32 step models: a pair, a joint density, or both networks in one graph.
+        out: folder of the int8 twins.
+        data: collected dataset; collisions of its training split calibrate, those of its validation split judge.
+        decisions: how many decisions judge.
+        dynamic: multiply fully connected and recurrent layers of middling size in int8, too.
+    """
+    from export.onnx.decisions import read_split
+    from export.quantise.quantise import CALIBRATION_DECISIONS
+    from export.quantise.quantise import quantize as shrink
+    from export.tradeoff.candidates import find_candidates
+    from export.tradeoff.scores import score
+    from export.tradeoff.tradeoff import agreements
+    from export.tradeoff.twins import CALIBRATING_SPLIT
+
+    judging = read_split(str(data), "validation", decisions)
+    calibrating = list(read_split(str(data), CALIBRATING_SPLIT, CALIBRATION_DECISIONS))
+    sources = find_candidates([folder])
+    for model in (model for source in sources for model in source.models):
+        twin = shrink(model.file, out / model.file.name, calibrating, dynamic=dynamic)
+        print(f"{twin}  {twin.stat().st_size / 1e6:.2f} MB of {model.file.stat().st_size / 1e6:.2f}")
+    candidates = [*sources, *find_candidates([out])]
+    for row in agreements(candidates, score(candidates, judging)):
+        print(f"{row['name']}: {row['verdict']}")
+
+
+def benchmark(
+    models: Annotated[list[Path], tyro.conf.Positional] = [],  # noqa: B006 - tyro copies it
+    seconds: float = 1.0,
+    docs: Path = Path("runs/benchmark"),
+    compare: str = "",
+    data: Path | None = None,
+    decisions: int = 64,
+    alexnet: Path | None = None,
+    loadgen: bool = True,
+) -> None:
+    """Measure models on this machine: latency, throughput, memory, threads, peers, hardware limit, LoadGen, accuracy.
+
+    Args:
+        models: ONNX files; all of models/ and its folders if none is named.
+        seconds: how long each measurement lasts.
+        docs: folder of benchmark.md, benchmark.json and benchmark.png.
+        compare: runtimes to measure side by side, of torch, torch.compile and openvino, separated by commas.
+        data: collected dataset whose collisions LoadGen's accuracy mode asks; without one that column stays empty.
+        decisions: how many collisions.
+        alexnet: folder of the paper's networks as exported (and, with ``_shared`` after its name, behind one backbone);
+            made with random weights if absent. Adds the speed claims.
+        loadgen: run MLPerf LoadGen's SingleStream, Offline, Server and accuracy scenarios.
+    """
+    from export.bench.benchmark import benchmark as measure
+    from export.bench.loadgen import available
+    from export.bench.peers import known
+    from export.onnx.decisions import read_split
+
+    _positive(seconds=seconds)
+    peers = known(compare)
+    if loadgen and not available():
+        print("LoadGen is not installed (pip package mlcommons-loadgen): its scenarios are left out", file=sys.stderr)
+    asked = list(read_split(str(data), "validation", decisions)) if data is not None else None
+    measure(
+        models or sorted(Path("models").rglob("*.onnx")),
+        seconds=seconds,
+        docs=docs,
+        compare=peers,
+        decisions=asked,
+        alexnet=alexnet,
+        data=str(data) if data is not None else None,
+        with_loadgen=loadgen and available(),
+    )
+    print(f"{docs / 'benchmark.md'}")
+
+
+def tradeoff(
+    folders: Annotated[list[Path], tyro.conf.Positional] = [],  # noqa: B006 - tyro copies it
+    data: Path = Path("data/probes"),
+    split: str = "validation",
+    decisions: int = 300,
+    docs: Path = Path("docs"),
+    twins: Path = Path("runs/twins"),
+    seconds: float = 3.0,
+    kept: Path = Path("runs/twins/answers"),
+) -> None:
+    """Write docs/tradeoff.md, .json and .png: accuracy against time of networks, slip trackers and physics settings.
+
+    Args:
+        folders: folders of exported fp32 step models (a pair, a joint density or both); models and its own folders if
+            none is named. An ``evaluation.json`` in a folder adds its mean trials of a closed loop.
+        data: collected dataset.
+        split: trials on which the networks are scored: validation, or test (held-out ranges).
+        decisions: how many collisions of the split.
+        docs: where the report goes, and where slip_report.json, accuracy.json and closed_loop.json are read.
+        twins: folder of the int8 and fp16 twins that are made and scored beside each network; what is there and younger
+            than its source is taken as it is.
+        seconds: how long each network is timed.
+        kept: folder of earlier answers, by dataset and how it is drawn and tracked: a network that did not change is
+            not asked again.
+    """
+    from export.onnx.decisions import read_split
+    from export.tradeoff.tradeoff import tradeoff as measure
+    from export.tradeoff.twins import make_twins
+    from training.data.dataset import data_sha256, open_source, reader_sha256
+
+    _positive(seconds=seconds)
+    asked = read_split(str(data), split, decisions)
+    named = folders or sorted({file.parent for file in Path("models").rglob("*.step.onnx")})
+    every = named + make_twins(named, twins, str(data))
+    source = open_source(str(data))
+    digest = data_sha256(source)[:12]
+    seen = reader_sha256(source, "pictures") + reader_sha256(source, "markers")
+    about = {"split": split, "data": digest}
+    measure(every, asked, about, docs, seconds, kept / f"{digest}-{seen}-{split}-{decisions}.json")
+    print(f"{docs / 'tradeoff.md'}")
+
+
+def choose(budget_ms: float, report: Path = Path("docs/tradeoff.json"), seconds: float = 2.0) -> None:
+    """Name the most accurate network whose step after the last frame keeps a budget on this machine.
+
+    Args:
+        budget_ms: milliseconds a step may take, p99.
+        report: JSON of `python -m export tradeoff`, for the accuracies; times are taken now.
+        seconds: how long each network is timed.
+    """
+    from export.tradeoff.tradeoff import choose as pick
+
+    _positive(budget_ms=budget_ms, seconds=seconds)
+    print(pick(budget_ms, report, seconds))
+
+
+def main() -> None:
+    """Command line entry."""
+    try:
+        commands: dict[str, Callable[..., None]] = {
+            "onnx": onnx,
+            "verify": verify,
+            "quantize": quantize,
+            "benchmark": benchmark,
+            "tradeoff": tradeoff,
+            "choose": choose,
+        }
+        tyro.extras.subcommand_cli_from_dict(commands, prog="python -m export")
+    except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -1,0 +1,1 @@
+"""Checkpoint to ONNX, and what a released file must withstand."""

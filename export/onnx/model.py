@@ -1,0 +1,71 @@
+"""An opened model file: its card, and a call that checks what it is given."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from export.onnx.runtime import session
+from service.contract import ContractError, ModelCard
+
+TOLERANCE = 1e-5
+INT8_TOLERANCE = 2e-2
+KINDS: dict[str, np.dtype[Any]] = {"tensor(uint8)": np.dtype(np.uint8), "tensor(float)": np.dtype(np.float32)}
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Model:
+    """An opened file and its card."""
+
+    file: Path
+    card: ModelCard
+    run: Any
+
+    @property
+    def tolerance(self) -> float:
+        """How far two equal computations may differ."""
+        return TOLERANCE if self.card.quantisation == "none" else INT8_TOLERANCE
+
+    @cached_property
+    def _names(self) -> list[str]:
+        return [output.name for output in self.run.get_outputs()]
+
+    @cached_property
+    def _expected(self) -> dict[str, tuple[np.dtype[Any], list[Any]]]:
+        return {entry.name: (KINDS[entry.type], list(entry.shape)) for entry in self.run.get_inputs()}
+
+    def __call__(self, inputs: Arrays) -> Arrays:
+        """Outputs by name; ContractError on an input that is missing, strange or of another dtype or shape."""
+        if set(inputs) != set(self._expected):
+            raise ContractError(f"{self.file.name} was given {sorted(inputs)}, expected {sorted(self._expected)}")
+        for name, (kind, shape) in self._expected.items():
+            given = inputs[name]
+            if given.dtype != kind or given.ndim != len(shape) or given.shape[1:] != tuple(shape[1:]):
+                wanted = ", ".join(["B", *map(str, shape[1:])])
+                raise ContractError(
+                    f"{self.file.name}: {name} is {given.dtype}{list(given.shape)}, expected {kind}[{wanted}]"
+                )
+        return dict(zip(self._names, self.run.run(self._names, inputs), strict=True))
+
+
+def open_model(file: Path, threads: int = 1) -> Model:
+    """Open a released file; raise ContractError without a runnable graph, a valid card or the inputs it promises."""
+    run = session(file, threads)
+    card = ModelCard.from_props(run.get_modelmeta().custom_metadata_map, file.name)
+    expected = {"frames"} if card.form == "sequence" else {"frame", "reference", "state"}
+    expected |= set(told(card, 1))
+    got = {entry.name for entry in run.get_inputs()}
+    if got != expected:
+        raise ContractError(f"{file.name} takes {sorted(got)}, its card promises {sorted(expected)}")
+    return Model(file, card, run)
+
+
+def told(card: ModelCard, batch: int, gap_width_mm: float = 56.0, grasp_height_mm: float = 30.0) -> Arrays:
+    """Gap width and grasp height, each if the network asks for it."""
+    said = {"gap_width_mm": gap_width_mm} if card.gap_width_input else {}
+    said |= {"grasp_height_mm": grasp_height_mm} if card.grasp_height_input else {}
+    return {name: np.full((batch, 1), value, np.float32) for name, value in said.items()}

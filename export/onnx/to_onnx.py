@@ -1,0 +1,180 @@
+"""Checkpoint -> ONNX: two roles in two forms, the card attached last, parity proved before a file is kept."""
+
+import logging
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import onnx
+import torch
+from onnx_ir.passes.common import DeduplicateInitializersPass
+from onnxscript import opset18 as op
+from torch import nn
+
+from export.onnx.golden import golden_frames, golden_markers
+from export.onnx.model import open_model
+from export.onnx.runtime import cpu_name, session
+from export.onnx.verify import verify_forms
+from service.contract import Calibration, ContractError, FrameSpec, MarkerSpec, ModelCard
+from service.contract.self_test import make_self_test
+from service.perception.markers.field import LATTICE
+from training.config import FRAMES_PER_DECISION
+from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
+from training.fit.checkpoint import Checkpoint
+from training.networks.density import GRID_THETA_DEG, GRID_X_MM
+from training.networks.forms import Role, SequenceForm, StepForm
+from training.networks.preprocessing import BLOCK_PX, CHANNELS, COLS, HEIGHT_PX, ROWS, WIDTH_PX, selector
+
+OPSET = 20
+PICTURES = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX, colour="bgr", rectified=True)
+MARKERS = MarkerSpec(rows=LATTICE.rows, columns=LATTICE.columns, pitch_px=LATTICE.pitch_px, first_px=LATTICE.first_px)
+TOLERANCE = 1e-5
+FLOAT = onnx.TensorProto.FLOAT
+LARGEST_SHARED = 10**7
+"""Constants of up to this many elements are stored once, however often the graph names them."""
+Form = Literal["sequence", "step"]
+FORMS: tuple[Form, Form] = ("sequence", "step")
+OUTPUTS: dict[Role, list[str]] = {
+    "direction": ["logits"],
+    "magnitude": ["error", "log_sigma"],
+    "joint": ["log_density"],
+    "pair": ["logits", "error", "log_sigma"],
+}
+
+
+def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list[Path]:
+    """Write ``<role>.<form>.onnx`` of every role and form, or of those in ``only``; ContractError if any parity fails.
+
+    The two networks go to ``out``, the joint density to ``out/joint``, and both networks in one step graph to
+    ``out/pair``: a service loads one folder and decides with it. Torch and ONNX, and step and sequence, agree to 1e-5.
+    """
+    checkpoint = Checkpoint.load(path)
+    network = checkpoint.build()
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    with tempfile.TemporaryDirectory(dir=out) as scratch:
+        for role in network.roles:
+            for form in FORMS if role != "pair" else FORMS[1:]:
+                file = Path(scratch) / f"{role}.{form}.onnx"
+                if only and file.name.removesuffix(".onnx") not in only:
+                    continue
+                _export(network.of(role), checkpoint, role, form, file)
+                written.append(file)
+        verify_forms([open_model(file) for file in written])
+        return [file.replace(_home(out, file.name)) for file in written]
+
+
+def _home(out: Path, name: str) -> Path:
+    role = name.partition(".")[0]
+    folder = out / role if role in ("joint", "pair") else out
+    folder.mkdir(exist_ok=True)
+    return folder / name
+
+
+def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> ModelCard:
+    """The card of one file; its validation figures are those of the validation split, all objects."""
+    joint = role == "joint"
+    scales = checkpoint.joint_scales if joint else checkpoint.scales
+    return ModelCard(
+        name=f"{checkpoint.name}-{role}",
+        role=role,
+        form=form,
+        frame=PICTURES,
+        markers=MARKERS if network.reads_markers else None,
+        frames_per_decision=FRAMES_PER_DECISION,
+        state_size=network.state_size if form == "step" else 0,
+        classes=CLASSES,
+        threshold_x_mm=THRESHOLD_X_MM,
+        threshold_theta_deg=THRESHOLD_THETA_DEG,
+        gap_width_input=network.uses_geometry,
+        grasp_height_input=network.uses_geometry,
+        has_sigma=role in ("magnitude", "pair"),
+        grid_x_mm=GRID_X_MM if joint else (),
+        grid_theta_deg=GRID_THETA_DEG if joint else (),
+        calibration=Calibration(
+            temperature=scales.temperature, sigma_scale_x=scales.sigma_x, sigma_scale_theta=scales.sigma_theta
+        ),
+        training_data_sha256=checkpoint.training_data_sha256,
+        git_commit=checkpoint.git_commit,
+        training_run=checkpoint.run,
+        validation=checkpoint.figures.get("joint/validation/all" if joint else "validation/all", {}),
+        verified_on_cpu=cpu_name(),
+    )
+
+
+def _example(network: Any, form: Form, batch: int) -> dict[str, torch.Tensor]:
+    golden = (
+        golden_markers(MARKERS, FRAMES_PER_DECISION)
+        if network.reads_markers
+        else golden_frames(PICTURES, FRAMES_PER_DECISION)
+    )
+    frames = torch.from_numpy(golden)
+    told = {"gap_width_mm": torch.full((batch, 1), 57.0), "grasp_height_mm": torch.full((batch, 1), 40.0)}
+    told = told if network.uses_geometry else {}
+    if form == "sequence":
+        return {"frames": frames[None].repeat(batch, 1, 1, 1, 1, 1), **told}
+    state = torch.linspace(-0.5, 0.5, network.state_size).repeat(batch, 1)
+    frame, reference = frames[5:6].repeat(batch, 1, 1, 1, 1), frames[:1].repeat(batch, 1, 1, 1, 1)
+    return {"frame": frame, "reference": reference, "state": state, **told}
+
+
+def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: Path) -> None:
+    wrapped: nn.Module = (SequenceForm if form == "sequence" else StepForm)(network, role).eval()
+    example = _example(network, form, 2)
+    outputs = [*OUTPUTS[role], *(["next_state"] if form == "step" else [])]
+    batch = torch.export.Dim("batch", min=1, max=1024)
+    with warnings.catch_warnings(), torch.inference_mode(mode=False), torch.no_grad():
+        warnings.simplefilter("ignore")
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        program = torch.onnx.export(
+            wrapped,
+            kwargs=example,
+            dynamo=True,
+            opset_version=OPSET,
+            input_names=list(example),
+            output_names=outputs,
+            dynamic_shapes={name: {0: batch} for name in example},
+            custom_translation_table={torch.ops.tactile_insertion.block_sums.default: _block_sums},
+            verbose=False,
+        )
+    assert program is not None
+    DeduplicateInitializersPass(LARGEST_SHARED)(program.model)  # both frames are summed by the same matrix
+    program.save(str(file))
+    _check_parity(wrapped, example, file)
+    attach_card(file, make_card(checkpoint, role, form, network))
+
+
+def _block_sums(frames: Any) -> Any:
+    """:func:`training.networks.preprocessing.block_sums` as one product of integers: exact on every processor.
+
+    The matrix for a block's rows is written as one row's and laid out when the file is loaded.
+    """
+    rows = op.Reshape(frames, op.Constant(value_ints=[-1, BLOCK_PX * WIDTH_PX * 3]))
+    row = op.Constant(value=onnx.numpy_helper.from_array(selector()))
+    sums = op.Cast(op.MatMulInteger(rows, op.Tile(row, op.Constant(value_ints=[BLOCK_PX, 1]))), to=FLOAT)
+    return op.Transpose(op.Reshape(sums, op.Constant(value_ints=[-1, ROWS, CHANNELS, COLS])), perm=[0, 2, 1, 3])
+
+
+def _check_parity(wrapped: nn.Module, example: dict[str, torch.Tensor], file: Path) -> None:
+    onnx.checker.check_model(str(file), full_check=True)
+    with torch.no_grad():
+        expected = wrapped(**example)
+    got = session(file).run(None, {name: value.numpy() for name, value in example.items()})
+    for tensor, array in zip(expected, got, strict=True):
+        gap = float(np.abs(tensor.numpy() - array).max() / max(1.0, np.abs(array).max()))
+        if not gap <= TOLERANCE:
+            raise ContractError(f"{file.name}: torch and onnxruntime differ by {gap:.2e}, expected at most {TOLERANCE}")
+
+
+def attach_card(file: Path, card: ModelCard) -> None:
+    """Write the card into the file's metadata, with what the network says of the self-test: its last change."""
+    run = session(file)
+    names = [output.name for output in run.get_outputs()]
+    tested = make_self_test(card, lambda inputs: dict(zip(names, run.run(names, inputs), strict=True)))
+    model = onnx.load(str(file))
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, card.model_copy(update={"self_test": tested}).to_props())
+    onnx.save(model, str(file))
+    open_model(file)

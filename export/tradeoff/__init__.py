@@ -1,0 +1,1 @@
+"""Accuracy against time: networks, slip trackers and physics settings."""

@@ -1,0 +1,49 @@
+"""The command of the paper's rule, and how two networks' commands on the same decisions compare."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from export.tradeoff.points import wilson
+
+SAME_MM, SAME_DEG = 0.1, 0.1
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a twin decides against its source on the same decisions."""
+
+    decisions: int
+    same_class: float
+    same_commands: int
+    sign_flips: int
+    apart_p99_mm: float
+    apart_p99_deg: float
+
+    @property
+    def same_command(self) -> float:
+        """Share of decisions whose command stays within 0.1 mm and 0.1 deg."""
+        return self.same_commands / self.decisions
+
+    @classmethod
+    def of(
+        cls,
+        classes: tuple[NDArray[np.int64], NDArray[np.int64]],
+        commands: tuple[NDArray[np.float64], NDArray[np.float64]],
+    ) -> "Agreement":
+        """Compare classes [N] and commands [N, 2] in (mm, deg) of the same decisions."""
+        apart = np.abs(commands[0] - commands[1])
+        same = int(((apart[:, 0] <= SAME_MM) & (apart[:, 1] <= SAME_DEG)).sum())
+        flips = int((commands[0] * commands[1] < 0).any(1).sum())
+        far_mm, far_deg = (float(value) for value in np.quantile(apart, 0.99, 0))
+        return cls(len(apart), float((classes[0] == classes[1]).mean()), same, flips, far_mm, far_deg)
+
+    def __str__(self) -> str:
+        """One line, with the interval of the share."""
+        share, low, high = wilson(self.same_commands, self.decisions)
+        return (
+            f"{100 * share:.1f} % [{100 * low:.1f}, {100 * high:.1f}] of {self.decisions} commands within {SAME_MM} mm"
+            f" and {SAME_DEG} deg (99 % within {self.apart_p99_mm:.2f} mm, {self.apart_p99_deg:.2f} deg),"
+            f" {100 * self.same_class:.1f} % the same class, {self.sign_flips} sign flips"
+        )

@@ -1,0 +1,27 @@
+import sys
+
+import pytest
+
+from export.cli.commands import main
+
+
+@pytest.mark.parametrize(
+    ("command", "named"),
+    [
+        ("verify models --stream-steps -1", "--stream-steps -1"),
+        ("quantize models --decisions 0", "asked for 0 decisions"),
+        ("benchmark --seconds nan", "--seconds nan"),
+        ("benchmark --seconds -1", "--seconds -1"),
+        ("benchmark --compare nope", "no peer nope, expected some of torch"),
+        ("tradeoff --split nope", "no split 'nope', expected one of train, validation, test"),
+        ("tradeoff --seconds inf", "--seconds inf"),
+        ("choose --budget-ms nan", "--budget-ms nan"),
+        ("choose --budget-ms -3", "--budget-ms -3"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_at_once_by_name(command, named, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["export", *command.split()])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert named in capsys.readouterr().err

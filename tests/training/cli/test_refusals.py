@@ -1,0 +1,170 @@
+"""Bad input at the command line: named in one line, refused, and not a byte of what was there overwritten."""
+
+import json
+import sys
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from export.cli.commands import main as export_main
+from service.contract import ContractError
+from simulation.data.dataset import DatasetWriter
+from simulation.data.manifest import MANIFEST, ShardEntry
+from tests.simulation.strategies import made_up_manifest, made_up_trial
+from training.cli.commands import main
+from training.config import NetworkConfig
+from training.data.labels import CLASSES
+from training.fit.checkpoint import Checkpoint
+from training.fit.train import train
+from training.metrics.figures import Scales
+from training.networks import build
+
+SHARD = "rectangle-00001.parquet"
+CONFIG = """name = "mine"
+runs = "{runs}"
+[data]
+path = "{data}"
+cache = "{cache}"
+rendered_training = 2
+rendered_validation = 2
+rendered_test = 2
+[network]
+kind = "markers"
+trunk_width = 8
+feature_size = 16
+state_size = 16
+[front]
+epochs = 1
+[trunk]
+epochs = 1
+[tune]
+epochs = 1
+"""
+
+
+@pytest.fixture
+def probes(tmp_path):
+    folder = tmp_path / "probes"
+    with DatasetWriter(folder, made_up_manifest()) as writer:
+        for shard in range(2):
+            trials = [made_up_trial(12 * shard + k) for k in range(12)]
+            writer.commit(writer.write_shard(f"rectangle-{shard:05d}.parquet", trials))
+        writer.finish()
+    return folder
+
+
+@pytest.fixture
+def run_file(tmp_path, probes):
+    path = tmp_path / "mine.toml"
+    path.write_text(CONFIG.format(runs=tmp_path / "runs", data=probes, cache=tmp_path / "cache"))
+    kept = tmp_path / "runs" / "mine" / "checkpoint.pt"
+    kept.parent.mkdir(parents=True)
+    kept.write_bytes(b"the good run of last week")
+    return path
+
+
+def refusal(monkeypatch, capsys, run, *arguments):
+    """The one line on which a command ends with exit code 2."""
+    monkeypatch.setattr(sys, "argv", ["prog", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        run()
+    assert stopped.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_truncated_shard_is_named_and_refused(probes, run_file, tmp_path, monkeypatch, capsys):
+    (probes / SHARD).write_bytes((probes / SHARD).read_bytes()[:-1000])
+    before = contents(tmp_path)
+    line = refusal(monkeypatch, capsys, main, "train", run_file)
+    assert SHARD in line
+    assert "truncated?" in line
+    assert before.items() <= contents(tmp_path).items()
+
+
+def test_a_manifest_of_another_version_is_named_and_refused(probes, run_file, tmp_path, monkeypatch, capsys):
+    stated = json.loads((probes / MANIFEST).read_text())
+    (probes / MANIFEST).write_text(json.dumps(stated | {"schema_version": 99}))
+    before = contents(tmp_path)
+    line = refusal(monkeypatch, capsys, main, "train", run_file)
+    assert MANIFEST in line
+    assert "schema version 99, expected 2" in line
+    assert before.items() <= contents(tmp_path).items()
+
+
+def test_nan_labels_are_named_and_refused(probes, run_file, tmp_path, monkeypatch, capsys):
+    table = pq.read_table(probes / SHARD)
+    place = table.column_names.index("theta_deg")
+    labels = table.column(place).to_pylist()
+    labels[3] = float("nan")
+    changed = pa.array(labels, table.schema.field(place).type)
+    pq.write_table(table.set_column(place, table.schema.field(place), changed), probes / SHARD)
+    stated = json.loads((probes / MANIFEST).read_text())
+    entry = next(entry for entry in stated["shards"] if entry["name"] == SHARD)
+    fresh = ShardEntry.of(SHARD, (probes / SHARD).read_bytes(), trials=12, object_name="rectangle", outcomes={})
+    entry |= {"size_bytes": fresh.size_bytes, "sha256": fresh.sha256}
+    (probes / MANIFEST).write_text(json.dumps(stated))
+    before = contents(tmp_path)
+    line = refusal(monkeypatch, capsys, main, "train", run_file)
+    assert "theta_deg" in line or "not finite" in line
+    assert before.items() <= contents(tmp_path).items()
+
+
+@pytest.mark.parametrize("run", [main, export_main])
+def test_a_folder_that_cannot_be_written_is_one_line(probes, run_file, tmp_path, monkeypatch, capsys, run):
+    taken, sound = tmp_path / "taken", tmp_path / "sound.pt"
+    taken.write_text("a file")
+    run_file.write_text(CONFIG.format(runs=taken, data=probes, cache=tmp_path / "cache"))
+    size = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
+    weights = build(size, len(CLASSES)).state_dict()
+    Checkpoint("sound", size, weights, Scales(), Scales(), {}, "0" * 64, "none").save(sound)
+    words = ("train", run_file) if run is main else ("onnx", sound, "--out", taken)
+    assert str(taken) in refusal(monkeypatch, capsys, run, *words)
+
+
+@pytest.fixture
+def foreign(tmp_path):
+    """A checkpoint whose weights are of another size than it says."""
+    weights = build(NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=24), len(CLASSES))
+    stated = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
+    path = tmp_path / "foreign.pt"
+    Checkpoint("foreign", stated, weights.state_dict(), Scales(), Scales(), {}, "0" * 64, "none").save(path)
+    return path
+
+
+def test_a_checkpoint_of_another_architecture_is_not_exported(foreign, tmp_path, monkeypatch, capsys):
+    released = tmp_path / "models" / "direction.step.onnx"
+    released.parent.mkdir()
+    released.write_bytes(b"the released one")
+    line = refusal(monkeypatch, capsys, export_main, "onnx", foreign, "--out", released.parent)
+    assert "foreign holds another architecture than markers" in line
+    assert contents(released.parent) == {released: b"the released one"}
+
+
+STRANGERS = {"weights of other layers": {"network": {"strange": torch.zeros(3)}}, "something else": {"weights": 3}}
+
+
+@pytest.mark.parametrize("stored", STRANGERS.values(), ids=STRANGERS)
+def test_a_run_does_not_go_on_from_a_stranger(config, source, tmp_path, stored):
+    strange = config.folder / "front.resume.pt"
+    strange.parent.mkdir(parents=True)
+    torch.save(stored, strange)
+    before = contents(config.folder)
+    with pytest.raises(ContractError, match=r"front\.resume\.pt holds another architecture, expected this run's"):
+        train(config, source)
+    assert before.items() <= contents(config.folder).items()
+
+
+def test_a_run_does_not_go_on_from_a_file_cut_short(config, source):
+    cut = config.folder / "front.resume.pt"
+    cut.parent.mkdir(parents=True)
+    cut.write_bytes(b"PK\x03\x04 and then the disk was full")
+    with pytest.raises(ContractError, match=r"front\.resume\.pt cannot be read"):
+        train(config, source)
+    assert cut.read_bytes().endswith(b"full")

@@ -1,0 +1,124 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.contract import ContractError
+from tests.training.synthetic import SyntheticSource
+from training.config import FRAMES_PER_DECISION, WINDOW, DataConfig
+from training.data.batches import decisions, mirror_fields
+from training.data.dataset import load_trials, reader_sha256
+from training.data.labels import class_of
+from training.networks.preprocessing import pool_frames
+
+
+@pytest.fixture(scope="module")
+def small():
+    return SyntheticSource(30, seed=3)
+
+
+@pytest.fixture(scope="module")
+def trials(small, tmp_path_factory):
+    cache = str(tmp_path_factory.mktemp("cache"))
+    return load_trials(
+        DataConfig(path="unused", cache=cache, rendered_training=4, rendered_validation=3, rendered_test=1), small
+    )
+
+
+def _counting(small, calls):
+    def draws(index, start, count):
+        calls.append(index)
+        return SyntheticSource.frames(small, index, start, count)
+
+    return draws
+
+
+def test_the_cache_returns_what_was_read(config, small, monkeypatch):
+    first = load_trials(config.data, small)
+    calls: list[int] = []
+    monkeypatch.setattr(small, "frames", _counting(small, calls))
+    again = load_trials(config.data, small)
+    assert calls == [0]  # one pair of pictures tells that the renderer is the same; none is drawn for training
+    for name in ("error", "fields", "picture", "drawn"):
+        assert np.array_equal(getattr(first, name), getattr(again, name))
+
+
+def test_pictures_of_another_renderer_are_drawn_anew(config, small, monkeypatch):
+    few = config.data.model_copy(update={"rendered_training": 1, "rendered_validation": 0, "rendered_test": 0})
+    first = load_trials(few, small).drawn
+    monkeypatch.setattr(small, "frames", lambda *where: SyntheticSource.frames(small, *where) // 2)
+    assert load_trials(few, small).drawn.mean() < 0.6 * first.mean()
+
+
+@pytest.mark.parametrize("reads", ["pictures", "markers"])
+def test_what_is_only_drawn_of_a_gel_in_motion_tells_renderers_apart(small, monkeypatch, reads):
+    before = reader_sha256(small, reads)
+    trial = small.trials[0]
+    moving = trial.gel.copy()
+    moving[trial.onset_frame :] *= 1.3
+    monkeypatch.setattr(trial, "gel", moving)
+    assert reader_sha256(small, reads) != before
+
+
+def test_an_interrupted_drawing_goes_on_where_it_stopped(config, small, monkeypatch):
+    whole = load_trials(config.data, small).drawn.copy()
+    calls = []
+    other = config.data.model_copy(update={"cache": config.data.cache + "-2"})
+
+    def dies(index, start, count):
+        calls.append(index)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return SyntheticSource.frames(small, index, start, count)
+
+    monkeypatch.setattr(small, "frames", dies)
+    with pytest.raises(KeyboardInterrupt):
+        load_trials(other, small)
+    monkeypatch.undo()
+    assert np.array_equal(load_trials(other, small).drawn, whole)
+
+
+def test_pictures_belong_to_their_trials(trials, small):
+    index = int(trials.of("validation", rendered=True)[0])
+    trial = next(i for i, t in enumerate(small.trials) if np.allclose((t.x_mm, t.theta_deg), trials.error[index]))
+    start = small.trials[trial].onset_frame - 1
+    assert np.array_equal(trials.drawn[trials.picture[index]], pool_frames(small.frames(trial, start, WINDOW)))
+
+
+def test_no_group_is_shared_between_splits(trials):
+    groups = [set(trials.groups[trials.of(split)].tolist()) for split in ("train", "validation", "test")]
+    assert len(groups[0] | groups[1] | groups[2]) == sum(len(group) for group in groups)
+
+
+def test_a_group_in_two_splits_is_refused(config):
+    source = SyntheticSource(10)
+    source.trials[1] = replace(source.trials[1], split="test")
+    with pytest.raises(ContractError, match="re-fixture group rectangle/0"):
+        load_trials(config.data, source)
+
+
+def test_nan_labels_are_named_and_refused(config):
+    source = SyntheticSource(10)
+    source.trials[7] = replace(source.trials[7], theta_deg=float("nan"))
+    with pytest.raises(ContractError, match="trial 7: error is not finite"):
+        load_trials(config.data, source)
+
+
+def test_a_decision_starts_at_the_onset_and_is_relative_to_it(trials):
+    batch = decisions(trials, trials.of("train")[:4], None, pictures=True)
+    assert batch.fields.shape == (4, FRAMES_PER_DECISION, 2, 3, 20, 21)
+    assert not batch.fields[:, 0].any()
+    window = trials.drawn[trials.picture[trials.of("train")[0]]]
+    if trials.picture[trials.of("train")[0]] >= 0:
+        assert np.array_equal(batch.drawn[0].numpy(), window[1 : 1 + FRAMES_PER_DECISION])
+
+
+def test_augmented_labels_follow_the_error(trials):
+    batch = decisions(trials, trials.of("train"), np.random.default_rng(1), pictures=False)
+    assert np.array_equal(batch.label.numpy(), class_of(batch.error.numpy()))
+    assert np.allclose(np.abs(batch.error.numpy()), np.abs(trials.error[trials.of("train")]))
+
+
+def test_mirroring_twice_changes_nothing():
+    fields = np.random.default_rng(0).normal(size=(2, 20, 21, 3)).astype(np.float32)
+    assert np.array_equal(mirror_fields(mirror_fields(fields)), fields)

@@ -1,0 +1,194 @@
+import os
+
+import numpy as np
+import pytest
+import torch
+
+from service.contract import ContractError
+from tests.training.synthetic import SyntheticSource
+from training.config import NetworkConfig, RunConfig, StageConfig
+from training.fit.checkpoint import Checkpoint
+from training.fit.loop import Log, Stage, fit
+from training.fit.train import train
+from training.networks.forms import SequenceForm, StepForm
+
+
+def test_the_trunk_learns_a_learnable_motion(config):
+    """On fields whose rotation and pressure follow the error, a short training must find both."""
+    stage = StageConfig(epochs=25, batch=32, learning_rate=4e-3, patience=25)
+    data = config.data.model_copy(update={"rendered_training": 0, "rendered_validation": 0, "rendered_test": 0})
+    idle = StageConfig(epochs=0)
+    network = NetworkConfig(trunk_width=8, feature_size=32, state_size=32)
+    whole = config.model_copy(update={"data": data, "front": idle, "tune": idle, "trunk": stage, "network": network})
+    figures = train(whole, SyntheticSource(300)).figures["validation/all"]
+    assert figures["accuracy"] > 0.7
+    assert figures["rmse_x_mm"] < 2
+
+
+def test_a_killed_run_resumes_to_the_same_weights(config, source, monkeypatch):
+    whole = train(config, source)
+    again = config.model_copy(update={"runs": config.runs + "-2"})
+    from training.fit import loop
+
+    kept, calls = loop._save, []
+
+    def dies(*arguments):
+        kept(*arguments)
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(loop, "_save", dies)
+    with pytest.raises(KeyboardInterrupt):
+        train(again, source)
+    monkeypatch.undo()
+    resumed = train(again, source)
+    assert all(torch.allclose(whole.weights[name], resumed.weights[name], atol=1e-6) for name in whole.weights)
+
+
+@pytest.mark.parametrize("limit", [{"patience": 1}, {"max_minutes": 1e-9}])
+def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, limit):
+    network, epochs = torch.nn.Linear(1, 1), []
+
+    def batches(_):
+        epochs.append(1)
+        yield torch.ones(1, 1)
+
+    def play():
+        stage = Stage(
+            "toy",
+            StageConfig(epochs=5, **limit),
+            list(network.parameters()),
+            batches,
+            1,
+            loss=lambda given: network(given).square().mean(),
+            validate=lambda: {"score": float(len(epochs))},  # the first epoch stays the best
+        )
+        log = Log(tmp_path)
+        fit(network, stage, tmp_path, 0, log)
+        log.close()
+
+    play()
+    done = len(epochs)
+    assert 1 <= done < 5
+    play()
+    assert len(epochs) == done
+
+
+def test_a_checkpoint_names_its_run_but_no_place_of_the_machine(config, source):
+    train(config, source)
+    said = Checkpoint.load(config.folder / "checkpoint.pt").run
+    assert said["seed"] == config.seed
+    assert said["trunk"]["learning_rate"] == config.trunk.learning_rate
+    assert not [place for place in (config.runs, config.data.path, config.data.cache) if place in str(said)]
+
+
+def test_a_run_folder_belongs_to_one_config(config, source):
+    train(config, source)
+    with pytest.raises(ContractError, match="another config"):
+        train(config.model_copy(update={"seed": 1}), source)
+
+
+@pytest.fixture
+def cheap(config):
+    """A run that reads true fields alone."""
+    data = config.data.model_copy(update={"rendered_training": 0, "rendered_validation": 0, "rendered_test": 0})
+    return config.model_copy(update={"data": data} | dict.fromkeys(("front", "tune"), StageConfig(epochs=0)))
+
+
+def test_a_run_does_not_go_on_with_other_data(cheap, source):
+    """Its finished stages would be kept, and the card would state data that no weight has seen."""
+    train(cheap, source)
+    before = (cheap.folder / "checkpoint.pt").read_bytes()
+    with pytest.raises(ContractError, match="trained on other data"):
+        train(cheap, SyntheticSource(source.count + 5))
+    assert (cheap.folder / "checkpoint.pt").read_bytes() == before
+
+
+def test_a_run_does_not_go_on_from_other_weights(cheap, source):
+    start = cheap.folder / "checkpoint.pt"
+    kept = train(cheap, source)
+    begun = cheap.model_copy(update={"name": "second", "start_from": str(start)})
+    train(begun, source)
+    Checkpoint(**{**vars(kept), "git_commit": "later"}).save(start)
+    train(begun, source)  # saved again, they are the same weights
+    Checkpoint(**{**vars(kept), "weights": {name: 2 * value for name, value in kept.weights.items()}}).save(start)
+    with pytest.raises(ContractError, match="from other weights"):
+        train(begun, source)
+
+
+def test_data_that_cannot_be_read_do_not_claim_a_run_folder(config, source, tmp_path):
+    mistyped = config.model_copy(update={"data": config.data.model_copy(update={"path": str(tmp_path / "nowhere")})})
+    with pytest.raises(ContractError, match="cannot read the dataset"):
+        train(mistyped)
+    assert train(config, source).weights
+
+
+def test_a_checkpoint_returns_what_was_saved(config, source, tmp_path):
+    saved = train(config, source)
+    loaded = Checkpoint.load(config.folder / "checkpoint.pt")
+    assert loaded.figures == saved.figures
+    assert loaded.scales == saved.scales
+    network = loaded.build()
+    frames = torch.randint(0, 256, (1, 8, 2, 320, 327, 3), dtype=torch.uint8)
+    gap, height = torch.full((1, 1), 56.0), torch.full((1, 1), 30.0)
+    with torch.no_grad():
+        whole = SequenceForm(network, "direction")(frames, gap, height)[0]
+        step, state = StepForm(network, "direction"), torch.zeros(1, network.state_size)
+        for index in range(8):
+            logits, state = step(frames[:, index], frames[:, 0], state, gap, height)
+    assert torch.allclose(whole, logits, atol=1e-5)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a checkpoint", os.urandom(2000)])
+def test_a_damaged_checkpoint_is_refused(tmp_path, content):
+    path = tmp_path / "checkpoint.pt"
+    path.write_bytes(content)
+    with pytest.raises(ContractError, match="is not one of ours"):
+        Checkpoint.load(path)
+
+
+def test_a_checkpoint_of_another_architecture_is_refused(config, source):
+    train(config, source)
+    loaded = Checkpoint.load(config.folder / "checkpoint.pt")
+    other = Checkpoint(**{**vars(loaded), "network": NetworkConfig(front_width=12)})
+    with pytest.raises(ContractError, match="another architecture"):
+        other.build()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name = 'x'", "data"),
+        ("name = 3", "name"),
+        ("name = ", "not valid TOML"),
+        ("name = 'x'\nspeed = 3\n[data]\npath='p'\n[front]\nepochs=1\n[trunk]\nepochs=1\n[tune]\nepochs=1", "speed"),
+        ("name = 'x'\n[data]\npath='p'\n[front]\nepochs=-1\n[trunk]\nepochs=1\n[tune]\nepochs=1", "front.epochs"),
+    ],
+)
+def test_a_bad_config_is_named(tmp_path, text, message):
+    path = tmp_path / "run.toml"
+    path.write_text(text)
+    with pytest.raises(ContractError, match=message):
+        RunConfig.load(path)
+
+
+def test_the_papers_network_is_not_trained_as_ours(config, source):
+    with pytest.raises(ContractError, match="training recipe"):
+        train(config.model_copy(update={"network": NetworkConfig(kind="alexnet_lstm")}), source)
+
+
+def test_a_dataset_without_collisions_is_refused(config):
+    source = SyntheticSource(10)
+    for trial in source.trials:
+        trial.outcome = "inserted"
+    with pytest.raises(ContractError, match="none of the 10 trials"):
+        train(config, source)
+
+
+def test_network_stays_under_a_million_parameters():
+    from training.networks import build
+
+    count = sum(parameter.numel() for parameter in build(NetworkConfig(), 9).parameters())
+    assert count < 1_000_000
+    assert np.isfinite(count)

@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+import torch
+
+from service.contract import ContractError
+from tests.training.synthetic import SyntheticSource
+from training.config import StageConfig
+from training.data.dataset import load_table
+from training.data.recipe_data import RecipeConfig, _convolved
+from training.fit.checkpoint import Checkpoint
+from training.fit.recipe import train_recipe
+from training.fit.shared import share_backbone
+from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
+from training.networks.forms import SequenceForm, StepForm
+
+TORCHVISION = {
+    "features.0": (64, 3, 11, 11),
+    "features.3": (192, 64, 5, 5),
+    "features.6": (384, 192, 3, 3),
+    "features.8": (256, 384, 3, 3),
+    "features.10": (256, 256, 3, 3),
+    "classifier.1": (4096, 9216),
+    "classifier.4": (4096, 4096),
+    "classifier.6": (1000, 4096),
+}
+
+
+@pytest.fixture(scope="module")
+def network():
+    torch.manual_seed(0)
+    return AlexNetLstm(9).eval()
+
+
+def imagenet_like():
+    weights = {}
+    for name, shape in TORCHVISION.items():
+        weights |= {f"{name}.weight": torch.full(shape, 0.5), f"{name}.bias": torch.full(shape[:1], 0.25)}
+    return weights
+
+
+def test_an_imagenet_state_dict_loads_under_torchvisions_names(tmp_path):
+    torch.save(imagenet_like(), tmp_path / "alexnet.pth")
+    network = AlexNetLstm(9)
+    load_imagenet(network, tmp_path / "alexnet.pth")
+    assert all(bool((value == 0.5).all()) for name, value in network.alexnet.named_parameters() if "weight" in name)
+
+
+@pytest.mark.parametrize("what", ["missing", "a key less", "no state dict"])
+def test_weights_that_do_not_fit_are_refused_by_name(tmp_path, network, what):
+    path = tmp_path / "alexnet.pth"
+    if what == "a key less":
+        weights = imagenet_like()
+        del weights["features.8.bias"]
+        torch.save(weights, path)
+    elif what == "no state dict":
+        torch.save([1, 2], path)
+    with pytest.raises(ContractError, match=r"alexnet\.pth"):
+        load_imagenet(network, path)
+
+
+def test_the_difference_is_taken_after_the_cast_and_in_rgb_order():
+    frame = torch.zeros(1, 320, 327, 3, dtype=torch.uint8)
+    reference = torch.full_like(frame, 10)
+    reference[..., 0] = 200  # blue
+    images = difference_images(frame, reference)
+    assert images.shape == (1, 3, 224, 224)
+    assert bool((images < 0).all())
+    assert bool((images[:, 2] < images[:, 0]).all())
+
+
+def test_the_step_form_decides_as_the_sequence_form(network):
+    frames = torch.randint(0, 256, (1, 8, 2, 320, 327, 3), dtype=torch.uint8)
+    with torch.no_grad():
+        whole = SequenceForm(network, "direction")(frames)[0]
+        state = torch.zeros(1, network.state_size)
+        for index in range(8):
+            logits, state = StepForm(network, "direction")(frames[:, index], frames[:, 0], state)
+    assert torch.allclose(whole, logits, atol=1e-5)
+
+
+class Ones(torch.nn.Module):
+    def convolved(self, images):
+        return torch.ones(len(images), FEATURES)
+
+
+@pytest.mark.parametrize("left", ["the number of rows alone", "a number that a kill cut short"])
+def test_features_that_are_not_there_are_computed_and_not_taken_for_zeros(tmp_path, left):
+    stage = StageConfig(epochs=1)
+    config = RecipeConfig(
+        name="t", runs=str(tmp_path), data="unused", convolutions=stage, direction=stage, magnitude=stage
+    )
+    config.folder.mkdir()
+    source = SyntheticSource(3)
+    table = load_table(source, tmp_path / "cache", 3)
+    which = table, Ones(), np.arange(1), np.zeros(1, bool)
+    assert _convolved(config, source, *which).min() == 1.0
+    if left == "the number of rows alone":
+        (config.folder / "features.npy").unlink()
+    else:
+        (config.folder / "features.done").write_text("")
+    assert _convolved(config, source, *which).min() == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_recipe_trains_resumes_and_keeps_both_networks(tmp_path):
+    stage = StageConfig(epochs=1, batch=8, learning_rate=1e-4, weight_decay=0.0)
+    config = RecipeConfig(
+        name="tiny",
+        runs=str(tmp_path / "runs"),
+        data="unused",
+        cache=str(tmp_path / "cache"),
+        pretraining_trials=4,
+        convolutions=stage,
+        direction=stage,
+        magnitude=stage,
+    )
+    source = SyntheticSource(30)
+    first = train_recipe(config, source)
+    again = train_recipe(config, source)
+    assert first.figures == again.figures
+    with pytest.raises(ContractError, match="another config"):
+        train_recipe(config.model_copy(update={"data": "other probes"}), source)
+    pair = Checkpoint.load(config.folder / "checkpoint.pt").build()
+    assert isinstance(pair, AlexNetPair)
+    shared, own = pair.direction.alexnet.features[0].weight, pair.magnitude.alexnet.features[0].weight
+    assert torch.equal(shared, own)
+    assert not torch.equal(pair.direction.lstm.weight_hh, pair.magnitude.lstm.weight_hh)
+    assert len(pair.of("pair").readers) == 2
+    behind_one = share_backbone(config, source)
+    both = behind_one.build().of("pair")
+    assert both.readers == [both.direction]
+    assert all(
+        torch.equal(value, behind_one.weights[f"direction.{name}"])
+        for name, value in pair.direction.state_dict().items()
+    )
+
+
+def test_networks_behind_one_backbone_decide_as_apart():
+    pair = AlexNetPair(9).eval()
+    pair.magnitude.alexnet.load_state_dict(pair.direction.alexnet.state_dict())
+    both = pair.of("pair")
+    frames = torch.randint(
+        0, 256, (2, 1, 2, 320, 327, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0)
+    )
+    with torch.no_grad():
+        together = StepForm(both, "pair")(frames[0], frames[1], torch.zeros(1, both.state_size))
+        zeros = torch.zeros(1, pair.direction.state_size)
+        logits, _ = StepForm(pair.direction, "direction")(frames[0], frames[1], zeros)
+        error, _, _ = StepForm(pair.magnitude, "magnitude")(frames[0], frames[1], zeros)
+    assert torch.allclose(together[0], logits, atol=1e-6)
+    assert torch.allclose(together[1], error, atol=1e-6)
+
+
+def test_different_convolutions_are_not_shared():
+    with pytest.raises(ContractError, match="convolutions differ"):
+        AlexNetPair(9).of("pair")

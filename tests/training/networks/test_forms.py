@@ -1,0 +1,82 @@
+"""What a step makes of the state it is given: it comes from outside the graph and may be anything a float holds."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from training.config import NetworkConfig
+from training.data.labels import CLASSES
+from training.networks import build
+from training.networks.alexnet import LSTM, AlexNetLstm, AlexNetPair, SharedBackbone
+from training.networks.decider import STATE_REACH
+from training.networks.forms import StepForm, within_reach
+
+END = float(np.float32(STATE_REACH))
+reached = st.floats(-END, END, width=32)
+
+
+@given(st.lists(reached, min_size=1, max_size=8))
+def test_a_state_within_reach_stays_what_it_is_bit_for_bit(values):
+    state = torch.tensor([[*values, -0.0, 1e-45]])
+    same = within_reach(state, STATE_REACH).numpy().view(np.int32)
+    np.testing.assert_array_equal(same, state.numpy().view(np.int32))
+
+
+@given(st.floats(END, 2.0**127, width=32), st.booleans())
+def test_a_state_beyond_reach_is_brought_back_to_its_end(value, negative):
+    sign = -1.0 if negative else 1.0
+    back = within_reach(torch.tensor([[sign * value]]), STATE_REACH)
+    assert float(back) == pytest.approx(sign * STATE_REACH, rel=1e-6)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
+def test_a_state_that_is_no_number_stays_none(value):
+    assert within_reach(torch.tensor([[value]]), STATE_REACH).isnan().all()
+
+
+def test_no_gated_cell_of_ours_leaves_its_reach():
+    torch.manual_seed(0)
+    network = build(NetworkConfig(kind="markers", feature_size=16, state_size=16), len(CLASSES)).eval()
+    state = torch.empty(64, 16).uniform_(-1.0, 1.0)
+    state[:2] = torch.tensor([[1.0], [-1.0]])
+    told = torch.tensor([[56.0, 30.0]]).expand(64, 2)
+    with torch.no_grad():
+        for _ in range(200):
+            state = network.advance(1e3 * torch.randn(64, 32), told, state)
+            assert state.abs().max() <= STATE_REACH
+
+
+def test_no_hidden_unit_of_the_papers_cell_leaves_its_reach():
+    torch.manual_seed(0)
+    network = AlexNetLstm(2)
+    state = torch.zeros(4, network.state_size)
+    with torch.no_grad():
+        for steps in range(1, 50):
+            state = network.advance(10.0 * torch.randn(4, 2 * 4096), None, state)
+            assert state[:, :LSTM].abs().max() <= network.state_reach[0]
+            assert state[:, LSTM:].abs().max() <= steps
+
+
+def test_both_networks_behind_one_backbone_keep_either_ones_reach():
+    pair = AlexNetPair(len(CLASSES))
+    pair.magnitude.load_state_dict({**pair.magnitude.state_dict(), **_backbone(pair)})
+    shared = SharedBackbone(pair)
+    assert torch.equal(shared.state_reach, torch.cat([pair.direction.state_reach, pair.magnitude.state_reach]))
+
+
+def _backbone(pair):
+    return {name: value for name, value in pair.direction.state_dict().items() if name.startswith("alexnet.features")}
+
+
+def test_a_step_from_a_state_no_cell_can_reach_equals_one_from_the_end_of_its_reach():
+    torch.manual_seed(0)
+    kind = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
+    step = StepForm(build(kind, len(CLASSES)).eval(), "joint")
+    frame, reference = torch.rand(2, 1, 2, 20, 21, 3)
+    gap, height, signs = torch.full((1, 1), 56.0), torch.full((1, 1), 30.0), torch.randn(1, 16).sign()
+    far, near = (step(frame, reference, signs * reach, gap, height) for reach in (1e4, STATE_REACH))
+    for one, other in zip(far, near, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-5)
+    assert all(output.isnan().any() for output in step(frame, reference, signs * torch.inf, gap, height))

@@ -1,0 +1,133 @@
+"""Train and evaluate networks: ``python -m training train training/configs/compact.toml``."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from service.contract import ContractError
+
+
+def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
+    """Train one run from its TOML file; started again, it goes on where it stopped.
+
+    In several processes: ``torchrun --standalone --nproc-per-node 2 -m training train CONFIG``.
+
+    Args:
+        config: the run's TOML file, see training/configs/.
+        data: dataset folder, instead of the one the config names.
+    """
+    from training.config import RunConfig
+    from training.fit.train import train as run
+
+    loaded = RunConfig.load(config)
+    if data is not None:
+        loaded = loaded.model_copy(update={"data": loaded.data.model_copy(update={"path": str(data)})})
+    figures = run(loaded).figures
+    if int(os.environ.get("RANK", "0")) == 0:
+        print_table(figures)
+        print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
+
+
+def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
+    """Train the paper's own recipe (two AlexNet-LSTM networks), the baseline; started again, it goes on.
+
+    Args:
+        config: the recipe's TOML file, see training/configs/alexnet_lstm.toml.
+        data: dataset folder, instead of the one the config names.
+    """
+    from training.data.recipe_data import RecipeConfig
+    from training.fit.recipe import train_recipe
+
+    loaded = RecipeConfig.load(config)
+    if data is not None:
+        loaded = loaded.model_copy(update={"data": str(data)})
+    print_table(train_recipe(loaded).figures)
+    print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
+
+
+def share_backbone(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
+    """Put a finished recipe's two networks behind one AlexNet: trains the magnitude network's LSTM again, minutes.
+
+    Args:
+        config: the recipe's TOML file.
+        data: dataset folder, instead of the one the config names.
+    """
+    from training.data.recipe_data import RecipeConfig
+    from training.fit.shared import share_backbone as share
+
+    loaded = RecipeConfig.load(config)
+    if data is not None:
+        loaded = loaded.model_copy(update={"data": str(data)})
+    print_table(share(loaded).figures)
+    print(f"checkpoint: {loaded.folder}_shared/checkpoint.pt")
+
+
+def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
+    """Print the figures that a checkpoint carries.
+
+    Args:
+        checkpoint: a ``checkpoint.pt`` written by ``train``.
+    """
+    from training.fit.checkpoint import Checkpoint
+
+    print_table(Checkpoint.load(checkpoint).figures)
+
+
+def stress(
+    run: Annotated[Path, tyro.conf.Positional], trials: int = 300, new: Path | None = None, layer: Path | None = None
+) -> None:
+    """Score a finished run under noise, on new objects and in the dearer physics; `report` then shows it.
+
+    Args:
+        run: folder of the run, such as runs/compact-long.
+        trials: validation collisions to draw again at each noise (1/4 x to 4 x).
+        new: dataset of objects that training never saw.
+        layer: dataset of scenes with ``tier = "layer"`` in their ``[gel]``.
+    """
+    from training.report.stress import stress as run_stress
+
+    print_table(run_stress(run, trials, new, layer))
+
+
+def report(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs"), recipe: Path | None = None) -> None:
+    """Write the training report of a finished run: tables, confusion matrix, calibration curve.
+
+    Args:
+        run: folder of the run, such as runs/compact.
+        out: folder of training.md and training.png.
+        recipe: folder of a finished run of the paper's recipe, to stand beside.
+    """
+    from training.report.page import write_report
+
+    print(write_report(run, out, recipe=recipe))
+
+
+def print_table(figures: dict[str, dict[str, float]]) -> None:
+    """One line an object and split."""
+    names = "trials accuracy chance ece wrong_side_x mae_x_mm mae_theta_deg rmse_x_mm rmse_theta_deg"
+    columns = (names + " coverage90_x coverage90_theta").split()
+    print(f"{'':24}" + "".join(f"{name[:12]:>14}" for name in columns))
+    for row, values in figures.items():
+        print(f"{row:24}" + "".join(f"{values[name]:14.3f}" for name in columns))
+
+
+def main() -> None:
+    """Command line entry."""
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            {
+                "train": train,
+                "recipe": recipe,
+                "share-backbone": share_backbone,
+                "show": show,
+                "stress": stress,
+                "report": report,
+            },
+            prog="python -m training",
+        )
+    except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -1,0 +1,1 @@
+"""Collected trials as arrays and batches, with their labels."""

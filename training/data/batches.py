@@ -1,0 +1,135 @@
+"""Batches for the three stages of training, with onset jitter and the cell's two symmetries."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from training.config import FRAMES_PER_DECISION, JITTER, WINDOW
+from training.data.dataset import Trials
+from training.data.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
+
+GAP_BLUR_MM, HEIGHT_BLUR_MM = 0.3, 1.5  # of what a cell engineer measures
+LAG_FRAMES = 0.25  # how far behind its time stamp a marker may be seen: it is found in the middle of its exposure
+HEIGHT_UNKNOWN_SHARE = 0.15  # of training decisions without a grasp height: cells may not know it
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """A batch of decisions.
+
+    ``fields`` float32 [B, 8, 2, 3, 20, 21], change against the first frame in physical units; ``drawn`` float32 [B, 8,
+    2, ...], block sums of pictures or markers tracked in them, or None; ``error`` [B, 2]; ``label`` [B]; ``told``
+    [B, 2], gap width and grasp height in mm, 0 where it is not known.
+    """
+
+    fields: Tensor
+    drawn: Tensor | None
+    error: Tensor
+    label: Tensor
+    told: Tensor
+
+
+def mirror_fields(fields: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mirror in x, for [..., rows, cols, 3]: each finger's picture is flipped along u, and du changes sign."""
+    flipped = fields[..., ::-1, :] * np.array([-1, 1, 1], np.float32)
+    return np.asarray(flipped, np.float32)
+
+
+def decisions(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generator | None, *, pictures: bool) -> Batch:
+    """Cut the eight frames out of each window; with ``rng``, jitter the onset, delay what is seen, apply symmetries."""
+    count = len(chosen)
+    offset = rng.integers(0, 2 * JITTER + 1, count) if rng is not None else np.full(count, JITTER)
+    steps = offset[:, None] + np.arange(FRAMES_PER_DECISION)
+    lines = np.arange(count)[:, None]
+    fields = trials.fields[chosen][lines, steps].astype(np.float32)
+    if rng is not None and not pictures:
+        before = trials.fields[chosen][lines, np.maximum(steps - 1, 0)].astype(np.float32)
+        fields -= rng.uniform(0, LAG_FRAMES, (count, 1, 1, 1, 1, 1)).astype(np.float32) * (fields - before)
+    fields -= fields[:, :1]
+    drawn = None
+    if pictures:
+        drawn = trials.drawn[trials.picture[chosen]][lines, steps].astype(np.float32)
+    error = trials.error[chosen].copy()
+    if rng is not None:
+        _apply_symmetries(fields, drawn, error, rng)
+    return Batch(
+        fields=torch.from_numpy(np.moveaxis(fields, -1, -3).copy()),
+        drawn=None if drawn is None else torch.from_numpy(drawn),
+        error=torch.from_numpy(error),
+        label=torch.from_numpy(class_of(error)),
+        told=torch.from_numpy(told_in_training(trials.told[chosen], rng)),
+    )
+
+
+def told_in_training(told: NDArray[np.float32], rng: np.random.Generator | None) -> NDArray[np.float32]:
+    """What the cell says of gap and grasp; in training a little wrong, and at times nothing of the grasp."""
+    if rng is None:
+        return told
+    blurred = told + rng.normal(0, (GAP_BLUR_MM, HEIGHT_BLUR_MM), told.shape)
+    known = (told[:, 1] > 0) & (rng.random(len(told)) >= HEIGHT_UNKNOWN_SHARE)
+    blurred[:, 1] = np.where(known, np.maximum(blurred[:, 1], 1.0), 0.0)
+    return np.asarray(blurred, np.float32)
+
+
+def _apply_symmetries(
+    fields: NDArray[np.float32],
+    pooled: NDArray[np.float32] | None,
+    error: NDArray[np.float32],
+    rng: np.random.Generator,
+) -> None:
+    mirrored, turned = rng.random((2, len(error))) < 0.5
+    mirrored &= pooled is None  # the lights are red on one side, green on the other: a mirrored picture lies
+    fields[mirrored] = mirror_fields(fields[mirrored])
+    fields[turned] = fields[turned][:, :, ::-1]
+    if pooled is not None:
+        pooled[turned] = pooled[turned][:, :, ::-1]
+        pooled *= rng.uniform(0.9, 1.1, (len(error), 1, 1, 1, 1, 1)).astype(np.float32)
+    error[mirrored] *= MIRROR_SIGNS
+    error[turned] *= HALF_TURN_SIGNS
+
+
+def epoch(
+    trials: Trials, chosen: NDArray[np.int64], size: int, rng: np.random.Generator, *, pictures: bool
+) -> Iterator[Batch]:
+    """Shuffled, augmented batches of one epoch."""
+    order = rng.permutation(chosen)
+    for start in range(0, len(order), size):
+        yield decisions(trials, order[start : start + size], rng, pictures=pictures)
+
+
+def frame_pairs(
+    trials: Trials, chosen: NDArray[np.int64], size: int, rng: np.random.Generator, pairs: int = 4
+) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """Batches for the front: frame, reference (block sums [n, 2, 64, 65]) and field change [n, 3, 20, 21].
+
+    Each trial gives ``pairs`` random (frame, reference) pairs, the reference being the earlier one; both fingers.
+    """
+    order = rng.permutation(chosen)
+    per_batch = max(1, size // (2 * pairs))
+    for start in range(0, len(order), per_batch):
+        part = order[start : start + per_batch]
+        reference = rng.integers(0, 2 * JITTER + 1, (len(part), 1))
+        frame = np.minimum(reference + rng.integers(1, FRAMES_PER_DECISION, (len(part), pairs)), WINDOW - 1)
+        lines = np.arange(len(part))[:, None]
+        pooled = trials.drawn[trials.picture[part]]
+        fields = trials.fields[part].astype(np.float32)
+        late, early = pooled[lines, frame], np.broadcast_to(pooled[lines, reference], pooled[lines, frame].shape)
+        change = fields[lines, frame] - fields[lines, reference]
+        yield _pair_tensors(late.astype(np.float32), early.astype(np.float32), change, rng)
+
+
+def _pair_tensors(
+    late: NDArray[np.float32], early: NDArray[np.float32], change: NDArray[np.float32], rng: np.random.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    late, early = late.reshape(-1, *late.shape[-3:]), early.reshape(-1, *early.shape[-3:])
+    change = change.reshape(-1, *change.shape[-3:])
+    gain = rng.uniform(0.85, 1.15, (len(late), 1, 1, 1)).astype(np.float32)
+    return (
+        torch.from_numpy(late * gain),
+        torch.from_numpy(early * gain),
+        torch.from_numpy(np.moveaxis(change, -1, -3).copy()),
+    )

@@ -1,0 +1,227 @@
+"""Trials as arrays: labels and marker fields of all of them, pooled pictures of some, cached on disk once.
+
+The only module that touches the simulator, and only its dataset reader.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.progress import track
+
+from service.contract import ContractError
+from service.perception.markers.sequence import track_pairs
+from training.config import FRAMES_PER_DECISION, JITTER, WINDOW, DataConfig
+from training.networks.preprocessing import pool_frames
+
+SPLITS = ("train", "validation", "test")
+Reads = Literal["pictures", "markers"]
+_TABLE = 3  # format of the cached table
+_KEPT: dict[Reads, str] = {"pictures": "pooled-2", "markers": "tracked-1"}  # folders of what is kept of pictures
+
+
+class Source(Protocol):
+    """What is used of ``simulation.data.dataset.Dataset``."""
+
+    manifest: Any
+
+    def __len__(self) -> int: ...
+
+    def trial(self, index: int) -> Any:
+        """One trial: labels, provenance and gel states."""
+        ...
+
+    def frames(self, index: int, start: int, count: int) -> NDArray[np.uint8]:
+        """Rendered frames [count, 2, 320, 327, 3]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """Collided trials. All arrays share their first axis except ``drawn``, found through ``picture``.
+
+    ``error`` float32 [N, 2] (mm, deg); ``told`` float32 [N, 2], gap width and grasp height in mm, 0 where it is not
+    known; ``fields`` float16 [N, WINDOW, 2, 20, 21, 3] (du_mm, dv_mm, N/mm2) from one
+    frame before the onset; ``motion`` float32 [N, WINDOW, 6], pose of the object in the hand (mm, rad); ``drawn``
+    what a network is shown of the pictures: block sums uint16 [M, WINDOW, 2, 2, 64, 65], or markers tracked in them
+    float32 [M, WINDOW, 2, 20, 21, 3]; ``picture`` int64 [N] row or -1.
+    """
+
+    error: NDArray[np.float32]
+    told: NDArray[np.float32]
+    split: NDArray[np.int64]
+    objects: NDArray[np.str_]
+    groups: NDArray[np.str_]
+    fields: NDArray[np.float16]
+    motion: NDArray[np.float32]
+    picture: NDArray[np.int64]
+    drawn: NDArray[Any]
+    sha256: str
+
+    def __len__(self) -> int:
+        return len(self.error)
+
+    def of(self, split: str, *, rendered: bool = False) -> NDArray[np.int64]:
+        """Indices of a split, of its rendered trials only if asked."""
+        chosen = self.split == SPLITS.index(split)
+        return np.flatnonzero(chosen & (self.picture >= 0) if rendered else chosen)
+
+
+def open_source(path: str, noise_scale: float = 1.0) -> Source:
+    """Open a collected dataset, its cameras' noise multiplied; raise ContractError naming the path if there is none."""
+    from simulation.data.dataset import Dataset
+
+    try:
+        source: Source = Dataset(path, noise_scale=noise_scale)
+    except (OSError, ValueError) as error:
+        raise ContractError(f"cannot read the dataset {path}: {error}") from error
+    return source
+
+
+def data_sha256(source: Source) -> str:
+    """Hash of the dataset's manifest, which names every shard and its own hash."""
+    digest: str = source.manifest.sha256()
+    return digest
+
+
+def _key(trial: Any) -> str:
+    """What makes a trial's pictures what they are, hashed."""
+    stated = (trial.scene_sha256, trial.seed, trial.group, trial.poke, trial.onset_frame, trial.x_mm, trial.theta_deg)
+    return hashlib.sha256(json.dumps(stated).encode() + trial.gel.tobytes()).hexdigest()[:24]
+
+
+def reader_sha256(source: Source, reads: Reads) -> str:
+    """What draws the pictures and reads them, told by what it makes of the first trial's decision: a hash.
+
+    Nobody has to remember a version number, and pictures drawn or tracked differently never meet in one cache. The
+    decision's frames show all that is drawn: before its onset no marker has moved.
+    """
+    onset = min(max(int(source.trial(0).onset_frame or 0), 0), len(source.trial(0).gel) - FRAMES_PER_DECISION)
+    frames = source.frames(0, onset, FRAMES_PER_DECISION)
+    kept = track_pairs(frames) if reads == "markers" else frames
+    return hashlib.sha256(np.ascontiguousarray(kept).tobytes()).hexdigest()[:12]
+
+
+def load_trials(config: DataConfig, source: Source | None = None, reads: Reads = "pictures") -> Trials:
+    """Read labels and fields, and draw the pictures asked for, from the cache where it already holds them.
+
+    Raises ContractError on non-finite labels, on trials without their window, and on groups spread over splits.
+    """
+    source = open_source(config.path) if source is None else source
+    digest = data_sha256(source)
+    folder = Path(config.cache) / digest[:16]
+    table = load_table(source, folder, min(len(source), config.max_trials))
+    picture, drawn = _load_pictures(source, table, config, reads)
+    return Trials(
+        error=table["error"],
+        told=table["told"],
+        split=table["split"],
+        objects=table["objects"],
+        groups=table["groups"],
+        fields=table["fields"],
+        motion=table["motion"],
+        picture=picture,
+        drawn=drawn,
+        sha256=digest,
+    )
+
+
+def _window_start(trial: Any, index: int) -> int:
+    start = int(trial.onset_frame) - JITTER
+    length = len(trial.gel)
+    if start < 0 or start + WINDOW > length:
+        start = min(max(start, 0), length - WINDOW)
+        if abs(start - (int(trial.onset_frame) - JITTER)) > JITTER:
+            raise ContractError(
+                f"trial {index}: onset at frame {trial.onset_frame} of {length}, expected {FRAMES_PER_DECISION} from it"
+            )
+    return start
+
+
+def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[Any]]:
+    """Labels, windows and fields of the first ``count`` trials that collided, cached in ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"table-{_TABLE}-{count}.npz"
+    if path.exists():
+        with np.load(path) as stored:
+            return {name: stored[name] for name in stored.files}
+    rows: dict[str, list[Any]] = {
+        name: [] for name in ("key", "index", "start", "error", "told", "split", "objects", "groups")
+    }
+    fields, motion = [], []
+    for index in track(range(count), description="reading trials", transient=True):
+        trial = source.trial(index)
+        if trial.outcome != "blocked" or trial.onset_frame is None or trial.onset_frame < 0:
+            continue
+        start = _window_start(trial, index)
+        rows["key"].append(_key(trial))
+        rows["index"].append(index)
+        rows["start"].append(start)
+        rows["error"].append((trial.x_mm, trial.theta_deg))
+        rows["told"].append((trial.gap_width_mm, trial.grasp_height_mm))
+        rows["split"].append(SPLITS.index(trial.split))
+        rows["objects"].append(trial.object_name)
+        rows["groups"].append(f"{trial.object_name}/{trial.group}")
+        fields.append(np.asarray(trial.gel[start : start + WINDOW], np.float16))
+        motion.append(np.asarray(trial.in_hand[start : start + WINDOW], np.float32))
+    if not fields:
+        raise ContractError(f"none of the {count} trials is a collision; expected outcome 'blocked' with an onset")
+    table = _as_arrays(rows) | {"fields": np.stack(fields), "motion": np.stack(motion)}
+    _check(table)
+    _write(path, table)
+    return table
+
+
+def _as_arrays(rows: dict[str, list[Any]]) -> dict[str, NDArray[Any]]:
+    kinds = {"error": np.float32, "told": np.float32, "index": np.int64, "start": np.int64, "split": np.int64}
+    return {name: np.array(values, kinds.get(name, np.str_)) for name, values in rows.items()}
+
+
+def _check(table: dict[str, NDArray[Any]]) -> None:
+    for name in ("error", "told", "fields", "motion"):
+        if not np.isfinite(table[name]).all():
+            bad = int(np.flatnonzero(~np.isfinite(table[name].reshape(len(table[name]), -1)).all(1))[0])
+            raise ContractError(f"trial {int(table['index'][bad])}: {name} is not finite")
+    homes: dict[str, int] = {}
+    for group, split in zip(table["groups"].tolist(), table["split"].tolist(), strict=True):
+        if homes.setdefault(group, split) != split:
+            raise ContractError(f"re-fixture group {group} is in {SPLITS[split]} and {SPLITS[homes[group]]}")
+
+
+def _write(path: Path, table: dict[str, NDArray[Any]]) -> None:
+    temporary = path.with_suffix(".tmp.npz")
+    np.savez(temporary, **table)  # type: ignore[arg-type]
+    temporary.replace(path)
+
+
+def _load_pictures(
+    source: Source, table: dict[str, NDArray[Any]], config: DataConfig, reads: Reads
+) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    """What is kept of the pictures of a fixed choice of trials, a file each: a kill or a growing dataset costs none."""
+    wanted = _choose(table, config)
+    drawer = reader_sha256(source, reads) if len(wanted) else "none"
+    folder = Path(config.cache) / f"{_KEPT[reads]}-{drawer}"
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = []
+    for trial in track(wanted, description="drawing pictures", disable=not len(wanted), transient=True):
+        path = folder / f"{table['key'][trial]}.npy"
+        if not path.exists():
+            frames = source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW)
+            temporary = path.with_suffix(".tmp.npy")
+            np.save(temporary, track_pairs(frames) if reads == "markers" else pool_frames(frames))
+            temporary.replace(path)
+        kept.append(np.load(path))
+    picture = np.full(len(table["split"]), -1, np.int64)
+    picture[wanted] = np.arange(len(wanted))
+    return picture, np.stack(kept) if kept else np.zeros((0, WINDOW, 2), np.uint16)
+
+
+def _choose(table: dict[str, NDArray[Any]], config: DataConfig) -> NDArray[np.int64]:
+    """The first trials of each split in the order of their keys: a random choice that a growing dataset keeps."""
+    counts = (config.rendered_training, config.rendered_validation, config.rendered_test)
+    order = np.argsort(table["key"])
+    return np.concatenate([order[table["split"][order] == code][:count] for code, count in enumerate(counts)])

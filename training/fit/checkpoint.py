@@ -1,0 +1,106 @@
+"""A trained network on disk: weights, sizes, and all that its model card will say of it."""
+
+import hashlib
+import json
+import subprocess
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from pydantic import JsonValue, ValidationError
+from torch import Tensor
+
+from service.contract import ContractError
+from training.config import NetworkConfig
+from training.data.labels import CLASSES
+from training.metrics.figures import Scales
+from training.networks import build_any
+
+_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Everything the exporter needs. ``figures`` are of the split named in ``scored_on``."""
+
+    name: str
+    network: NetworkConfig
+    weights: dict[str, Tensor]
+    scales: Scales
+    joint_scales: Scales
+    figures: dict[str, dict[str, float]]
+    training_data_sha256: str
+    git_commit: str
+    run: dict[str, JsonValue] = field(default_factory=dict)
+    """Settings of the run it came from; empty in checkpoints older than the field."""
+
+    def save(self, path: Path) -> None:
+        """Write atomically."""
+        about = {
+            "format": _FORMAT,
+            "name": self.name,
+            "network": self.network.model_dump(),
+            "scales": asdict(self.scales),
+            "joint_scales": asdict(self.joint_scales),
+            "figures": self.figures,
+            "training_data_sha256": self.training_data_sha256,
+            "git_commit": self.git_commit,
+            "run": self.run,
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_suffix(".tmp")
+        torch.save({"about": json.dumps(about), "weights": self.weights}, temporary)
+        temporary.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> "Checkpoint":
+        """Read back; raise ContractError on a file that is absent, damaged or of another version."""
+        try:
+            stored: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+            about = json.loads(stored["about"])
+            if about.pop("format") != _FORMAT:
+                raise ContractError(f"checkpoint {path} has another format, expected {_FORMAT}")
+            about["network"] = NetworkConfig.model_validate(about["network"])
+            for name in ("scales", "joint_scales"):
+                about[name] = Scales(**about[name])
+            return cls(weights=stored["weights"], **about)
+        except ContractError:
+            raise
+        except OSError as error:
+            raise ContractError(f"cannot read the checkpoint {path}: {error.strerror}") from error
+        except ValidationError as error:
+            raise ContractError(
+                f"checkpoint {path}: its network sizes are invalid: {error.errors()[0]['msg']}"
+            ) from error
+        except Exception as error:  # torch raises pickle, zip and key errors of many kinds on a damaged file
+            raise ContractError(f"checkpoint {path} is not one of ours: {type(error).__name__}") from error
+
+    def weights_sha256(self) -> str:
+        """Hash of the weights alone: saved again, with other figures or by another commit, they are the same."""
+        digest = hashlib.sha256()
+        for name in sorted(self.weights):
+            digest.update(name.encode() + self.weights[name].numpy().tobytes())
+        return digest.hexdigest()
+
+    def build(self, expected: NetworkConfig | None = None) -> Any:
+        """The network with its weights, in evaluation mode; raise ContractError if they do not fit ``expected``."""
+        network = build_any(expected or self.network, len(CLASSES))
+        try:
+            network.load_state_dict(self.weights)
+        except RuntimeError as error:
+            raise ContractError(
+                f"checkpoint {self.name} holds another architecture than {self.network.kind}"
+            ) from error
+        return network.eval()
+
+
+def git_commit() -> str:
+    """Commit of the working tree, with ``+dirty`` if it has changes; ``unknown`` outside a repository."""
+    try:
+        commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
+        status = ["git", "status", "--porcelain", "--untracked-files=no"]
+        dirty = subprocess.run(status, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return commit + ("+dirty" if dirty else "")

@@ -1,0 +1,190 @@
+"""One training loop for every stage: progress, cosine schedule, early stopping, checkpoint and resume."""
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LambdaLR
+
+from service.contract import ContractError
+from training.config import StageConfig
+from training.fit import parallel
+
+WARM_UP = 0.05
+MAX_GRADIENT = 1.0
+
+
+class Log:
+    """Scalars of a run: one JSON line a call and TensorBoard events beside it."""
+
+    def __init__(self, folder: Path) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        folder.mkdir(parents=True, exist_ok=True)
+        self._lines = folder / "log.jsonl"
+        self._board: Any = SummaryWriter(str(folder / "tensorboard")) if parallel.first() else None
+
+    def write(self, stage: str, epoch: int, scalars: dict[str, float]) -> None:
+        """Append one row; of several processes, the first does."""
+        if self._board is None:
+            return
+        with self._lines.open("a") as file:
+            file.write(json.dumps({"stage": stage, "epoch": epoch, **scalars}) + "\n")
+        for name, value in scalars.items():
+            self._board.add_scalar(f"{stage}/{name}", value, epoch)
+
+    def close(self) -> None:
+        """Flush TensorBoard."""
+        if self._board is not None:
+            self._board.close()
+
+
+@dataclass
+class Stage:
+    """What a stage trains.
+
+    ``batches`` of an epoch, ``loss`` of one batch, ``validate`` -> scalars; the lowest ``score`` wins.
+    """
+
+    name: str
+    config: StageConfig
+    parameters: list[nn.Parameter]
+    batches: Callable[[np.random.Generator], Iterable[Any]]
+    batches_per_epoch: int
+    loss: Callable[[Any], Tensor]
+    validate: Callable[[], dict[str, float]]
+
+
+@dataclass
+class _Progressed:
+    epoch: int = 0
+    best: float = math.inf
+    best_epoch: int = -1
+    best_state: dict[str, Tensor] = field(default_factory=dict)
+    minutes: float = 0.0
+
+    def over(self, config: StageConfig) -> bool:
+        """Whether the stage has ended, in this call or in an earlier one."""
+        waited = self.epoch - self.best_epoch > config.patience
+        return self.epoch >= config.epochs or waited or self.minutes > config.max_minutes
+
+
+def _rate(step: int, total: int) -> float:
+    warm = max(1, int(WARM_UP * total))
+    if step < warm:
+        return (step + 1) / warm
+    return 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - warm) / max(1, total - warm))))
+
+
+def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> dict[str, float]:
+    """Train one stage and leave ``network`` at its best epoch; resumes from ``folder`` if it holds this stage.
+
+    Returns the scalars of the best validation. Raises ContractError on a non-finite loss or a foreign checkpoint.
+    """
+    config = stage.config
+    optimiser = torch.optim.AdamW(stage.parameters, lr=config.learning_rate, weight_decay=config.weight_decay)
+    path = folder / f"{stage.name}.resume.pt"
+    total = config.epochs * stage.batches_per_epoch
+    schedule = LambdaLR(optimiser, lambda step: _rate(step, total))
+    at = _resume(path, network, optimiser, schedule)
+    started = time.monotonic() - 60 * at.minutes
+    scalars: dict[str, float] = {}
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
+    with Progress(*columns, disable=not parallel.first()) as progress:
+        task = progress.add_task(stage.name, total=total, completed=at.epoch * stage.batches_per_epoch, note="")
+        while not at.over(config):
+            rng = np.random.default_rng(parallel.seeds(seed, at.epoch))
+            torch.manual_seed(seed * 1000 + at.epoch + 7919 * parallel.rank())
+            loss = _epoch(network, stage, optimiser, schedule, rng, lambda: progress.advance(task))
+            scalars = {"loss": loss, **_validate(network, stage), "minutes": (time.monotonic() - started) / 60}
+            scalars = parallel.agreed(scalars)
+            log.write(stage.name, at.epoch, scalars)
+            progress.update(task, note=" ".join(f"{name} {value:.3f}" for name, value in scalars.items()))
+            _keep_best(at, scalars, network)
+            at.epoch, at.minutes = at.epoch + 1, scalars["minutes"]
+            if parallel.first():
+                _save(path, network, optimiser, schedule, at)
+    if at.best_state:
+        network.load_state_dict(at.best_state)
+    return _validate(network, stage)
+
+
+def _epoch(
+    network: nn.Module,
+    stage: Stage,
+    optimiser: Optimizer,
+    schedule: LambdaLR,
+    rng: np.random.Generator,
+    advance: Callable[[], None],
+) -> float:
+    network.train()
+    losses = []
+    for batch in stage.batches(rng):
+        loss = stage.loss(batch)
+        if not torch.isfinite(loss):
+            raise ContractError(f"stage {stage.name}: the loss is {float(loss)}, expected a finite number")
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        parallel.average_gradients(stage.parameters)
+        nn.utils.clip_grad_norm_(stage.parameters, MAX_GRADIENT)
+        optimiser.step()
+        schedule.step()
+        losses.append(float(loss.detach()))
+        advance()
+    return float(np.mean(losses))
+
+
+def _validate(network: nn.Module, stage: Stage) -> dict[str, float]:
+    network.eval()
+    with torch.inference_mode():
+        return stage.validate()
+
+
+def _keep_best(at: _Progressed, scalars: dict[str, float], network: nn.Module) -> None:
+    if scalars["score"] < at.best:
+        at.best, at.best_epoch = scalars["score"], at.epoch
+        at.best_state = {name: value.detach().clone() for name, value in network.state_dict().items()}
+
+
+def _save(path: Path, network: nn.Module, optimiser: Optimizer, schedule: LambdaLR, at: _Progressed) -> None:
+    temporary = path.with_suffix(".tmp")
+    torch.save(
+        {
+            "network": network.state_dict(),
+            "optimiser": optimiser.state_dict(),
+            "schedule": {"last_epoch": schedule.last_epoch},
+            "epoch": at.epoch,
+            "best": at.best,
+            "best_epoch": at.best_epoch,
+            "best_state": at.best_state,
+            "minutes": at.minutes,
+        },
+        temporary,
+    )
+    temporary.replace(path)
+
+
+def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: LambdaLR) -> _Progressed:
+    if not path.exists():
+        return _Progressed()
+    try:
+        stored = torch.load(path, weights_only=True)
+    except Exception as error:  # torch raises pickle, zip and end-of-file errors of many kinds on a damaged file
+        raise ContractError(f"{path} cannot be read ({type(error).__name__}); remove it to begin this stage") from error
+    try:
+        network.load_state_dict(stored["network"])
+    except (RuntimeError, KeyError) as error:
+        raise ContractError(f"{path} holds another architecture, expected this run's") from error
+    optimiser.load_state_dict(stored["optimiser"])  # brings its learning rate along
+    schedule.last_epoch = stored["schedule"]["last_epoch"]
+    said = {name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state")}
+    return _Progressed(**said, minutes=stored.get("minutes", 0.0))

@@ -1,0 +1,195 @@
+"""The paper's own recipe, as the baseline that ours must beat: two independent AlexNet-LSTM networks.
+
+Convolutions are frozen: ImageNet's if a state dict is given, otherwise pretrained here on simulated imprints (from a
+difference frame to the gel's motion). Their features are computed once and kept; the fully connected layers and the
+LSTM are then trained with Adam. Classes 7 and 8 are doubled with random crops, as in the paper.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from training.config import FRAMES_PER_DECISION, JITTER, NetworkConfig, StageConfig, pin, refuse_another
+from training.data.dataset import SPLITS, Source, data_sha256, load_table, open_source
+from training.data.labels import CLASSES, class_of
+from training.data.recipe_data import RecipeConfig, Rows, chosen_trials, decision_frames, load_rows
+from training.fit.checkpoint import Checkpoint, git_commit
+from training.fit.loop import Log, Stage, fit
+from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
+from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
+
+FIELD_SIZE = 3 * 20 * 21
+
+
+def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoint:
+    """Run the recipe, or go on where it stopped; raises ContractError on data or weights that do not fit."""
+    torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
+    source = open_source(config.data) if source is None else source
+    folder = config.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    refuse_another(folder, config)
+    digest = data_sha256(source)
+    table = load_table(source, Path(config.cache) / digest[:16], len(source))
+    pin(folder, config, digest)
+    pair = AlexNetPair(len(CLASSES))
+    log = Log(folder)
+    try:
+        if config.imagenet:
+            for network in (pair.direction, pair.magnitude):
+                load_imagenet(network, Path(config.imagenet))
+        else:
+            _pretrain(config, source, table, pair, log)
+        rows = load_rows(config, source, table, pair.direction)
+        for role, network in (("direction", pair.direction), ("magnitude", pair.magnitude)):
+            for parameter in network.alexnet.features.parameters():
+                parameter.requires_grad = False
+            print(role, fit(network, _head_stage(config, network, role, rows), folder, config.seed, log))
+    finally:
+        log.close()
+    return finish(config, pair, rows, digest)
+
+
+# ---- convolutions --------------------------------------------------------------------------------------------------
+
+
+class _FieldReader(nn.Module):
+    """Convolutions with a linear read-out of the marker field: what they are pretrained with."""
+
+    def __init__(self, network: AlexNetLstm) -> None:
+        super().__init__()
+        self.features = network.alexnet.features
+        self.read_out = nn.Linear(FEATURES, FIELD_SIZE)
+
+    def forward(self, images: Tensor) -> Tensor:
+        field: Tensor = self.read_out(self.features(images).flatten(1))
+        return field
+
+
+def _pretrain(
+    config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair, log: Log
+) -> None:
+    """Difference frame -> change of the marker field, on training trials; both networks then start from the result."""
+    reader = _FieldReader(pair.direction)
+    chosen = chosen_trials(table, "train", config.pretraining_trials)
+    held = chosen_trials(table, "validation", max(8, config.pretraining_trials // 10))
+    fields = table["fields"][chosen].astype(np.float32)
+    scale = torch.from_numpy(1.0 / np.maximum((fields - fields[:, :1]).std((0, 1, 2, 3, 4)), 1e-4))
+
+    def examples(trials: NDArray[np.int64]) -> Iterator[tuple[Tensor, Tensor]]:
+        for start in range(0, len(trials), 2):
+            parts = [_field_examples(source, table, int(trial), scale) for trial in trials[start : start + 2]]
+            yield torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
+
+    def validate() -> dict[str, float]:
+        errors = [functional.mse_loss(reader(images), target) for images, target in examples(held)]
+        return {"score": float(torch.stack(errors).mean())}
+
+    stage = Stage(
+        "convolutions",
+        config.convolutions,
+        list(reader.parameters()),
+        batches=lambda rng: examples(rng.permutation(chosen)),
+        batches_per_epoch=-(-len(chosen) // 2),
+        loss=lambda example: functional.mse_loss(reader(example[0]), example[1]),
+        validate=validate,
+    )
+    print("convolutions", fit(reader, stage, config.folder, config.seed, log))
+    pair.magnitude.alexnet.features.load_state_dict(pair.direction.alexnet.features.state_dict())
+
+
+def _field_examples(source: Source, table: dict[str, NDArray[Any]], trial: int, scale: Tensor) -> tuple[Tensor, Tensor]:
+    """Difference images [14, 3, 224, 224] of one trial and their normalised field changes [14, 1260]."""
+    frames = decision_frames(source, table, trial)
+    images = difference_images(frames[1:].flatten(0, 1), frames[:1].expand_as(frames[1:]).flatten(0, 1))
+    fields = torch.from_numpy(table["fields"][trial, JITTER : JITTER + FRAMES_PER_DECISION].astype(np.float32))
+    change = (fields[1:] - fields[:1]) * scale
+    return images, change.flatten(0, 1).flatten(1)
+
+
+# ---- heads ---------------------------------------------------------------------------------------------------------
+
+
+def _head_stage(config: RecipeConfig, network: AlexNetLstm, role: str, rows: Rows) -> Stage:
+    settings: StageConfig = getattr(config, role)
+    train, held = rows.of("train"), rows.of("validation")
+    labels = torch.from_numpy(class_of(rows.error))
+    errors = torch.from_numpy(rows.error)
+
+    def batches(rng: np.random.Generator) -> Iterator[NDArray[np.int64]]:
+        order = rng.permutation(train)
+        for start in range(0, len(order), settings.batch):
+            yield order[start : start + settings.batch]
+
+    def loss(chosen: NDArray[np.int64]) -> Tensor:
+        state = network.read(_batch(rows, chosen))
+        if role == "direction":
+            return functional.cross_entropy(network.logits(state), labels[chosen])
+        return (network.error(state)[0] - errors[chosen]).square().mean()
+
+    def validate() -> dict[str, float]:
+        losses = [float(loss(part)) * len(part) for part in np.array_split(held, -(-len(held) // 32))]
+        return {"score": sum(losses) / len(held)}
+
+    parameters = [*network.alexnet.classifier.parameters(), *network.lstm.parameters(), *network.output.parameters()]
+    return Stage(role, settings, parameters, batches, -(-len(train) // settings.batch), loss, validate)
+
+
+def _batch(rows: Rows, chosen: NDArray[np.int64]) -> Tensor:
+    return torch.from_numpy(rows.convolved[chosen].astype(np.float32))
+
+
+# ---- figures -------------------------------------------------------------------------------------------------------
+
+
+def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> Checkpoint:
+    """Constant spread and calibration from validation, figures of every split, checkpoint."""
+    pair.eval()
+    held = _predict(pair, rows, rows.of("validation"))
+    spread = np.sqrt(np.square(held.error - held.truth).mean(0))
+    pair.magnitude.log_sigma.copy_(torch.from_numpy(np.log(spread)))
+    held = _predict(pair, rows, rows.of("validation"))
+    scales = calibrate(held)
+    tables: dict[str, dict[str, float]] = {}
+    for split in SPLITS:
+        chosen = rows.of(split)
+        chosen = chosen[~rows.crop[chosen]]
+        if not len(chosen):
+            continue
+        said = _predict(pair, rows, chosen)
+        fair = cross_calibrated(said, rows.groups[chosen]) if split == "validation" else rescaled(said, scales)
+        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    checkpoint = Checkpoint(
+        name=config.name,
+        network=NetworkConfig(kind="alexnet_lstm"),
+        weights={name: value.detach().clone() for name, value in pair.state_dict().items()},
+        scales=scales,
+        joint_scales=scales,
+        figures=tables,
+        training_data_sha256=digest,
+        git_commit=git_commit(),
+        run=config.settings(),
+    )
+    checkpoint.save(config.folder / "checkpoint.pt")
+    (config.folder / "figures.json").write_text(json.dumps(tables, indent=1))
+    return checkpoint
+
+
+def _predict(pair: AlexNetPair, rows: Rows, chosen: NDArray[np.int64]) -> Predictions:
+    logits, errors, sigmas = [], [], []
+    with torch.inference_mode():
+        for part in np.array_split(chosen, -(-len(chosen) // 32)):
+            convolved = _batch(rows, part)
+            logits.append(pair.direction.logits(pair.direction.read(convolved)))
+            estimate = pair.magnitude.error(pair.magnitude.read(convolved))
+            errors.append(estimate[0])
+            sigmas.append(estimate[1])
+    said, error, log_sigma = (torch.cat(parts).double().numpy() for parts in (logits, errors, sigmas))
+    return Predictions(said, error, log_sigma, rows.error[chosen].astype(np.float64), rows.objects[chosen])

@@ -1,0 +1,295 @@
+"""Training of the compact pair in three stages; the last word is a checkpoint with calibration and honest figures.
+
+1. front: pictures -> true marker field changes (dense supervision, few pictures needed).
+2. trunk: true fields with the front's own error added -> decision (every trial, no picture needed).
+3. tune: pictures -> decision, through both.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from service.contract import ContractError
+from training.config import RunConfig, pin, refuse_another
+from training.data.batches import Batch, decisions, epoch, frame_pairs
+from training.data.dataset import SPLITS, Source, Trials, load_trials
+from training.data.labels import CLASSES, class_of
+from training.fit import parallel
+from training.fit.checkpoint import Checkpoint, git_commit
+from training.fit.loop import Log, Stage, fit
+from training.metrics.figures import Predictions, Scales, by_object, calibrate, cross_calibrated, figures, rescaled
+from training.metrics.joint import calibrate_density, calibrated_density, cross_calibrated_density
+from training.networks import build
+from training.networks.compact import CompactNetwork
+from training.networks.decider import Decider
+
+EVALUATION_BATCH = 32
+MOST_SCORED = 2000
+
+
+@dataclass
+class Trainer:
+    """The objects of one run."""
+
+    config: RunConfig
+    trials: Trials
+    network: Decider
+    class_weights: Tensor
+    front_error: Tensor
+
+    def normalised(self, batch: Batch) -> Tensor:
+        """True field changes in the network's units."""
+        return self.network.normalised(batch.fields)
+
+    def decision_loss(self, fields: Tensor, batch: Batch) -> Tensor:
+        """Cross entropy of the class, and negative log likelihood of the error under one Gaussian and the mixture."""
+        network, weight = self.network, self.config.loss
+        state = network.read_fields(fields, batch.told)
+        direction = functional.cross_entropy(network.logits(state), batch.label, self.class_weights)
+        error, log_sigma = network.error(state)
+        z = (error - batch.error) * torch.exp(-log_sigma)
+        magnitude = (0.5 * z.square() + log_sigma).mean()
+        density = network.density.negative_log_likelihood(state, batch.error).mean()
+        return direction + weight.magnitude * magnitude + weight.density * density
+
+    def front_loss(self, pair: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """Mean square error of the field change, in normalised units."""
+        frame, reference, change = pair
+        assert isinstance(self.network, CompactNetwork)
+        return functional.mse_loss(self.network.front(frame, reference), self._scaled(change))
+
+    def trunk_loss(self, batch: Batch) -> Tensor:
+        """Decision loss on true fields with the error added with which they are read."""
+        fields = self.network.disturbed(self.normalised(batch), self.front_error)
+        return self.decision_loss(fields, batch)
+
+    def tune_loss(self, batch: Batch) -> Tensor:
+        """Decision loss on pictures, with the field still held to the truth."""
+        assert batch.drawn is not None
+        fields = self.network.read_drawn(batch.drawn)
+        held = functional.mse_loss(fields, self.normalised(batch))
+        return self.decision_loss(fields, batch) + self.config.loss.field * held
+
+    def _scaled(self, change: Tensor) -> Tensor:
+        return change * self.network.field_scale[:, None, None]
+
+    def states(self, chosen: NDArray[np.int64], *, pictures: bool) -> Tensor:
+        """Decision states [N, state_size] of trials, unaugmented; from pictures or from true fields."""
+        states = []
+        self.network.eval()
+        with torch.inference_mode():
+            for start in range(0, len(chosen), EVALUATION_BATCH):
+                batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
+                fields = self.normalised(batch) if batch.drawn is None else self.network.read_drawn(batch.drawn)
+                states.append(self.network.read_fields(fields, batch.told))
+        return torch.cat(states)
+
+    def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
+        """What the pair says of trials."""
+        state = self.states(chosen, pictures=pictures)
+        with torch.inference_mode():
+            said = (self.network.logits(state), *self.network.error(state))
+        logits, error, log_sigma = (value.double().numpy() for value in said)
+        truth = self.trials.error[chosen].astype(np.float64)
+        return Predictions(logits, error, log_sigma, truth, self.trials.objects[chosen])
+
+    def predict_density(self, chosen: NDArray[np.int64], *, pictures: bool) -> NDArray[np.float64]:
+        """Log density on the joint grid [N, 41, 40]."""
+        state = self.states(chosen, pictures=pictures)
+        with torch.inference_mode():
+            density: NDArray[np.float64] = self.network.log_density(state).double().numpy()
+        return density
+
+    def score(self, chosen: NDArray[np.int64], *, pictures: bool) -> dict[str, float]:
+        """Validation scalars; ``score`` is the loss without class weights."""
+        predictions = self.predict(chosen, pictures=pictures)
+        table = figures(rescaled(predictions, calibrate(predictions)))
+        z = (predictions.error - predictions.truth) * np.exp(-predictions.log_sigma)
+        likelihood = float((0.5 * z**2 + predictions.log_sigma).mean())
+        kept = {name: table[name] for name in ("accuracy", "nll", "rmse_x_mm", "rmse_theta_deg")}
+        return {"score": table["nll"] + self.config.loss.magnitude * likelihood, **kept}
+
+    def front_score(self, chosen: NDArray[np.int64]) -> dict[str, float]:
+        """Front's mean square error on validation pictures; also keeps the size of its error for the trunk."""
+        front, rng = self.network.get_submodule("front"), np.random.default_rng(0)
+        residuals = [
+            front(frame, reference) - self._scaled(change)
+            for frame, reference, change in frame_pairs(self.trials, chosen, 256, rng)
+        ]
+        residual = torch.cat(residuals)
+        smooth = residual.mean((2, 3))
+        self.front_error = torch.stack([(residual - smooth[:, :, None, None]).std((0, 2, 3)), smooth.std(0)])
+        errors = self.front_error[0] / self.network.field_scale
+        du_um, dv_um = (1e3 * float(error) for error in errors[:2])
+        return {"score": float(residual.square().mean()), "du_um": du_um, "dv_um": dv_um}
+
+
+def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
+    """Run all stages, resuming where a killed run stopped, and save ``<runs>/<name>/checkpoint.pt``.
+
+    Under torchrun every process takes an equal share of the trials; the first one writes.
+    """
+    if config.network.kind == "alexnet_lstm":
+        raise ContractError("network.kind is alexnet_lstm, which `python -m training recipe` trains")
+    torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
+    folder = config.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    with parallel.group():
+        with parallel.first_goes_first():
+            refuse_another(folder, config)
+            trials = load_trials(config.data, source, config.network.reads)
+            grounds = trials.sha256 + (_start(config).weights_sha256() if config.start_from else "")
+            pin(folder, config, grounds)  # not before: a mistyped data folder must not claim the run's
+        trainer = _prepare(config, trials)
+        _run_stages(trainer, folder)
+        return _finish(trainer, folder)
+
+
+def _run_stages(trainer: Trainer, folder: Path) -> None:
+    log = Log(folder)
+    try:
+        for stage in _stages(trainer):
+            if stage.config.epochs:
+                scalars = _run(trainer, stage, folder, log)
+                if parallel.first():
+                    print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
+    finally:
+        log.close()
+
+
+def _prepare(config: RunConfig, trials: Trials) -> Trainer:
+    for split in ("train", "validation"):
+        if not len(trials.of(split)):
+            raise ContractError(f"the dataset has no collisions in its {split} split")
+    network = build(config.network, len(CLASSES))
+    if config.start_from is not None:
+        network.load_state_dict(_start(config).build(config.network).state_dict())
+    else:
+        _set_scales(network, trials)
+    counts = np.bincount(class_of(trials.error[trials.of("train")]), minlength=len(CLASSES)).clip(1)
+    weights = (counts.sum() / counts) ** config.loss.class_weight_power
+    weights = weights / (weights * counts).sum() * counts.sum()
+    return Trainer(config, trials, network, torch.tensor(weights, dtype=torch.float32), torch.full((2, 3), 0.1))
+
+
+def _start(config: RunConfig) -> Checkpoint:
+    return Checkpoint.load(Path(config.start_from or ""))
+
+
+def _set_scales(network: Decider, trials: Trials) -> None:
+    """Normalise what the network reads by its spread over some training decisions."""
+    chosen = trials.of("train")[:: max(1, len(trials.of("train")) // 500)]
+    network.set_scales(decisions(trials, chosen, None, pictures=False).fields)
+
+
+def _stages(trainer: Trainer) -> list[Stage]:
+    config, trials, network = trainer.config, trainer.trials, trainer.network
+    everything, drawn = parallel.share(trials.of("train")), parallel.share(trials.of("train", rendered=True))
+    held, held_drawn = trials.of("validation"), trials.of("validation", rendered=True)
+    heads = (network.direction, network.magnitude, network.density)
+    decision = [*network.trunk.parameters(), *(p for head in heads for p in head.parameters())]
+    trunk = Stage(
+        "trunk",
+        config.trunk,
+        decision,
+        batches=lambda rng: epoch(trials, everything, config.trunk.batch, rng, pictures=False),
+        batches_per_epoch=-(-len(everything) // config.trunk.batch),
+        loss=trainer.trunk_loss,
+        validate=lambda: trainer.score(held, pictures=False),
+    )
+    if not isinstance(network, CompactNetwork):
+        return [trunk]
+    front = Stage(
+        "front",
+        config.front,
+        list(network.front.parameters()),
+        batches=lambda rng: frame_pairs(trials, drawn, config.front.batch, rng),
+        batches_per_epoch=-(-len(drawn) // max(1, config.front.batch // 8)),
+        loss=trainer.front_loss,
+        validate=lambda: trainer.front_score(held_drawn),
+    )
+    tune = Stage(
+        "tune",
+        config.tune,
+        list(network.parameters()),
+        batches=lambda rng: epoch(trials, drawn, config.tune.batch, rng, pictures=True),
+        batches_per_epoch=-(-len(drawn) // config.tune.batch),
+        loss=trainer.tune_loss,
+        validate=lambda: trainer.score(held_drawn, pictures=True),
+    )
+    return [front, trunk, tune]
+
+
+def _run(trainer: Trainer, stage: Stage, folder: Path, log: Log) -> dict[str, float]:
+    for split in ("train", "validation"):
+        if stage.name != "trunk" and not len(trainer.trials.of(split, rendered=True)):
+            raise ContractError(f"stage {stage.name} needs rendered {split} trials; see data.rendered_*")
+    return fit(trainer.network, stage, folder, trainer.config.seed, log)
+
+
+def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
+    """Calibrate on validation, score every split on pictures where there are any, save."""
+    pictures = len(trainer.trials.of("validation", rendered=True)) > 0
+    scales, tables = _scored(trainer, pictures=pictures)
+    joint_scales, joint_tables = _scored_joint(trainer, pictures=pictures)
+    checkpoint = Checkpoint(
+        name=trainer.config.name,
+        network=trainer.config.network,
+        weights={name: value.detach().clone() for name, value in trainer.network.state_dict().items()},
+        scales=scales,
+        joint_scales=joint_scales,
+        figures=tables | {f"joint/{name}": row for name, row in joint_tables.items()},
+        training_data_sha256=trainer.trials.sha256,
+        git_commit=git_commit(),
+        run=trainer.config.settings(),
+    )
+    if parallel.first():
+        checkpoint.save(folder / "checkpoint.pt")
+        (folder / "figures.json").write_text(json.dumps(checkpoint.figures, indent=1))
+    return checkpoint
+
+
+def _scored(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict[str, float]]]:
+    """Calibration of the pair and its figures by split and object; validation is cross-calibrated."""
+    trials = trainer.trials
+    scales = calibrate(trainer.predict(trials.of("validation", rendered=pictures), pictures=pictures))
+    tables: dict[str, dict[str, float]] = {}
+    for split, chosen in _samples(trials, pictures=pictures):
+        said = trainer.predict(chosen, pictures=pictures)
+        fair = cross_calibrated(said, trials.groups[chosen]) if split == "validation" else rescaled(said, scales)
+        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    return scales, tables
+
+
+def _scored_joint(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict[str, float]]]:
+    """The same for the joint density."""
+    trials = trainer.trials
+    held = trials.of("validation", rendered=pictures)
+    density = trainer.predict_density(held, pictures=pictures)
+    scales = calibrate_density(density, trials.error[held], trials.objects[held])
+    tables: dict[str, dict[str, float]] = {}
+    for split, chosen in _samples(trials, pictures=pictures):
+        density = trainer.predict_density(chosen, pictures=pictures)
+        stated = (density, trials.error[chosen], trials.objects[chosen])
+        fair = (
+            cross_calibrated_density(*stated, trials.groups[chosen])
+            if split == "validation"
+            else calibrated_density(*stated, scales)
+        )
+        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    return scales, tables
+
+
+def _samples(trials: Trials, *, pictures: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    for split in SPLITS:
+        chosen = trials.of(split, rendered=pictures)[:MOST_SCORED]
+        if len(chosen):
+            yield split, chosen

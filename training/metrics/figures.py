@@ -1,0 +1,168 @@
+"""How good the decisions are: accuracy, calibration, errors, each with the size of the sample it rests on."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import ContractError
+from training.data.labels import CLASSES, SIGNS, class_of
+
+Z90 = 1.6448536269514722
+BINS = 15
+NEAR = len(CLASSES) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Predictions:
+    """What a network said of N trials: ``logits`` [N, 9], ``error`` and ``log_sigma`` [N, 2], ``truth`` [N, 2]."""
+
+    logits: NDArray[np.float64]
+    error: NDArray[np.float64]
+    log_sigma: NDArray[np.float64]
+    truth: NDArray[np.float64]
+    objects: NDArray[np.str_]
+
+    def __post_init__(self) -> None:
+        """Raise ContractError on a number that is not finite: every average would swallow it."""
+        for name in ("logits", "error", "log_sigma", "truth"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ContractError(f"predictions hold a {name} that is not finite")
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Predictions":
+        """The chosen rows."""
+        return Predictions(
+            self.logits[chosen], self.error[chosen], self.log_sigma[chosen], self.truth[chosen], self.objects[chosen]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """Calibration fitted on validation trials; see :class:`service.contract.Calibration`."""
+
+    temperature: float = 1.0
+    sigma_x: float = 1.0
+    sigma_theta: float = 1.0
+
+
+def probabilities(logits: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
+    """Softmax of logits / temperature."""
+    scaled = logits / temperature
+    scaled = scaled - scaled.max(-1, keepdims=True)
+    weights = np.exp(scaled)
+    normalised: NDArray[np.float64] = weights / weights.sum(-1, keepdims=True)
+    return normalised
+
+
+def calibrate(predictions: Predictions) -> Scales:
+    """Temperature of least negative log likelihood; sigma scales whose 90 % interval covers 90 % of the errors."""
+    labels = class_of(predictions.truth.astype(np.float32))
+    grid = np.exp(np.linspace(np.log(0.3), np.log(5.0), 141))
+    losses = [_nll(probabilities(predictions.logits, t), labels) for t in grid]
+    z = np.abs(predictions.error - predictions.truth) / np.exp(predictions.log_sigma)
+    scale = np.maximum(np.quantile(z, 0.9, axis=0) / Z90, 1e-3)
+    return Scales(float(grid[int(np.argmin(losses))]), float(scale[0]), float(scale[1]))
+
+
+def rescaled(predictions: Predictions, scales: Scales) -> Predictions:
+    """The predictions with their calibration applied."""
+    shift = np.log([scales.sigma_x, scales.sigma_theta])
+    return replace(predictions, logits=predictions.logits / scales.temperature, log_sigma=predictions.log_sigma + shift)
+
+
+def cross_calibrated(predictions: Predictions, groups: NDArray[np.str_]) -> Predictions:
+    """Each half of the groups calibrated on the other half, so that a split may be scored on what calibrates it."""
+    half = first_half(groups)
+    if half is None:
+        return rescaled(predictions, calibrate(predictions))
+    one, other = predictions.take(half), predictions.take(~half)
+    return interleaved(rescaled(one, calibrate(other)), rescaled(other, calibrate(one)), half)
+
+
+def first_half(groups: NDArray[np.str_]) -> NDArray[np.bool_] | None:
+    """Which trials are of every other group; None where there is only one group."""
+    names = np.unique(groups)
+    return np.isin(groups, names[::2]) if len(names) > 1 else None
+
+
+def interleaved(one: Predictions, other: Predictions, half: NDArray[np.bool_]) -> Predictions:
+    """The predictions of ``half`` and of the rest, back in the order of the trials."""
+    order = np.argsort(np.concatenate([np.flatnonzero(half), np.flatnonzero(~half)]))
+    joined = {name: np.concatenate([getattr(one, name), getattr(other, name)])[order] for name in Predictions.__slots__}
+    return Predictions(**joined)
+
+
+def _nll(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
+    return float(-np.log(np.maximum(p[np.arange(len(labels)), labels], 1e-12)).mean())
+
+
+def calibration_curve(
+    p: NDArray[np.float64], labels: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Mean confidence, accuracy and count of the top class in equal bins of confidence (empty bins left out)."""
+    confidence = p.max(1)
+    right = p.argmax(1) == labels
+    index = np.minimum((confidence * BINS).astype(int), BINS - 1)
+    count = np.bincount(index, minlength=BINS)
+    full = count > 0
+    means = np.bincount(index, confidence, BINS)[full] / count[full]
+    return means, np.bincount(index, right, BINS)[full] / count[full], count[full]
+
+
+def expected_calibration_error(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
+    """Mean gap between confidence and accuracy, weighted by the bins' share."""
+    confidence, accuracy, count = calibration_curve(p, labels)
+    return float(np.abs(confidence - accuracy) @ count / count.sum())
+
+
+def confusion(p: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Counts [true class, chosen class]."""
+    table = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
+    np.add.at(table, (labels, p.argmax(1)), 1)
+    return table
+
+
+def figures(predictions: Predictions) -> dict[str, float]:
+    """Every figure of one sample of calibrated predictions; shares in [0, 1], errors in mm and deg."""
+    labels = class_of(predictions.truth.astype(np.float32))
+    p = probabilities(predictions.logits, 1.0)
+    chosen = p.argmax(1)
+    right = chosen == labels
+    outside = labels != NEAR
+    residual = predictions.error - predictions.truth
+    sigma = np.exp(predictions.log_sigma)
+    covered = np.abs(residual) <= Z90 * sigma
+    wrong_side = SIGNS[chosen] * SIGNS[labels] < 0
+    count = len(labels)
+    return {
+        "trials": float(count),
+        "accuracy": float(right.mean()),
+        "accuracy_without_near": float(right[outside].mean()) if outside.any() else 0.0,
+        "chance": float(np.bincount(labels).max() / count),
+        "nll": _nll(p, labels),
+        "ece": expected_calibration_error(p, labels),
+        "wrong_side_x": float(wrong_side[:, 0].mean()),
+        "wrong_side_theta": float(wrong_side[:, 1].mean()),
+        "mae_x_mm": float(np.abs(residual[:, 0]).mean()),
+        "mae_theta_deg": float(np.abs(residual[:, 1]).mean()),
+        "rmse_x_mm": float(np.sqrt((residual[:, 0] ** 2).mean())),
+        "rmse_theta_deg": float(np.sqrt((residual[:, 1] ** 2).mean())),
+        "coverage90_x": float(covered[:, 0].mean()),
+        "coverage90_theta": float(covered[:, 1].mean()),
+    }
+
+
+def wilson(share: float, count: int, z: float = 1.959964) -> tuple[float, float]:
+    """95 % interval of a share seen in ``count`` trials (Wilson 1927)."""
+    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
+    half = z / (1 + z**2 / count) * float(np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2)))
+    return middle - half, middle + half
+
+
+def by_object(predictions: Predictions) -> dict[str, dict[str, float]]:
+    """Figures of every object, of ``all``, and of all but the circle, whose yaw nothing blocks."""
+    names = sorted(set(predictions.objects.tolist()))
+    table = {"all": figures(predictions)}
+    if "circle" in names and len(names) > 1:
+        table["all but circle"] = figures(predictions.take(predictions.objects != "circle"))
+    return table | {name: figures(predictions.take(predictions.objects == name)) for name in names}
