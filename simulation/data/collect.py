@@ -262,7 +262,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command line; 0 when the dataset is complete."""
     from simulation.data.workers import collect, collect_on_ray
 
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation collect")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion collect")
     asked = asked_manifest(options)
     with DatasetWriter(options.out, asked) as writer:
         writer.extend(asked)
