@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from simulation.data.manifest import write_durably
+from reporting.files import write_durably
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
 from simulation.studies import hard_probes
