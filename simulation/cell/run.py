@@ -10,7 +10,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 from urllib.request import urlopen
@@ -18,6 +18,7 @@ from urllib.request import urlopen
 import numpy as np
 import tyro
 
+from service.contract.shipped import released_models
 from simulation.cell import run_report
 from simulation.cell.children import Child, ChildError, terminate_as_interrupt
 from simulation.cell.run_report import Result
@@ -47,7 +48,7 @@ class RunOptions:
     """Seed of start, grasp, optics and noise."""
     controller: Literal["belief", "heuristic"] = "belief"
     """How corrections are chosen."""
-    models: Path = Path("models")
+    models: Path = field(default_factory=released_models)
     """Folder with the networks."""
     out: Path = Path("runs")
     """Where runs are kept."""
@@ -232,7 +233,7 @@ def _table(results: Sequence[Result]) -> None:
 
 def main(arguments: list[str]) -> int:
     """Run; see the module's docstring for the exit code."""
-    options = tyro.cli(RunOptions, args=arguments, prog="python -m simulation run", description=__doc__)
+    options = tyro.cli(RunOptions, args=arguments, prog="tactile-insertion run", description=__doc__)
     todo = starts(options)
     terminate_as_interrupt()
     results = []

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from simulation.data.manifest import write_durably
+from reporting.files import write_durably
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
 from simulation.studies import hard_probes
@@ -65,7 +65,7 @@ def _begun(path: Path | None, asked: dict[str, Any], count: int) -> hard_probes.
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command line."""
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation hard-probes")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion hard-probes")
     if options.count < 1 or options.workers < 0:
         raise ValueError(f"expected --count >= 1 and --workers >= 0, got {options.count} and {options.workers}")
     if options.out is not None and not options.out.is_dir():

@@ -16,7 +16,8 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest, write_durably
+from reporting.files import write_durably
+from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest
 from simulation.data.trial import (
     LABELS,
     SCALARS,
