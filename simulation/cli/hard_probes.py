@@ -41,7 +41,7 @@ def as_text(options: Options, result: dict[str, Any]) -> str:
     """What a person reads."""
     lines = [f"{result['probes']} hard probes, tier {options.tier}, seed {options.seed}:"]
     lines += [
-        f"  {count:6d}  {100.0 * count / found['probes']:6.2f} %  {ended}" for ended, count in result["ended"].items()
+        f"  {count:6d}  {100.0 * count / result['probes']:6.2f} %  {ended}" for ended, count in result["ended"].items()
     ]
     lines.append(
         f"worst residual {result['worst_residual_n']:.1e} N (limit {hard_probes.RESIDUAL_N:.0e}), worst cone violation "
