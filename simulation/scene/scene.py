@@ -21,7 +21,7 @@ from service.contract.toml import read_toml
 from simulation.scene import shapes
 from simulation.scene.errors import describe
 
-SCENES = Path(__file__).parents[1] / "scenes"
+OBJECTS = Path(__file__).parents[1] / "objects"
 BUILT_IN = ("rectangle", "circle", "ellipse", "hexagon", "white_box", "vitamin", "can", "mustard")
 YOUNGER_KEYS = (("camera", "readout_ms"), ("effects", "inertia"), ("effects", "rolling_shutter"))
 Switch = Literal["auto", "on", "off"]
@@ -268,7 +268,7 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
     """
     path = Path(name_or_path)
     if str(name_or_path) in BUILT_IN:
-        path = SCENES / f"{name_or_path}.toml"
+        path = OBJECTS / f"{name_or_path}.toml"
     elif not path.is_file():
         near = difflib.get_close_matches(str(name_or_path), BUILT_IN, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""

@@ -173,7 +173,7 @@ def test_shards_of_two_physics_are_not_mixed(tmp_path: Path) -> None:
 
 def test_two_scenes_of_one_name_are_refused_before_anything_is_made(tmp_path: Path) -> None:
     mine = tmp_path / "circle.toml"
-    mine.write_bytes((Path(__file__).parents[3] / "simulation/scenes/circle.toml").read_bytes())
+    mine.write_bytes((Path(__file__).parents[3] / "simulation/objects/circle.toml").read_bytes())
     for objects in (("circle", str(mine)), ()):
         with pytest.raises(DatasetError, match="no two of the same name"):
             asked_manifest(Options(objects=objects))

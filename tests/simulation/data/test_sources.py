@@ -6,11 +6,11 @@ from simulation.data.sources import sources_sha256
 @pytest.fixture
 def root(tmp_path):
     package = tmp_path / "simulation"
-    (package / "scenes").mkdir(parents=True)
+    (package / "objects").mkdir(parents=True)
     (package / "arm.py").write_text("from simulation import solver\n")
     (package / "solver.py").write_text('"""Solves."""\nSTEPS = 3\n')
     (package / "report.py").write_text("WIDTH = 80\n")
-    (package / "scenes" / "circle.toml").write_text("mass_kg = 0.1\n")
+    (package / "objects" / "circle.toml").write_text("mass_kg = 0.1\n")
     return tmp_path
 
 
@@ -18,7 +18,7 @@ def root(tmp_path):
     ("file", "text", "counts"),
     [
         ("solver.py", '"""Solves."""\nSTEPS = 4\n', True),
-        ("scenes/circle.toml", "mass_kg = 0.2\n", True),
+        ("objects/circle.toml", "mass_kg = 0.2\n", True),
         ("solver.py", '"""Solves well."""\nSTEPS = 3  # enough\n', False),
         ("report.py", "WIDTH = 81\n", False),
     ],
