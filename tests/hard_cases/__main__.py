@@ -87,13 +87,12 @@ def write(results: list[Result], seconds: float, out: Path) -> None:
 
 def page(report: dict) -> str:
     """The Markdown page of a report."""
-    failed = sum(not row["passed"] for row in report["cases"])
+    counted = f"{len(report['cases'])} cases, {sum(not row['passed'] for row in report['cases'])} failed"
     lines = ["# Hard cases", ""]
-    lines.append(
-        "Written by `make hard-cases`: what is nasty, what must hold, how close it came (worst of seeds"
-        f" {', '.join(map(str, SEEDS))}), and what answers it."
-        f" {len(report['cases'])} cases, {failed} failed, {report['seconds']} s."
-    )
+    lines += [
+        "Written by `make hard-cases`: what is nasty, what must hold, how close it came (worst of seeds",
+        f"{', '.join(map(str, SEEDS))}), and what answers it. {counted}, {report['seconds']} s.",
+    ]
     for room in dict.fromkeys(row["room"] for row in report["cases"]):
         lines += [
             "",

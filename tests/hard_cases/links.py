@@ -8,11 +8,11 @@ import numpy as np
 
 from robot_client.grippers.wsg50.codec import Command, StreamParser, WsgError, encode_frame, encode_request
 from robot_client.insertion.events import Arrived, Begin, FromService, Grasped, Move, Standstill, Tick
+from robot_client.insertion.geometry import Pose
 from robot_client.insertion.machine import Phase, Plan, Result, State, step
 from robot_client.robots.abb_egm.codec import (
     EgmError,
     Guidance,
-    Pose,
     RobotState,
     decode_guidance,
     decode_robot,
@@ -66,7 +66,7 @@ def counters_wrapping_round(_seed: int) -> float:
     why="a datagram is whatever somebody sent to the port",
     holds="random bytes decode or are refused by name, and nothing non-finite comes out: other endings",
     guard=Guard(
-        "robot_client.robots.abb_egm.codec:Pose.check",
+        "robot_client.insertion.geometry:Pose.check",
         "any four numbers are a rotation",
         lambda _: lambda pose, *_: pose,
     ),
