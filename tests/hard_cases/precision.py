@@ -6,11 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
+from export.onnx.decisions import Decision
 from export.onnx.golden import hard_input
 from export.onnx.model import Model, open_model
 from export.onnx.verify import decide
+from export.quantise.quantise import FarOffError, Mode, quantise
 from tests.hard_cases.networks import LARGEST, PICTURES, golden, largest_of, released
 from tests.hard_cases.registry import ROOT, case
+
+QUANTISE = "export/quantise/quantise.py"
 
 
 @case(
@@ -45,41 +49,39 @@ def single_against_double_precision(seed: int) -> float:
     return float((single.double() - double).abs().max() / double.abs().max())
 
 
-@lru_cache
-def _small(name: str) -> Model:
-    """int8 twin of a released step model that reads pictures, multiplied in int8 where it can be."""
-    from export.onnx.decisions import Decision
-    from export.quantise.quantise import quantize
-
+def _quantised(name: str, mode: Mode) -> Model:
+    """int8 build of a released step model, calibrated on golden frames."""
     truth = np.zeros(2, np.float32)
     calibrating = [Decision(golden(seed), 56.0, 30.0, truth, "golden") for seed in range(4)]
     out = Path(tempfile.mkdtemp(prefix="hard-cases-")) / f"{Path(name).name}.step.onnx"
-    return open_model(quantize(ROOT / "models" / f"{name}.step.onnx", out, calibrating, dynamic=True))
+    return open_model(quantise(ROOT / "models" / f"{name}.step.onnx", out, calibrating, mode))
+
+
+@lru_cache
+def _small(name: str) -> Model:
+    return _quantised(name, "blocked")
 
 
 @case(
     "networks",
-    why="without VNNI, products of u8 and s8 saturate in 16 bits and say nothing",
-    holds="where this processor's products saturate, two of the largest fit 16 bits: their sum",
-    guard=("export/trunk.py", "reach = CAREFUL_REACH if saturates() else REACH", "reach = REACH"),
-    limit=2**15 - 1,
+    why="one scale a tensor leaves few of 256 steps to the small numbers of a marker field",
+    holds="an int8 build whose outputs are a quarter off is refused: builds that pass",
+    guard=(QUANTISE, "if not share < FAR_OFF:", "if False:"),
+    quick=False,
 )
-def int8_with_a_bit_in_reserve(seed: int) -> float:
-    from unittest import mock
-
-    from export import trunk
-
-    weights = np.random.default_rng(seed).normal(size=(32, 3, 11, 11))
-    with mock.patch.object(trunk, "saturates", return_value=True):
-        steps, _ = trunk.round_rows(weights)
-    return float(2 * 255 * (np.abs(steps).max() + trunk.WEIGHT_ZERO))
+def int8_far_from_fp32(_seed: int) -> float:
+    try:
+        _quantised("direction", "static")
+    except FarOffError:
+        return 0.0
+    return 1.0
 
 
 @case(
     "networks",
     why="extreme inputs drive every quantised activation to the ends of its 256 steps",
     holds="the int8 twins stay finite and bounded on every hard input: largest",
-    guard=("export/quantise/quantise.py", "_self_test(model, open_model(out), decisions[:2])"),
+    guard=(QUANTISE, "_check(model, open_model(out), decisions[:2])"),
     limit=LARGEST,
     quick=False,
 )
@@ -96,7 +98,7 @@ def int8_at_its_extremes(_seed: int) -> float:
     "networks",
     why="a weight of eight bits is off by a 250th of the largest beside it, and a state carries that on",
     holds="the int8 twins stay near fp32 on golden frames that they were not rounded for: mean gap relative to the output",
-    guard=("export/quantise/quantise.py", "if not gap < FAR_OFF:"),
+    guard=(QUANTISE, "block_size=BLOCK"),
     limit=0.02,
     quick=False,
 )
