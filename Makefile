@@ -4,6 +4,7 @@ VENV ?= .venv
 RUN_VENV ?= .venv-run
 OPS_VENV ?= .venv-ops
 PEERS_VENV ?= .venv-peers
+DOCS_VENV ?= .venv-docs
 MINUTES ?= 30
 TORCH_VERSION = 2.13.0
 OUT ?= runs
@@ -12,7 +13,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all hard-cases accuracy slip-report tradeoff bench bench-serving soak collect train export evaluate robustness requirements clean
+.PHONY: help run lint test test-all hard-cases accuracy slip-report tradeoff bench bench-serving soak collect train export evaluate robustness requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -43,6 +44,11 @@ $(PEERS_VENV)/ready: pyproject.toml
 	$(PEERS_VENV)/bin/pip install -q '.[bench-serving]' || echo "the peers cannot be installed here; their rows will say so" >&2
 	@touch $@
 
+$(DOCS_VENV)/ready: requirements/docs.txt
+	$(PYTHON) -m venv $(DOCS_VENV)
+	$(DOCS_VENV)/bin/pip install -q --require-hashes --no-deps -r requirements/docs.txt
+	@touch $@
+
 # ---- the main job -------------------------------------------------------------------------------------------------
 
 run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= X_MM= THETA_DEG= SEED=)
@@ -51,11 +57,13 @@ run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= X_MM= 
 
 # ---- tests --------------------------------------------------------------------------------------------------------
 
-test: $(VENV)/ready ## lint, types, import rules and the fast tests
+lint: $(VENV)/ready ## format, lint, types and import rules; pre-commit runs the same
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+test: lint ## lint, types, import rules and the fast tests
 	$(BIN)/python -m pytest -n 2 -m "not slow"
 
 test-all: $(VENV)/ready ## the fast tests and the long ones; properties draw new examples each time
@@ -92,7 +100,7 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 	$(BIN)/python -m simulation theory --out docs
 	$(BIN)/python -m simulation accuracy
 
-slip-report: $(RUN_VENV)/ready ## how well slip is seen and what seeing costs: docs/slip_report.md (REAL=folder judges recordings too)
+slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md (REAL=folder adds recordings)
 	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
 
 tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png (FOLDERS= names others than models/)
@@ -106,7 +114,7 @@ bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside ML
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
 
 soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models and garbage make trouble: docs/soak.md, .json
-	$(BIN)/python -m tests.service.soak --minutes $(MINUTES) --models $(MODELS)
+	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)
 
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
 	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)
@@ -157,8 +165,11 @@ bundle: $(RUN_VENV)/ready ## archive for a cell without internet: wheels, code, 
 sbom: $(RUN_VENV)/ready $(OPS_VENV)/ready ## list every shipped dependency with its licence -> dist/
 	sh docker/sbom.sh $(RUN) $(OPS_VENV)/bin dist
 
+docs: $(DOCS_VENV)/ready ## the pages as a site, build/site/index.html, to be read without internet; a broken link fails
+	NO_MKDOCS_2_WARNING=1 $(DOCS_VENV)/bin/mkdocs build --strict
+
 requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
 clean: ## remove what the commands above made, but no data and no runs
-	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(DOCS_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.models import load_models
+from service.decision.models import load_models
 
 
 def main(folder: str, decisions: int) -> None:

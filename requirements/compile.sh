@@ -17,3 +17,4 @@ pin test --extra service --extra robot --extra simulation --extra training --ext
   --override requirements/no-torch.txt requirements/torch.in --no-emit-package torch
 pin ops --extra ops
 pin bench --extra bench -c requirements/test.txt
+pin docs --extra docs

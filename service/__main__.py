@@ -19,10 +19,10 @@ class Command(NamedTuple):
 
 
 COMMANDS = {
-    "run": Command("service.run", "serve: cameras in, slip and corrections out, dashboard at /"),
-    "replay": Command("service.replay", "run perception over a clip, or re-decide a recorded insertion (.mcap)"),
-    "calibrate": Command("service.calibrate", "fit the rectification of a camera from frames of a resting gel"),
-    "models": Command("service.inspect_models", "check a folder of models and print their cards"),
+    "run": Command("service.cli.run", "serve: cameras in, slip and corrections out, dashboard at /"),
+    "replay": Command("service.tools.replay", "run perception over a clip, or re-decide a recorded insertion (.mcap)"),
+    "calibrate": Command("service.tools.calibrate", "fit the rectification of a camera from frames of a resting gel"),
+    "models": Command("service.tools.inspect_models", "check a folder of models and print their cards"),
 }
 EXIT_BAD_INPUT = 2
 
@@ -39,7 +39,7 @@ def usage() -> str:
 def module_of(name: str, arguments: Sequence[str]) -> str:
     """The module that runs a command; ``replay`` of a recorded insertion is a re-decision."""
     if name == "replay" and any(Path(argument).suffix == ".mcap" for argument in arguments):
-        return "service.redecide"
+        return "service.tools.redecide"
     return COMMANDS[name].module
 
 

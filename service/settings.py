@@ -2,6 +2,7 @@
 
 import ipaddress
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -19,9 +20,17 @@ from pydantic_settings import SettingsError as CliError
 from service.contract import ContractError
 from service.contract.toml import read_toml
 from service.contract.wire import ControllerName, Limits
-from service.deadlines import Deadlines
 
 Exporter = Literal["off", "console", "otlp"]
+
+
+@dataclass(frozen=True, slots=True)
+class Deadlines:
+    """How long each stage of an attempt may take before the session says so."""
+
+    reference_s: float = 2.0  # from `arm` to the first pair captured after it
+    decision_frames_s: float = 2.0  # from `stopped` to the last frame the networks need
+    decision_s: float = 10.0  # from `stopped` to the networks' result
 
 
 class SettingsError(ContractError):

@@ -2,6 +2,6 @@
 
 from pathlib import Path
 
-from simulation.compiled import keep_apart
+from simulation.compile_cache import keep_apart
 
 keep_apart(Path(__file__).parent)

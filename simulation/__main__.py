@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "run": ("simulation.run:main", "the whole loop: cell, service and robot client insert an object in real time"),
+    "run": ("simulation.cell.run:main", "the whole loop: cell, service and robot client insert an object in real time"),
     "cell": ("simulation.cli.cell:main", "the cell in real time on loopback: robot, gripper, cameras, truth"),
     "evaluate": ("simulation.cli.evaluate:main", "the paper's test protocol in lock step: table, scatter, JSON"),
     "robustness": (
@@ -17,19 +17,28 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "explain": ("simulation.cli.explain:main", "which effects a scene calls for, why, and what each costs"),
     "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),
-    "collect": ("simulation.collect:main", "poke on all cores and keep the collisions as a dataset"),
-    "view": ("simulation.view:main", "trials of a dataset as pictures"),
-    "plate": ("simulation.plate:main", "what the simulated sensor sees, object by object, as one picture"),
-    "export-dataset": ("simulation.export_dataset:main", "trials as a LeRobot v3.0 dataset or as MCAP files"),
-    "slip-report": ("simulation.evaluate_slip:main", "how well slip is seen and what seeing costs: table, JSON, plot"),
-    "trackers": ("simulation.tracker_costs:main", "what accuracy of marker tracking costs in time: table, JSON, plot"),
+    "collect": ("simulation.data.collect:main", "poke on all cores and keep the collisions as a dataset"),
+    "view": ("simulation.data.view:main", "trials of a dataset as pictures"),
+    "plate": ("simulation.studies.imprint:main", "what the simulated sensor sees, object by object, as one picture"),
+    "export-dataset": ("simulation.data.export:main", "trials as a LeRobot v3.0 dataset or as MCAP files"),
+    "slip-report": (
+        "simulation.studies.slip.detection:main",
+        "how well slip is detected, and the cost: table, JSON, plot",
+    ),
+    "trackers": (
+        "simulation.studies.slip.tracker_costs:main",
+        "accuracy of marker tracking against time: table, JSON, plot",
+    ),
     "stop-report": (
-        "simulation.stop_report:main",
+        "simulation.studies.stop_latency:main",
         "how soon the arm stops for slip, through the whole live loop: table",
     ),
     "hard-probes": ("simulation.cli.hard_probes:main", "10,000 random nasty contacts: solved, lost or refused by name"),
-    "theory": ("simulation.theory:main", "errors beside Hertz, Mindlin, Winkler and the paper's geometry: table"),
-    "accuracy": ("simulation.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
+    "theory": (
+        "simulation.studies.theory:main",
+        "errors beside Hertz, Mindlin, Winkler and the paper: table",
+    ),
+    "accuracy": ("simulation.studies.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
 }
 
 

@@ -7,11 +7,11 @@ import pytest
 
 LIGHT = {
     "service.contract": ("torch", "numba", "cv2", "onnxruntime", "fastapi"),
-    "service.perception.slip": ("torch", "numba", "onnxruntime", "fastapi"),
-    "service.app": ("torch", "numba", "simulation", "training"),
+    "service.perception.slip.detector": ("torch", "numba", "onnxruntime", "fastapi"),
+    "service.web.app": ("torch", "numba", "simulation", "training"),
     "robot_client.__main__": ("torch", "numba", "cv2", "onnxruntime", "fastapi", "simulation", "service.perception"),
     "simulation.__main__": ("torch", "onnxruntime", "training"),
-    "simulation.dataset": ("torch", "onnxruntime"),
+    "simulation.data.dataset": ("torch", "onnxruntime"),
 }
 
 

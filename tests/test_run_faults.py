@@ -9,7 +9,7 @@ import time
 import httpx
 import pytest
 
-from simulation import run
+from simulation.cell import run
 from tests.service import tiny_models
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

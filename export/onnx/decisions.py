@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from export.onnx.model import Arrays, Model, geometry_inputs
 from service.contract import ContractError, ModelCard
-from service.perception.sequence import track_pairs
+from service.perception.markers.sequence import track_pairs
 from training.data.dataset import SPLITS, open_source
 from training.data.labels import class_of
 

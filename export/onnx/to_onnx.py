@@ -19,7 +19,7 @@ from export.onnx.runtime import cpu_name, session
 from export.onnx.verify import OPSET, verify_forms
 from service.contract import Calibration, ContractError, FrameSpec, MarkerSpec, ModelCard
 from service.contract.self_test import make_self_test
-from service.perception.field import LATTICE
+from service.perception.markers.field import LATTICE
 from training.config import FRAMES_PER_DECISION
 from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.fit.checkpoint import Checkpoint

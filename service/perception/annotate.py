@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.field import MarkerField
-from service.perception.slip import SlipState
+from service.perception.markers.field import MarkerField
+from service.perception.slip.detector import SlipState
 
 _COLOURS = {  # BGR
     "no_contact": (160, 160, 160),

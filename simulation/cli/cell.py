@@ -4,9 +4,9 @@ import asyncio
 
 import tyro
 
-from simulation.cell import bind_all, serve
-from simulation.cell_options import CellOptions
-from simulation.cell_plant import build, load
+from simulation.cell.live import bind_all, serve
+from simulation.cell.options import CellOptions
+from simulation.cell.plant import build, load
 
 
 def main(arguments: list[str]) -> int:

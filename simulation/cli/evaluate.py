@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 
 import tyro
 
-from simulation import campaign, evaluation
-from simulation.campaign import Task
-from simulation.contenders import CONTENDERS
-from simulation.evaluation import OBJECTS, Row
-from simulation.scene import load_scene
+from simulation.closed_loop import campaign, statistics
+from simulation.closed_loop.baselines import CONTENDERS
+from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.statistics import OBJECTS, Row
+from simulation.scene.scene import load_scene
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def tasks(options: Options, names: tuple[str, ...]) -> list[Task]:
     for number, scene in enumerate(OBJECTS):
         cell = load_scene(scene)
         reach = (cell.x_range_mm, cell.theta_range_deg)
-        starts[scene] = evaluation.start_errors(options.count, options.seed + number, reach)
+        starts[scene] = statistics.start_errors(options.count, options.seed + number, reach)
     found = []
     for index in range(options.count):
         playing = names if index < options.baseline_count else tuple(who for who in names if who == "belief")
@@ -104,7 +104,7 @@ def main(arguments: list[str]) -> int:
     campaign.claim(options.out, setup)
     log = options.out / "insertions.jsonl"
     rows = campaign.run(tasks(options, names), log, workers=options.workers, ray=options.ray)
-    from simulation.closed_loop_report import write
+    from simulation.closed_loop.report import write
 
     options.docs.mkdir(parents=True, exist_ok=True)
     if "belief" in names:
@@ -115,8 +115,8 @@ def main(arguments: list[str]) -> int:
 
 def _film(options: Options, rows: list[Row]) -> None:
     """The filmstrip of the first insertion of three attempts (or two) that the belief made."""
-    from simulation.evaluate import Job
-    from simulation.filmstrip import film
+    from simulation.closed_loop.filmstrip import film
+    from simulation.closed_loop.play import Job
 
     mine = [row for row in rows if row["who"] == "belief" and row["inserted"] and row["attempts"] in {2, 3}]
     if mine:

@@ -7,11 +7,11 @@ import time
 
 import numpy as np
 
-from simulation.appearance import Appearance
-from simulation.effects import EFFECTS, decide
-from simulation.imprint import Renderer
-from simulation.rig import Cell
-from simulation.scene import Scene, load_scene
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
+from simulation.physics.quasistatic import QuasiStaticCell
+from simulation.scene.effects import EFFECTS, decide
+from simulation.scene.scene import Scene, load_scene
 
 IN_THE_PHYSICS = ("gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling")
 REPEATS = 7
@@ -19,7 +19,7 @@ REPEATS = 7
 
 def poke_ms(scene: Scene) -> float:
     """Best CPU time of a poke 1.5 mm past touchdown, readout of every frame included, ms."""
-    cell, best = Cell(scene), float("inf")
+    cell, best = QuasiStaticCell(scene), float("inf")
     for _ in range(REPEATS):
         cell.reset_blocks()
         cell.regrasp(0.5 * scene.x_range_mm, 4.0)

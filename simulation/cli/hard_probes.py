@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from simulation import hard_probes
-from simulation.manifest import write_durably
-from simulation.progress import progress
-from simulation.sources import sources_sha256
+from simulation.data.manifest import write_durably
+from simulation.data.progress import progress
+from simulation.data.sources import sources_sha256
+from simulation.studies import hard_probes
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.out is not None and not options.out.is_dir():
         raise ValueError(f"--out {options.out}: no such folder")
     path = None if options.out is None else options.out / f"hard_probes.{options.tier}.json"
-    asked = {"seed": options.seed, "tier": options.tier, "physics": sources_sha256("simulation.hard_probes")}
+    asked = {"seed": options.seed, "tier": options.tier, "physics": sources_sha256("simulation.studies.hard_probes")}
     tally = _begun(path, asked, options.count)
     done = tally.ended.total()
     try:

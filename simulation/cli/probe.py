@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS
-from simulation.appearance import Appearance
-from simulation.cell_options import CellOptions
-from simulation.imprint import Renderer
-from simulation.probe import Probe, run_probe
-from simulation.scene import Scene, load_scene
+from simulation.cell.options import CellOptions
+from simulation.data.probe import Probe, run_probe
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
+from simulation.scene.scene import Scene, load_scene
 
 
 def pictures(scene: Scene, probe: Probe, seed: int) -> list[NDArray[np.uint8]]:

@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 
 import tyro
 
-from simulation import campaign, evaluation, robustness
-from simulation.campaign import Task
-from simulation.contenders import CONTENDERS
-from simulation.robustness import CONDITIONS, Condition
-from simulation.scene import BUILT_IN, load_scene
+from simulation.closed_loop import campaign, robustness, statistics
+from simulation.closed_loop.baselines import CONTENDERS
+from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.robustness import CONDITIONS, Condition
+from simulation.scene.scene import BUILT_IN, load_scene
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def tasks(options: Options) -> list[Task]:
                 for number, (scene, cell) in enumerate(scenes.items()):
                     reach = (cell.x_range_mm, cell.theta_range_deg)
                     # the extremes would weigh too much in a small count
-                    x, theta = evaluation.start_errors(options.count + 4, options.seed + number, reach)[index + 4]
+                    x, theta = statistics.start_errors(options.count + 4, options.seed + number, reach)[index + 4]
                     disturbed = CONDITIONS[name]
                     job = {"scene": scene, "index": index, "x_mm": x, "theta_deg": theta, "who": options.who}
                     job |= {"seed": options.seed * 100_000 + index, "eyes": _eyes(options, disturbed)}

@@ -10,10 +10,10 @@ from typing import Self
 
 from websockets.sync.client import ClientConnection, connect
 
-from service.cameras import decode_jpeg
+from service.cameras.capture import decode_jpeg
 from service.contract import FINGERS, Finger, FramePair, TactileFrame, wire
-from service.models import ModelSet
-from service.sessions import make_session
+from service.decision.models import ModelSet
+from service.session.factory import make_session
 from tests.service import drawn
 from tests.service.mjpeg import VARIANTS, FakeFinger, encoded
 from tests.service.process import ServiceProcess

@@ -15,9 +15,9 @@ import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 from service.contract import FINGERS, wire
-from service.models import load_models
+from service.decision.models import load_models
+from service.session.station import Station
 from service.settings import Settings
-from service.station import Station
 from tests.service import drawn
 from tests.service.mjpeg import FakeFinger
 from tests.service.process import ServiceProcess, service_process

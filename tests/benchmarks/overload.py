@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.cameras import Capture, now_ns
+from service.cameras.capture import Capture, now_ns
+from service.cli.run import SWITCH_S
 from service.contract import FINGERS, Finger, wire
-from service.observation import Observation
-from service.perception.rectify import Rectifier
-from service.run import SWITCH_S
-from service.station import Station
+from service.perception.observation import Observation
+from service.perception.rectification import Rectifier
+from service.session.station import Station
 from tests.service import drawn
 
 SECONDS = 6.0

@@ -21,7 +21,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-from service.models import load_models
+from service.decision.models import load_models
 from tests.benchmarks.cell import SteppedCell, in_process_ms
 from tests.benchmarks.load import flood, healthz_ms, overload
 from tests.benchmarks.peers_run import peers

@@ -119,7 +119,7 @@ def metrics_read(text: str) -> set[str]:
 
 @pytest.mark.parametrize("path", ["prometheus/alerts.yml", "prometheus/alerts_test.yml", "grafana/dashboard.json"])
 def test_alerts_and_dashboard_read_only_metrics_that_the_service_has(path):
-    source = ROOT / "service" / "metrics.py"
+    source = ROOT / "service" / "web" / "metrics.py"
     made = set(re.findall(r'(?:Histogram|Counter|Gauge)\("([a-z_]+)"', source.read_text()))
     assert metrics_read((DOCKER / path).read_text()) <= {f"tactile_{name}" for name in made}
 

@@ -13,12 +13,12 @@ import numpy as np
 from service.contract import ContractError, FrameSpec, TactileFrame
 from service.contract.frames import decode_frame, encode_frame
 from service.contract.wire import parse_client, parse_service
-from simulation.dataset import Dataset, DatasetWriter
-from simulation.manifest import MANIFEST, DatasetError
+from simulation.data.dataset import Dataset, DatasetWriter
+from simulation.data.manifest import MANIFEST, DatasetError
 from tests.hard_cases.registry import case, not_refused
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 
-DATASET, MANIFESTS, FRAMES = "simulation/dataset.py", "simulation/manifest.py", "service/contract/frames.py"
+DATASET, MANIFESTS, FRAMES = "simulation/data/dataset.py", "simulation/data/manifest.py", "service/contract/frames.py"
 
 
 @lru_cache
@@ -133,7 +133,7 @@ def manifests_that_do_not_fit(_seed: int) -> float:
     why="a label that is not a number poisons every average it enters",
     holds="trials with non-finite labels or states are refused on writing: not refused",
     guard=(
-        "simulation/trial.py",
+        "simulation/data/trial.py",
         "if array.shape != shape or not np.isfinite(array).all():",
         "if array.shape != shape:",
     ),

@@ -4,17 +4,21 @@ import itertools
 
 import numpy as np
 
-from service.belief import BeliefGrid
 from service.contract.wire import Limits
-from service.controllers import Belief, Heuristic, axis_command, make_controller, within
-from service.controllers import Command as Move
-from service.decision import Density, Evidence, Refusal, from_joint, from_pair, softmax
-from service.models import load_models
+from service.decision.belief import BeliefGrid
+from service.decision.controllers import Belief, Heuristic, axis_command, make_controller, within
+from service.decision.controllers import Command as Move
+from service.decision.evidence import Density, Evidence, Refusal, from_joint, from_pair, softmax
+from service.decision.models import load_models
 from tests.hard_cases.registry import ROOT, case, non_finite, not_refused
 from training.data.labels import CLASSES
 
 LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
-CONTROLLERS, BELIEF, DECISION = "service/controllers.py", "service/belief.py", "service/decision.py"
+CONTROLLERS, BELIEF, DECISION = (
+    "service/decision/controllers.py",
+    "service/decision/belief.py",
+    "service/decision/evidence.py",
+)
 UNIFORM = np.full(len(CLASSES), 1 / len(CLASSES))
 
 

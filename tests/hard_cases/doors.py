@@ -12,18 +12,18 @@ from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import MotionGuide, Ramps
 from robot_client.insertion.profile import plan_profile
 from robot_client.robots.abb_egm.codec import Guidance, Pose, RobotState, encode_guidance, encode_robot
-from service.belief import BeliefGrid
 from service.contract import wire
-from service.controllers import axis_command, make_controller
-from service.decision import Refusal, from_joint, from_pair, softmax
-from service.perception.grasp import GraspWatch
-from service.perception.onset import OnsetDetector
-from service.perception.rectify import CameraCalibration
-from service.perception.rigid import fit_motion, moving_patch
-from service.perception.slip import SlipDetector
-from simulation.imprint import Appearance, Renderer
-from simulation.rig import Cell
-from simulation.scene import load_scene
+from service.decision.belief import BeliefGrid
+from service.decision.controllers import axis_command, make_controller
+from service.decision.evidence import Refusal, from_joint, from_pair, softmax
+from service.perception.rectification import CameraCalibration
+from service.perception.slip.detector import SlipDetector
+from service.perception.slip.grasp import GraspWatch
+from service.perception.slip.onset import OnsetDetector
+from service.perception.slip.rigid import fit_motion, moving_patch
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.quasistatic import QuasiStaticCell
+from simulation.scene.scene import load_scene
 from tests.hard_cases.decision import LIMITS, _cards, told
 from tests.hard_cases.motion import pose
 from tests.hard_cases.registry import case, non_finite, not_refused
@@ -45,7 +45,7 @@ def shut(doors: list[Door], error: type[Exception] = ValueError) -> float:
     "decision",
     why="a number that is none passes every comparison, clip and maximum on its way to the arm",
     holds="every function of the decision refuses it as non_finite: doors open",
-    guard=("service/belief.py", "if not np.isfinite([dx_mm, dtheta_deg]).all():", "if False:"),
+    guard=("service/decision/belief.py", "if not np.isfinite([dx_mm, dtheta_deg]).all():", "if False:"),
 )
 def doors_of_the_decision(_seed: int) -> float:
     direction, magnitude, joint = _cards()
@@ -113,13 +113,13 @@ def doors_of_the_robot_client(_seed: int) -> float:
     why="one node that is not a number spreads over the whole gel with the next solve",
     holds="poses, scenes, gel states and trials with such numbers are refused: doors open",
     guard=(
-        "simulation/rig.py",
+        "simulation/physics/quasistatic.py",
         'raise ValueError(f"regrasp: expected finite numbers, got {x_mm}, {theta_deg}")',
         "pass",
     ),
 )
 def doors_of_the_simulator(seed: int) -> float:
-    cell, renderer = Cell(load_scene("circle"), seed), Renderer(Appearance())
+    cell, renderer = QuasiStaticCell(load_scene("circle"), seed), Renderer(Appearance())
 
     def gel(value: float) -> np.ndarray:
         state = np.zeros((20, 21, 3), np.float32)
@@ -172,7 +172,7 @@ def doors_of_the_training(_seed: int) -> float:
     why="a field made elsewhere (a recording, another tracker) may hold a node that is no number",
     holds="detectors stay typed and finite, fits give none, calibrations refuse: numbers not finite",
     guard=(
-        "service/perception/rigid.py",
+        "service/perception/slip/rigid.py",
         "valid = valid & np.isfinite(before).all(-1) & np.isfinite(after).all(-1)",
         "valid = valid.copy()",
     ),

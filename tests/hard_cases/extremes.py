@@ -8,9 +8,9 @@ import numpy as np
 from robot_client.insertion.geometry import CellFrame, WorkPose, multiply, normalised, rotate, yaw_quaternion
 from robot_client.insertion.profile import plan_profile
 from robot_client.robots.abb_egm.codec import Pose
-from service.belief import BeliefGrid
-from service.controllers import axis_command, make_controller
-from service.decision import from_joint, from_pair, softmax
+from service.decision.belief import BeliefGrid
+from service.decision.controllers import axis_command, make_controller
+from service.decision.evidence import from_joint, from_pair, softmax
 from tests.hard_cases.decision import LIMITS, _cards, told
 from tests.hard_cases.doors import Door
 from tests.hard_cases.motion import pose
@@ -83,7 +83,7 @@ def extremes_in_the_robot_client(_seed: int) -> float:
     why="a belief shifted by 1e308 mm, or told an error of that size, has no cell left that explains it",
     holds="finite extremes give finite results or are refused by name: numbers that are not finite",
     guard=(
-        "service/belief.py",
+        "service/decision/belief.py",
         "OUTLIER_SHARE = 0.02",
     ),
 )

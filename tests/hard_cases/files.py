@@ -9,10 +9,10 @@ import numpy as np
 
 from export.onnx.model import open_model
 from service.contract import ContractError, ModelCard
-from service.perception.rectify import Calibration, CalibrationError, CameraCalibration
-from service.recording_reader import Recording, RecordingError
-from service.replay import ReplayError, ReplayOptions, read_clip
-from simulation.scene import SceneError, load_scene
+from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
+from service.recordings.reader import Recording, RecordingError
+from service.tools.replay import ReplayError, ReplayOptions, read_clip
+from simulation.scene.scene import SceneError, load_scene
 from tests.hard_cases.registry import ROOT, case, not_refused
 from training.fit.checkpoint import Checkpoint
 
@@ -82,7 +82,7 @@ def files_that_end_early(seed: int) -> float:
     why="a homography is nine numbers of which most choices fold, flip or empty the picture",
     holds="NaN, singular, folding and empty calibrations are refused: not refused",
     guard=(
-        "service/perception/rectify.py",
+        "service/perception/rectification.py",
         "if not shared > _MIN_AREA_SHARE * self.raw.width_px * self.raw.height_px:",
         "if False:",
     ),
@@ -103,7 +103,7 @@ def calibrations_that_show_nothing(_seed: int) -> float:
     "data",
     why="a calibration file is edited by hand",
     holds="strangers, missing tables and wrong types are refused in one line: not refused",
-    guard=("service/perception/rectify.py", "strangers = set(table) - {", "strangers = set() - {"),
+    guard=("service/perception/rectification.py", "strangers = set(table) - {", "strangers = set() - {"),
 )
 def calibration_files_edited_by_hand(_seed: int) -> float:
     with tempfile.TemporaryDirectory() as scratch:
@@ -130,7 +130,11 @@ def calibration_files_edited_by_hand(_seed: int) -> float:
     "data",
     why="a scene with a negative stiffness or a part wider than its gap has no equilibrium to find",
     holds="impossible scenes are refused with the key and its range: not refused",
-    guard=("simulation/scene.py", "friction: float = Field(default=0.8, ge=0.0, le=2.0)", "friction: float = 0.8"),
+    guard=(
+        "simulation/scene/scene.py",
+        "friction: float = Field(default=0.8, ge=0.0, le=2.0)",
+        "friction: float = 0.8",
+    ),
 )
 def scenes_that_cannot_be(_seed: int) -> float:
     changes = [
@@ -155,7 +159,7 @@ def scenes_that_cannot_be(_seed: int) -> float:
     "data",
     why="a clip may be a text file, an empty folder or claim no frame rate",
     holds="each is refused in one line: not refused",
-    guard=("service/replay.py", "if k == 0:", "if False:"),
+    guard=("service/tools/replay.py", "if k == 0:", "if False:"),
 )
 def clips_that_hold_nothing(_seed: int) -> float:
     with tempfile.TemporaryDirectory() as scratch:

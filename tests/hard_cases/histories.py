@@ -22,7 +22,10 @@ from tests.hard_cases.registry import case, non_finite, not_refused
     "physics",
     why="a regularised friction creeps: standing still for a second moves the object",
     holds="force drift over 300 load steps of a nanometre up and down: relative",
-    guard=("simulation/gel.py", "bound = min(node.limit, constants.friction * node.pressure) / constants.kt"),
+    guard=(
+        "simulation/physics/kernels/bristles.py",
+        "bound = min(node.limit, constants.friction * node.pressure) / constants.kt",
+    ),
     limit=1e-3,
     quick=False,
 )
@@ -52,7 +55,7 @@ def stick_slip_reversal(seed: int) -> float:
     "physics",
     why="a part between both walls locks: its limits follow each other, and come 1 to 2 % closer a round",
     holds="a part pushed down until it wedges has its equilibrium, never refused: share of the bound used",
-    guard=("simulation/convex.py", "if outer % FINISH_EVERY == FINISH_EVERY - 1:", "if outer < 0:"),
+    guard=("simulation/physics/kernels/convex.py", "if outer % FINISH_EVERY == FINISH_EVERY - 1:", "if outer < 0:"),
     limit=1.0,
     quick=False,
 )
@@ -84,7 +87,7 @@ def load_steps_from_one_to_1024(seed: int) -> tuple[float, str]:
     "physics",
     why="two solvers that stop early stop at different places",
     holds="the coupled and the convex solver find one equilibrium: mm apart",
-    guard=("simulation/mechanics.py", "def advance("),
+    guard=("simulation/physics/kernels/load_step.py", "def advance("),
     limit=2e-4,
     quick=False,
 )
@@ -138,7 +141,7 @@ def poses_that_are_no_numbers(seed: int) -> float:
     quick=False,
 )
 def random_hard_probes(seed: int) -> tuple[float, str]:
-    from simulation.hard_probes import Tally, hard_probe
+    from simulation.studies.hard_probes import Tally, hard_probe
 
     tally = Tally()
     for number in range(60):

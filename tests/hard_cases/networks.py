@@ -10,8 +10,8 @@ from export.onnx.golden import golden_input, hard_input
 from export.onnx.model import Arrays, Model, geometry_inputs, open_model
 from export.onnx.verify import decide, run_steps
 from service.contract import ContractError
-from service.decision import DecisionRun, Refusal
-from service.models import load_models
+from service.decision.evidence import DecisionRun, Refusal
+from service.decision.models import load_models
 from tests.hard_cases.registry import ROOT, case, non_finite, not_refused
 
 VERIFY, POOLING, FORMS = "export/onnx/verify.py", "training/networks/preprocessing.py", "training/networks/forms.py"
@@ -247,7 +247,7 @@ def steps_against_sequences(seed: int) -> float:
     "networks",
     why="a frame of another size or type fits a buffer of the same length",
     holds="frames of another shape are refused by name, too few frames give no decision: not refused",
-    guard=("service/decision.py", "self._models.card.check(frame)", "pass"),
+    guard=("service/decision/evidence.py", "self._models.card.check(frame)", "pass"),
 )
 def frames_of_another_shape(seed: int) -> float:
     models = load_models(ROOT / "models" / "pictures")
@@ -263,7 +263,7 @@ def frames_of_another_shape(seed: int) -> float:
     "networks",
     why="a network may say NaN on the day its file is damaged",
     holds="a non-finite output is no decision: not refused, non-finite evidence",
-    guard=("service/decision.py", "if not all(np.isfinite(value).all() for value in outputs.values()):"),
+    guard=("service/decision/evidence.py", "if not all(np.isfinite(value).all() for value in outputs.values()):"),
 )
 def outputs_that_are_no_numbers(seed: int) -> float:
     models = load_models(ROOT / "models")

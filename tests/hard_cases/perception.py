@@ -2,17 +2,21 @@
 
 import numpy as np
 
-from service.perception.field import MarkerField
-from service.perception.grasp import GraspWatch
-from service.perception.markers import MarkerTracker
-from service.perception.onset import OnsetDetector
-from service.perception.rectify import CameraCalibration, Rectifier
-from service.perception.rigid import fit_motion
-from service.perception.slip import SlipDetector
+from service.perception.markers.field import MarkerField
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.rectification import CameraCalibration, Rectifier
+from service.perception.slip.detector import SlipDetector
+from service.perception.slip.grasp import GraspWatch
+from service.perception.slip.onset import OnsetDetector
+from service.perception.slip.rigid import fit_motion
 from tests.hard_cases.registry import case, non_finite, not_refused
 from tests.service.perception.synthetic import FRAME_NS, draw, grid, patch_fields, rigid, twist
 
-RIGID, MARKERS, SLIP = "service/perception/rigid.py", "service/perception/markers.py", "service/perception/slip.py"
+RIGID, MARKERS, SLIP = (
+    "service/perception/slip/rigid.py",
+    "service/perception/markers/tracker.py",
+    "service/perception/slip/detector.py",
+)
 TOO_FEW = (MARKERS, "if len(spots.strength) < 4:")
 TOO_LITTLE = (MARKERS, "if share < self.settings.lost_share or not visible.any():")
 SUSPICION = (MARKERS, "return reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)")
@@ -133,7 +137,7 @@ def rotations_far_from_the_origin(seed: int) -> float:
     "perception",
     why="a rotating patch carries its rim further than any slip threshold",
     holds="a twist to 60 deg at 5 deg a frame is never called slip: frames that are",
-    guard=("service/perception/slip_state.py", "slip_pitch: float = 0.10"),
+    guard=("service/perception/slip/state.py", "slip_pitch: float = 0.10"),
     quick=False,
 )
 def twists_of_sixty_degrees(seed: int) -> float:
@@ -278,7 +282,7 @@ def exposures_that_jump(seed: int) -> float:
     "perception",
     why="a homography that shrinks a side to nothing asks for pixels far outside the frame",
     holds="a rectified frame is whole and black outside the raw one, a wrong size is refused: not refused",
-    guard=("service/perception/rectify.py", "self.camera.raw.check(raw)", "pass"),
+    guard=("service/perception/rectification.py", "self.camera.raw.check(raw)", "pass"),
 )
 def raw_frames_of_another_size(seed: int) -> float:
     rectifier = Rectifier(CameraCalibration(np.array([[1.0, 0.05, -40.0], [0.02, 1.0, 5.0], [1e-4, 1e-5, 1.0]])))

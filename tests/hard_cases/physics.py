@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from simulation.rig import Cell, CellState, PhysicsError
-from simulation.scene import SceneError, load_scene
+from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
+from simulation.scene.scene import SceneError, load_scene
 from tests.hard_cases.registry import case, non_finite, not_refused
 
 MECHANICS, RIG, EQUILIBRIUM, CONTACT = (
@@ -15,28 +15,28 @@ EXACT = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 RESIDUAL_N, CONE = 1e-6, 1e-9
 
 
-def grasped(name: str, x_mm: float, theta_deg: float, seed: int = 0, **changes: object) -> Cell:
+def grasped(name: str, x_mm: float, theta_deg: float, seed: int = 0, **changes: object) -> QuasiStaticCell:
     """An object in the hand above its gap."""
-    cell = Cell(load_scene(name, **changes), seed)
+    cell = QuasiStaticCell(load_scene(name, **changes), seed)
     cell.regrasp(x_mm, theta_deg)
     return cell
 
 
-def lowered(cell: Cell, depths: Iterator[float] | tuple[float, ...]) -> Iterator[CellState]:
+def lowered(cell: QuasiStaticCell, depths: Iterator[float] | tuple[float, ...]) -> Iterator[CellState]:
     """The hand lowered to depths below the approach pose, one after the other."""
     x, y, z, yaw = cell.pose
     for depth in depths:
         yield cell.move_to(float(x), float(y), float(z) - depth, float(np.degrees(yaw)))
 
 
-def condition(cell: Cell) -> str:
+def condition(cell: QuasiStaticCell) -> str:
     """Condition number of the last solve's stiffness (mm and rad as they are), and what is done about it."""
     lower = np.tril(np.asarray(cell.trials["hess"][0], float))[:6, :6]
     number = np.linalg.cond(lower + np.tril(lower, -1).T)
     return f"condition {number:.0e}: the pads bound it, the diagonal is lifted by 1e-13 of its trace"
 
 
-def worst_of(cell: Cell, depths: tuple[float, ...] = (4.9, 5.0, 5.001, 5.05, 5.5, 6.5)) -> float:
+def worst_of(cell: QuasiStaticCell, depths: tuple[float, ...] = (4.9, 5.0, 5.001, 5.05, 5.5, 6.5)) -> float:
     """Largest of: residual over its bound, cone violation over its bound; infinite for a number that is none."""
     worst = 0.0
     for state in lowered(cell, depths):
@@ -55,7 +55,7 @@ REFUSED = (RIG, 'f"scene {self.scene.name!r}: no equilibrium within {self.scene.
 
 
 def _scene_case(
-    name: str, why: str, make: Callable[[int], Cell], guard: tuple[str, str] = SOLVED, *, quick: bool = False
+    name: str, why: str, make: Callable[[int], QuasiStaticCell], guard: tuple[str, str] = SOLVED, *, quick: bool = False
 ) -> None:
     def measure(seed: int) -> tuple[float, str]:
         cell = make(seed)
@@ -157,7 +157,10 @@ def gel_stiffness_over_six_decades(seed: int) -> tuple[float, str]:
     "physics",
     why="contact stiffness over four decades scales one block of the matrix and not the others",
     holds="blocks from 5 to 50,000 N/mm solve: share of the bound used",
-    guard=("simulation/convex.py", "MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 1000"),
+    guard=(
+        "simulation/physics/kernels/convex.py",
+        "MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 1000",
+    ),
     limit=1.0,
     quick=False,
 )
@@ -186,7 +189,7 @@ def gel_friction_0(seed: int) -> tuple[float, str]:
     "physics",
     why="an interference fit wedges: side walls on both sides and friction that locks them",
     holds="a part wider than its gap is refused by name: not refused",
-    guard=("simulation/scene.py", "must exceed object.size_x_mm"),
+    guard=("simulation/scene/scene.py", "must exceed object.size_x_mm"),
 )
 def interference_fit(_seed: int) -> float:
     gaps = (50.8, 51.0, np.nextafter(51.0, 0))

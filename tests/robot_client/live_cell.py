@@ -18,16 +18,16 @@ from robot_client.session.report import Report
 from robot_client.session.runner import Runner
 from robot_client.settings import Settings, load_settings
 from service.contract import wire
-from simulation.emulators.abb_cabinet import Cabinet, Delays
-from simulation.emulators.abb_egm import EgmEmulator
-from simulation.emulators.abb_frames import CellFrames
-from simulation.emulators.abb_motion import Follower, MotionLimits, Pose, tool_down
-from simulation.emulators.abb_rapid import RapidServers
-from simulation.emulators.abb_rws import Gate, create_app
-from simulation.emulators.faults import FaultBoard
-from simulation.emulators.net import HttpServer, bind_tcp, bind_udp, free_port, port_of
-from simulation.emulators.wsg50 import Wsg50Emulator
-from simulation.emulators.wsg50_gripper import Gripper
+from simulation.cell.emulators.abb.cabinet import Cabinet, Delays
+from simulation.cell.emulators.abb.egm import EgmEmulator
+from simulation.cell.emulators.abb.frames import CellFrames
+from simulation.cell.emulators.abb.motion import Follower, MotionLimits, Pose, tool_down
+from simulation.cell.emulators.abb.rapid import RapidServers
+from simulation.cell.emulators.abb.rws import Gate, create_app
+from simulation.cell.emulators.faults import FaultBoard
+from simulation.cell.emulators.net import HttpServer, bind_tcp, bind_udp, free_port, port_of
+from simulation.cell.emulators.wsg50 import Wsg50Emulator
+from simulation.cell.emulators.wsg50_gripper import Gripper
 
 # A busy machine may stop this process, emulators included, for long: who tests a time sets it.
 _RWS_TIMES = ("request_timeout_s", "motors_timeout_s", "start_timeout_s", "stop_timeout_s")

@@ -8,7 +8,7 @@ from robot_client.ports import DriverError
 from robot_client.robots.abb_rws.client import RwsClient, RwsError
 from robot_client.settings import SettingsError, load_settings
 from service.contract import wire
-from service.routes.insertion import HELLO_TIMEOUT_S
+from service.web.routes.insertion import HELLO_TIMEOUT_S
 from tests.robot_client.live_cell import bench
 
 MUTE_RWS = {"rws": {"request_timeout_s": 0.3, "stop_timeout_s": 0.3}}  # only what never answers is given up soon

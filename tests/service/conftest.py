@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import uvicorn
 
-from service.app import create_app
-from service.run import bind, web_config
+from service.cli.run import bind, web_config
+from service.session.station import Station, open_station
 from service.settings import Settings
-from service.station import Station, open_station
+from service.web.app import create_app
 from tests.service import drawn, tiny_models
 from tests.service.mjpeg import FakeFinger
 
@@ -91,9 +91,9 @@ def live_service(folder: Path, models: Path, **changes: object) -> Iterator[Live
         **PATIENT | changes,
     )
     with pytest.MonkeyPatch.context() as patient:
-        patient.setattr("service.cameras.STALL_S", 30.0)
-        patient.setattr("service.camera_sources.READ_TIMEOUT_S", 30.0)
-        patient.setattr("service.camera_sources.CONNECT_TIMEOUT_S", 10.0)
+        patient.setattr("service.cameras.capture.STALL_S", 30.0)
+        patient.setattr("service.cameras.sources.READ_TIMEOUT_S", 30.0)
+        patient.setattr("service.cameras.sources.CONNECT_TIMEOUT_S", 10.0)
         station = open_station(settings)
         station.start()
         try:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import Finger, FramePair, TactileFrame
-from service.perception.rectify import Calibration, CameraCalibration
-from simulation.imprint import Appearance, Renderer
+from service.perception.rectification import Calibration, CameraCalibration
+from simulation.optics.renderer import Appearance, Renderer
 
 PERIOD_NS = 33_333_333
 

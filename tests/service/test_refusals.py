@@ -10,10 +10,10 @@ import pytest
 from onnx import numpy_helper
 
 from service.contract import wire
-from service.insertion_session import InsertionSession
-from service.models import ModelSet, load_models
-from service.observation import Observation
-from service.sessions import make_session
+from service.decision.models import ModelSet, load_models
+from service.perception.observation import Observation
+from service.session.factory import make_session
+from service.session.state_machine import InsertionSession
 from tests.service import drawn, tiny_models
 
 ID = "refused"

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from simulation.appearance import Appearance
-from simulation.dataset import Manifest, Trial
+from simulation.data.dataset import Manifest, Trial
+from simulation.optics.appearance import Appearance
 
 
 def made_up_trial(number: int = 0, **changes: Any) -> Trial:

@@ -64,7 +64,7 @@ class SyntheticManifest:
 
 @dataclass
 class SyntheticSource:
-    """Same interface as ``simulation.dataset.Dataset``."""
+    """Same interface as ``simulation.data.dataset.Dataset``."""
 
     count: int = 60
     seed: int = 0

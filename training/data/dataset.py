@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from service.contract import ContractError
-from service.perception.sequence import track_pairs
+from service.perception.markers.sequence import track_pairs
 from training.config import FRAMES_PER_DECISION, JITTER, WINDOW, DataConfig
 from training.networks.preprocessing import pool_frames
 
@@ -25,7 +25,7 @@ _KEPT: dict[Reads, str] = {"pictures": "pooled-2", "markers": "tracked-1"}  # fo
 
 
 class Source(Protocol):
-    """What is used of ``simulation.dataset.Dataset``."""
+    """What is used of ``simulation.data.dataset.Dataset``."""
 
     manifest: Any
 
@@ -73,7 +73,7 @@ class Trials:
 
 def open_source(path: str, noise_scale: float = 1.0) -> Source:
     """Open a collected dataset, its cameras' noise multiplied; raise ContractError naming the path if there is none."""
-    from simulation.dataset import Dataset
+    from simulation.data.dataset import Dataset
 
     try:
         source: Source = Dataset(path, noise_scale=noise_scale)

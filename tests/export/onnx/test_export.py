@@ -10,8 +10,8 @@ from export.onnx.to_onnx import attach_card
 from export.onnx.verify import decide, verify
 from service.contract import CARD_KEY, ContractError, ModelCard
 from service.contract.self_test import check_self_test
-from service.decision import DecisionRun
-from service.models import load_models
+from service.decision.evidence import DecisionRun
+from service.decision.models import load_models
 from tests.export.conftest import export_tiny
 
 

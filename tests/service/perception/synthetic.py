@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from service.perception.field import MarkerField
+from service.perception.markers.field import MarkerField
 
 FRAME_NS = 33_333_333
 

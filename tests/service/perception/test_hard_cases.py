@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from service.perception.grasp import GraspWatch
-from service.perception.markers import MarkerTracker
-from service.perception.onset import OnsetDetector
-from service.perception.slip import SlipDetector
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.slip.detector import SlipDetector
+from service.perception.slip.grasp import GraspWatch
+from service.perception.slip.onset import OnsetDetector
 from tests.service.perception.synthetic import FRAME_NS, draw, grid, twist
 
 REST = grid()

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from service.perception.grasp import WATCH_SLIP_PITCH, GraspWatch, watch_settings
-from service.perception.markers import MarkerTracker
-from service.perception.slip import SlipSettings
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.slip.detector import SlipSettings
+from service.perception.slip.grasp import WATCH_SLIP_PITCH, GraspWatch, watch_settings
 from tests.service.perception.real import GELSLIM_CROP, read_video, real_data
 
 pytestmark = pytest.mark.real_data

@@ -10,8 +10,8 @@ import torch
 
 from export.cli.commands import main as export_main
 from service.contract import ContractError
-from simulation.dataset import DatasetWriter
-from simulation.manifest import MANIFEST, ShardEntry
+from simulation.data.dataset import DatasetWriter
+from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 from training.cli.commands import main
 from training.config import NetworkConfig

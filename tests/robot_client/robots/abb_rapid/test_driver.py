@@ -18,11 +18,11 @@ from robot_client.robots.abb_egm.codec import Pose as WirePose
 from robot_client.robots.abb_rapid import codec
 from robot_client.robots.abb_rapid.codec import RapidTextError, TextParser
 from robot_client.robots.abb_rapid.driver import SocketArm, SocketSettings
-from simulation.emulators.abb_cabinet import Cabinet, Delays
-from simulation.emulators.abb_motion import Follower, Pose, tool_down
-from simulation.emulators.abb_rapid import REACTION_S, RapidServers
-from simulation.emulators.faults import FaultBoard
-from simulation.emulators.net import bind_tcp
+from simulation.cell.emulators.abb.cabinet import Cabinet, Delays
+from simulation.cell.emulators.abb.motion import Follower, Pose, tool_down
+from simulation.cell.emulators.abb.rapid import REACTION_S, RapidServers
+from simulation.cell.emulators.faults import FaultBoard
+from simulation.cell.emulators.net import bind_tcp
 from tests.robot_client.live_cell import bench
 
 

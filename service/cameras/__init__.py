@@ -1,0 +1,1 @@
+"""The cameras: sources of frames, and the thread that reads each."""

@@ -1,0 +1,1 @@
+"""From the frames of one attempt to a correction: networks, evidence, controllers."""

@@ -1,0 +1,142 @@
+"""One attempt of an insertion: from the reference to the frames the networks decide on."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from enum import Enum, auto
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import Finger, TactileFrame
+from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome
+from service.decision.evidence import DecisionRun, Evidence, Refusal
+from service.decision.seating import Push, push_of
+from service.perception.observation import FingerWatch, PairObservation
+
+RING_PAIRS = 24  # onset is certain a few frames late; the ring reaches back past it
+
+
+class Stage(Enum):
+    """Where an attempt stands."""
+
+    ARMING = auto()  # waiting for the first pair captured after `arm`
+    ARMED = auto()  # reference taken, watching for motion and slip
+    STOPPED = auto()  # the arm stands still; the decision may still lack frames
+    DECIDED = auto()  # correction or no_decision was sent
+
+
+@dataclass(frozen=True, slots=True)
+class WorkResult:
+    """What the model thread hands back: evidence or a refusal of one attempt, and the time it took."""
+
+    attempt: int
+    generation: int
+    evidence: Evidence | None
+    refusal: Refusal | None
+    latency_ms: dict[str, float]
+
+
+@dataclass(slots=True)
+class Attempt:
+    """State of one attempt; ``generation`` tells a re-armed attempt's late results from its current ones."""
+
+    arm: Arm
+    armed_ns: int
+    generation: int
+    stage: Stage = Stage.ARMING
+    reference: PairObservation | None = None
+    armed: Armed | None = None
+    descending_ns: int | None = None
+    pushes: list[Push] = field(default_factory=list)
+    ring: deque[PairObservation] = field(default_factory=lambda: deque(maxlen=RING_PAIRS))
+    onset_ns: int | None = None
+    decision_pairs: list[PairObservation] = field(default_factory=list)
+    network_reference: PairObservation | None = None
+    run: DecisionRun | None = None
+    slip_sent: bool = False
+    stale_sent: bool = False
+    stopped_ns: int | None = None
+    outcome: Outcome | None = None
+    depth_mm: float = 0.0
+    rearmed: set[Finger] = field(default_factory=set)
+    problem: str = ""
+    broken: str = ""
+    result: WorkResult | None = None
+    decision: Correction | NoDecision | None = None
+
+    @property
+    def spoilt(self) -> bool:
+        """Whether its reference holds no more: told to stop, or a finger was blind meanwhile."""
+        return self.slip_sent or self.stale_sent or bool(self.broken)
+
+    def rearm(self, watch: FingerWatch, frame: TactileFrame) -> None:
+        """Let the first frame of a finger captured after `arm` become the reference of its slip and onset."""
+        if self.stage is Stage.ARMING and frame.captured_ns >= self.armed_ns and frame.finger not in self.rearmed:
+            watch.rearm()
+            self.rearmed.add(frame.finger)
+
+    def take_reference(self, both: PairObservation) -> Armed | None:
+        """Arm with this pair if both fingers were rearmed and can be read; notes the problem and says no otherwise."""
+        if self.rearmed != {"left", "right"}:
+            return None
+        problems = [f"{o.finger}: {o.field.reason or o.field.status}" for o in both.fingers if not o.field.usable]
+        if problems:
+            self.rearmed.clear()
+            self.problem = "; ".join(problems)
+            return None
+        self.reference, self.stage = both, Stage.ARMED
+        self.ring.append(both)
+        self.armed = Armed(insertion_id=self.arm.insertion_id, attempt=self.arm.attempt, reference_seq=both.seq)
+        return self.armed
+
+    def take_in(self, both: PairObservation) -> None:
+        """A pair after the reference: it may be the one that shows the onset of motion."""
+        self.ring.append(both)
+        if self.reference is not None:
+            self.pushes.append(push_of(both, self.reference))
+        if self.onset_ns is None:
+            onsets = [o.onset_ns for o in both.fingers if o.onset_ns is not None]
+            self.onset_ns = min(onsets, default=None)
+
+    def onset_index(self) -> int | None:
+        """Index in the ring of the first pair at or after the onset, None while there is no onset."""
+        if self.onset_ns is None:
+            return None
+        after = [max(o.captured_ns for o in pair.fingers) >= self.onset_ns for pair in self.ring]
+        return after.index(True) if any(after) else None
+
+    def take_decision_pairs(self, frames_n: int, reference_rule: str) -> list[PairObservation]:
+        """The pairs that became part of the decision since the last call; sets the networks' reference at onset."""
+        if len(self.decision_pairs) >= frames_n:
+            return []
+        if self.decision_pairs:
+            fresh = [self.ring[-1]]
+        else:
+            index = self.onset_index()
+            if index is None:
+                return []
+            pairs = list(self.ring)
+            before = pairs[index - 1] if index else self.reference
+            self.network_reference = pairs[index] if reference_rule == "first_of_sequence" else before
+            fresh = pairs[index : index + frames_n]
+        self.decision_pairs += fresh
+        return fresh
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """The frames the decision rests on, as :mod:`service.recordings.writer` documents for ``attempt_XX.npz``."""
+        reference = self.network_reference or self.reference
+        if reference is None:
+            return {}
+        pairs = self.decision_pairs or [reference]
+        last = pairs[-1].fingers
+        decision = self.decision.model_dump_json() if self.decision else "{}"
+        return {
+            "frames": np.stack([pair.pixels() for pair in pairs]),
+            "reference": reference.pixels(),
+            "frame_seq": np.array([pair.seq for pair in pairs], np.int64),
+            "captured_ns": np.array([pair.captured_ns for pair in pairs], np.int64),
+            "rest_px": np.stack([finger.field.rest_px for finger in last]),
+            "displacement_px": np.stack([finger.field.displacement_px for finger in last]),
+            "valid": np.stack([finger.field.valid for finger in last]),
+            "decision": np.array(decision),
+        }

@@ -1,0 +1,258 @@
+"""A grid Bayes filter over the position error (x, theta) at the start of an insertion.
+
+The moves between attempts are commands, hence known: the belief stays in coordinates of the first attempt's error and
+an attempt's evidence is evaluated at first error + sum of moves. What moves cannot explain is that an object creeps in
+the hand each time it is blocked: its bottom goes outwards, which is expected before it is seen.
+
+Two hypotheses are weighed against each other, each with its own belief. Under "trusted" the networks' estimates hold
+with the spread they claim. Under "gain unknown" an estimate tells the side surely but its size only by a factor: so it
+is with an object that is held in a way the networks never saw. As soon as an attempt contradicts what the earlier ones
+made sure of, the weight moves over, and the search closes in on the side instead of swinging past it.
+"""
+
+import numpy as np
+
+from service.decision.evidence import Density, Evidence, Floats, Refusal
+
+HALF_RANGE = 22.0  # grid reaches +-22 mm and +-22 deg
+CELL = 0.5
+# Starts are within 15 deg and 30 % of the object's width, which is 18.6 mm for the widest that was foreseen
+PRIOR_EDGE_X_MM, PRIOR_EDGE_THETA_DEG, PRIOR_SOFTNESS = 19.0, 16.0, 0.6
+# A pose closer than this inserts; the same for all objects since the service does not know the shape it holds.
+TOLERANCE_X_MM, TOLERANCE_THETA_DEG = 2.0, 3.5
+SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7
+SURE_INSERT = 0.95  # probability of insertion at zero error
+# A blocked object is left tilted outwards in the hand: by about half a millimetre, and by more the longer the lever
+# from its bottom to the fingers and the nearer the edge that it pivots on (docs/decisions/0039-belief-expects-creep.md)
+CREEP_MM, CREEP_NEAR_MM, CREEP_NEAR_MM_PER_MM, CREEP_NEAR_BELOW_MM = 0.45, 0.28, 0.022, 5.0
+CREEP_SPREAD_MM, CREEP_NEAR_SPREAD_MM, CREEP_THETA_DEG = 0.35, 0.35, 0.3
+SHORT_LEVER_MM, UNKNOWN_LEVER_MM = 30.0, 45.0
+# Both networks see the same images, so their errors are correlated: each gets less than its full weight.
+DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.3, 0.9
+OUTLIER_SHARE = 0.02
+DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
+# Spread of the errors the networks were trained on. A network states its belief after seeing the pictures, this spread
+# included; what the pictures alone say is that belief divided by it: an estimate no surer than this says nothing.
+TRAINED_SPREAD = (9.0, 8.7)
+SAYS_NOTHING, FINEST = 100.0, 0.01  # mm and deg: a flat likelihood, and the sharpest that a half-millimetre grid needs
+INCONSISTENT_BELOW = 0.05  # Bayes factor of all that was learnt against knowing nothing
+RANGE = 15.0  # of the errors the networks were trained on (mm and deg)
+GAIN_UNKNOWN_SHARE = 0.2  # of insertions, before anything is known
+GAIN_SPREAD = 0.8  # standard deviation of log(estimate / error) where the gain is unknown
+GAIN_FROM_X_MM, GAIN_FROM_THETA_DEG = 2.0, 3.0  # errors below these have no meaningful ratio
+_CANDIDATES = 4
+
+
+def _sigmoid(value: Floats) -> Floats:
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * value)), np.float64)
+
+
+def _blurred(distance: Floats, sigma: Floats) -> Floats:
+    """[n, n]: probability of the row's cell where the column's has moved to ``distance`` from it, spread by sigma."""
+    kernel = np.exp(np.maximum(-0.5 * (distance / sigma) ** 2, -80.0))  # no denormals: they cost ten times as much
+    return np.asarray(kernel / kernel.sum(0), np.float64)
+
+
+def _near(values: Floats, tolerance: float, softness: float) -> Floats:
+    return _sigmoid((tolerance - np.abs(values)) / softness)
+
+
+def stated(evidence: Evidence) -> tuple[float, float]:
+    """Sigma (mm, deg) of what an attempt's pictures say by themselves: the networks' own, freed of their prior."""
+    given = evidence.sigma or DEFAULT_SIGMA
+    alone = (max(s, FINEST) ** -2 - spread**-2 for s, spread in zip(given, TRAINED_SPREAD, strict=True))
+    x_mm, theta_deg = (precision**-0.5 if precision > SAYS_NOTHING**-2 else SAYS_NOTHING for precision in alone)
+    return x_mm, theta_deg
+
+
+def _sign_membership(values: Floats, threshold: float, softness: float) -> Floats:
+    """[3, n]: soft membership in the signs -1, 0, +1 around +-threshold."""
+    positive, negative = _sigmoid((values - threshold) / softness), _sigmoid((-values - threshold) / softness)
+    return np.stack([negative, np.clip(1 - positive - negative, 0, 1), positive])
+
+
+class BeliefGrid:
+    """Probability [89, 89] over the first error, and the sum of the moves made since.
+
+    ``layers`` [2, 89, 89] are the two hypotheses, trusted and gain unknown; together they sum to 1. All methods cost
+    well under a millisecond: every kernel is separable, so each is two small matrix products.
+    """
+
+    def __init__(self, grasp_height_mm: float | None = None) -> None:
+        self._cells = np.arange(-HALF_RANGE, HALF_RANGE + CELL / 2, CELL)
+        edges = [_near(self._cells, edge, PRIOR_SOFTNESS) for edge in (PRIOR_EDGE_X_MM, PRIOR_EDGE_THETA_DEG)]
+        self._prior = np.outer(*edges) / (edges[0].sum() * edges[1].sum())
+        shares = np.array([1 - GAIN_UNKNOWN_SHARE, GAIN_UNKNOWN_SHARE])
+        self.layers: Floats = shares[:, None, None] * self._prior
+        self.offset = np.zeros(2)
+        distance = self._cells[:, None] - self._cells[None]
+        self._aim_x = _near(distance, TOLERANCE_X_MM, SOFT_X_MM)
+        self._aim_theta = _near(distance, TOLERANCE_THETA_DEG, SOFT_THETA_DEG)
+        self._lever_mm = max(0.0, (grasp_height_mm or UNKNOWN_LEVER_MM) - SHORT_LEVER_MM)
+        self._turned = _blurred(self._cells[:, None] - self._cells, np.array(CREEP_THETA_DEG))
+
+    @property
+    def probability(self) -> Floats:
+        """[89, 89], sums to 1: both hypotheses together."""
+        return np.asarray(self.layers.sum(0), np.float64)
+
+    @property
+    def trust(self) -> float:
+        """Probability that the networks' estimates hold as they claim."""
+        return float(self.layers[0].sum())
+
+    @property
+    def current_x_mm(self) -> Floats:
+        """The x error of each row now."""
+        return np.asarray(self._cells + self.offset[0], np.float64)
+
+    @property
+    def current_theta_deg(self) -> Floats:
+        """The yaw error of each column now."""
+        return np.asarray(self._cells + self.offset[1], np.float64)
+
+    def move(self, dx_mm: float, dtheta_deg: float) -> None:
+        """The pose was moved by a correction; raises Refusal on a move that is not finite."""
+        if not np.isfinite([dx_mm, dtheta_deg]).all():
+            raise Refusal("non_finite", f"the belief was told a move of ({dx_mm} mm, {dtheta_deg} deg)")
+        self.offset += (dx_mm, dtheta_deg)
+
+    def creep(self) -> None:
+        """An attempt was blocked: the object has turned in the hand, its bottom outwards, before the next move."""
+        x_mm = self.current_x_mm
+        near = _sigmoid((CREEP_NEAR_BELOW_MM - np.abs(x_mm)) / 0.8)
+        far_mm, near_mm = CREEP_MM, CREEP_NEAR_MM + CREEP_NEAR_MM_PER_MM * self._lever_mm
+        outwards = (far_mm + near * (near_mm - far_mm)) * np.tanh(x_mm / 0.7)
+        spread = CREEP_SPREAD_MM + CREEP_NEAR_SPREAD_MM * near
+        crept = _blurred(self._cells[:, None] - (self._cells + outwards), spread)
+        self.layers = (crept @ self.layers) @ self._turned.T
+
+    def absorb_failure(self) -> None:
+        """The current pose did not insert, so the error is not near zero."""
+        near = np.outer(
+            _near(self.current_x_mm, TOLERANCE_X_MM, SOFT_X_MM),
+            _near(self.current_theta_deg, TOLERANCE_THETA_DEG, SOFT_THETA_DEG),
+        )
+        self._normalise(self.layers * (1 - SURE_INSERT * near))
+
+    def absorb(self, evidence: Evidence) -> bool:
+        """Multiply in a failed attempt and its evidence; False if they contradict, and the belief starts from it."""
+        self.absorb_failure()
+        likelihood = np.stack([self.likelihood(evidence), self._gain_unknown_likelihood(evidence)])
+        shares = np.array([1 - GAIN_UNKNOWN_SHARE, GAIN_UNKNOWN_SHARE])[:, None, None]
+        wide = shares * (self._prior + 1e-3 * self._prior.max())
+        if float((self.layers * likelihood).sum()) < INCONSISTENT_BELOW * float((wide * likelihood).sum()):
+            self._normalise(wide * likelihood)
+            return False
+        self._normalise(self.layers * likelihood)
+        return True
+
+    def likelihood(self, evidence: Evidence) -> Floats:
+        """[89, 89], a density over (mm, deg) of the estimate: how well each first error explains what was said."""
+        if evidence.density is not None:
+            return self._density_likelihood(evidence.density)
+        return np.asarray(
+            self._direction_likelihood(evidence) ** DIRECTION_WEIGHT
+            * self._magnitude_likelihood(evidence) ** MAGNITUDE_WEIGHT,
+            np.float64,
+        )
+
+    def _gain_unknown_likelihood(self, evidence: Evidence) -> Floats:
+        """The same where an estimate is the error times an unknown factor, new in each attempt."""
+        parts = []
+        for cells, said, sigma, start in zip(
+            (self.current_x_mm, self.current_theta_deg),
+            evidence.error,
+            stated(evidence),
+            (GAIN_FROM_X_MM, GAIN_FROM_THETA_DEG),
+            strict=True,
+        ):
+            unit = np.hypot(said, start)
+            spread = np.hypot(GAIN_SPREAD, sigma / unit)  # never surer than the networks themselves
+            off = (np.arcsinh(said / start) - np.arcsinh(cells / start)) / spread
+            density = np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * spread * unit)
+            parts.append((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * RANGE))
+        return np.asarray(np.outer(*parts), np.float64)
+
+    def _direction_likelihood(self, evidence: Evidence) -> Floats:
+        t_x, t_theta = evidence.threshold_x_mm, evidence.threshold_theta_deg
+        share_x = np.array([RANGE - t_x, 2 * t_x, RANGE - t_x]) / (2 * RANGE)
+        share_theta = np.array([RANGE - t_theta, 2 * t_theta, RANGE - t_theta]) / (2 * RANGE)
+        table = np.zeros((3, 3))
+        for entry, probability in zip(evidence.classes, evidence.probabilities, strict=True):
+            table[entry.sign_x + 1, entry.sign_theta + 1] = probability
+        # The networks give P(class | images); dividing by the class's share of the training errors leaves likelihood.
+        table /= np.outer(share_x, share_theta)
+        table = (1 - OUTLIER_SHARE) * table + OUTLIER_SHARE
+        x_part = _sign_membership(self.current_x_mm, t_x, 0.5)
+        theta_part = _sign_membership(self.current_theta_deg, t_theta, 1.0)
+        return np.asarray(x_part.T @ table @ theta_part, np.float64)
+
+    def _magnitude_likelihood(self, evidence: Evidence) -> Floats:
+        sigma = stated(evidence)
+        peaks = [
+            np.exp(-0.5 * ((cells - centre) / width) ** 2)
+            for cells, centre, width in zip(
+                (self.current_x_mm, self.current_theta_deg), evidence.error, sigma, strict=True
+            )
+        ]
+        # An outlier may be anywhere in the range.
+        density = np.outer(*peaks) / (2 * np.pi * sigma[0] * sigma[1])
+        return np.asarray((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * RANGE) ** 2, np.float64)
+
+    def _density_likelihood(self, density: Density) -> Floats:
+        peak = np.exp(density.log_density - density.log_density.max())
+        along_x = np.stack([np.interp(self.current_x_mm, density.x_mm, column) for column in peak.T], axis=1)
+        both = np.stack([np.interp(self.current_theta_deg, density.theta_deg, row) for row in along_x])
+        both /= peak.sum() * np.diff(density.x_mm).mean() * np.diff(density.theta_deg).mean()
+        return np.asarray((1 - OUTLIER_SHARE) * both + OUTLIER_SHARE / (2 * RANGE) ** 2, np.float64)
+
+    def best_move(self) -> tuple[tuple[float, float], float]:
+        """The move ((mm, deg), probability that the next attempt inserts) with the fewest expected trials.
+
+        The bound: 1 + P(next misses) (1 + P(the one after misses | nothing is learnt from the next but its failure)).
+        """
+        probability = self.probability
+        hits = self._aim_x @ probability @ self._aim_theta.T
+        candidates = _peaks(hits)
+        costs = [self._two_step_cost(probability, hits, row, column) for row, column in candidates]
+        row, column = candidates[int(np.argmin(costs))]
+        target = self._refined(probability, row, column)
+        return (-target[0] - float(self.offset[0]), -target[1] - float(self.offset[1])), float(hits[row, column])
+
+    def _two_step_cost(self, probability: Floats, hits: Floats, row: int, column: int) -> float:
+        missed = probability * (1 - SURE_INSERT * np.outer(self._aim_x[row], self._aim_theta[column]))
+        second = float((self._aim_x @ missed @ self._aim_theta.T).max())
+        miss = 1 - SURE_INSERT * float(hits[row, column])
+        return 1 + miss + (miss - SURE_INSERT * second)
+
+    def _refined(self, probability: Floats, row: int, column: int) -> tuple[float, float]:
+        """Centre of mass of the belief inside the aimed tolerance: finer than a cell."""
+        inside = probability * np.outer(self._aim_x[row], self._aim_theta[column])
+        total = inside.sum()
+        return float(inside.sum(1) @ self._cells / total), float(inside.sum(0) @ self._cells / total)
+
+    def moments(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Mean and standard deviation of the current error, (mm, deg) each."""
+        probability = self.probability
+        rows, columns = probability.sum(1), probability.sum(0)
+        mean = float(rows @ self.current_x_mm), float(columns @ self.current_theta_deg)
+        spread = (
+            float(np.sqrt(rows @ (self.current_x_mm - mean[0]) ** 2)),
+            float(np.sqrt(columns @ (self.current_theta_deg - mean[1]) ** 2)),
+        )
+        return mean, spread
+
+    def _normalise(self, weights: Floats) -> None:
+        self.layers = np.asarray(weights / weights.sum(), np.float64)
+
+
+def _peaks(hits: Floats) -> list[tuple[int, int]]:
+    """The best cells, each outside the neighbourhood (4 mm, 6 deg) of the better ones."""
+    remaining = hits.copy()
+    found: list[tuple[int, int]] = []
+    for _ in range(_CANDIDATES):
+        row, column = np.unravel_index(int(np.argmax(remaining)), remaining.shape)
+        found.append((int(row), int(column)))
+        remaining[max(0, row - 8) : row + 9, max(0, column - 12) : column + 13] = -1
+    return found

@@ -1,0 +1,142 @@
+"""From evidence to the next move: the paper's heuristic (Eq. 1), and a belief that remembers attempts."""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from service.contract.wire import ControllerName, Limits
+from service.decision.belief import BeliefGrid
+from service.decision.evidence import Evidence, Floats, Refusal
+
+GAIN_AGREED = 0.7  # Eq. 1: direction and magnitude agree
+GAIN_SMALL = 0.3  # Eq. 1: direction says "no error on this axis"
+STEP_CONTRADICTORY = 3.0  # Eq. 1: they contradict; trust the direction (mm or deg)
+CLIP_LATER = 4.0  # Eq. 1: |C| after the first trial (mm or deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """The move to make next, (mm, deg) added to the object's pose, why, and the belief it rests on (for display)."""
+
+    dx_mm: float
+    dtheta_deg: float
+    controller: ControllerName
+    reason: str
+    belief: "BeliefPicture | None" = None
+
+
+@dataclass(frozen=True, slots=True)
+class BeliefPicture:
+    """Belief over the *current* error before the move: probabilities [nx, ntheta] on cell centres in mm and deg."""
+
+    x_mm: Floats
+    theta_deg: Floats
+    probability: Floats
+    hit_probability: float
+
+
+class Controller(Protocol):
+    """Turns the evidence of a blocked attempt into the next move; remembers what it was told within one insertion."""
+
+    name: ControllerName
+
+    def decide(self, evidence: Evidence, attempt: int) -> Command:
+        """The move after ``attempt`` (1-based) was blocked; raise Refusal on a non-finite estimate."""
+        ...
+
+    def blocked_without_evidence(self) -> None:
+        """An attempt was blocked but its frames decided nothing; the pose is still known to have failed."""
+        ...
+
+
+def axis_command(sign: int, estimate: float, *, first: bool) -> float:
+    """Eq. 1 for one axis: ``sign`` is +1 for a positive error, so that an agreeing estimate is moved against.
+
+    An estimate of exactly 0 with a sign counts as contradictory. Raises Refusal if the estimate is not finite.
+    """
+    if not np.isfinite(estimate):
+        raise Refusal("non_finite", f"estimated error {estimate}, expected a finite number")
+    if sign == 0:
+        command = -GAIN_SMALL * estimate
+    elif sign * estimate > 0:
+        command = -GAIN_AGREED * estimate
+    else:
+        command = -STEP_CONTRADICTORY * sign
+    return command if first else float(np.clip(command, -CLIP_LATER, CLIP_LATER))
+
+
+def within(command: Command, limits: Limits) -> Command:
+    """The same command, shortened to the service's limits; it was checked to be finite before."""
+    dx = float(np.clip(command.dx_mm, -limits.max_dx_mm, limits.max_dx_mm))
+    dtheta = float(np.clip(command.dtheta_deg, -limits.max_dtheta_deg, limits.max_dtheta_deg))
+    if not np.isfinite([dx, dtheta]).all():
+        raise Refusal("non_finite", f"command ({command.dx_mm}, {command.dtheta_deg}) is not finite")
+    return Command(dx, dtheta, command.controller, command.reason, command.belief)
+
+
+@dataclass(slots=True)
+class Heuristic:
+    """The paper's controller, with the sign convention that makes its Eq. 1 work; it forgets earlier attempts."""
+
+    limits: Limits
+    name: ControllerName = "heuristic"
+
+    def decide(self, evidence: Evidence, attempt: int) -> Command:
+        """Eq. 1 on both axes, the signs taken from the most probable class."""
+        best, first = evidence.best, attempt == 1
+        dx = axis_command(best.sign_x, evidence.error[0], first=first)
+        dtheta = axis_command(best.sign_theta, evidence.error[1], first=first)
+        reason = f"class {best.name} (p {evidence.confidence:.2f}), estimate {_pair(evidence.error)}"
+        return within(Command(dx, dtheta, self.name, reason), self.limits)
+
+    def blocked_without_evidence(self) -> None:
+        """Nothing to remember."""
+
+
+@dataclass(slots=True)
+class Belief:
+    """A Bayes filter over the error the insertion started with; moves are known, creep in the hand is expected.
+
+    Where an attempt's evidence contradicts all the others, the belief starts anew from it and the heuristic moves.
+    """
+
+    limits: Limits
+    name: ControllerName = "belief"
+    grid: BeliefGrid = field(default_factory=BeliefGrid)
+
+    def decide(self, evidence: Evidence, attempt: int) -> Command:
+        """Multiply the evidence in, then aim where the next attempt and the one after are likeliest to insert."""
+        consistent = self.grid.absorb(evidence)
+        self.grid.creep()
+        if not consistent:
+            fallback = Heuristic(self.limits).decide(evidence, attempt)
+            reason = f"evidence contradicts the earlier attempts, heuristic used: {fallback.reason}"
+            return self._moved(Command(fallback.dx_mm, fallback.dtheta_deg, self.name, reason, self._picture(0.0)))
+        (dx, dtheta), hit = self.grid.best_move()
+        mean, spread = self.grid.moments()
+        reason = f"belief {_pair(mean)} +- {_pair(spread)}, next attempt inserts with p {hit:.2f}"
+        reason += f", networks trusted with p {self.grid.trust:.2f}"
+        return self._moved(Command(dx, dtheta, self.name, reason, self._picture(hit)))
+
+    def blocked_without_evidence(self) -> None:
+        """The pose failed; no move follows."""
+        self.grid.absorb_failure()
+        self.grid.creep()
+
+    def _picture(self, hit: float) -> BeliefPicture:
+        return BeliefPicture(self.grid.current_x_mm, self.grid.current_theta_deg, self.grid.probability.copy(), hit)
+
+    def _moved(self, command: Command) -> Command:
+        limited = within(command, self.limits)
+        self.grid.move(limited.dx_mm, limited.dtheta_deg)
+        return limited
+
+
+def _pair(values: tuple[float, float]) -> str:
+    return f"({values[0]:+.1f} mm, {values[1]:+.1f} deg)"
+
+
+def make_controller(name: ControllerName, limits: Limits, grasp_height_mm: float | None = None) -> Controller:
+    """A fresh controller for one insertion; the belief expects more creep of an object that is held high."""
+    return Belief(limits, grid=BeliefGrid(grasp_height_mm)) if name == "belief" else Heuristic(limits)

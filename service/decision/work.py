@@ -1,0 +1,116 @@
+"""The networks' work for one attempt, and the rules by which their evidence becomes a correction or is refused."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from service.contract import wire
+from service.decision.attempt import Attempt, WorkResult
+from service.decision.controllers import Command
+from service.decision.evidence import DecisionRun, Evidence, Refusal
+from service.decision.models import ModelSet
+from service.decision.network_input import seen_by
+from service.perception.observation import Observation, PairObservation
+from service.settings import Deadlines
+
+MIN_VALID_MARKERS = 0.5  # of a finger's markers, in the last frame decided on
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """One piece of network work: a pure computation; ``run`` returns a result only after an attempt's last frame."""
+
+    attempt: int
+    run: Callable[[], WorkResult | None]
+
+
+def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work:
+    """The networks' step on one pair of the attempt's decision; the step on its last pair returns the result."""
+    number, generation = attempt.arm.attempt, attempt.generation
+    if attempt.run is None:
+        try:
+            reference = seen_by(models.card, attempt.network_reference or pair)
+        except Refusal as refusal:
+            refused = WorkResult(number, generation, None, refusal, {})
+            return Work(number, lambda: refused)
+        attempt.run = DecisionRun(models, reference, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm)
+    run, pairs = attempt.run, attempt.decision_pairs
+    complete = pair is pairs[-1] and len(pairs) >= models.card.frames_per_decision
+
+    def compute() -> WorkResult | None:
+        try:
+            run.step(seen_by(models.card, pair))
+            if not complete:
+                return None
+            return WorkResult(number, generation, run.evidence(), None, latencies(run, pair))
+        except Refusal as refusal:
+            return WorkResult(number, generation, None, refusal, {})
+        except Exception as error:
+            return WorkResult(number, generation, None, Refusal("non_finite", f"the networks failed: {error}"), {})
+
+    return Work(number, compute)
+
+
+def latencies(run: DecisionRun, last: PairObservation) -> dict[str, float]:
+    """Milliseconds by stage for the last frame pair: each finger's perception, and the networks' last step."""
+    slowest = {stage: max(finger.cost_ms.get(stage, 0.0) for finger in last.fingers) for stage in last.left.cost_ms}
+    return slowest | {"networks_last_step": run.step_ms}
+
+
+def check_evidence(models: ModelSet, attempt: Attempt, evidence: Evidence) -> None:
+    """Raise Refusal if the evidence is too weak, or the markers too few to believe that these are imprints."""
+    threshold = max(step.card.min_confidence for step in models.steps)
+    if not evidence.confidence >= threshold:
+        raise Refusal("low_confidence", f"class probability {evidence.confidence:.2f}, expected {threshold:g}")
+    for finger in attempt.decision_pairs[-1].fingers:
+        share = float(finger.field.valid.mean()) if finger.field.valid.size else 0.0
+        if finger.field.status != "duplicate" and not share >= MIN_VALID_MARKERS:
+            detail = f"{finger.finger} finger shows {share:.0%} of its markers, expected {MIN_VALID_MARKERS:.0%}"
+            raise Refusal("out_of_distribution", detail)
+
+
+def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, now_ns: int) -> wire.Slip:
+    """Stop now: which frame of which finger showed what, and how old it is."""
+    return wire.Slip(
+        insertion_id=insertion_id,
+        attempt=attempt.arm.attempt,
+        finger=observation.finger,
+        frame_seq=observation.seq,
+        captured_ns=observation.captured_ns,
+        age_ms=(now_ns - observation.captured_ns) / 1e6,
+        score=float(observation.slip.score),
+        reason=f"{observation.slip.state}: {observation.slip.reason}",
+    )
+
+
+def correction(
+    insertion_id: str, attempt: Attempt, evidence: Evidence, command: Command, latency_ms: dict[str, float]
+) -> wire.Correction:
+    """The message that carries a command and all it rests on."""
+    return wire.Correction(
+        insertion_id=insertion_id,
+        attempt=attempt.arm.attempt,
+        dx_mm=command.dx_mm,
+        dtheta_deg=command.dtheta_deg,
+        class_probabilities=evidence.class_probabilities(),
+        estimate=evidence.estimate(),
+        confidence=min(1.0, evidence.confidence),
+        controller=command.controller,
+        reason=command.reason,
+        latency_ms=latency_ms,
+    )
+
+
+def overdue(attempt: Attempt, waited_s: float, needed: int, deadlines: Deadlines) -> Refusal | None:
+    """Why no decision will come any more, None while it still may."""
+    have = len(attempt.decision_pairs)
+    if have >= needed:
+        late = waited_s > deadlines.decision_s
+        return Refusal("stale", f"the networks took longer than {deadlines.decision_s:g} s") if late else None
+    if waited_s <= deadlines.decision_frames_s:
+        return None
+    if not have:
+        felt = attempt.ring[-1].fingers if attempt.ring else ()
+        empty = bool(felt) and all(finger.slip.state == "no_contact" for finger in felt)
+        why = "nothing touches the gels" if empty else "neither finger saw the object move"
+        return Refusal("no_motion", why)
+    return Refusal("too_few_frames", f"{have} frame pairs since motion began, expected {needed}")

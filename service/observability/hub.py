@@ -1,0 +1,59 @@
+"""What is happening now, for everyone who watches: metrics, the dashboard, watching clients."""
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import structlog
+
+from service.cameras.capture import CameraFrame
+from service.contract import Finger
+from service.perception.observation import Observation
+
+Listener = Callable[[str, Any], None]
+log = structlog.get_logger()
+
+
+class Hub:
+    """Passes events to listeners and keeps the newest frame and observation of each finger. Thread safe.
+
+    Listeners are called in the publishing thread and must return at once (they hand over to their own loop). One that
+    raises is logged and counted: who watches an insertion cannot break it.
+    """
+
+    def __init__(self) -> None:
+        self.frames: dict[Finger, CameraFrame] = {}
+        self.observations: dict[Finger, Observation] = {}
+        self.errors_n = 0
+        self._listeners: tuple[Listener, ...] = ()
+        self._lock = threading.Lock()
+
+    def subscribe(self, listener: Listener) -> Callable[[], None]:
+        """Add a listener; returns what removes it."""
+        with self._lock:
+            self._listeners = (*self._listeners, listener)
+
+        def remove() -> None:
+            with self._lock:
+                self._listeners = tuple(other for other in self._listeners if other is not listener)
+
+        return remove
+
+    def publish(self, kind: str, content: Any) -> None:
+        """Tell every listener."""
+        for listener in self._listeners:
+            try:
+                listener(kind, content)
+            except Exception as error:
+                self.errors_n += 1
+                log.error("listener", event_kind=kind, error=repr(error))  # noqa: TRY400 - one line, not a page, a frame
+
+    def frame(self, frame: CameraFrame) -> None:
+        """A new camera frame."""
+        self.frames[frame.frame.finger] = frame
+        self.publish("frame", frame)
+
+    def observation(self, observation: Observation) -> None:
+        """A frame was perceived."""
+        self.observations[observation.finger] = observation
+        self.publish("observation", observation)

@@ -1,0 +1,98 @@
+"""Perception of one finger as the session uses it: rectify, track, judge slip, notice the onset of motion."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import ContractError, Finger, FrameSpec, TactileFrame
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.observation import Observation
+from service.perception.rectification import CameraCalibration, Rectifier
+from service.perception.slip.contact import FreeGel
+from service.perception.slip.detector import SlipDetector, SlipState, untouched
+from service.perception.slip.onset import OnsetDetector
+
+_AHEAD_N = 4  # frames rectified before their turn, at most; more wait only where frames are dropped anyway
+_PRESSED = 2.0  # times what an untouched gel may show; from there on a held object is surely told from none
+
+
+class TactileFinger:
+    """One finger's perception chain; takes raw frames where a calibration is given, and rectified ones always.
+
+    ``spec`` is the rectified frame the networks expect.
+    """
+
+    def __init__(self, finger: Finger, spec: FrameSpec, calibration: CameraCalibration | None = None) -> None:
+        self.finger = finger
+        self._spec = spec
+        self._rectifier = Rectifier(calibration) if calibration else None
+        self._tracker = MarkerTracker()
+        self._slip = SlipDetector()
+        self._onset = OnsetDetector()
+        self._free = FreeGel()
+        self._ahead: tuple[tuple[TactileFrame, NDArray[np.uint8], float], ...] = ()
+        self._rearm = False
+        self._held = False
+        self._stopped = False
+
+    def rearm(self) -> None:
+        """The next frame becomes the reference of slip and onset; the tracker goes on."""
+        self._rearm = True
+
+    def look_ahead(self, frame: TactileFrame) -> None:
+        """Rectify a frame that :meth:`observe` will be given; the one method that another thread may call."""
+        if self._rectifier is not None and frame.pixels.shape == self._rectifier.camera.raw.shape:
+            self._ahead = (*self._ahead[1 - _AHEAD_N :], (frame, *self._rectified(frame)))
+
+    def observe(self, frame: TactileFrame) -> Observation:
+        """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
+        ahead = [(image, cost_ms) for seen, image, cost_ms in self._ahead if seen is frame]
+        image, rectify_ms = ahead[0] if ahead else self._rectified(frame)
+        rectified = time.perf_counter()
+        field = self._tracker.update(image, frame.captured_ns)
+        tracked = time.perf_counter()
+        marked = self._free.mark(field)
+        if self._rearm:
+            slip = self._slip.rearm(field)
+            self._onset.rearm(field)
+            self._held = (self._free.bulge(field) or 0.0) > _PRESSED
+            self._rearm = self._stopped = False
+            onset = None
+        else:
+            slip = self._slip.update(marked if self._held else field)
+            onset = self._onset.update(field)
+        slip = self._felt(slip, empty=untouched(marked))
+        cost_ms = {
+            "rectify": rectify_ms,
+            "markers": (tracked - rectified) * 1e3,
+            "slip": (time.perf_counter() - tracked) * 1e3,
+        }
+        onset_ns = None if onset is None else onset.captured_ns
+        return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms)
+
+    def _felt(self, slip: SlipState, *, empty: bool) -> SlipState:
+        """The state, or "no_contact" where nothing touches the gel; the first one that stops the arm is always told.
+
+        An object too flat and too lightly held to bulge the gel looks just like none: then only the word changes, and
+        slip is watched from its reference all the same. From one that bulged it a gel back at home is a release.
+        """
+        first, self._stopped = slip.stop and not self._stopped, slip.stop or self._stopped
+        if first or not empty:
+            return slip
+        return replace(slip, state="no_contact", reason="nothing touches the gel")
+
+    def _rectified(self, frame: TactileFrame) -> tuple[NDArray[np.uint8], float]:
+        """The rectified image, and the milliseconds it took."""
+        pixels, started = frame.pixels, time.perf_counter()
+        if pixels.shape == self._spec.shape:
+            return pixels, 0.0
+        if self._rectifier is None:
+            height, width = pixels.shape[:2]
+            expected = f"{self._spec.width_px} x {self._spec.height_px}"
+            raise ContractError(
+                f"{self.finger} frame is {width} x {height}, expected {expected} rectified; pass --calibration"
+            )
+        image = self._spec.check(self._rectifier.apply(pixels))
+        return image, (time.perf_counter() - started) * 1e3

@@ -1,0 +1,1 @@
+"""The marker grid: detection, matching and tracking."""

@@ -1,0 +1,226 @@
+"""Which spot is which marker: candidates linked to a grid by their topology, without knowing its size or pitch."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.perception.markers.detect import Candidates, MarkerDetector
+from service.perception.markers.field import BoolArray, FloatArray
+
+_STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
+_LINK = 0.33  # a neighbour lies within this share of a pitch of where the last step says
+_AROUND = 12  # spots around one among which its neighbours in the grid are sought
+DIAMETERS_PX = (4.0, 5.0, 6.5, 8.5, 11.0, 14.5, 19.0, 25.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """A grid of markers: ``xy_px`` float32 [rows, cols, 2], finite everywhere, measured where ``found``.
+
+    ``basis_px`` [2, 2]: mean step to the next column and to the next row. ``diameter_px`` of the detector that saw it.
+    """
+
+    xy_px: FloatArray
+    found: BoolArray
+    basis_px: FloatArray
+    diameter_px: float
+    strength: float
+
+    @property
+    def pitch_px(self) -> float:
+        """Mean distance of neighbours in pixels."""
+        return float(np.linalg.norm(self.basis_px, axis=1).mean())
+
+
+def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.intp], BoolArray]:
+    """Grid index (column, row) int [n, 2] of every point reachable from ``seed`` by lattice steps, and who was reached.
+
+    ``basis`` [2, 2] starts the local basis, which then follows the grid's deformation from node to node.
+    """
+    count = len(points)
+    near = _neighbours(points)
+    index = np.zeros((count, 2), np.intp)
+    reached = np.zeros(count, np.bool_)
+    local = np.repeat(basis[None].astype(np.float32), count, 0)
+    taken = {(0, 0)}
+    reached[seed] = True
+    wave = np.array([seed])
+    while wave.size:
+        step = np.einsum("sa,nax->nsx", _STEPS.astype(np.float32), local[wave])
+        off = (points[wave][:, None] + step)[:, :, None] - points[near[wave]][:, None]
+        squared = off[..., 0] ** 2 + off[..., 1] ** 2
+        which = squared.argmin(-1)
+        nearest = np.take_along_axis(near[wave], which, 1).reshape(-1)
+        distance = np.take_along_axis(squared, which[..., None], 2).reshape(-1)
+        reach = _LINK**2 * (step[..., 0] ** 2 + step[..., 1] ** 2).reshape(-1)
+        hits = np.flatnonzero((distance < reach) & ~reached[nearest])
+        fresh = []
+        for hit in hits[np.argsort(distance[hits])].tolist():
+            child, parent, way = int(nearest[hit]), int(wave[hit // 4]), hit % 4
+            cell = index[parent] + _STEPS[way]
+            key = (int(cell[0]), int(cell[1]))
+            if reached[child] or key in taken:
+                continue
+            reached[child] = True
+            taken.add(key)
+            index[child] = cell
+            local[child] = local[parent]
+            sign = _STEPS[way].sum()
+            local[child, way // 2] = 0.5 * local[parent, way // 2] + 0.5 * sign * (points[child] - points[parent])
+            fresh.append(child)
+        wave = np.array(fresh, np.intp)
+    return index, reached
+
+
+def _neighbours(points: FloatArray) -> NDArray[np.intp]:
+    """Indices [n, up to 12] of the spots around each: the grid's four neighbours are among them."""
+    apart = (points[:, None, 0] - points[None, :, 0]) ** 2 + (points[:, None, 1] - points[None, :, 1]) ** 2
+    np.fill_diagonal(apart, np.inf)
+    return np.argpartition(apart, min(_AROUND, len(points)) - 1, axis=1)[:, :_AROUND]
+
+
+def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatArray | None:
+    """Typical steps to the next column and row, [2, 2], or None if the points hold no grid.
+
+    The lattice is read modulo a quarter turn; ``like`` picks the quarter turn (default: columns to the right).
+    """
+    if len(points) < 9:
+        return None
+    apart = points[None] - points[:, None]
+    length = np.hypot(apart[..., 0], apart[..., 1])
+    np.fill_diagonal(length, np.inf)
+    nearest = length.argmin(1)
+    steps = apart[np.arange(len(points)), nearest]
+    pitch = float(np.median(np.linalg.norm(steps, axis=1)))
+    near = np.abs(length - pitch) < 0.45 * pitch
+    around = apart[near]
+    angle = np.arctan2(around[:, 1], around[:, 0])
+    quarter = float(np.angle(np.exp(4j * np.arctan2(steps[:, 1], steps[:, 0])).sum())) / 4
+    start = 0.0 if like is None else float(np.arctan2(like[0, 1], like[0, 0]))
+    turn = quarter + round((start - quarter) / (np.pi / 2)) * np.pi / 2
+    basis = []
+    for want in (turn, turn + np.pi / 2):
+        off = np.abs(np.angle(np.exp(1j * (angle - want))))
+        chosen = around[off < np.deg2rad(25)]
+        if len(chosen) < 4:
+            return None
+        basis.append(np.median(chosen, axis=0))
+    return np.array(basis, np.float32)
+
+
+def find_lattice(image: NDArray[np.uint8], diameters_px: tuple[float, ...] = DIAMETERS_PX) -> Lattice | None:
+    """The marker grid of a frame at the scale that explains it best, or None if there is none of at least 5 x 5.
+
+    The grid's columns must run within 40 deg of the image's. About 40 ms; run once a recording.
+    """
+    best: Lattice | None = None
+    for diameter in diameters_px:
+        shrink = max(1, int(diameter / 6))
+        found = _at_scale(image, diameter, shrink)
+        if found is not None and (best is None or _merit(found) > _merit(best)):
+            best = found
+    return best
+
+
+def _merit(lattice: Lattice) -> float:
+    """Markers explained, times the matched filter's signal to noise (amplitude times width) at this scale."""
+    return float(lattice.found.sum()) * lattice.strength * lattice.diameter_px
+
+
+def _at_scale(image: NDArray[np.uint8], diameter: float, shrink: int) -> Lattice | None:
+    spots = _strong(MarkerDetector(diameter, 2.6 * diameter, shrink).detect(image, 2.0))
+    basis = lattice_basis(spots.xy_px)
+    if basis is None:
+        return None
+    pitch = float(np.linalg.norm(basis, axis=1).mean())
+    if not 1.4 * diameter < pitch < 8 * diameter:
+        return None
+    spots = _strong(MarkerDetector(diameter, pitch, shrink).detect(image, 2.0))
+    basis = lattice_basis(spots.xy_px)
+    return None if basis is None else assemble(spots, basis, diameter)
+
+
+def _strong(spots: Candidates) -> Candidates:
+    """Drop spots much weaker than a typical strong one (grain, texture), and bound their number."""
+    if len(spots.strength) == 0:
+        return spots
+    level = float(np.percentile(spots.strength, 80))
+    keep = np.flatnonzero(spots.strength > 0.35 * level)[:1500]
+    return spots.only(keep)
+
+
+def assemble(spots: Candidates, basis: FloatArray, diameter_px: float) -> Lattice | None:
+    """The largest grid among the candidates, or None below 5 x 5 nodes or 60 % filled."""
+    best: tuple[NDArray[np.intp], BoolArray] | None = None
+    middle = np.median(spots.xy_px, axis=0)
+    for seed in np.argsort(np.square(spots.xy_px - middle).sum(1))[:40:8].tolist():
+        index, reached = flood(spots.xy_px, basis, seed)
+        if best is None or reached.sum() > best[1].sum():
+            best = (index, reached)
+        if best[1].mean() > 0.7:
+            break
+    if best is None or best[1].sum() < 25:
+        return None
+    return _crop(spots, best[0], best[1], diameter_px)
+
+
+def _crop(spots: Candidates, index: NDArray[np.intp], reached: BoolArray, diameter_px: float) -> Lattice | None:
+    cells = index[reached] - index[reached].min(0)
+    cols, rows = (cells.max(0) + 1).tolist()
+    found = np.zeros((rows, cols), np.bool_)
+    found[cells[:, 1], cells[:, 0]] = True
+    xy = np.zeros((rows, cols, 2), np.float32)
+    xy[cells[:, 1], cells[:, 0]] = spots.xy_px[reached]
+    strength = np.zeros((rows, cols), np.float32)
+    strength[cells[:, 1], cells[:, 0]] = spots.strength[reached]
+    # Stray spots beyond the gel grow thin extra rows; a row is one only if a third of it is there.
+    row_ok = _run(found.mean(1) > 0.34)
+    col_ok = _run(found[row_ok].mean(0) > 0.34)
+    found, xy, strength = found[row_ok, col_ok], xy[row_ok, col_ok], strength[row_ok, col_ok]
+    if min(found.shape) < 5 or found.mean() < 0.6:
+        return None
+    filled, basis = fill_gaps(xy, found)
+    return Lattice(filled, found, basis, diameter_px, float(np.median(strength[found])))
+
+
+def _run(good: BoolArray) -> slice:
+    """The longest run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
+    if edges.size == 0:
+        return slice(0, 0)
+    starts, ends = edges[::2], edges[1::2]
+    longest = int((ends - starts).argmax())
+    return slice(int(starts[longest]), int(ends[longest]))
+
+
+def fill_gaps(xy: FloatArray, found: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Nodes not found get the place a cubic surface through the found ones gives them; also the mean basis [2, 2]."""
+    rows, cols = found.shape
+    v, u = np.mgrid[0:rows, 0:cols].astype(np.float64)
+    u, v = u / max(cols - 1, 1) - 0.5, v / max(rows - 1, 1) - 0.5
+    order = 3 if found.sum() >= 40 else 1
+    terms = np.stack([u**i * v**j for i in range(order + 1) for j in range(order + 1 - i)], -1)
+    weights = np.linalg.lstsq(terms[found], xy[found].astype(np.float64), rcond=None)[0]
+    smooth = (terms @ weights).astype(np.float32)
+    filled = np.where(found[..., None], xy, smooth)
+    basis = np.stack([np.diff(smooth, axis=1).mean((0, 1)), np.diff(smooth, axis=0).mean((0, 1))])
+    return filled, basis.astype(np.float32)
+
+
+def rectifying_homography(
+    lattice: Lattice, width_px: int, height_px: int, pitch_px: float | None = None
+) -> NDArray[np.float64] | None:
+    """Homography [3, 3] that maps the lattice's image to a regular grid centred in ``width_px`` x ``height_px``.
+
+    None if the nodes do not determine one. The pitch is, unless given, the largest that leaves half a pitch of margin.
+    """
+    rows, cols = lattice.found.shape
+    pitch = min(width_px / cols, height_px / rows) if pitch_px is None else pitch_px
+    ideal = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1) * pitch
+    ideal += np.array([(width_px - 1) / 2, (height_px - 1) / 2])
+    matrix, _ = cv2.findHomography(
+        lattice.xy_px[lattice.found], ideal[lattice.found].astype(np.float32), cv2.RANSAC, 2.0
+    )
+    return None if matrix is None or not np.isfinite(matrix).all() else np.asarray(matrix, np.float64)

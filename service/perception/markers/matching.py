@@ -1,0 +1,187 @@
+"""Markers matched from frame to frame: nearest spot near the prediction, checked against the grid around it.
+
+A regular grid that jumps by nearly a pitch looks like one that moved a little the other way. What tells the two apart
+is the grid's border, its gaps and the small irregularities of its nodes; :func:`misfit` weighs all three.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.perception.markers.field import BoolArray, FloatArray, neighbour_mean, neighbour_median
+from service.perception.markers.lattice import fill_gaps, flood, lattice_basis
+
+_SEARCH = 0.46  # pitch; the spot that belongs to a node lies within this of its prediction
+_TEAR = 0.5  # pitch; a node that moved this much otherwise than its neighbours is a wrong match
+_FINGERPRINT = 0.03  # pitch; scatter of a right match about its neighbours
+_CAP = 25.0  # cost of a node without a spot, or of one five sigma off
+_STEPS = [np.array([col, row]) for row in range(-3, 4) for col in range(-3, 4)]
+_NEAR = [step for step in _STEPS if np.abs(step).max() <= 2]
+_FAR = [step for step in _STEPS if np.abs(step).max() == 3]
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Positions ``xy_px`` [rows, cols, 2] of the nodes, ``valid`` where a spot was found, ``misfit`` a node in view."""
+
+    xy_px: FloatArray
+    valid: BoolArray
+    misfit: float
+    torn_n: int
+    spot: NDArray[np.intp]  # index of the candidate, -1 where none
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """The image's extent and the margin within which a spot cannot be seen whole."""
+
+    width_px: int
+    height_px: int
+    margin_px: float
+
+    def sees(self, xy: FloatArray) -> BoolArray:
+        """Where a marker at ``xy`` [..., 2] would be visible."""
+        inside: BoolArray = self.room_px(xy) > self.margin_px
+        return inside
+
+    def room_px(self, xy: FloatArray) -> FloatArray:
+        """How far ``xy`` [..., 2] lies inside the image's border, negative outside."""
+        far = np.array([self.width_px - 1, self.height_px - 1], np.float32)
+        return np.asarray(np.minimum(xy, far - xy).min(-1), np.float32)
+
+
+def nearest_spot(predicted: FloatArray, points: FloatArray, reach: float) -> NDArray[np.intp]:
+    """Index [rows, cols] of the spot nearest to each prediction within ``reach`` px, -1 if none; no spot twice."""
+    rows, cols = predicted.shape[:2]
+    if len(points) == 0:
+        return np.full((rows, cols), -1, np.intp)
+    low = np.minimum(points.min(0), predicted.reshape(-1, 2).min(0)) - 2 * reach
+    cell = np.floor((points - low) / reach).astype(np.intp)
+    node = np.floor((predicted.reshape(-1, 2) - low) / reach).astype(np.intp)
+    shape = np.maximum(cell.max(0), node.max(0)) + 2
+    table = np.full((shape[1], shape[0]), -1, np.intp)
+    order = np.arange(len(points))[::-1]  # strongest last, so that it stays where two share a cell
+    table[cell[order, 1], cell[order, 0]] = order
+    around = np.stack([table[node[:, 1] + j, node[:, 0] + i] for j in (-1, 0, 1) for i in (-1, 0, 1)], 1)
+    offset = points[around] - predicted.reshape(-1, 1, 2)
+    squared = np.where(around >= 0, np.square(offset).sum(-1), np.inf)
+    best = squared.argmin(1)
+    rank = np.arange(len(best))
+    found, cost = around[rank, best], squared[rank, best]
+    found = np.where(cost < reach * reach, found, -1)
+    # A spot claimed twice belongs to the nearer node.
+    claim = np.full(len(points), np.inf)
+    hit = found >= 0
+    np.minimum.at(claim, found[hit], cost[hit])
+    found[hit] = np.where(cost[hit] <= claim[found[hit]], found[hit], -1)
+    return found.reshape(rows, cols)
+
+
+def match(
+    predicted: FloatArray, rest: FloatArray, points: FloatArray, pitch: float, view: View, previous: FloatArray
+) -> Match:
+    """Match nodes predicted at ``predicted`` px to spots; all arrays [rows, cols, 2].
+
+    ``rest`` is the undeformed grid and ``previous`` the last positions, the reference of the smoothness check.
+    """
+    spot = nearest_spot(predicted, points, _SEARCH * pitch)
+    return judge(spot, rest, points, pitch, view, previous)
+
+
+def judge(
+    spot: NDArray[np.intp], rest: FloatArray, points: FloatArray, pitch: float, view: View, previous: FloatArray
+) -> Match:
+    """Turn an assignment of spots to nodes into a :class:`Match`, dropping torn nodes and filling gaps."""
+    valid = spot >= 0
+    if len(points) == 0:
+        return Match(previous, valid, _CAP, 0, spot)
+    xy = np.where(valid[..., None], points[spot], previous)
+    displacement = xy - _affine(rest, xy, valid)  # of a twisted grid, neighbours move very differently
+    typical, around = neighbour_median(displacement, valid)
+    torn = valid & (around >= 3) & (np.square(displacement - typical).sum(-1) > (_TEAR * pitch) ** 2)
+    valid = valid & ~torn
+    step = xy - previous
+    smooth = neighbour_mean(step, valid)
+    guess = previous + smooth
+    xy = np.where(valid[..., None], xy, guess).astype(np.float32)
+    scatter = np.square(step - smooth).sum(-1) / (_FINGERPRINT * pitch) ** 2
+    in_view = view.sees(xy)
+    cost = np.where(valid, np.minimum(scatter, _CAP), _CAP)[in_view | valid].sum()
+    stray = len(points) - int(valid.sum())
+    total = max(1, int((in_view | valid).sum()))
+    return Match(xy, valid, float((cost + 0.5 * _CAP * stray) / total), int(torn.sum()), np.where(valid, spot, -1))
+
+
+def _affine(rest: FloatArray, xy: FloatArray, valid: BoolArray) -> FloatArray:
+    """``rest`` carried along by the affine map that fits the valid nodes best; ``rest`` itself if there are few."""
+    if valid.sum() < 12:
+        return rest
+    middle = rest[valid].mean(0)
+    x = np.concatenate([rest[valid] - middle, np.ones((int(valid.sum()), 1), np.float32)], 1).astype(np.float64)
+    normal = x.T @ x
+    if np.linalg.cond(normal) > 1e10:
+        return rest
+    linear = np.linalg.solve(normal, x.T @ xy[valid])
+    return np.asarray((rest - middle) @ linear[:2] + linear[2], np.float32)
+
+
+def reindex(
+    points: FloatArray, rest: FloatArray, pitch: float, view: View, previous: FloatArray, prior: Match, calm: float
+) -> Match:
+    """Match by topology alone: link the spots to a grid, then find by which whole steps it lies over the old one.
+
+    Survives jumps of up to three pitches, fast twists and bumps whose middle moved by nearly a pitch. Returns the best
+    of this and ``prior``. ``previous`` [rows, cols, 2] decides between placements that fit equally: the least motion
+    wins. A misfit below ``calm`` is that of a right match: one step off leaves a border row without spots.
+    """
+    like = np.stack([np.diff(previous, axis=1).mean((0, 1)), np.diff(previous, axis=0).mean((0, 1))])
+    basis = lattice_basis(points, like)
+    if basis is None:
+        return prior
+    seed = int(np.square(points - previous.reshape(-1, 2).mean(0)).sum(1).argmin())
+    index, reached = flood(points, basis, seed)
+    if reached.sum() < 9:
+        return prior
+
+    def place(spot: NDArray[np.intp]) -> Match:
+        return judge(spot, rest, points, pitch, view, previous)
+
+    # The grid cell of the seed under least motion; placements up to two steps off are the rivals. Where none of them
+    # fits a grid that is there almost whole, it has jumped by three.
+    apart = np.square(previous.reshape(-1, 2) - points[seed]).sum(-1)
+    row0, col0 = divmod(int(apart.argmin()), rest.shape[1])
+    cells = index[reached] + np.array([col0, row0])
+    spot_of = np.flatnonzero(reached)
+    best, best_score = prior, prior.misfit + _motion(prior, previous, pitch)
+    for steps in (_NEAR, _FAR):
+        for step in steps:
+            spot = _placed(cells + step, spot_of, rest.shape[:2])
+            rival = None if spot is None else place(spot)
+            score = np.inf if rival is None else rival.misfit + _motion(rival, previous, pitch)
+            if rival is not None and score < best_score - 0.05:
+                best, best_score = rival, score
+        if best.misfit < calm or reached.sum() < 0.6 * rest[..., 0].size:
+            break
+    if best is prior:
+        return prior
+    # The flood stops at gaps; what lies beyond is found where a smooth surface through the rest puts it.
+    spread, _ = fill_gaps(best.xy_px, best.valid)
+    full = match(spread, rest, points, pitch, view, previous)
+    return full if full.valid.sum() > best.valid.sum() else best
+
+
+def _placed(cells: NDArray[np.intp], spot_of: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp] | None:
+    """Spots laid on the grid [rows, cols] at ``cells`` (column, row), -1 elsewhere; None if fewer than nine fit."""
+    fits = (cells >= 0).all(1) & (cells[:, 0] < shape[1]) & (cells[:, 1] < shape[0])
+    if fits.sum() < 9:
+        return None
+    spot = np.full(shape, -1, np.intp)
+    spot[cells[fits, 1], cells[fits, 0]] = spot_of[fits]
+    return spot
+
+
+def _motion(candidate: Match, previous: FloatArray, pitch: float) -> float:
+    """A weak preference for little motion: half a point a pitch, of the 25 that a missing marker costs."""
+    moved = np.linalg.norm(candidate.xy_px - previous, axis=-1)
+    return float(0.5 * moved[candidate.valid].mean() / pitch) if candidate.valid.any() else _CAP

@@ -1,0 +1,184 @@
+"""The marker tracker: rectified frames in, a grid-indexed marker field out."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.perception.markers.detect import Candidates, Kernel, MarkerDetector
+from service.perception.markers.field import BoolArray, FloatArray, MarkerField, TrackStatus, empty_field
+from service.perception.markers.lattice import Lattice, find_lattice
+from service.perception.markers.matching import Match, View, match, reindex
+
+_CALM = 1.2  # misfit a node above the running level at which the grid is matched again by topology
+_WHOLE = 0.8  # diameter; a marker nearer to the image's border than this is cut
+_NEARER = 0.1  # diameter; and was carried there if it rests further inside by more than this
+_ROUND = 0.6  # of the typical tightness; a marker smeared or torn longer than this has no place
+_SETTLED = 0.6  # and above that level from which on a placement is looked for further away
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSettings:
+    """What the tracker may spend.
+
+    ``shrink`` halves (or more) the image before detection; None chooses by marker size. ``kernel`` and ``window`` are
+    those of :class:`MarkerDetector`. ``recover`` allows the topology match on suspicion. ``threshold`` is the weakest
+    spot, as a share of the typical marker's strength.
+    """
+
+    shrink: int | None = None
+    recover: bool = True
+    kernel: Kernel = "gauss"
+    window: Literal[3, 5] = 3
+    threshold: float = 0.3
+    lost_share: float = 0.2
+    partial_share: float = 0.6
+
+
+class MarkerTracker:
+    """Follows the markers of one finger; finds the grid's size, pitch and place in the first frame that shows one.
+
+    No frame raises for what it shows: a black, white, covered or missing frame gives a field with status "lost" or
+    "no_grid", a repeated or late stamp "duplicate". A frame that is no uint8 image or changes size raises ValueError.
+    """
+
+    def __init__(self, settings: TrackerSettings | None = None) -> None:
+        self.settings = settings or TrackerSettings()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the grid; the next frame starts over."""
+        self._lattice: Lattice | None = None
+        self._detector: MarkerDetector | None = None
+        self._shape: tuple[int, ...] | None = None
+        self._xy = np.zeros((0, 0, 2), np.float32)
+        self._velocity = np.zeros((0, 0, 2), np.float32)  # px a second
+        self._strength = 0.0
+        self._level = 1.0
+        self._last_ns: int | None = None
+        self._last_image: NDArray[np.uint8] | None = None
+        self._last_field: MarkerField | None = None
+
+    @property
+    def grid_shape(self) -> tuple[int, int] | None:
+        """(rows, cols) of the grid, None before it was found."""
+        return None if self._lattice is None else (self._lattice.found.shape[0], self._lattice.found.shape[1])
+
+    def update(self, image: NDArray[np.uint8] | None, captured_ns: int) -> MarkerField:
+        """Track one rectified frame, uint8 [height, width, 3] BGR or [height, width]; None stands for a missing one."""
+        if image is None:
+            return self._lost(captured_ns, "no frame from this finger")
+        self._check(image)
+        if self._last_ns is not None and captured_ns <= self._last_ns:
+            return self._repeat(captured_ns, f"stamp {captured_ns} is not after {self._last_ns}")
+        if self._last_image is not None and np.array_equal(image[::7], self._last_image[::7]):
+            return self._repeat(captured_ns, "the frame repeats the one before")
+        self._last_image = image
+        if self._lattice is None and not self._start(image):
+            return empty_field(captured_ns, "no_grid", "no marker grid of at least 5 x 5 nodes in the frame")
+        return self._track(image, captured_ns)
+
+    def _check(self, image: NDArray[np.uint8]) -> None:
+        if image.dtype != np.uint8 or image.ndim not in {2, 3} or (image.ndim == 3 and image.shape[2] != 3):
+            raise ValueError(f"frame is {image.dtype}{list(image.shape)}, expected uint8 [height, width, 3]")
+        if self._shape is not None and image.shape != self._shape:
+            raise ValueError(f"frame is {list(image.shape)}, the tracker began with {list(self._shape)}; reset() first")
+
+    def _start(self, image: NDArray[np.uint8]) -> bool:
+        lattice = find_lattice(image)
+        if lattice is None:
+            return False
+        shrink = self.settings.shrink or max(1, int(lattice.diameter_px / 6))
+        self._lattice = lattice
+        self._detector = MarkerDetector(
+            lattice.diameter_px, lattice.pitch_px, shrink, self.settings.kernel, self.settings.window
+        )
+        self._shape = image.shape
+        self._xy = lattice.xy_px
+        self._velocity = np.zeros_like(self._xy)
+        self._strength = lattice.strength
+        return True
+
+    def _track(self, image: NDArray[np.uint8], captured_ns: int) -> MarkerField:
+        assert self._lattice is not None
+        assert self._detector is not None
+        lattice = self._lattice
+        spots = self._detector.detect(image, max(1.0, self.settings.threshold * self._strength * 0.5))
+        spots = self._bright_enough(spots)
+        view = View(image.shape[1], image.shape[0], 0.6 * lattice.diameter_px)
+        if len(spots.strength) < 4:
+            return self._lost(captured_ns, f"{len(spots.strength)} markers in sight")
+        best = self._best_match(spots.xy_px, view, captured_ns)
+        visible = view.sees(best.xy_px)
+        share = best.valid.sum() / max(1, min(int(visible.sum()), best.valid.size))
+        if share < self.settings.lost_share or not visible.any():
+            return self._lost(captured_ns, f"{best.valid.sum()} of {best.valid.size} markers matched")
+        self._remember(best, spots, captured_ns)
+        status: TrackStatus = "tracking" if share >= self.settings.partial_share else "partial"
+        valid = self._measured(best, spots, view)
+        field = MarkerField(
+            lattice.xy_px, best.xy_px - lattice.xy_px, valid, None, lattice.pitch_px, captured_ns, status
+        )
+        self._last_field = field
+        return field
+
+    def _measured(self, best: Match, spots: Candidates, view: View) -> BoolArray:
+        """Which markers [rows, cols] tell where they are: followed, not carried to the image's border, and round.
+
+        One cut by the border seems to lie further inside than it does (one that always was has its place all the
+        same), one smeared long where the gel is torn apart lies anywhere within.
+        """
+        assert self._lattice is not None
+        rest, diameter = self._lattice.xy_px, self._lattice.diameter_px
+        room = view.room_px(best.xy_px)
+        cut = (room < _WHOLE * diameter) & (room < view.room_px(rest) - _NEARER * diameter)
+        tight = spots.tightness[best.spot]
+        typical = float(np.median(tight[best.valid]))
+        return np.asarray(best.valid & ~cut & (tight > _ROUND * typical), np.bool_)
+
+    def _bright_enough(self, spots: Candidates) -> Candidates:
+        """Drop weak spots relative to this frame's own typical marker, so that an exposure jump changes nothing."""
+        assert self._lattice is not None
+        if len(spots.strength) == 0:
+            return spots
+        typical = float(spots.strength[min(len(spots.strength) - 1, self._lattice.found.size // 2)])
+        keep = spots.strength > self.settings.threshold * typical
+        return spots.only(keep)
+
+    def _best_match(self, points: FloatArray, view: View, captured_ns: int) -> Match:
+        assert self._lattice is not None
+        rest, pitch = self._lattice.xy_px, self._lattice.pitch_px
+        best = match(self._xy, rest, points, pitch, view, self._xy)
+        calm = self._level + _CALM
+        if best.misfit < calm or not self.settings.recover:
+            return best
+        if self._last_ns is not None:
+            elapsed_s = min((captured_ns - self._last_ns) * 1e-9, 0.1)
+            moving = match(self._xy + self._velocity * np.float32(elapsed_s), rest, points, pitch, view, self._xy)
+            best = min(best, moving, key=lambda rival: rival.misfit)
+        return reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)
+
+    def _remember(self, best: Match, spots: Candidates, captured_ns: int) -> None:
+        if self._last_ns is not None:
+            elapsed_s = max((captured_ns - self._last_ns) * 1e-9, 1e-3)
+            self._velocity = (best.xy_px - self._xy) / np.float32(elapsed_s)
+        self._xy = best.xy_px
+        self._level += 0.1 * (min(best.misfit, self._level + 1.0) - self._level)
+        strength = float(np.median(spots.strength))
+        self._strength += 0.3 * (strength - self._strength)
+        self._last_ns = captured_ns
+
+    def _repeat(self, captured_ns: int, reason: str) -> MarkerField:
+        return self._stale(captured_ns, "duplicate", reason)
+
+    def _lost(self, captured_ns: int, reason: str) -> MarkerField:
+        return self._stale(captured_ns, "lost", reason)
+
+    def _stale(self, captured_ns: int, status: TrackStatus, reason: str) -> MarkerField:
+        """The last known field under a new stamp and a status that says that it is no new evidence."""
+        last = self._last_field
+        if last is None:
+            return empty_field(captured_ns, "no_grid", reason)
+        valid = last.valid if status == "duplicate" else np.zeros_like(last.valid)
+        return replace(last, valid=valid, captured_ns=captured_ns, status=status, reason=reason)

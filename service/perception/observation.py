@@ -1,0 +1,75 @@
+"""What perception tells the session of one frame of one finger, and who provides it."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import Finger, FramePair, TactileFrame
+from service.perception.markers.field import MarkerField
+from service.perception.slip.detector import SlipState
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One frame after perception.
+
+    ``image`` is the rectified frame uint8 [H, W, 3]; ``field`` the markers; ``slip`` the slip state since the last
+    rearm; ``onset_ns`` the capture stamp of the first frame that shows the object's motion, once that is certain;
+    ``cost_ms`` what rectifying, tracking and judging took.
+    """
+
+    finger: Finger
+    seq: int
+    captured_ns: int
+    image: NDArray[np.uint8]
+    field: MarkerField
+    slip: SlipState
+    onset_ns: int | None
+    cost_ms: dict[str, float]
+
+
+class FingerWatch(Protocol):
+    """Perception of one finger; not thread safe."""
+
+    def rearm(self) -> None:
+        """The next frame shows the held object at rest: it becomes the reference of slip and onset."""
+        ...
+
+    def observe(self, frame: TactileFrame) -> Observation:
+        """Perceive a frame; raise ContractError if its size is neither raw nor rectified."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PairObservation:
+    """Both fingers of one instant after perception."""
+
+    left: Observation
+    right: Observation
+
+    @property
+    def fingers(self) -> tuple[Observation, Observation]:
+        """Left, right."""
+        return self.left, self.right
+
+    @property
+    def seq(self) -> int:
+        """Sequence number of the pair: that of the left finger."""
+        return self.left.seq
+
+    @property
+    def captured_ns(self) -> int:
+        """Capture time of the later of the two frames."""
+        return max(self.left.captured_ns, self.right.captured_ns)
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """Rectified uint8 [2, H, W, 3], left first, as the networks take them."""
+        return np.stack([self.left.image, self.right.image])
+
+
+def belongs(observation: Observation, pair: FramePair) -> bool:
+    """Whether an observation is of this pair's frame of the same finger."""
+    frame = pair.left if observation.finger == "left" else pair.right
+    return observation.seq == frame.seq and observation.captured_ns == frame.captured_ns

@@ -1,0 +1,1 @@
+"""Motion of the held object against the gel: contact, onset, slip."""

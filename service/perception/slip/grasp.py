@@ -1,0 +1,89 @@
+"""A finger watched without a robot's word: when the grasp has settled, the reference is taken by itself.
+
+In an insertion the robot client says when to arm. A clip says nothing: grasping, holding, slipping and letting go
+follow each other, and it may begin in the middle. The watch arms once the markers have been at rest for a while, and
+again whenever they rest elsewhere: after the fingers closed, the object was lifted, slipped or was let go. So the
+reference is that of the grasp as it is now, never that of open fingers.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.perception.markers.field import MarkerField
+from service.perception.slip.contact import FreeGel
+from service.perception.slip.detector import SlipDetector, SlipSettings, SlipState, untouched
+from service.perception.slip.rigid import carried_px
+
+
+@dataclass(frozen=True, slots=True)
+class GraspSettings:
+    """At rest means: nowhere carried further than ``rest_pitch`` within ``settle_s``."""
+
+    rest_pitch: float = 0.04
+    settle_s: float = 0.4
+
+
+# The least limit that raises no alarm on real held objects, and a margin. `python -m simulation slip-report --real`
+# fits it and says what it does on those it was not fitted on.
+WATCH_SLIP_PITCH = 0.0625
+
+
+def watch_settings(slip_pitch: float) -> SlipSettings:
+    """Slip settings for a watch: nothing says when the arm moves, so a patch that stops may have been put down."""
+    return SlipSettings(stall_pitch=math.inf, slip_pitch=slip_pitch)
+
+
+class GraspWatch:
+    """Turns the fields of one finger into states, arming the slip detector whenever the grasp has settled.
+
+    ``free`` says when nothing touches the gel; let it learn the untouched gel where a frame of it is at hand.
+    """
+
+    def __init__(self, slip: SlipSettings | None = None, settings: GraspSettings | None = None) -> None:
+        self.free = FreeGel()
+        self.detector = SlipDetector(slip or watch_settings(WATCH_SLIP_PITCH))
+        self.settings = settings or GraspSettings()
+        self._anchor: MarkerField | None = None
+        self._free = False
+
+    def update(self, field: MarkerField) -> SlipState:
+        """Judge one field; until the grasp has settled the state is "grasping", without one "no_contact"."""
+        field = self.free.mark(field)
+        settled = self._settled(field)
+        reference = self.detector.reference
+        if settled and not self._free and reference is not None and self._moved(reference, field):
+            return self.detector.rearm(field)
+        if not self.detector.armed or self._free:
+            if settled:
+                self._free = False
+                return self.detector.rearm(field)
+            waiting = self.detector.update(field) if not self.detector.armed else self._grasping(field)
+            return replace(waiting, state="grasping") if field.usable and not untouched(field) else waiting
+        state = self.detector.update(field)
+        if state.state in {"incipient_slip", "gross_slip", "release", "lost", "unknown"}:
+            self._free = True
+            self._anchor = None
+        return state
+
+    def _grasping(self, field: MarkerField) -> SlipState:
+        if untouched(field):
+            return self.detector.rearm(field)
+        state = self.detector.update(field)
+        return replace(state, score=0.0, over_limit=False, reason="waiting for the grasp to settle")
+
+    def _settled(self, field: MarkerField) -> bool:
+        if not field.usable:
+            self._anchor = None if field.status == "lost" else self._anchor
+            return False
+        anchor = self._anchor
+        if anchor is None or anchor.valid.shape != field.valid.shape or self._moved(anchor, field):
+            self._anchor = field
+            return False
+        return (field.captured_ns - anchor.captured_ns) * 1e-9 >= self.settings.settle_s
+
+    def _moved(self, anchor: MarkerField, field: MarkerField) -> bool:
+        may = field.valid & anchor.valid
+        step = np.asarray(field.displacement_px - anchor.displacement_px, np.float64)
+        return carried_px(step, may) > self.settings.rest_pitch * field.pitch_px

@@ -1,0 +1,77 @@
+"""The first frame that captures motion of the held object.
+
+Held still, the markers only jitter; averaged over 3 x 3 nodes the jitter is a few hundredths of a pixel. The object has
+moved once the carried displacement leaves the jitter seen since the reference was taken.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.perception.markers.field import MarkerField
+from service.perception.slip.rigid import carried_px
+
+
+@dataclass(frozen=True, slots=True)
+class OnsetSettings:
+    """``floor_pitch``: the least motion that counts, as a share of the pitch. ``sigmas``: above the jitter at rest."""
+
+    floor_pitch: float = 0.012
+    sigmas: float = 6.0
+    learn_n: int = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """The frame that first shows motion: its stamp, its place after the reference (from 0), and the motion."""
+
+    captured_ns: int
+    index: int
+    moved_px: float
+
+
+class OnsetDetector:
+    """Reports the onset once per :meth:`rearm`; ``update`` returns it from the frame of onset on, None before."""
+
+    def __init__(self, settings: OnsetSettings | None = None) -> None:
+        self.settings = settings or OnsetSettings()
+        self.disarm()
+
+    def disarm(self) -> None:
+        """Forget the reference."""
+        self._reference: MarkerField | None = None
+        self._onset: Onset | None = None
+        self._rest: list[float] = []
+        self._index = -1
+
+    def rearm(self, field: MarkerField) -> None:
+        """Take ``field`` as the object's resting state."""
+        self.disarm()
+        self._reference = field if field.usable else None
+
+    @property
+    def onset(self) -> Onset | None:
+        """The onset, None while nothing has moved."""
+        return self._onset
+
+    def update(self, field: MarkerField) -> Onset | None:
+        """Judge one field; fields without new evidence count as frames but change nothing."""
+        self._index += 1
+        reference = self._reference
+        if self._onset or reference is None or not field.usable or field.valid.shape != reference.valid.shape:
+            return self._onset
+        may = field.valid & reference.valid
+        moved = carried_px(np.asarray(field.displacement_px - reference.displacement_px, np.float64), may)
+        if moved > self._threshold(field.pitch_px):
+            self._onset = Onset(field.captured_ns, self._index, moved)
+        else:
+            self._rest = [*self._rest[-15:], moved]
+        return self._onset
+
+    def _threshold(self, pitch_px: float) -> float:
+        floor = self.settings.floor_pitch * pitch_px
+        if len(self._rest) < self.settings.learn_n:
+            return 1.5 * floor
+        rest = np.array(self._rest)
+        spread = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+        return max(floor, float(np.median(rest)) + self.settings.sigmas * max(spread, 0.1 * floor))

@@ -1,0 +1,1 @@
+"""Recorded insertions: written, read, recovered and kept within a bound."""

@@ -1,0 +1,105 @@
+"""Reading recordings back, whole ones and those a crash cut off."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from numpy.typing import NDArray
+
+from service.cameras.capture import decode_jpeg
+from service.contract import ContractError, Finger, TactileFrame
+from service.recordings.protowire import COMPRESSED_IMAGE, RAW_IMAGE
+from service.recordings.writer import RECOVERY
+
+
+class RecordingError(ContractError):
+    """A file is no recording of an insertion; the text names it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One message of a recording: topic, schema name, wall-clock log time, sequence number, bytes."""
+
+    topic: str
+    schema: str
+    log_ns: int
+    seq: int
+    data: bytes
+
+    def json(self) -> dict[str, Any]:
+        """The content of a JSON channel."""
+        content: dict[str, Any] = json.loads(self.data)
+        return content
+
+
+class Recording:
+    """A recorded insertion; ``complete`` is False if the file ends early (what was read is still good).
+
+    ``recovered`` is True if it once did and was closed at the next start.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.metadata: dict[str, str] = {}
+        self.entries: list[Entry] = []
+        self.complete = self.recovered = False
+        if not path.is_file():
+            raise RecordingError(f"no recording at {path}")
+        with path.open("rb") as stream:
+            self.entries = list(self._read(stream))
+        if "insertion_id" not in self.metadata:
+            raise RecordingError(f"{path} is no recording of an insertion (MCAP with metadata `insertion`)")
+
+    def _read(self, stream: Any) -> Iterator[Entry]:
+        channels: dict[int, Channel] = {}
+        schemas: dict[int, str] = {}
+        try:
+            for record in StreamReader(stream).records:
+                match record:
+                    case Schema():
+                        schemas[record.id] = record.name
+                    case Channel():
+                        channels[record.id] = record
+                    case Metadata() if record.name == "insertion":
+                        self.metadata = dict(record.metadata)
+                    case Metadata() if record.name == RECOVERY:
+                        self.recovered = True
+                    case Message():
+                        channel = channels[record.channel_id]
+                        schema = schemas.get(channel.schema_id, "")
+                        yield Entry(channel.topic, schema, record.log_time, record.sequence, record.data)
+            self.complete = True
+        except (McapError, EOFError, OSError, ValueError, KeyError, IndexError) as error:
+            if not self.metadata:
+                raise RecordingError(
+                    f"{self.path} is no readable MCAP file: {error or type(error).__name__}"
+                ) from error
+
+    @property
+    def offset_ns(self) -> int:
+        """Wall clock minus the monotonic clock of all stamps."""
+        return int(self.metadata["wall_minus_monotonic_ns"])
+
+    def of(self, topic: str) -> list[Entry]:
+        """The messages of one topic, in the order they were written."""
+        return [entry for entry in self.entries if entry.topic == topic]
+
+    def frames(self, finger: Finger) -> dict[int, TactileFrame]:
+        """Every recorded frame of a finger by sequence number, with its exact stamp and pixels."""
+        return {
+            entry.seq: TactileFrame(finger, entry.seq, entry.log_ns - self.offset_ns, _pixels(entry))
+            for entry in self.of(f"/{finger}/image")
+        }
+
+
+def _pixels(entry: Entry) -> NDArray[np.uint8]:
+    if entry.schema == COMPRESSED_IMAGE.name:
+        return decode_jpeg(bytes(COMPRESSED_IMAGE.decode(entry.data)["data"]))
+    image = RAW_IMAGE.decode(entry.data)
+    return np.frombuffer(image["data"], np.uint8).reshape(image["height"], image["width"], 3)

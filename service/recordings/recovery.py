@@ -1,0 +1,110 @@
+"""What a crash left behind: recordings without an end are closed, so that every tool opens them.
+
+A killed service leaves ``insertion.mcap.part``, complete but for the last second. The recorder holds a lock on that
+file while it writes, which the kernel lifts when the process dies: a part that can be locked has no writer any more.
+"""
+
+import contextlib
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import structlog
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from service.recordings.writer import FINAL, PART, RECOVERING, RECOVERY, UNREADABLE, write_whole
+
+log = structlog.get_logger()
+
+
+def recover(root: Path) -> list[Path]:
+    """Close every recording under ``root`` that lost its writer; returns the files made whole.
+
+    What cannot be closed is left as it is: an old recording must not keep the service from starting. A part that holds
+    no insertion at all is renamed to ``insertion.mcap.unreadable`` and left for people.
+    """
+    found = []
+    for part in sorted(root.glob(f"*/{PART}")):
+        with part.open("rb") as stream, contextlib.suppress(BlockingIOError):
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if _closed(part, stream):
+                found.append(part.with_name(FINAL))
+    return found
+
+
+def _closed(part: Path, stream: IO[bytes]) -> bool:
+    """Whether the part was made whole; one that cannot be now (a full disk) is left for the next start."""
+    try:
+        return _close(part, stream)
+    except Exception as error:
+        part.with_name(RECOVERING).unlink(missing_ok=True)
+        log.warning("recording not recovered", path=str(part), error=repr(error))
+        return False
+
+
+def _close(part: Path, stream: IO[bytes]) -> bool:
+    whole = part.with_name(RECOVERING)
+    with whole.open("wb") as out:
+        facts = _copy(stream, out)
+        out.flush()
+        os.fsync(out.fileno())
+    if facts is None:
+        whole.unlink()
+        part.rename(part.with_name(UNREADABLE))
+        log.warning("recording unreadable", path=str(part.with_name(UNREADABLE)))
+        return False
+    summary = part.with_name("summary.json")
+    if not summary.is_file():
+        write_whole(summary, json.dumps(facts, indent=1))
+    whole.rename(part.with_name(FINAL))
+    part.unlink()
+    log.warning("recording recovered", path=str(part.with_name(FINAL)), **facts)
+    return True
+
+
+def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
+    """Copy what can be read into a whole file; returns its summary, None if it never was a recording."""
+    writer = Writer(out, chunk_size=1 << 20, compression=CompressionType.LZ4)
+    writer.start(profile="", library="tactile-insertion")
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, tuple[int, str]] = {}
+    facts: dict[str, object] | None = None
+    attempts = 0
+    for record in _records(stream):
+        match record:
+            case Schema():
+                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+            case Channel():
+                number = writer.register_channel(record.topic, record.message_encoding, schemas[record.schema_id])
+                channels[record.id] = number, record.topic
+            case Metadata():
+                writer.add_metadata(record.name, record.metadata)
+                if record.name == "insertion":
+                    facts = {"insertion_id": record.metadata["insertion_id"], "left_out_n": 0}
+            case Message():
+                number, topic = channels[record.channel_id]
+                writer.add_message(number, record.log_time, record.data, record.publish_time, record.sequence)
+                attempts = max(attempts, _attempt(topic, record.data))
+    writer.add_metadata(RECOVERY, {"reason": "the service ended without closing this recording"})
+    writer.finish()
+    return None if facts is None else facts | {"outcome": "interrupted", "attempts": attempts}
+
+
+def _records(stream: IO[bytes]) -> Iterator[object]:
+    """Every record up to where the file breaks off."""
+    with contextlib.suppress(McapError, EOFError, ValueError, KeyError, IndexError, RuntimeError):
+        yield from StreamReader(stream).records
+
+
+def _attempt(topic: str, data: bytes) -> int:
+    """The attempt a message is about, 0 if none."""
+    if topic != "/messages":
+        return 0
+    number = json.loads(data)["message"].get("attempt", 0)
+    return number if isinstance(number, int) else 0

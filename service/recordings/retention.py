@@ -1,0 +1,45 @@
+"""How much of the disk recordings may take: one bound, kept by removing the oldest."""
+
+import contextlib
+import shutil
+from pathlib import Path
+
+from service.recordings.writer import MAX_INSERTION_BYTES, NAME
+
+
+def make_room(root: Path, max_bytes: int) -> int:
+    """Prune so that the next insertion fits too; returns how large its file may become.
+
+    Raises OSError where ``root`` cannot be read.
+    """
+    largest = min(MAX_INSERTION_BYTES, max_bytes // 4)
+    prune(root, max_bytes - largest)
+    return largest
+
+
+def prune(root: Path, max_bytes: int) -> list[Path]:
+    """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them.
+
+    What is not named as a recording is not ours: neither removed nor counted.
+    """
+    found = root.iterdir() if root.is_dir() else ()
+    folders = sorted(path for path in found if NAME.fullmatch(path.name) and path.is_dir())
+    sizes = [_size_bytes(folder) for folder in folders]
+    removed: list[Path] = []
+    total = sum(sizes)
+    for folder, size in zip(folders[:-1], sizes[:-1], strict=True):
+        if total <= max_bytes:
+            break
+        shutil.rmtree(folder, ignore_errors=True)
+        removed.append(folder)
+        total -= size
+    return removed
+
+
+def _size_bytes(folder: Path) -> int:
+    """What a folder's files take; one that vanishes meanwhile (renamed, removed by hand) counts nothing."""
+    total = 0
+    for file in folder.iterdir():
+        with contextlib.suppress(FileNotFoundError):
+            total += file.stat().st_size
+    return total

@@ -1,0 +1,279 @@
+"""Recordings: one folder an insertion, an MCAP file that Foxglove and Rerun open, and a small file an attempt.
+
+``RECORDINGS/<UTC stamp>_<insertion id>/``
+
+- ``insertion.mcap`` (``insertion.mcap.part`` while it is written; a crash loses at most the last second, and
+  :func:`service.recordings.recovery.recover` closes such a file at the next start). Channels: ``/left/image`` and
+  ``/right/image`` (foxglove.CompressedImage, the camera's own JPEG, or foxglove.RawImage),
+  ``/left/markers`` and ``/right/markers`` (tactile_insertion.Markers),
+  ``/messages`` (JSON: ``from`` client or service, ``message``), ``/calls`` (JSON: what the session was told, in order,
+  which is what makes a replay bit for bit), metadata ``insertion`` (id, models, controller, calibration, clock offset).
+  Log times are wall-clock nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of the metadata.
+- ``attempt_01.npz``, ``attempt_02.npz``, ... for each blocked attempt, read with ``numpy.load``:
+
+  ===================  ==========================================================================================
+  ``frames``           uint8 [n, 2, 320, 327, 3] BGR, rectified; the n <= 8 pairs of the decision, left finger first
+  ``reference``        uint8 [2, 320, 327, 3] BGR, rectified; what the networks subtract
+  ``frame_seq``        int64 [n], pair numbers; ``captured_ns`` int64 [n], monotonic
+  ``rest_px``          float32 [2, rows, cols, 2] marker positions at rest (u, v) in the rectified image
+  ``displacement_px``  float32 [2, rows, cols, 2] marker displacement in the last of the pairs
+  ``valid``            bool [2, rows, cols]
+  ``decision``         0-d string array: JSON of the ``correction`` or ``no_decision`` message; "{}" if there was none
+  ===================  ==========================================================================================
+
+- ``summary.json``: insertion id, outcome, attempts, start time, whether any frame was left out for lack of speed.
+"""
+
+import fcntl
+import json
+import queue
+import re
+import threading
+import time
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from service.cameras.capture import CameraFrame
+from service.contract import TactileFrame
+from service.perception.observation import Observation
+from service.recordings.protowire import COMPRESSED_IMAGE, MARKERS, RAW_IMAGE, Schema
+
+NAME = re.compile(r"[0-9]{8}T[0-9]{6,12}_[A-Za-z0-9_-]{1,64}")  # of a recording's folder
+FLUSH_S = 0.5
+MAX_WAITING_BYTES = 64 << 20  # of frames and markers; some 10 s of JPEG at 2 x 60 fps
+MAX_INSERTION_BYTES = 2 << 30
+PART = "insertion.mcap.part"
+FINAL = "insertion.mcap"
+RECOVERING = "insertion.mcap.recovering"
+UNREADABLE = "insertion.mcap.unreadable"
+RECOVERY = "recovery"  # name of the metadata that a recovered recording carries
+
+
+class _Mcap:
+    """The MCAP file: registers channels on first use; only the recorder's thread touches it."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+        self._writer = Writer(stream, chunk_size=1 << 20, compression=CompressionType.LZ4)
+        self._writer.start(profile="", library="tactile-insertion")
+        self._channels: dict[str, int] = {}
+
+    def protobuf(self, topic: str, schema: Schema, values: Mapping[str, Any], log_ns: int, seq: int) -> None:
+        channel = self._channel(f"{topic}", "protobuf", schema.name, "protobuf", schema.descriptor_set)
+        self._write(channel, log_ns, schema.encode(values), seq)
+
+    def json(self, topic: str, value: Mapping[str, Any], log_ns: int) -> None:
+        channel = self._channel(topic, "json", f"tactile_insertion{topic}", "jsonschema", lambda: b'{"type":"object"}')
+        self._write(channel, log_ns, json.dumps(value).encode(), 0)
+
+    def metadata(self, name: str, value: Mapping[str, str]) -> None:
+        self._writer.add_metadata(name, dict(value))
+
+    def _channel(self, topic: str, encoding: str, name: str, kind: str, schema: Callable[[], bytes]) -> int:
+        key = f"{topic} {name}"
+        if key not in self._channels:
+            schema_id = self._writer.register_schema(name, kind, schema())
+            self._channels[key] = self._writer.register_channel(topic, encoding, schema_id)
+        return self._channels[key]
+
+    def _write(self, channel: int, log_ns: int, data: bytes, seq: int) -> None:
+        self._writer.add_message(channel, log_ns, data, log_ns, seq)
+
+    def flush(self) -> None:
+        self._writer.flush()
+        self._stream.flush()
+
+    def close(self) -> None:
+        self._writer.finish()
+        self._stream.flush()
+
+
+@dataclass(slots=True)
+class Recorder:
+    """Writes one insertion in its own thread; every method returns at once.
+
+    If the disk is too slow, or the file reaches ``largest_bytes``, frames are left out (and counted), messages and
+    calls never.
+    """
+
+    root: Path
+    insertion_id: str
+    metadata: Mapping[str, str]
+    largest_bytes: int = MAX_INSERTION_BYTES
+    left_out_n: int = 0
+    folder: Path = field(init=False)
+    _queue: queue.SimpleQueue[Callable[[], None] | None] = field(init=False, default_factory=queue.SimpleQueue)
+    _thread: threading.Thread = field(init=False)
+    _mcap: _Mcap = field(init=False)
+    _stream: IO[bytes] = field(init=False)
+    _offset_ns: int = field(init=False)
+    error: str = ""
+    _waiting_bytes: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def __post_init__(self) -> None:
+        """Create the folder and start writing; raises OSError if the folder cannot be written."""
+        started = datetime.now(UTC)
+        self.folder = self.root / f"{started:%Y%m%dT%H%M%S%f}_{self.insertion_id}"
+        self.folder.mkdir(parents=True)
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+        self._stream = (self.folder / PART).open("wb")
+        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # says to a recovery that the writer lives
+        self._mcap = _Mcap(self._stream)
+        facts = {"insertion_id": self.insertion_id, "started": started.isoformat()}
+        self._mcap.metadata(
+            "insertion", facts | dict(self.metadata) | {"wall_minus_monotonic_ns": str(self._offset_ns)}
+        )
+        self._mcap.flush()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def path(self) -> Path:
+        """Where the finished recording will lie."""
+        return self.folder / FINAL
+
+    def frame(self, frame: CameraFrame) -> None:
+        """Record a camera frame as it came."""
+        schema, values = image_message(frame)
+        self._put_bulk(f"/{frame.frame.finger}/image", schema, values, frame.frame)
+
+    def observation(self, observation: Observation) -> None:
+        """Record markers and slip of one frame."""
+        self._put_bulk(f"/{observation.finger}/markers", MARKERS, markers_message(observation), observation)
+
+    def message(self, sender: str, message: Mapping[str, Any], now_ns: int) -> None:
+        """Record a wire message; ``sender`` is client or service."""
+        value = {"from": sender, "message": message}
+        self._queue.put(lambda: self._mcap.json("/messages", value, now_ns + self._offset_ns))
+
+    def call(self, value: Mapping[str, Any], now_ns: int) -> None:
+        """Record one call of the session (see :mod:`service.tools.redecide`)."""
+        self._queue.put(lambda: self._mcap.json("/calls", dict(value) | {"now_ns": now_ns}, now_ns + self._offset_ns))
+
+    def attempt(self, number: int, gather: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
+        """Write ``attempt_XX.npz``; its 5 MB or so are gathered in the recorder's thread; no arrays, no file."""
+        path = self.folder / f"attempt_{number:02d}.npz"
+
+        def save() -> None:
+            if arrays := gather():
+                save_arrays(path, arrays)
+
+        self._queue.put(save)
+
+    def close(self, summary: Mapping[str, Any]) -> Path:
+        """Write what waits, close the file, give it its final name; blocks until done and returns the path."""
+        if self._thread.is_alive():
+            self._queue.put(lambda: self._write_summary(summary))
+            self._queue.put(None)
+            self._thread.join()
+        return self.path
+
+    def _put_bulk(self, topic: str, schema: Schema, values: dict[str, Any], of: TactileFrame | Observation) -> None:
+        """Queue what may be left out: nothing of it but the bytes to be written is kept."""
+        size = sum(len(value) for value in values.values() if isinstance(value, bytes | memoryview))
+        with self._lock:
+            room = self._waiting_bytes + size <= MAX_WAITING_BYTES and not self.error
+            self._waiting_bytes += size if room else 0
+            self.left_out_n += not room
+        if room:
+            log_ns, seq = of.captured_ns + self._offset_ns, of.seq
+            self._queue.put(lambda: self._write_bulk(topic, schema, values, log_ns, seq, size))
+
+    def _run(self) -> None:
+        flushed = time.monotonic()
+        while True:
+            try:
+                work = self._queue.get(timeout=FLUSH_S)
+            except queue.Empty:
+                work = _nothing
+            if work is None:
+                break
+            try:
+                work()
+                if time.monotonic() - flushed > FLUSH_S:
+                    self._mcap.flush()
+                    flushed = time.monotonic()
+            except Exception as error:
+                self.error = self.error or str(error)
+        self._finish()
+
+    def _finish(self) -> None:
+        try:
+            self._mcap.close()
+            (self.folder / PART).rename(self.path)
+            self._stream.close()
+        except OSError as error:
+            self.error = self.error or str(error)
+
+    def _write_bulk(self, topic: str, schema: Schema, values: dict[str, Any], log_ns: int, seq: int, size: int) -> None:
+        with self._lock:
+            self._waiting_bytes -= size
+        if self._stream.tell() > self.largest_bytes:
+            self.left_out_n += 1
+            return
+        self._mcap.protobuf(topic, schema, values | {"timestamp": log_ns}, log_ns, seq)
+
+    def _write_summary(self, summary: Mapping[str, Any]) -> None:
+        facts = {"insertion_id": self.insertion_id, "left_out_n": self.left_out_n} | dict(summary)
+        write_whole(self.folder / "summary.json", json.dumps(facts, indent=1))
+
+
+def image_message(camera_frame: CameraFrame) -> tuple[Schema, dict[str, Any]]:
+    """A frame as Foxglove knows it: the camera's own JPEG, or raw pixels; without its time."""
+    frame = camera_frame.frame
+    if camera_frame.jpeg is not None:
+        return COMPRESSED_IMAGE, {"frame_id": frame.finger, "data": camera_frame.jpeg, "format": "jpeg"}
+    height, width = frame.pixels.shape[:2]
+    size = {"width": width, "height": height, "encoding": "bgr8", "step": 3 * width}
+    data = np.ascontiguousarray(frame.pixels).data.cast("B")  # copied by the recorder's thread, not by the caller
+    return RAW_IMAGE, {"frame_id": frame.finger, "data": data} | size
+
+
+def markers_message(observation: Observation) -> dict[str, Any]:
+    """Markers and slip of one frame, without its time."""
+    rows, cols = observation.field.valid.shape
+    return {
+        "seq": observation.seq,
+        "rows": rows,
+        "cols": cols,
+        "rest_px": _floats(observation.field.rest_px),
+        "displacement_px": _floats(observation.field.displacement_px),
+        "residual_px": _floats(observation.slip.residual_px),
+        "valid": observation.field.valid.astype(np.uint8).tobytes(),
+        "state": observation.slip.state,
+        "slip_score": float(observation.slip.score),
+    }
+
+
+def _nothing() -> None:
+    """Time passed; the flush follows."""
+
+
+def _floats(values: NDArray[Any]) -> bytes:
+    return np.ascontiguousarray(values, "<f4").tobytes()
+
+
+def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """An ``.npz`` with light compression (numpy's own level costs ten times the time for a few per cent)."""
+    partial = path.with_suffix(".partial")
+    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
+    partial.replace(path)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a small file that is there whole or not at all."""
+    partial = path.with_suffix(".partial")
+    partial.write_text(text)
+    partial.replace(path)

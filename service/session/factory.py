@@ -1,0 +1,20 @@
+"""Sessions ready to use; the simulator's lock-step loop makes its own with the same call as the real-time service."""
+
+from service.contract import FINGERS
+from service.contract.wire import ControllerName, Limits
+from service.decision.models import ModelSet
+from service.perception.finger import TactileFinger
+from service.perception.rectification import Calibration
+from service.session.state_machine import DEFAULT_LIMITS, InsertionSession
+
+
+def make_session(
+    models: ModelSet,
+    calibration: Calibration | None = None,
+    controller: ControllerName = "belief",
+    limits: Limits = DEFAULT_LIMITS,
+) -> InsertionSession:
+    """A session with fresh perception of both fingers; without ``calibration`` it takes rectified frames only."""
+    spec = models.card.frame
+    left, right = (TactileFinger(f, spec, calibration.camera(f) if calibration else None) for f in FINGERS)
+    return InsertionSession(models, left, right, controller, limits)

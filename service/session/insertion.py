@@ -1,0 +1,218 @@
+"""A running insertion: the session with its recorder, its driving client and everyone who watches."""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from service.cameras.capture import CameraFrame, now_ns
+from service.contract import Finger, FramePair, TactileFrame, wire
+from service.contract.wire import ServiceMessage
+from service.decision.attempt import Attempt, Stage, WorkResult
+from service.perception.finger import TactileFinger
+from service.perception.observation import Observation
+from service.recordings.writer import Recorder
+from service.session.state_machine import InsertionSession, Replies, ignore
+
+Send = Callable[[ServiceMessage], None]
+LET_GO_S = 0.0005  # a thread that goes on computing keeps the interpreter from the one that sends
+HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be written down
+
+
+@dataclass(slots=True)
+class Insertion:
+    """Feeds a session, records what it is told and what it says, and passes its messages on.
+
+    Only the perception thread calls its methods, but for :meth:`look_ahead`. ``send`` is the driving client (None
+    while it is away); ``publish`` takes (kind, content) for watchers and metrics, ``show`` each observation. The client
+    hears first, then those who watch, then it is written down: each of the three wakes a thread that may take this
+    one's core. What comes just before an answer is written down after it, ``HOLD_S`` later at most.
+    """
+
+    session: InsertionSession
+    recorder: Recorder | None
+    send: Send | None
+    publish: Callable[[str, Any], None]
+    show: Callable[[Observation], None] = ignore
+    heard_ns: int = field(default_factory=now_ns)
+    closing: bool = False
+    recorded_seq: dict[Finger, int] = field(default_factory=dict)
+    _observed: list[Observation] = field(default_factory=list)
+    _later: deque[Callable[[], None]] = field(default_factory=deque)
+    _told: bool = False
+    _settled_ns: int = field(default_factory=now_ns)
+
+    def __post_init__(self) -> None:
+        """Listen to the session."""
+        self.session.on_attempt = self.attempt_decided
+        self.session.on_observation = self._observed.append
+
+    @property
+    def wants_frames(self) -> bool:
+        """Whether an attempt is under way; frames between attempts are neither perceived nor recorded."""
+        return self.session.wants_frames
+
+    def message(self, message: Any) -> None:
+        """A message of the driving client."""
+        now = self.heard_ns = now_ns()
+        if message.type != "heartbeat":
+            self._note(lambda recorder: _note_heard(recorder, message, now))
+        self._emit(self.session.handle(message, now), now)
+        self._settle()
+
+    def prime(self, frame: CameraFrame) -> None:
+        """Show the trackers a first frame."""
+        self._record(frame)
+        self._call({"call": "prime", "finger": frame.frame.finger, "seq": frame.frame.seq}, now_ns())
+        self.session.prime(frame.frame)
+        self._settle()
+
+    def look_ahead(self, frame: TactileFrame) -> None:
+        """Called in a camera's thread: what can be done of a frame's perception before its turn has come."""
+        watch = self.session.left if frame.finger == "left" else self.session.right
+        if self.wants_frames and isinstance(watch, TactileFinger):
+            watch.look_ahead(frame)
+
+    def frame(self, frame: CameraFrame, pair: FramePair | None) -> None:
+        """A camera frame, and the pair it completes, if any."""
+        now = now_ns()
+        slip: Replies = []
+        try:
+            slip = self._tell(self.session.on_frame(frame.frame, now))
+            self._show()
+        finally:
+            self._record(frame)
+            self._call({"call": "frame", "finger": frame.frame.finger, "seq": frame.frame.seq}, now)
+            self._write(slip, now)
+        if pair is not None:
+            for half in (pair.left, pair.right):
+                self._record(CameraFrame(half, None))
+            now = now_ns()
+            self._call({"call": "pair", "left": pair.left.seq, "right": pair.right.seq}, now)
+            self._emit(self.session.on_pair(pair, now), now)
+            self._show()
+        self._settle_unless_near(now, paired=pair is not None)
+
+    def result(self, result: WorkResult) -> None:
+        """What the networks said."""
+        now = now_ns()
+        self._call({"call": "result", "generation": result.generation}, now)
+        self._emit(self.session.on_result(result, now), now)
+        self._settle()
+
+    def tick(self) -> None:
+        """Time passed: deadlines."""
+        now = now_ns()
+        replies = self.session.on_tick(now)
+        if replies:
+            self._call({"call": "tick"}, now)
+        self._emit(replies, now)
+        self._settle_unless_near(now, paired=False)
+
+    def camera_fault(self, code: str, detail: str) -> None:
+        """A camera went bad in the middle of an insertion."""
+        now = now_ns()
+        self._call({"call": "camera_fault", "code": code, "detail": detail}, now)
+        self._emit(self.session.on_camera_fault(code, detail), now)
+        self._settle()
+
+    def attempt_decided(self, attempt: Attempt) -> None:
+        """Keep the frames the decision rests on; a decided attempt changes no more, so they are gathered in time."""
+        if attempt.decision is not None:
+            self._note(lambda recorder: recorder.attempt(attempt.arm.attempt, attempt.arrays))
+
+    # ---- what can wait until the client has heard -------------------------------------------------------------------
+
+    def _settle_unless_near(self, now: int, *, paired: bool) -> None:
+        """Settle, but not where the next thing to happen may be the answer; nothing is held back for long."""
+        attempt = self.session.attempt
+        near = attempt is not None and attempt.stage is Stage.STOPPED
+        if near and paired and attempt is not None:
+            near = len(attempt.decision_pairs) >= self.session.models.card.frames_per_decision
+        if not near or now - self._settled_ns > HOLD_S * 1e9:
+            self._settle()
+
+    def _settle(self) -> None:
+        """Tell those who watch, and write down what waits to be; first let go of what was just told to the client."""
+        if self._told and self._later:
+            time.sleep(LET_GO_S)
+        self._told, self._settled_ns = False, now_ns()
+        while self._later:
+            self._later.popleft()()
+
+    def _note(self, write: Callable[[Recorder], None]) -> None:
+        if self.recorder:
+            self._later.append(partial(write, self.recorder))
+
+    def _record(self, frame: CameraFrame) -> None:
+        """Record a frame once; a pair may hold one that came before the attempt or was dropped from the queue."""
+        finger, seq = frame.frame.finger, frame.frame.seq
+        if self.recorder and seq > self.recorded_seq.get(finger, -1):
+            self.recorded_seq[finger] = seq
+            self._note(lambda recorder: recorder.frame(frame))
+
+    def _call(self, value: dict[str, Any], now: int) -> None:
+        self._note(lambda recorder: recorder.call(value, now))
+
+    def _write(self, told: Replies, now: int) -> None:
+        for reply in () if self.closing else told:
+            self._note(partial(_note_said, reply=reply, now=now))
+
+    # ---- what is said -----------------------------------------------------------------------------------------------
+
+    def _emit(self, replies: Replies, now: int) -> None:
+        for answer in replies:
+            if isinstance(answer, wire.Finished):
+                self._write([answer], now)
+                self._settle()
+                self.publish("message", answer)
+                self.closing = True
+                self.publish("finished", answer)
+            else:
+                self._write(self._tell([answer]), now)
+
+    def _tell(self, replies: Replies) -> Replies:
+        """Send replies to the client, later to those who watch; returns what there is to write down, as it was sent."""
+        told: Replies = []
+        for answer in replies:
+            reply = with_current_age(answer)
+            self._deliver(reply)
+            if not isinstance(reply, wire.ServiceHeartbeat):
+                self._told = True
+                self._later.append(partial(self.publish, "message", reply))
+                told.append(reply)
+        return told
+
+    def _show(self) -> None:
+        """Pass on what was observed; shown to those who watch, and recorded."""
+        for observation in self._observed:
+            self.show(observation)
+            self._note(partial(_note_observation, observation=observation))
+        self._observed.clear()
+
+    def _deliver(self, reply: ServiceMessage) -> None:
+        if self.send is not None:
+            self.send(reply)
+
+
+def _note_heard(recorder: Recorder, message: Any, now: int) -> None:
+    content = message.model_dump(mode="json")
+    recorder.message("client", content, now)
+    recorder.call({"call": "message", "message": content}, now)
+
+
+def _note_said(recorder: Recorder, reply: ServiceMessage, now: int) -> None:
+    recorder.message("service", reply.model_dump(mode="json"), now)
+
+
+def _note_observation(recorder: Recorder, observation: Observation) -> None:
+    recorder.observation(observation)
+
+
+def with_current_age(message: ServiceMessage) -> ServiceMessage:
+    """The same message; a slip's age is measured at the moment of sending."""
+    if isinstance(message, wire.Slip):
+        return message.model_copy(update={"age_ms": (now_ns() - message.captured_ns) / 1e6})
+    return message

@@ -1,0 +1,186 @@
+"""The one insertion under way: how it opens, which client drives it, how it ends and what is kept of it.
+
+Only the perception thread calls a desk's methods; closing a recording is the one thing done outside it.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from service.cameras.capture import Camera
+from service.contract import Finger, wire
+from service.decision.models import ModelSet
+from service.decision.work import Work
+from service.observability.hub import Hub
+from service.perception.rectification import Calibration
+from service.recordings.retention import make_room
+from service.recordings.writer import Recorder
+from service.session.factory import make_session
+from service.session.insertion import Insertion, Send
+from service.session.memory import give_back
+from service.session.state_machine import InsertionSession, ignore
+from service.settings import Settings
+
+REMEMBERED_N = 256  # ended insertions whose `finished` is told again to a client that missed it
+
+
+@dataclass(slots=True)
+class Desk:
+    """Opens, hands over and closes insertions; ``models`` is what the next one decides with."""
+
+    settings: Settings
+    models: ModelSet
+    calibration: Calibration | None
+    cameras: Mapping[Finger, Camera]
+    hub: Hub
+    submit: Callable[[Work], None]
+    active: Insertion | None = None
+    opened_n: int = 0
+    _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
+    _calibration_text: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Read the calibration's file once, as :attr:`calibration` was: later it may be another, or gone."""
+        self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
+
+    def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
+        """Both cameras as the wire carries them."""
+        return tuple(camera.entry for camera in self.cameras.values())
+
+    def connect(self, hello: wire.ClientHello, send: Send) -> None:
+        """A client wants to drive: opens an insertion, or takes its own one up again after a lost connection."""
+        if refused := wire.unspoken(hello):
+            send(refused)
+            return
+        if ended := self._ended.get(hello.insertion_id):  # it wants nothing: whoever drives now is left alone
+            send(ended)
+            return
+        active = self.active
+        if active and active.session.insertion_id != hello.insertion_id:
+            if active.send is not None:
+                detail = (
+                    f"insertion {active.session.insertion_id} is under way; wait for it, or connect with role watch"
+                )
+                send(wire.Fault(insertion_id=hello.insertion_id, code="busy", detail=detail, fatal=True))
+                return
+            self.abort("another client takes over after a lost connection")
+            active = None
+        if active is None:
+            try:
+                active = self._open(hello)
+            except Exception as error:  # whoever asked must hear it: else it waits for a hello that never comes
+                detail = f"no insertion can be opened: {error or type(error).__name__}"
+                self.hub.publish("error", detail)
+                send(wire.Fault(insertion_id=hello.insertion_id, code="not_ready", detail=detail, fatal=True))
+                return
+        if active.send is not None and active.send != send:  # from now on it would hear of no slip
+            detail = "another connection drives this insertion now; hold"
+            active.send(wire.Fault(insertion_id=hello.insertion_id, code="taken_over", detail=detail, fatal=True))
+        active.send = send
+        active.message(hello)
+
+    def receive(self, message: Any, send: Send) -> None:
+        """A message of a client; ignored unless ``send`` is the connection that drives."""
+        if self.active and self.active.send == send:
+            self.active.message(message)
+        elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self._ended:
+            # its recording is being closed; a client that waits for `finished` must not take that for silence
+            send(wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=None))
+
+    def disconnect(self, send: Send) -> None:
+        """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
+        if self.active and self.active.send == send:  # bound methods are equal, not the same
+            self.active.send = None
+
+    def result(self, result: Any) -> None:
+        """The networks are done with an attempt."""
+        if self.active:
+            self.active.result(result)
+
+    def fault(self, code: str, detail: str) -> None:
+        """A camera or the perception itself failed."""
+        if self.active:
+            self.active.camera_fault(code, detail)
+
+    def tick(self, now_ns: int) -> None:
+        """Deadlines of the insertion and of its client."""
+        if self.active:
+            self.active.tick()
+        if self.active and (now_ns - self.active.heard_ns) * 1e-9 > self.settings.client_timeout_s:
+            self.abort("the driving client fell silent")
+
+    def abort(self, reason: str) -> None:
+        """End the insertion under way, if any; its recording is kept."""
+        active = self.active
+        if active and active.session.insertion_id and not active.closing:
+            active.message(wire.Abort(insertion_id=active.session.insertion_id, reason=reason))
+
+    def _open(self, hello: wire.ClientHello) -> Insertion:
+        session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
+        session.cameras, session.submit = self.camera_entries, self.submit
+        session.deadlines, session.looks = self.settings.deadlines, self.settings.full_depth_look
+        recorder = self._recorder(hello.insertion_id, session)
+        insertion = Insertion(session, recorder, None, self._publish, self.hub.observation)
+        session.on_command = lambda command: self.hub.publish("command", command)
+        session.recording = str(recorder.path) if recorder else None
+        try:
+            for camera in self.cameras.values():
+                if camera.latest:
+                    insertion.prime(camera.latest)
+        except Exception:
+            if recorder:
+                recorder.close({"outcome": "failed", "attempts": 0})
+            raise
+        self.active = insertion
+        self.opened_n += 1
+        return insertion
+
+    def _recorder(self, insertion_id: str, session: InsertionSession) -> Recorder | None:
+        root = self.settings.recordings
+        facts = {
+            "controller": self.settings.controller,
+            "limits": self.settings.limits.model_dump_json(),
+            "full_depth_look": str(self.settings.full_depth_look),
+            "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
+            "models_folder": str(self.settings.models),
+            "calibration": self._calibration_text,
+        }
+        try:
+            largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))
+            return Recorder(root, insertion_id, facts, largest)
+        except OSError as error:
+            self.hub.publish("error", f"cannot record into {root}: {error}")
+            return None
+
+    def _publish(self, kind: str, content: Any) -> None:
+        self.hub.publish(kind, content)
+        if kind == "finished":
+            self._close(content)
+
+    def _close(self, finished: wire.Finished) -> None:
+        """Close the recording outside this thread; the client hears `finished` when it is complete."""
+        insertion, self.active = self.active, None
+        if insertion is None:
+            return
+        self._ended[finished.insertion_id] = finished
+        while len(self._ended) > REMEMBERED_N:
+            self._ended.popitem(last=False)
+
+        threading.Thread(target=_keep, args=(self.hub, [insertion], finished), name="close-recording").start()
+
+
+def _keep(hub: Hub, ended: list[Insertion], finished: wire.Finished) -> None:
+    """Close an ended insertion's recording, tell its client, and let go of all it held before pages are given back."""
+    insertion = ended.pop()
+    if insertion.recorder:
+        insertion.recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
+        if insertion.recorder.error:
+            hub.publish("error", f"recording {insertion.recorder.path}: {insertion.recorder.error}")
+    insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
+    if insertion.send:
+        insertion.send(finished)
+    hub.publish("recorded", finished)
+    del insertion
+    give_back()

@@ -1,0 +1,270 @@
+"""The station: cameras, models and the one insertion under way, each in its own thread.
+
+Threads: one a camera (capture, decode, rectify), ``perception`` (the session: slip path, state machine),
+``networks``, one recorder an insertion. The event loop of the web server only passes messages on. Everything that
+touches the session is a callable in the perception thread's inbox; camera frames wait in a short queue where the
+newest win.
+"""
+
+import contextlib
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from service.cameras.capture import Camera, CameraError, CameraFrame, Pairer, now_ns
+from service.cameras.sources import PushSource, open_source
+from service.contract import FINGERS, ContractError, Finger, FramePair, wire
+from service.decision.models import ModelSet, load_models
+from service.decision.worker import ModelsWorker
+from service.observability.hub import Hub
+from service.perception.rectification import Calibration
+from service.recordings.recovery import recover
+from service.session.factory import make_session
+from service.session.insertion import Insertion, Send
+from service.session.manager import Desk
+from service.session.memory import give_back
+from service.session.warm_up import rehearse
+from service.settings import Settings
+
+BACKLOG_FRAMES = 8  # two fingers' worth of about 4 frames; older ones are dropped
+PERIOD_NS = 33_000_000  # of a camera whose rate is not known yet
+TICK_S = 0.05
+
+
+@dataclass(slots=True)
+class Counters:
+    """What the station has counted since it started."""
+
+    frames_dropped_n: int = 0
+    perception_errors_n: int = 0
+
+
+class Station:
+    """Owns the hardware side of the service; ``start`` it, ``stop`` it. Public methods are thread safe."""
+
+    def __init__(self, settings: Settings, models: ModelSet, calibration: Calibration | None) -> None:
+        self.settings = settings
+        self.hub = Hub()
+        self.counters = Counters()
+        self.pairer = Pairer(settings.max_skew_ms)
+        urls = {"left": settings.camera_left, "right": settings.camera_right}
+        self.cameras: dict[Finger, Camera] = {
+            finger: Camera(
+                finger,
+                open_source(urls[finger], frame_rate_hz=settings.frame_rate_hz),
+                self._on_camera_frame,
+                self._on_camera_fault,
+                self._attends,
+            )
+            for finger in FINGERS
+        }
+        self.viewers_n = 0
+        self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
+        self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._worker = ModelsWorker(lambda result: self.post(lambda: self.desk.result(result)))
+        self.desk = Desk(settings, models, calibration, self.cameras, self.hub, self._worker.submit)
+        self._thread = threading.Thread(target=self._run, name="perception", daemon=True)
+
+    # ---- life ------------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start every thread."""
+        self._thread.start()
+        for camera in self.cameras.values():
+            camera.start()
+
+    def wait_for_cameras(self, timeout_s: float) -> None:
+        """Wait for a first frame of each finger and check its size; raise CameraError with what to do."""
+        deadline = now_ns() + int(timeout_s * 1e9)
+        while any(camera.latest is None for camera in self.cameras.values()):
+            if now_ns() > deadline:
+                return
+            threading.Event().wait(0.02)
+        for finger, camera in self.cameras.items():
+            self._check_size(finger, camera.latest.frame.pixels.shape if camera.latest else ())
+        frames = [camera.latest.frame for camera in self.cameras.values() if camera.latest]
+        rehearse(make_session(self.models, self.desk.calibration), frames)
+
+    def _check_size(self, finger: Finger, shape: tuple[int, ...]) -> None:
+        card = self.models.card.frame
+        accepted = [card.shape]
+        calibration = self.desk.calibration
+        if calibration:
+            accepted.append(calibration.camera(finger).raw.shape)
+        if shape not in accepted:
+            sizes = " or ".join(f"{width} x {height}" for height, width, _ in accepted)
+            hint = "set the camera to it" if calibration else "raw frames need --calibration FILE (service calibrate)"
+            raise CameraError(f"{finger} camera delivers {shape[1]} x {shape[0]} frames, expected {sizes}; {hint}")
+
+    def stop(self) -> None:
+        """Abort a running insertion, close its recording, end all threads."""
+        self.post(lambda: self.desk.abort("service stops"))
+        self._inbox.put(None)
+        self._thread.join(10.0)
+        for camera in self.cameras.values():
+            camera.stop()
+        self._worker.stop()
+
+    @property
+    def models(self) -> ModelSet:
+        """What the next insertion decides with."""
+        return self.desk.models
+
+    @property
+    def active(self) -> Insertion | None:
+        """The insertion under way."""
+        return self.desk.active
+
+    @property
+    def ready(self) -> bool:
+        """Models warm and both cameras live."""
+        return all(camera.state == "live" for camera in self.cameras.values())
+
+    # ---- inbox -----------------------------------------------------------------------------------------------------
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Run a callable in the perception thread."""
+        self._inbox.put(call)
+
+    def _run(self) -> None:
+        while True:
+            try:
+                call = self._inbox.get(timeout=TICK_S)
+            except queue.Empty:
+                call = self._tick
+            if call is None:
+                return
+            self._try(call)
+            self._try(self._tick_if_due)  # who talks all the time must not keep deadlines from being looked at
+
+    def _try(self, call: Callable[[], None]) -> None:
+        try:
+            call()
+        except Exception as error:
+            self._failed(f"{type(error).__name__}: {error}")
+
+    def _failed(self, detail: str) -> None:
+        """A call raised: the client must hold, and this thread must live on."""
+        self.counters.perception_errors_n += 1
+        with contextlib.suppress(Exception):
+            self.hub.publish("error", detail)
+            self.desk.fault("internal", detail)
+
+    def _tick(self) -> None:
+        now = self._ticked_ns = now_ns()
+        for camera in self.cameras.values():
+            camera.check_stall(now)
+        self.desk.tick(now)
+
+    # ---- cameras ---------------------------------------------------------------------------------------------------
+
+    def _attends(self) -> bool:
+        return self.active is not None or self.viewers_n > 0
+
+    def _on_camera_frame(self, frame: CameraFrame) -> None:
+        if active := self.active:
+            active.look_ahead(frame.frame)
+            pair = self.pairer.add(frame.frame)
+            self._frames.append((frame, pair))
+            self.post(self._next_frame)
+        self.hub.frame(frame)
+
+    def _next_frame(self) -> None:
+        while len(self._frames) > BACKLOG_FRAMES or self._is_outdated():
+            self._frames.popleft()
+            self.counters.frames_dropped_n += bool(self.active and self.active.wants_frames)
+        if not self._frames:
+            return
+        frame, pair = self._frames.popleft()
+        if self.active and self.active.wants_frames:
+            self.active.frame(frame, pair)
+
+    def _is_outdated(self) -> bool:
+        """Whether the oldest waiting frame is older than a frame period while slip is watched and a newer one waits.
+
+        So the age of what slip is judged on stays within a frame and a step, however slow this machine is. While the
+        arm stands still nothing is urgent, and every frame is worth having for the decision.
+        """
+        if len(self._frames) <= len(FINGERS) or not (self.active and self.active.session.watches_slip):
+            return False
+        oldest = self._frames[0][0].frame
+        rate_hz = self.cameras[oldest.finger].frame_rate_hz
+        return now_ns() - oldest.captured_ns > (1e9 / rate_hz if rate_hz else PERIOD_NS)
+
+    def _tick_if_due(self) -> None:
+        if now_ns() - self._ticked_ns > TICK_S * 1e9:
+            self._tick()
+
+    _ticked_ns = 0
+
+    def _on_camera_fault(self, finger: Finger, code: str, detail: str) -> None:
+        self.hub.publish("camera_fault", {"finger": finger, "code": code, "detail": detail})
+        self.post(lambda: self.desk.fault(code, detail))
+
+    def push(self, finger: Finger) -> PushSource:
+        """The source a client pushes frames into; raises ContractError if this finger has a camera of its own."""
+        source = self.cameras[finger].source
+        if not isinstance(source, PushSource):
+            raise ContractError(f"the {finger} camera is {source.name}; start the service with --camera-{finger} push:")
+        return source
+
+    def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
+        """Both cameras as the wire carries them."""
+        return self.desk.camera_entries()
+
+    def frame_age_ms(self) -> float | None:
+        """Age of the newest frame of the finger that is further behind, None before the first."""
+        newest = [camera.newest_ns for camera in self.cameras.values()]
+        ages = [(now_ns() - stamp_ns) / 1e6 for stamp_ns in newest if stamp_ns is not None]
+        return max(ages) if len(ages) == len(newest) else None
+
+    def reload_models(self) -> None:
+        """Load the models folder again and swap it in between insertions; on any fault the old models stay.
+
+        Raises ContractError with what was wrong, or if an insertion is under way.
+        """
+        try:
+            self._swap(load_models(self.settings.models))
+        finally:
+            give_back()  # a set of networks or two: some 30 MB that the allocator would keep
+
+    def _swap(self, fresh: ModelSet) -> None:
+        if fresh.card.frame != self.models.card.frame:
+            raise ContractError(
+                f"new models expect {fresh.card.frame.shape}, the service runs {self.models.card.frame.shape}"
+            )
+        if self.active is not None:
+            raise ContractError("an insertion is under way; load models between insertions")
+        self.desk.models = fresh
+
+    # ---- clients ---------------------------------------------------------------------------------------------------
+
+    def connect(self, hello: wire.ClientHello, send: Send) -> None:
+        """A client wants to drive (see :meth:`Desk.connect`)."""
+        self.post(lambda: self.desk.connect(hello, send))
+
+    def receive(self, message: Any, send: Send) -> None:
+        """A driving client says something."""
+        self.post(lambda: self.desk.receive(message, send))
+
+    def disconnect(self, send: Send) -> None:
+        """The connection of a client is gone."""
+        self.post(lambda: self.desk.disconnect(send))
+
+
+def open_station(settings: Settings) -> Station:
+    """Load and check everything a station needs; raise ContractError or OSError with one clear line."""
+    models = load_models(settings.models)
+    calibration = Calibration.load(settings.calibration) if settings.calibration else None
+    if calibration and calibration.left.rectified != models.card.frame:
+        raise ContractError(
+            f"{settings.calibration} rectifies to {calibration.left.rectified.shape[1::-1]} (width, height),"
+            f" the models expect {models.card.frame.shape[1::-1]}; calibrate for that size"
+        )
+    Path(settings.recordings).mkdir(parents=True, exist_ok=True)
+    recover(settings.recordings)
+    return Station(settings, models, calibration)

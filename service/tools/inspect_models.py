@@ -1,0 +1,42 @@
+"""`python -m service models FOLDER`: what the service would load from a folder, and what each network says."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import JsonValue
+
+from service.decision.models import LoadedModel, load_models
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print every card; raises ModelError, and so ends with 2, wherever the service would refuse to start."""
+    parser = argparse.ArgumentParser(prog="python -m service models", description="check a folder, print its cards")
+    parser.add_argument("folder", nargs="?", type=Path, default=Path("models"), help="folder of *.onnx files (models)")
+    models = load_models(parser.parse_args(arguments).folder)
+    deciding = {step.model.path for step in models.steps}
+    for model in models.models:
+        print("\n".join(describe(model, decides=model.path in deciding)))
+    return 0
+
+
+def _seed(run: dict[str, JsonValue]) -> str:
+    return f", seed {run['seed']}" if "seed" in run else ""
+
+
+def describe(model: LoadedModel, *, decides: bool) -> list[str]:
+    """A few lines on one file: what it is, what it takes, where it comes from, how it did."""
+    card = model.card
+    size_mb = model.path.stat().st_size / 1e6
+    figures = ", ".join(f"{name} {value:.3g}" for name, value in card.validation.items())
+    frame = f"{card.frame.width_px} x {card.frame.height_px} {card.frame.colour}"
+    return [
+        f"{model.path.name}: {card.name}, {card.role}, {card.form} form, {size_mb:.2f} MB"
+        + (", decides" if decides else ""),
+        f"  takes       {card.frames_per_decision} frame pairs, {frame}, {card.quantisation} quantisation",
+        f"  calibrated  temperature {card.calibration.temperature:.3g}, refuses below {card.min_confidence:.0%}",
+        f"  validation  {figures} (simulated)",
+        f"  from        commit {card.git_commit[:12]}, data {card.training_data_sha256[:12]}{_seed(card.training_run)}",
+        f"  verified    on {card.verified_on_cpu}",
+        f"  sha256      {model.sha256}",
+    ]

@@ -1,0 +1,134 @@
+"""`python -m service replay FILE.mcap`: decide a recorded insertion again and compare bit for bit.
+
+The recording holds every call the session got, in order, with its time. The same calls on the same frames give the
+same messages; only what measures time (latencies, ages) and where the recording lies may differ.
+"""
+
+import json
+import tempfile
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from service.contract import FINGERS, FramePair, TactileFrame, wire
+from service.contract.wire import Limits
+from service.decision.attempt import WorkResult
+from service.decision.models import ModelSet, load_models
+from service.decision.work import Work
+from service.perception.rectification import Calibration
+from service.recordings.reader import Recording, RecordingError
+from service.session.factory import make_session
+from service.session.state_machine import InsertionSession
+
+_TIMES = {"latency_ms", "age_ms", "recording"}
+
+
+@dataclass(slots=True)
+class Replay:
+    """Feeds a fresh session what a recorded one was fed."""
+
+    recording: Recording
+    session: InsertionSession
+    frames: dict[str, dict[int, TactileFrame]]
+    work: deque[Work] = field(default_factory=deque)
+    said: list[dict[str, Any]] = field(default_factory=list)
+
+    def run(self) -> None:
+        """Make every recorded call."""
+        self.session.submit = self.work.append
+        for entry in self.recording.of("/calls"):
+            call = entry.json()
+            replies = self._make(call, int(call["now_ns"]))
+            self.said += [r.model_dump(mode="json") for r in replies if r.type != "heartbeat"]
+
+    def _make(self, call: dict[str, Any], now_ns: int) -> list[Any]:
+        replies: list[Any] = []
+        match call["call"]:
+            case "message":
+                replies = self.session.handle(wire.parse_client(json.dumps(call["message"])), now_ns)
+            case "prime":
+                self.session.prime(self._frame(call["finger"], call["seq"]))
+            case "frame":
+                replies = self.session.on_frame(self._frame(call["finger"], call["seq"]), now_ns)
+            case "pair":
+                pair = FramePair(self._frame("left", call["left"]), self._frame("right", call["right"]))
+                replies = self.session.on_pair(pair, now_ns)
+            case "result":
+                replies = self.session.on_result(self._result(int(call["generation"])), now_ns)
+            case "tick":
+                replies = self.session.on_tick(now_ns)
+            case "camera_fault":
+                replies = self.session.on_camera_fault(call["code"], call["detail"])
+        return replies
+
+    def _frame(self, finger: str, seq: int) -> TactileFrame:
+        try:
+            return self.frames[finger][seq]
+        except KeyError:
+            raise RecordingError(f"{self.recording.path} lacks frame {seq} of the {finger} finger") from None
+
+    def _result(self, generation: int) -> WorkResult:
+        """Do the work that waits until it gives the result that was recorded here."""
+        while self.work:
+            result = self.work.popleft().run()
+            if result is not None and result.generation == generation:
+                return result
+        raise RecordingError(f"{self.recording.path} has a result that no frames lead to")
+
+
+def comparable(message: dict[str, Any]) -> dict[str, Any]:
+    """A message without what measures time or tells of this machine."""
+    return {key: value for key, value in message.items() if key not in _TIMES}
+
+
+def differences(recorded: list[dict[str, Any]], said: list[dict[str, Any]]) -> list[str]:
+    """What a replay said otherwise, as lines; the camera states of a hello are of their time."""
+    found = []
+    for index in range(max(len(recorded), len(said))):
+        then = comparable(recorded[index]) if index < len(recorded) else {"type": "nothing"}
+        now = comparable(said[index]) if index < len(said) else {"type": "nothing"}
+        if then["type"] == "hello" == now["type"]:
+            continue
+        if then != now:
+            keys = [key for key in then.keys() | now.keys() if then.get(key) != now.get(key)]
+            changes = "; ".join(f"{key} {then.get(key)} -> {now.get(key)}" for key in sorted(keys))
+            found.append(f"message {index} ({then['type']}): {changes}")
+    return found
+
+
+def open_replay(recording: Recording, models: ModelSet) -> Replay:
+    """A session like the recorded one; raise RecordingError if the models are not the recorded ones."""
+    recorded = {part.rsplit(":", 1)[1] for part in recording.metadata["models"].split()}
+    loaded = {entry.sha256 for entry in models.entries}
+    if recorded != loaded:
+        raise RecordingError(f"{recording.path} was decided by other models ({recording.metadata['models']})")
+    calibration = None
+    if recording.metadata["calibration"]:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "calibration.toml"
+            path.write_text(recording.metadata["calibration"])
+            calibration = Calibration.load(path)
+    limits = Limits.model_validate_json(recording.metadata["limits"])
+    controller: Any = recording.metadata["controller"]
+    session = make_session(models, calibration, controller, limits)
+    session.looks = recording.metadata.get("full_depth_look") == "True"  # older recordings do not name it: no look
+    return Replay(recording, session, {finger: recording.frames(finger) for finger in FINGERS})
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Exit code 0 if every message comes out the same, 1 if not."""
+    rest = [argument for argument in arguments if not argument.startswith("-")]
+    if "--help" in arguments or "-h" in arguments or not rest:
+        print("usage: python -m service replay RECORDING.mcap [--models DIR]\n\nDecide it again, compare bit for bit.")
+        return 0
+    folder = arguments[arguments.index("--models") + 1] if "--models" in arguments[:-1] else None
+    recording = Recording(Path(next(argument for argument in rest if argument.endswith(".mcap"))))
+    replay = open_replay(recording, load_models(Path(folder or recording.metadata["models_folder"])))
+    replay.run()
+    recorded = [e.json()["message"] for e in recording.of("/messages") if e.json()["from"] == "service"]
+    said = replay.said[: len(recorded)] if recording.recovered else replay.said
+    found = differences(recorded, said)
+    print("\n".join(found) or f"{len(recorded)} messages decided again, all the same bit for bit")
+    return 1 if found else 0

@@ -1,0 +1,159 @@
+"""`python -m service replay PATH`: perception over a recorded clip, event by event.
+
+PATH is a video, a folder of frames (png or jpg, by name), or a folder of videos (one a finger).
+"""
+
+import argparse
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import FINGERS, Finger
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.rectification import Calibration, Rectifier
+from service.perception.slip.detector import SlipState
+from service.perception.slip.grasp import GraspWatch
+from service.tools.replay_picture import ReplayPicture
+
+VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
+IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
+
+
+class ReplayError(ValueError):
+    """A clip that cannot be replayed; the text says what was found and what was expected."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """What the command line says; ``crop`` is left, top, width, height in pixels."""
+
+    path: Path
+    plot: bool = False
+    out: Path = Path("runs/replay")
+    crop: tuple[int, int, int, int] | None = None
+    fps: float | None = None
+    calibration: Path | None = None
+    finger: Finger = "left"
+    untouched: bool = False
+
+
+def parse(arguments: Sequence[str]) -> ReplayOptions:
+    """The options of ``python -m service replay``."""
+    parser = argparse.ArgumentParser(
+        prog="python -m service replay",
+        description="Run marker tracking and slip detection over a recording, print what happened when, and draw it.",
+        epilog="example: python -m service replay clip.avi --fps 30 --plot --out runs/replay. "
+        "A recorded insertion (.mcap) is decided again instead: python -m service replay x.mcap --help",
+    )
+    parser.add_argument("path", type=Path, help="a video, a folder of frames (png, jpg), or a folder of videos")
+    parser.add_argument("--plot", action="store_true", help="write the annotated video too")
+    parser.add_argument("--out", type=Path, default=Path("runs/replay"), help="folder for the pictures (%(default)s)")
+    parser.add_argument(
+        "--crop", type=int, nargs=4, metavar=("LEFT", "TOP", "WIDTH", "HEIGHT"), help="where the gel is, in pixels"
+    )
+    parser.add_argument("--fps", type=float, help="frames a second at capture, where the file's header is wrong")
+    parser.add_argument("--calibration", type=Path, help="rectify the frames with this file first")
+    parser.add_argument("--untouched", action="store_true", help="nothing touches the gel in the first frame: learn it")
+    parser.add_argument("--finger", choices=FINGERS, default="left", help="whose calibration to use (%(default)s)")
+    given = vars(parser.parse_args(arguments))
+    crop = given.pop("crop")
+    return ReplayOptions(crop=None if crop is None else tuple(crop), **given)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Replay every clip under the path; raises ReplayError or FileNotFoundError on bad input."""
+    options = parse(arguments)
+    for clip in clips_of(options.path):
+        replay(clip, options)
+    return 0
+
+
+def clips_of(path: Path) -> list[Path]:
+    """The clips that a path stands for."""
+    if not path.exists():
+        raise ReplayError(f"no recording at {path}: expected a video, a folder of frames or a folder of videos")
+    if path.is_file():
+        return [path]
+    videos = sorted(child for child in path.iterdir() if child.suffix.lower() in VIDEOS)
+    if videos:
+        return videos
+    if any(child.suffix.lower() in IMAGES for child in path.iterdir()):
+        return [path]
+    raise ReplayError(f"{path} holds neither videos nor frames")
+
+
+def read_clip(path: Path, fps: float | None) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Stamp in ns and BGR image of every frame, in order."""
+    if fps is not None and not 0 < fps < 10_000:
+        raise ReplayError(f"--fps is {fps}, expected frames a second above 0")
+    if path.is_dir():
+        names = sorted(child for child in path.iterdir() if child.suffix.lower() in IMAGES)
+        for k, name in enumerate(names):
+            image = cv2.imread(str(name))
+            if image is None:
+                raise ReplayError(f"{name} is no image")
+            yield round(k * 1e9 / (fps or 30.0)), np.asarray(image, np.uint8)
+        return
+    capture = cv2.VideoCapture(str(path))
+    try:
+        rate = fps or capture.get(cv2.CAP_PROP_FPS) or 30.0
+        k = 0
+        while True:
+            ok, image = capture.read()
+            if not ok:
+                break
+            yield round(k * 1e9 / rate), np.asarray(image, np.uint8)
+            k += 1
+    finally:
+        capture.release()
+    if k == 0:
+        raise ReplayError(f"{path} holds no frame that can be decoded")
+
+
+def replay(path: Path, options: ReplayOptions) -> list[SlipState]:
+    """Run one clip, print its events and the cost a frame; returns the states."""
+    rectifier = None
+    if options.calibration:
+        rectifier = Rectifier(Calibration.load(options.calibration).camera(options.finger))
+    tracker, watch = MarkerTracker(), GraspWatch()
+    states: list[SlipState] = []
+    tracks: Counter[str] = Counter()
+    spent_s, last = 0.0, ""
+    base = options.out / f"{path.parent.name}_{path.stem}"
+    picture = ReplayPicture(base, options.fps or 15.0, video=options.plot)
+    print(f"{path}")
+    for stamp_ns, frame in read_clip(path, options.fps):
+        image = rectifier.apply(frame) if rectifier else _cropped(frame, options.crop, path)
+        begun = time.process_time()
+        field = tracker.update(image, stamp_ns)
+        if options.untouched and not states:
+            watch.free.learn(field)
+        state = watch.update(field)
+        spent_s += time.process_time() - begun
+        states.append(state)
+        tracks[field.status] += 1
+        if state.state != last:
+            print(f"  {stamp_ns * 1e-9:8.2f} s  {state.state:<15} score {state.score:5.2f}  {state.reason}")
+            last = state.state
+        picture.see(image, field, state)
+    grid = tracker.grid_shape
+    found = f"grid of {grid[0]} rows x {grid[1]} columns" if grid else "no marker grid"
+    summary = ", ".join(f"{count} {status}" for status, count in tracks.items())
+    print(f"  {found}; {summary}; {1e3 * spent_s / len(states):.2f} ms CPU a frame")
+    print(f"  wrote {' and '.join(map(str, picture.close(states)))}")
+    return states
+
+
+def _cropped(frame: NDArray[np.uint8], crop: tuple[int, int, int, int] | None, path: Path) -> NDArray[np.uint8]:
+    if crop is None:
+        return frame
+    left, top, width, height = crop
+    if min(left, top) < 0 or min(width, height) < 1 or left + width > frame.shape[1] or top + height > frame.shape[0]:
+        raise ReplayError(f"--crop {crop} leaves the {frame.shape[1]} x {frame.shape[0]} frames of {path}")
+    return np.ascontiguousarray(frame[top : top + height, left : left + width])

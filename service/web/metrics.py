@@ -1,0 +1,79 @@
+"""Prometheus metrics, fed by the hub."""
+
+from functools import partial
+from typing import Any
+
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
+from service.cameras.capture import now_ns
+from service.contract import Finger, wire
+from service.perception.observation import Observation
+from service.session.station import Station
+
+_STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13, 0.25, 0.5, 1, 2)
+
+
+class Metrics:
+    """Counts what the hub tells; its own registry, so that two apps in one process do not collide."""
+
+    def __init__(self, station: Station) -> None:
+        self.registry = CollectorRegistry()
+        make: dict[str, Any] = {"registry": self.registry, "namespace": "tactile"}
+        self._station = station
+        self._stages = Histogram("stage_seconds", "Time by stage", ["stage"], buckets=_STAGE_BUCKETS, **make)
+        self._frames = Counter("frames", "Camera frames", ["finger"], **make)
+        self._messages = Counter("messages", "Messages to clients", ["type"], **make)
+        self._refusals = Counter("no_decisions", "Attempts without a correction", ["reason"], **make)
+        self._finished = Counter("insertions", "Insertions by outcome", ["outcome"], **make)
+        self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
+        self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
+        self._result_age = Histogram("result_age_seconds", "Capture to slip judgement", buckets=_STAGE_BUCKETS, **make)
+        age = Gauge("frame_age_seconds", "Age of the newest frame", ["finger"], **make)
+        dropped = Gauge("frames_dropped", "Frames dropped by backlog", **make)
+        unpaired = Gauge("frames_unpaired", "Frames without a partner in time", **make)
+        caught = Gauge("internal_errors", "Errors caught inside the service, each with a log line", ["where"], **make)
+        ready = Gauge("ready", "1 if models are warm and cameras live", **make)
+        for finger in station.cameras:
+            age.labels(finger).set_function(partial(self._age_s, finger))
+        dropped.set_function(lambda: station.counters.frames_dropped_n)
+        unpaired.set_function(lambda: station.pairer.dropped_n)
+        caught.labels("perception").set_function(lambda: station.counters.perception_errors_n)
+        caught.labels("listener").set_function(lambda: station.hub.errors_n)
+        ready.set_function(lambda: float(station.ready))
+        self._counted: dict[Finger, int] = {}
+        station.hub.subscribe(self._heard)
+
+    def _age_s(self, finger: Finger) -> float:
+        newest_ns = self._station.cameras[finger].newest_ns
+        return float("nan") if newest_ns is None else (now_ns() - newest_ns) * 1e-9
+
+    def exposition(self) -> tuple[bytes, str]:
+        """The text Prometheus scrapes, and its content type."""
+        for finger, camera in self._station.cameras.items():
+            counted = self._counted.get(finger, 0)
+            self._counted[finger] = camera.frames_n
+            self._frames.labels(finger).inc(self._counted[finger] - counted)
+        return generate_latest(self.registry), CONTENT_TYPE_LATEST
+
+    def _heard(self, kind: str, content: Any) -> None:
+        self._count(kind, content)
+        match content:
+            case Observation():
+                self._result_age.observe((now_ns() - content.captured_ns) * 1e-9)
+                for stage, cost_ms in content.cost_ms.items():
+                    self._stages.labels(stage).observe(cost_ms / 1e3)
+            case wire.Correction():
+                for stage, cost_ms in content.latency_ms.items():
+                    self._stages.labels(stage).observe(cost_ms / 1e3)
+            case wire.Slip():
+                self._slip_age.observe(content.age_ms / 1e3)
+            case wire.NoDecision():
+                self._refusals.labels(content.reason).inc()
+
+    def _count(self, kind: str, content: Any) -> None:
+        if kind == "message":
+            self._messages.labels(content.type).inc()
+        elif kind == "finished":
+            self._finished.labels(content.outcome).inc()
+        elif kind == "camera_fault":
+            self._faults.labels(content["finger"], content["code"]).inc()

@@ -1,0 +1,230 @@
+"""The Open Inference Protocol's tensors: JSON or binary in, JSON or binary out.
+
+A binary body is the JSON request, whose length ``Inference-Header-Content-Length`` gives, followed by the raw
+little-endian row-major tensors in the order of the JSON.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from service.contract import ContractError
+from service.decision.models import Array, LoadedModel
+
+DATATYPES: dict[str, Any] = {
+    "BOOL": np.bool_,
+    "UINT8": np.uint8,
+    "INT8": np.int8,
+    "INT16": np.int16,
+    "INT32": np.int32,
+    "INT64": np.int64,
+    "FP16": np.float16,
+    "FP32": np.float32,
+    "FP64": np.float64,
+}
+_NAMES = {np.dtype(value): key for key, value in DATATYPES.items()}
+_ORT_NAMES = {"tensor(float)": "FP32", "tensor(uint8)": "UINT8", "tensor(int64)": "INT64", "tensor(double)": "FP64"}
+MAX_ELEMENTS = 1 << 27
+MAX_REMEMBERED = 64  # files whose tensors are remembered, requests whose JSON is, answers whose JSON is
+MAX_HEAD_BYTES = 8 << 10  # of JSON worth remembering
+_described: dict[str, dict[str, Any]] = {}
+_plans: "dict[tuple[str, bytes, int], Plan]" = {}
+_heads: "dict[tuple[Any, ...], bytes]" = {}
+
+
+class TensorError(ContractError):
+    """A request is not what the protocol or the model expects."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One input as the JSON describes it: its values, or where in the binary tail they lie (``at``, in bytes)."""
+
+    name: str
+    dtype: Any
+    shape: tuple[int, ...]
+    at: int
+    values: Array | None = None
+
+    def read(self, body: bytes, tail_at: int) -> Array:
+        """The tensor; one out of the tail is a view of the body."""
+        if self.values is not None:
+            return self.values
+        return np.frombuffer(body, self.dtype, math.prod(self.shape), tail_at + self.at).reshape(self.shape)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What the JSON of a request says; ``binary`` says for each wanted output whether it goes out in binary."""
+
+    id: str | None
+    parts: tuple[Part, ...]
+    binary: dict[str, bool]
+
+
+@dataclass(frozen=True, slots=True)
+class InferRequest:
+    """A parsed request; ``binary`` says for each wanted output whether it goes out in binary."""
+
+    id: str | None
+    inputs: dict[str, Array]
+    binary: dict[str, bool]
+
+
+def metadata(model: LoadedModel) -> dict[str, Any]:
+    """Names, types and shapes of a model's inputs and outputs; the batch is -1. Do not change what it returns."""
+    if (known := _described.get(model.sha256)) is not None:
+        return known
+
+    def tensor(entry: Any) -> dict[str, Any]:
+        shape = [size if isinstance(size, int) else -1 for size in entry.shape]
+        return {"name": entry.name, "datatype": _ORT_NAMES.get(entry.type, "FP32"), "shape": shape}
+
+    described = {
+        "inputs": [tensor(entry) for entry in model.inputs],
+        "outputs": [tensor(entry) for entry in model.outputs],
+    }
+    _remember(_described, model.sha256, described)
+    return described
+
+
+def parse_request(body: bytes, header_length: str | None, model: LoadedModel) -> InferRequest:
+    """Read an infer request; raise TensorError naming what is wrong.
+
+    A client in a loop sends the same JSON again and again, and other tensors behind it: what it said is remembered.
+    """
+    if header_length is not None and not (header_length.isdigit() and int(header_length) <= len(body)):
+        raise TensorError(f"Inference-Header-Content-Length {header_length!r}, expected a length within the body")
+    split = len(body) if header_length is None else int(header_length)
+    head = body[:split]
+    key = model.sha256, head, len(body) - split
+    if (plan := _plans.get(key)) is None:
+        plan = _planned(head, len(body) - split, model)
+        if plan.id is None and len(head) <= MAX_HEAD_BYTES and all(part.values is None for part in plan.parts):
+            _remember(_plans, key, plan)
+    return InferRequest(plan.id, {part.name: part.read(body, split) for part in plan.parts}, plan.binary)
+
+
+def _remember(memory: dict[Any, Any], key: Any, value: Any) -> None:
+    while len(memory) >= MAX_REMEMBERED:
+        memory.popitem()
+    memory[key] = value
+
+
+def _planned(head: bytes, tail_bytes: int, model: LoadedModel) -> Plan:
+    try:
+        request = json.loads(head)
+    except (ValueError, RecursionError) as error:
+        raise TensorError(f"request is no JSON: {error}") from error
+    if not isinstance(request, dict) or not isinstance(request.get("inputs"), list):
+        raise TensorError("request needs a list of inputs")
+    known = metadata(model)
+    parts = _inputs(request["inputs"], tail_bytes, {e["name"]: e for e in known["inputs"]})
+    return Plan(_id(request), parts, _wanted(request, [entry["name"] for entry in known["outputs"]]))
+
+
+def _id(request: Mapping[str, Any]) -> str | None:
+    value = request.get("id")
+    return None if value is None else str(value)
+
+
+def _parameters(entry: Any) -> Mapping[str, Any]:
+    value = entry.get("parameters") if isinstance(entry, dict) else None
+    return value if isinstance(value, dict) else {}
+
+
+def _inputs(entries: list[Any], tail_bytes: int, known: Mapping[str, Any]) -> tuple[Part, ...]:
+    found: dict[str, Part] = {}
+    at = 0
+    for entry in entries:
+        name = entry.get("name") if isinstance(entry, dict) else None
+        if not isinstance(name, str) or name not in known or name in found:
+            raise TensorError(f"input {name!r}, expected each of {sorted(known)} once")
+        size = _parameters(entry).get("binary_data_size")
+        if size is not None and (not isinstance(size, int) or size < 0 or at + size > tail_bytes):
+            raise TensorError(f"input {name}: binary_data_size {size}, {tail_bytes - at} bytes are left")
+        found[name] = _part(entry, size, at, known[name])
+        at += size or 0
+    if set(found) != set(known):
+        raise TensorError(f"inputs {sorted(found)}, expected {sorted(known)}")
+    if at != tail_bytes:
+        raise TensorError(f"{tail_bytes - at} bytes follow the last tensor")
+    return tuple(found.values())
+
+
+def _part(entry: Mapping[str, Any], size: int | None, at: int, known: Mapping[str, Any]) -> Part:
+    name, datatype, shape = entry["name"], entry.get("datatype"), entry.get("shape")
+    if datatype != known["datatype"]:
+        raise TensorError(f"input {name} is {datatype}, expected {known['datatype']}")
+    fits = isinstance(shape, list) and len(shape) == len(known["shape"]) and all(type(n) is int for n in shape)
+    if not fits or any(n < 1 or (k >= 0 and n != k) for n, k in zip(shape or [], known["shape"], strict=False)):
+        raise TensorError(f"input {name} has shape {shape}, expected {known['shape']}")
+    assert isinstance(shape, list)
+    count = math.prod(shape)
+    dtype = np.dtype(DATATYPES[known["datatype"]])
+    if count > MAX_ELEMENTS:
+        raise TensorError(f"input {name} has {count} elements, expected at most {MAX_ELEMENTS}")
+    if size is not None:
+        if size != count * dtype.itemsize:
+            raise TensorError(f"input {name} has {size} bytes, expected {count * dtype.itemsize}")
+        return Part(name, dtype, tuple(shape), at)
+    try:
+        values = np.asarray(entry.get("data"), np.float64)
+        if dtype.kind in "iu" and not ((values >= np.iinfo(dtype).min) & (values <= np.iinfo(dtype).max)).all():
+            raise TensorError(f"input {name} has values outside {known['datatype']}")
+        return Part(name, dtype, tuple(shape), at, values.astype(dtype).reshape(shape))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TensorError(f"input {name}: {error}") from error
+
+
+def _wanted(request: Mapping[str, Any], names: list[str]) -> dict[str, bool]:
+    everything = bool(_parameters(request).get("binary_data_output", False))
+    outputs = request.get("outputs")
+    if not outputs:
+        return dict.fromkeys(names, everything)
+    wanted: dict[str, bool] = {}
+    for entry in outputs if isinstance(outputs, list) else [outputs]:
+        name = entry.get("name") if isinstance(entry, dict) else None
+        if name not in names:
+            raise TensorError(f"output {name!r}, expected one of {names}")
+        wanted[str(name)] = bool(_parameters(entry).get("binary_data", everything))
+    return wanted
+
+
+def encode_response(
+    model_name: str, request: InferRequest, outputs: Mapping[str, Array]
+) -> tuple[bytes, dict[str, str]]:
+    """Body and headers of an infer response."""
+    values = {name: np.ascontiguousarray(outputs[name]) for name in request.binary}
+    tail = [values[name].tobytes() for name, binary in request.binary.items() if binary]
+    if request.id is None and len(tail) == len(values):
+        key = model_name, *((name, array.dtype, array.shape) for name, array in values.items())
+        if (head := _heads.get(key)) is None:
+            head = _described_outputs(model_name, request, values)
+            _remember(_heads, key, head)
+    else:
+        head = _described_outputs(model_name, request, values)
+    if not tail:
+        return head, {"Content-Type": "application/json"}
+    headers = {"Content-Type": "application/octet-stream", "Inference-Header-Content-Length": str(len(head))}
+    return b"".join((head, *tail)), headers
+
+
+def _described_outputs(model_name: str, request: InferRequest, values: Mapping[str, Array]) -> bytes:
+    """The JSON of a response: what its tensors are, and the values of those that do not go out in binary."""
+    described: list[dict[str, Any]] = []
+    for name, array in values.items():
+        entry: dict[str, Any] = {"name": name, "datatype": _NAMES[array.dtype], "shape": list(array.shape)}
+        if request.binary[name]:
+            entry["parameters"] = {"binary_data_size": array.nbytes}
+        else:
+            entry["data"] = [value if np.isfinite(value) else None for value in array.ravel().tolist()]
+        described.append(entry)
+    answer: dict[str, Any] = {"model_name": model_name, "model_version": "1", "outputs": described}
+    if request.id is not None:
+        answer["id"] = request.id
+    return json.dumps(answer).encode()

@@ -1,0 +1,88 @@
+"""The service's own HTTP interface: /v1."""
+
+import asyncio
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Query, Request
+
+from service import __version__
+from service.contract import FINGERS, ContractError, decode_frame
+from service.decision.evidence import DecisionRun
+from service.decision.network_input import seen_in
+from service.session.station import Station
+from service.web import asyncapi
+from service.web.access import Access
+from service.web.gate import whole_body
+
+MAX_BODY_BYTES = 64 << 20
+BINARY_BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
+GapWidth = Annotated[float, Query(gt=0, le=1000, allow_inf_nan=False)]
+GraspHeight = Annotated[float | None, Query(gt=0, le=500, allow_inf_nan=False)]
+
+
+def decide(
+    station: Station, frames: np.ndarray[Any, np.dtype[np.uint8]], gap_width_mm: float, grasp_height_mm: float | None
+) -> dict[str, Any]:
+    """What the networks say of a recorded sequence uint8 [n, 2, H, W, 3]; the first pair is the reference."""
+    card = station.models.card
+    frames = frames[: card.frames_per_decision]
+    seen = seen_in(card, frames)
+    run = DecisionRun(station.models, seen[0], gap_width_mm, grasp_height_mm)
+    for pair in seen:
+        run.step(pair)
+    evidence = run.evidence()
+    return {
+        "class_probabilities": evidence.class_probabilities(),
+        "estimate": evidence.estimate().model_dump(),
+        "confidence": evidence.confidence,
+    }
+
+
+def router(station: Station, access: Access) -> APIRouter:
+    """Routes under ``/v1``."""
+    routes = APIRouter(prefix="/v1", tags=["v1"])
+    watch, drive = [access.require("watch")], [access.require("drive")]
+
+    @routes.get("/models", dependencies=watch)
+    async def models() -> dict[str, Any]:
+        return {"models": [entry.model_dump(mode="json") for entry in station.models.entries]}
+
+    @routes.get("/asyncapi.json")
+    async def websockets() -> dict[str, Any]:
+        """The WebSockets, described as AsyncAPI."""
+        return asyncapi.document(__version__)
+
+    @routes.get("/insertions", dependencies=watch)
+    async def insertions() -> dict[str, Any]:
+        active = station.active
+        return {"active": active.session.insertion_id if active else None, "count": station.desk.opened_n}
+
+    @routes.post("/decisions", dependencies=drive, openapi_extra=BINARY_BODY)
+    async def decisions(
+        request: Request, gap_width_mm: GapWidth = 56.0, grasp_height_mm: GraspHeight = None
+    ) -> dict[str, Any]:
+        """Body: encoded frames one after the other (left, right, left, right, ...), rectified."""
+        body = await whole_body(request, MAX_BODY_BYTES)
+        frames = _pairs(body, station)
+        return await asyncio.to_thread(decide, station, frames, gap_width_mm, grasp_height_mm)
+
+    return routes
+
+
+def _pairs(body: bytes, station: Station) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    card = station.models.card
+    height, width, channels = card.frame.shape
+    needed = 2 * card.frames_per_decision
+    size, rest = divmod(len(body), needed)
+    if rest or not size:
+        raise ContractError(f"body of {len(body)} bytes, expected {needed} encoded frames of {width} x {height}")
+    frames = [decode_frame(body[i * size : (i + 1) * size], card.frame) for i in range(needed)]
+    if [frame.finger for frame in frames] != list(FINGERS) * card.frames_per_decision:
+        raise ContractError("frames must alternate left, right")
+    return np.stack([frame.pixels for frame in frames]).reshape(-1, 2, height, width, channels)

@@ -1,0 +1,138 @@
+"""The cameras under /v1/cameras: their state, their frames live (MJPEG, WebSocket), and frames pushed in."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Annotated, Any, Literal
+
+import cv2
+from fastapi import APIRouter, HTTPException, Query, WebSocket, WebSocketDisconnect
+from fastapi.responses import StreamingResponse
+
+from service.cameras.capture import CameraFrame
+from service.contract import ContractError, Finger, decode_frame, encode_frame
+from service.session.station import Station
+from service.web.access import Access
+from service.web.closing import GOING_AWAY, TRY_AGAIN_LATER, UNSUPPORTED, Ending, close, until_gone, until_one_ends
+
+BOUNDARY = "frame"
+MAX_VIEWERS = 16
+_pictures = ThreadPoolExecutor(1, "pictures")  # encoding for viewers never delays deciding for the robot
+MaxHz = Annotated[float, Query(gt=0, le=240, allow_inf_nan=False, description="at most so many frames a second")]
+
+
+class Mjpeg(StreamingResponse):
+    """Parts of JPEG, one a frame."""
+
+    media_type = f"multipart/x-mixed-replace; boundary={BOUNDARY}"
+
+
+def router(station: Station, access: Access) -> APIRouter:
+    """Routes under ``/v1/cameras``."""
+    routes = APIRouter(prefix="/v1/cameras", tags=["cameras"])
+    watch = [access.require("watch")]
+
+    @routes.get("", dependencies=watch)
+    async def cameras() -> dict[str, Any]:
+        return {"cameras": [entry.model_dump(mode="json") for entry in station.camera_entries()]}
+
+    @routes.get("/{finger}/stream.mjpg", dependencies=watch, response_class=Mjpeg)
+    async def stream(finger: Finger, max_hz: MaxHz = 10.0) -> Mjpeg:
+        if station.viewers_n >= MAX_VIEWERS:
+            raise HTTPException(429, f"{MAX_VIEWERS} viewers are connected, no more are served")
+        return Mjpeg(_parts(station, finger, max_hz))
+
+    @routes.websocket("/{finger}/frames")
+    async def frames(
+        socket: WebSocket, finger: Finger, max_hz: MaxHz = 30.0, form: Literal["raw", "jpeg"] = "raw"
+    ) -> None:
+        if not await access.admit(socket, "watch"):
+            return
+        await socket.accept()
+        if station.viewers_n >= MAX_VIEWERS:
+            await socket.close(TRY_AGAIN_LATER, f"{MAX_VIEWERS} viewers are connected")
+            return
+        await _show(socket, station, finger, max_hz, form)
+
+    @routes.websocket("/{finger}/push")
+    async def push(socket: WebSocket, finger: Finger) -> None:
+        if not await access.admit(socket, "drive"):
+            return
+        await socket.accept()
+        with contextlib.suppress(WebSocketDisconnect):
+            await _take_in(socket, station, finger)
+
+    return routes
+
+
+async def newest_frames(station: Station, finger: Finger, max_hz: float) -> AsyncIterator[CameraFrame]:
+    """Each time the reader is ready and ``max_hz`` allows it, the newest frame it has not seen; others are skipped."""
+    loop = asyncio.get_running_loop()
+    arrived = asyncio.Event()
+
+    def heard(kind: str, content: Any) -> None:
+        if kind == "frame" and content.frame.finger == finger:
+            with contextlib.suppress(RuntimeError):  # the loop is gone: so is the viewer
+                loop.call_soon_threadsafe(arrived.set)
+
+    station.viewers_n += 1
+    remove = station.hub.subscribe(heard)
+    try:
+        while True:
+            await arrived.wait()
+            arrived.clear()
+            yield station.hub.frames[finger]
+            await asyncio.sleep(1 / max_hz - 0.002)
+    finally:
+        remove()
+        station.viewers_n -= 1
+
+
+async def _jpeg(frame: CameraFrame) -> bytes:
+    if frame.jpeg is not None:
+        return frame.jpeg
+    return await asyncio.get_running_loop().run_in_executor(_pictures, encode_jpeg, frame)
+
+
+def encode_jpeg(frame: CameraFrame) -> bytes:
+    """A frame as JPEG."""
+    return bytes(cv2.imencode(".jpg", frame.frame.pixels)[1].tobytes())
+
+
+async def _parts(station: Station, finger: Finger, max_hz: float) -> AsyncIterator[bytes]:
+    async for frame in newest_frames(station, finger, max_hz):
+        jpeg = await _jpeg(frame)
+        head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+        yield head.encode() + jpeg + b"\r\n"
+
+
+async def _show(socket: WebSocket, station: Station, finger: Finger, max_hz: float, form: str) -> None:
+    async def send() -> Ending:
+        async with contextlib.aclosing(newest_frames(station, finger, max_hz)) as shown:  # type: ignore[type-var]
+            async for frame in shown:
+                await socket.send_bytes(encode_frame(frame.frame) if form == "raw" else await _jpeg(frame))
+        return Ending(GOING_AWAY, "no more frames")
+
+    await close(socket, await until_one_ends(socket, send(), until_gone(socket)))
+
+
+async def _take_in(socket: WebSocket, station: Station, finger: Finger) -> None:
+    try:
+        source = station.push(finger)
+    except ContractError as error:
+        await socket.close(UNSUPPORTED, str(error)[:120])
+        return
+    if not source.claim():
+        await socket.close(TRY_AGAIN_LATER, f"another client pushes the {finger} camera")
+        return
+    try:
+        while True:
+            frame = decode_frame(await socket.receive_bytes())
+            if frame.finger != finger:
+                raise ContractError(f"a frame of the {frame.finger} finger, expected {finger}")
+            source.push(frame)
+    except (ContractError, KeyError) as error:
+        await socket.close(UNSUPPORTED, str(error)[:120] or "expected binary frames")
+    finally:
+        source.release()

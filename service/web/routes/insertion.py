@@ -1,0 +1,172 @@
+"""The insertion WebSocket of :mod:`service.contract.wire`."""
+
+import asyncio
+import contextlib
+from typing import Any
+
+import structlog
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+
+from service.contract import ContractError, wire
+from service.contract.wire import ServiceMessage
+from service.session.station import Station
+from service.web.access import Access
+from service.web.closing import (
+    GOING_AWAY,
+    NORMAL,
+    POLICY_VIOLATION,
+    TRY_AGAIN_LATER,
+    Ending,
+    close,
+    until_gone,
+    until_one_ends,
+)
+
+HELLO_TIMEOUT_S = 30.0  # a robot client connects first, then switches motors on and waits for the arm to be guided
+MAX_WAITING = 256
+log = structlog.get_logger()
+
+
+class Connection:
+    """One client's WebSocket: messages from any thread go out in order; a client that does not read is cut off."""
+
+    def __init__(self, socket: WebSocket) -> None:
+        self._socket = socket
+        self._loop = asyncio.get_running_loop()
+        self._waiting: asyncio.Queue[tuple[str, Ending | None]] = asyncio.Queue(MAX_WAITING)
+        self._overrun = asyncio.Event()
+        self.insertion_id = "none"
+
+    def send(self, message: ServiceMessage) -> None:
+        """Queue a message; may be called from any thread."""
+        text, ending = message.model_dump_json(), ending_of(message)
+        with contextlib.suppress(RuntimeError):  # the loop is gone: so is the client
+            self._loop.call_soon_threadsafe(self._put, text, ending)
+
+    def _put(self, text: str, ending: Ending | None) -> None:
+        try:
+            self._waiting.put_nowait((text, ending))
+        except asyncio.QueueFull:
+            self._overrun.set()
+
+    def fault(self, code: str, detail: str, *, fatal: bool) -> None:
+        """Queue a fault of this connection."""
+        self.send(wire.Fault(insertion_id=self.insertion_id, code=code, detail=detail, fatal=fatal))
+
+    async def pump(self) -> Ending:
+        """Send what is queued, up to the message that ends the conversation."""
+        while True:
+            text, ending = await self._waiting.get()
+            await self._socket.send_text(text)
+            if ending is not None:
+                return ending
+
+    async def overrun(self) -> Ending:
+        """Wait until this client lets too much wait."""
+        await self._overrun.wait()
+        return Ending(POLICY_VIOLATION, f"{MAX_WAITING} messages wait for this client to read them")
+
+
+def ending_of(message: ServiceMessage) -> Ending | None:
+    """How a conversation ends with this message, None if it goes on."""
+    match message:
+        case wire.Finished():
+            return Ending(NORMAL, f"insertion {message.outcome}")
+        case wire.Fault(fatal=True):
+            code = TRY_AGAIN_LATER if message.code == "busy" else POLICY_VIOLATION
+            return Ending(code, f"{message.code}: {message.detail}")
+    return None
+
+
+def router(station: Station, access: Access) -> APIRouter:
+    """Route ``/v1/insertions/ws``, also as ``/v1/insertion`` and, for clients that name no path, ``/``."""
+    routes = APIRouter()
+
+    @routes.websocket("/")
+    @routes.websocket("/v1/insertion")
+    @routes.websocket("/v1/insertions/ws")
+    async def insertion(socket: WebSocket) -> None:
+        if not await access.admit(socket, "watch"):
+            return
+        await socket.accept()
+        connection = Connection(socket)
+        ending = Ending(GOING_AWAY, "the service stops")
+        try:
+            talk = _talk(socket, connection, station, access)
+            ending = await until_one_ends(socket, connection.pump(), talk, connection.overrun())
+        finally:
+            station.disconnect(connection.send)
+            log.info("client gone", insertion=connection.insertion_id, code=ending.code, reason=ending.reason)
+            await close(socket, ending)
+
+    return routes
+
+
+async def _talk(socket: WebSocket, connection: Connection, station: Station, access: Access) -> Ending:
+    """Read messages until the client leaves; anything that is no message is answered by a fault."""
+    try:
+        hello = wire.parse_client(await asyncio.wait_for(_text(socket), HELLO_TIMEOUT_S))
+        if not isinstance(hello, wire.ClientHello):
+            raise ContractError(f"first message is {hello.type}, expected hello")
+    except (ContractError, TimeoutError) as error:
+        connection.fault("bad_message", str(error) or f"no hello within {HELLO_TIMEOUT_S:g} s", fatal=True)
+        return await until_gone(socket)
+    connection.insertion_id = hello.insertion_id
+    log.info("client", insertion=hello.insertion_id, client=hello.client, role=hello.role)
+    if hello.role == "watch":
+        return await _watch(socket, connection, station)
+    if not access.allows(socket, "drive"):
+        connection.fault("forbidden", "this token may watch only; use the drive token", fatal=True)
+        return await until_gone(socket)
+    return await _drive(socket, connection, station, hello)
+
+
+async def _drive(socket: WebSocket, connection: Connection, station: Station, hello: wire.ClientHello) -> Ending:
+    station.connect(hello, connection.send)
+    while True:
+        try:
+            message: Any = wire.parse_client(await _text(socket))
+        except ContractError as error:
+            connection.fault("bad_message", str(error), fatal=False)
+            continue
+        station.receive(message, connection.send)
+
+
+async def _watch(socket: WebSocket, connection: Connection, station: Station) -> Ending:
+    """Everything the driving client hears; only heartbeats are answered."""
+    name = connection.insertion_id
+    connection.send(
+        wire.ServiceHello(
+            insertion_id=name,
+            models=station.models.entries,
+            cameras=station.camera_entries(),
+            controller=station.settings.controller,
+            limits=station.settings.limits,
+        )
+    )
+    remove = station.hub.subscribe(lambda kind, content: connection.send(content) if kind == "message" else None)
+    try:
+        while True:
+            message: Any = wire.parse_client(await _text(socket))
+            if isinstance(message, wire.ClientHeartbeat):
+                age_ms = station.frame_age_ms()
+                connection.send(wire.ServiceHeartbeat(insertion_id=name, count=message.count, frame_age_ms=age_ms))
+            else:
+                detail = f"a watching client may send heartbeats only, not {message.type}"
+                connection.fault("watch_only", detail, fatal=False)
+    except ContractError as error:
+        connection.fault("bad_message", str(error), fatal=True)
+        return await until_gone(socket)
+    finally:
+        remove()
+
+
+async def _text(socket: WebSocket) -> str:
+    """The next text frame; a binary one is refused (frames are pushed on their own path)."""
+    event = await socket.receive()
+    if event["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(event.get("code", 1000))
+    text = event.get("text")
+    if text is None:
+        raise ContractError("binary frame on the insertion channel, expected JSON text")
+    return str(text)

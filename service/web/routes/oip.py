@@ -1,0 +1,260 @@
+"""The Open Inference Protocol under /v2, as stock clients (tritonclient) speak it. Errors are ``{"error": ...}``."""
+
+import asyncio
+import gzip
+import time
+import zlib
+from collections import defaultdict
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, HTTPException, Request, Response
+
+from service import __version__
+from service.contract import ContractError
+from service.decision.models import LoadedModel
+from service.session.station import Station
+from service.web import oip_tensors
+from service.web.access import Access
+from service.web.gate import plain_headers, whole_body
+from service.web.oip_schema import INFER_SCHEMA
+
+MAX_BODY_BYTES = 64 << 20
+MAX_WAITING = 32
+QUICK_BYTES, QUICK_S = (
+    64 << 10,
+    0.001,
+)  # calls this small are done by the event loop itself; it never waits for longer ones
+VERSION = "1"
+Packed = tuple[bytes, dict[str, str]]  # an answer's body and headers
+INFER_BODY = {"requestBody": {"required": True, "content": {"application/json": {"schema": INFER_SCHEMA}}}}
+_OPEN = ThreadPoolExecutor(1, "inference")  # one call at a time: the networks of the insertion keep their core
+
+
+class Statistics:
+    """Successes and failures of each model, with the time they took."""
+
+    def __init__(self) -> None:
+        self.count: dict[tuple[str, str], int] = defaultdict(int)
+        self.ns: dict[tuple[str, str], int] = defaultdict(int)
+
+    def add(self, model: str, kind: str, started_ns: int) -> None:
+        """One call ended."""
+        self.count[model, kind] += 1
+        self.ns[model, kind] += time.perf_counter_ns() - started_ns
+
+    def of(self, model: str) -> dict[str, Any]:
+        """As the statistics extension reports them."""
+        kinds = {k: {"count": self.count[model, k], "ns": self.ns[model, k]} for k in ("success", "fail")}
+        return {
+            "name": model,
+            "version": VERSION,
+            "inference_count": self.count[model, "success"],
+            "execution_count": self.count[model, "success"],
+            "inference_stats": kinds,
+            "batch_stats": [],
+        }
+
+
+def inflate(body: bytes, encoding: str) -> bytes:
+    """Undo gzip or deflate, bounded; raise ContractError if it is neither or broken."""
+    if encoding in {"", "identity"}:
+        return body
+    if encoding not in {"gzip", "deflate"}:
+        raise ContractError(f"Content-Encoding {encoding}, expected gzip or deflate")
+    reader = zlib.decompressobj(31 if encoding == "gzip" else 15)
+    try:
+        plain = reader.decompress(body, MAX_BODY_BYTES + 1)
+    except zlib.error as error:
+        raise ContractError(f"body is not {encoding}: {error}") from error
+    if len(plain) > MAX_BODY_BYTES:
+        raise ContractError(f"body inflates beyond {MAX_BODY_BYTES} bytes")
+    return plain
+
+
+def deflate(body: bytes, encoding: str) -> tuple[bytes, dict[str, str]]:
+    """Compress as the client wants it."""
+    if encoding == "gzip":
+        return gzip.compress(body, 1), {"Content-Encoding": "gzip"}
+    if encoding == "deflate":
+        return zlib.compress(body, 1), {"Content-Encoding": "deflate"}
+    return body, {}
+
+
+class Inferred(Response):
+    """JSON, or JSON followed by binary tensors; the headers say which."""
+
+    media_type = "application/json"
+
+
+@dataclass(slots=True)
+class Served:
+    """The loaded models under /v2, and what was asked of them."""
+
+    station: Station
+    statistics: Statistics = field(default_factory=Statistics)
+    waiting_n: int = 0
+    _took_s: dict[str, float] = field(default_factory=dict)
+
+    def took(self, name: str, body_bytes: int, seconds: float) -> None:
+        """What a small call to a model took just now."""
+        if body_bytes <= QUICK_BYTES:
+            self._took_s[name] = seconds
+
+    def is_quick(self, name: str, body_bytes: int) -> bool:
+        """Whether a call costs less than handing it to a thread and back; the last small one of its model tells."""
+        return body_bytes <= QUICK_BYTES and self._took_s.get(name, QUICK_S) < QUICK_S
+
+    def models(self) -> dict[str, LoadedModel]:
+        """Every loaded file by its name without ``.onnx`` (``direction.step``)."""
+        return {model.path.name.removesuffix(".onnx"): model for model in self.station.models.models}
+
+    def model(self, name: str, version: str) -> LoadedModel:
+        """The model of a name; raises HTTPException 404 with the names there are."""
+        file = f"{name}.onnx"
+        model = next((model for model in self.station.models.models if model.path.name == file), None)
+        if model is None or version != VERSION:
+            raise HTTPException(404, f"unknown model {name} version {version}, expected {list(self.models())}")
+        return model
+
+    async def infer(self, request: Request, name: str, version: str) -> Response:
+        """Answer an inference request; raises HTTPException or ContractError with the reason if it cannot be done."""
+        model = self.model(name, version)
+        if self.waiting_n >= MAX_WAITING:
+            raise HTTPException(429, f"{MAX_WAITING} inferences wait already", {"Retry-After": "1"})
+        started = time.perf_counter_ns()
+        self.waiting_n += 1
+        try:
+            body, headers = await whole_body(request, MAX_BODY_BYTES), plain_headers(request.scope)
+            work = partial(self._packed, name, model, headers, body)
+            if "content-encoding" not in headers and self.is_quick(name, len(body)):
+                content, described = work()
+            else:
+                content, described = await asyncio.get_running_loop().run_in_executor(_OPEN, work)
+        except ContractError:
+            self.statistics.add(name, "fail", started)
+            raise
+        finally:
+            self.waiting_n -= 1
+        self.statistics.add(name, "success", started)
+        return Response(content, headers=described)
+
+    def infer_now(self, name: str, version: str, headers: Mapping[str, str], body: bytes) -> Packed | None:
+        """The answer to a small request to a quick model; None for any other, and for one that has to be refused."""
+        if "content-encoding" in headers or not self.is_quick(name, len(body)):
+            return None
+        started = time.perf_counter_ns()
+        try:
+            packed = self._packed(name, self.model(name, version), headers, body)
+        except Exception:
+            return None  # :meth:`infer` will find the same and say it
+        self.statistics.add(name, "success", started)
+        return packed
+
+    def _packed(self, name: str, model: LoadedModel, headers: Mapping[str, str], body: bytes) -> Packed:
+        started = time.perf_counter()
+        plain = inflate(body, headers.get("content-encoding", "").strip().lower())
+        asked = oip_tensors.parse_request(plain, headers.get("inference-header-content-length"), model)
+        try:
+            outputs = model.run(asked.inputs)
+        except Exception as error:
+            raise ContractError(f"{name} refused the inputs: {str(error).splitlines()[0]}") from error
+        content, described = oip_tensors.encode_response(name, asked, outputs)
+        packed, encoding = deflate(content, wanted_encoding(headers.get("accept-encoding", "")))
+        self.took(name, len(body), time.perf_counter() - started)
+        return packed, described | encoding
+
+
+def router(served: Served, access: Access) -> APIRouter:
+    """Routes under ``/v2``."""
+    routes = APIRouter(prefix="/v2", tags=["open inference protocol"])
+    for add in (_server_routes, _model_routes, _inference_routes):
+        add(routes, served, access)
+    return routes
+
+
+def _server_routes(routes: APIRouter, served: Served, access: Access) -> None:
+    watch = [access.require("watch")]
+
+    @routes.get("", dependencies=watch)
+    async def server() -> dict[str, Any]:
+        extensions = ["binary_tensor_data", "statistics", "model_repository", "model_configuration"]
+        return {"name": "tactile-insertion", "version": __version__, "extensions": extensions}
+
+    @routes.get("/health/live")
+    @routes.get("/health/ready")
+    async def healthy() -> dict[str, str]:
+        return {}  # models are loaded and warm before anything listens
+
+    @routes.get("/models/stats", dependencies=watch)
+    async def all_statistics() -> dict[str, Any]:
+        return {"model_stats": [served.statistics.of(name) for name in served.models()]}
+
+    @routes.post("/repository/index", dependencies=watch)
+    async def index() -> list[dict[str, str]]:
+        return [{"name": name, "version": VERSION, "state": "READY", "reason": ""} for name in served.models()]
+
+    @routes.post("/repository/models/{name}/{action}", dependencies=[access.require("admin")])
+    async def repository(name: str, action: str) -> dict[str, Any]:
+        if action not in {"load", "unload"} or name not in served.models():
+            raise HTTPException(400, f"cannot {action} {name}: expected load of {list(served.models())}")
+        if action == "unload":
+            raise HTTPException(400, "models that decide insertions are not unloaded; load replaces them")
+        await asyncio.to_thread(served.station.reload_models)
+        return {}
+
+
+def _model_routes(routes: APIRouter, served: Served, access: Access) -> None:
+    watch = [access.require("watch")]
+
+    @routes.get("/models/{name}", dependencies=watch)
+    @routes.get("/models/{name}/versions/{version}", dependencies=watch)
+    async def metadata(name: str, version: str = VERSION) -> dict[str, Any]:
+        facts = {"name": name, "versions": [VERSION], "platform": "onnxruntime_onnx"}
+        return facts | oip_tensors.metadata(served.model(name, version))
+
+    @routes.get("/models/{name}/ready")
+    @routes.get("/models/{name}/versions/{version}/ready")
+    async def model_ready(name: str, version: str = VERSION) -> dict[str, Any]:
+        served.model(name, version)
+        return {}
+
+    @routes.get("/models/{name}/config", dependencies=watch)
+    @routes.get("/models/{name}/versions/{version}/config", dependencies=watch)
+    async def config(name: str, version: str = VERSION) -> dict[str, Any]:
+        return _config(name, served.model(name, version))
+
+    @routes.get("/models/{name}/stats", dependencies=watch)
+    @routes.get("/models/{name}/versions/{version}/stats", dependencies=watch)
+    async def stats(name: str, version: str = VERSION) -> dict[str, Any]:
+        served.model(name, version)
+        return {"model_stats": [served.statistics.of(name)]}
+
+
+def _inference_routes(routes: APIRouter, served: Served, access: Access) -> None:
+    drive = [access.require("drive")]
+
+    @routes.post("/models/{name}/infer", dependencies=drive, openapi_extra=INFER_BODY, response_class=Inferred)
+    @routes.post(
+        "/models/{name}/versions/{version}/infer", dependencies=drive, openapi_extra=INFER_BODY, response_class=Inferred
+    )
+    async def infer(request: Request, name: str, version: str = VERSION) -> Response:
+        return await served.infer(request, name, version)
+
+
+def wanted_encoding(accepted: str) -> str:
+    """The compression a client asked for; browsers' and libraries' lists of all they know do not count."""
+    return accepted.strip() if accepted.strip() in {"gzip", "deflate"} else ""
+
+
+def _config(name: str, model: LoadedModel) -> dict[str, Any]:
+    described = oip_tensors.metadata(model)
+
+    def tensors(kind: str) -> list[dict[str, Any]]:
+        return [{"name": t["name"], "data_type": f"TYPE_{t['datatype']}", "dims": t["shape"]} for t in described[kind]]
+
+    inputs, outputs = tensors("inputs"), tensors("outputs")
+    return {"name": name, "platform": "onnxruntime_onnx", "max_batch_size": 0, "input": inputs, "output": outputs}

@@ -1,0 +1,106 @@
+"""Finished insertions under /v1/recordings: listed, downloaded, played back, removed."""
+
+import asyncio
+import contextlib
+import json
+import shutil
+import zipfile
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from fastapi import APIRouter, HTTPException
+from fastapi import Path as InPath
+from fastapi.responses import FileResponse, Response
+
+from service.contract.wire import MAX_ATTEMPTS
+from service.recordings.writer import FINAL, NAME
+from service.session.station import Station
+from service.web.access import Access
+
+Number = Annotated[int, InPath(ge=1, le=MAX_ATTEMPTS)]
+Index = Annotated[int, InPath(ge=0, le=999)]
+
+
+class JPEG(Response):
+    """One picture."""
+
+    media_type = "image/jpeg"
+
+
+def list_recordings(root: Path) -> list[dict[str, Any]]:
+    """Finished insertions, newest first."""
+    found = []
+    for folder in sorted((p for p in root.iterdir() if NAME.fullmatch(p.name)), reverse=True):
+        with contextlib.suppress(OSError, ValueError):  # unfinished, or removed meanwhile
+            summary = json.loads((folder / "summary.json").read_text())
+            stamp = datetime.strptime(folder.name[:15], "%Y%m%dT%H%M%S")  # noqa: DTZ007 - shown as it is, UTC
+            decided = sorted(int(p.stem[-2:]) for p in folder.glob("attempt_*.npz"))
+            facts = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}", "decided": decided}
+            found.append(facts | summary)
+    return found
+
+
+def recording_folder(root: Path, name: str) -> Path:
+    """The folder of a recording; 404 unless it is one of ours."""
+    folder = root / name
+    if not NAME.fullmatch(name) or not (folder / "summary.json").is_file():
+        raise HTTPException(404, f"no recording {name}")
+    return folder
+
+
+def _attempt(folder: Path, number: int) -> Any:
+    try:
+        return np.load(folder / f"attempt_{number:02d}.npz")
+    except (OSError, ValueError, zipfile.BadZipFile):
+        raise HTTPException(404, f"recording {folder.name} has no decided attempt {number}") from None
+
+
+def frame_jpeg(folder: Path, number: int, index: int) -> bytes:
+    """Both fingers side by side, one frame of a decision."""
+    with _attempt(folder, number) as arrays:
+        frames = arrays["frames"]
+    if not 0 <= index < len(frames):
+        raise HTTPException(404, f"attempt {number} has frames 0..{len(frames) - 1}")
+    return bytes(cv2.imencode(".jpg", np.hstack(list(frames[index])))[1].tobytes())
+
+
+def attempt_facts(folder: Path, number: int) -> dict[str, Any]:
+    """An attempt's decision and how many frames it rests on."""
+    with _attempt(folder, number) as arrays:
+        return {"frames_n": len(arrays["frames"]), "decision": json.loads(str(arrays["decision"]))}
+
+
+def router(station: Station, access: Access) -> APIRouter:
+    """Routes under ``/v1/recordings``."""
+    routes = APIRouter(prefix="/v1/recordings", tags=["recordings"])
+    watch, admin = [access.require("watch")], [access.require("admin")]
+    root = station.settings.recordings
+
+    @routes.get("", dependencies=watch)
+    async def recordings() -> dict[str, Any]:
+        return {"recordings": await asyncio.to_thread(list_recordings, root)}
+
+    @routes.get("/{name}", dependencies=watch, response_class=FileResponse)
+    async def recording(name: str) -> FileResponse:
+        path = recording_folder(root, name) / FINAL
+        if not path.is_file():
+            raise HTTPException(404, f"recording {name} has no {FINAL}")
+        return FileResponse(path, filename=f"{name}.mcap", media_type="application/octet-stream")
+
+    @routes.delete("/{name}", dependencies=admin)
+    async def remove(name: str) -> dict[str, str]:
+        await asyncio.to_thread(shutil.rmtree, recording_folder(root, name))
+        return {"removed": name}
+
+    @routes.get("/{name}/attempts/{number}", dependencies=watch)
+    async def attempt(name: str, number: Number) -> dict[str, Any]:
+        return await asyncio.to_thread(attempt_facts, recording_folder(root, name), number)
+
+    @routes.get("/{name}/attempts/{number}/frames/{index}.jpg", dependencies=watch, response_class=JPEG)
+    async def frame(name: str, number: Number, index: Index) -> Response:
+        return JPEG(await asyncio.to_thread(frame_jpeg, recording_folder(root, name), number, index))
+
+    return routes

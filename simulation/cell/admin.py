@@ -1,0 +1,52 @@
+"""The cell's own HTTP port: truth and faults. No device has this; tests and the report do."""
+
+from typing import Any, Protocol
+
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import JSONResponse
+
+from simulation.cell.emulators.faults import FaultBoard, FaultError, Faults
+
+
+class Teller(Protocol):
+    """Who knows the truth."""
+
+    def truth(self) -> dict[str, Any]:
+        """Plain data."""
+
+
+def create_admin(teller: Teller, board: FaultBoard) -> FastAPI:
+    """``GET /truth``, ``GET|POST|DELETE /faults``, ``GET /faults/schema``, ``GET /healthz``."""
+    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+
+    @app.get("/healthz")
+    async def health() -> dict[str, str]:
+        return {"status": "ok"}
+
+    @app.get("/truth")
+    async def truth() -> dict[str, Any]:
+        return teller.truth()
+
+    @app.get("/faults")
+    async def faults() -> dict[str, Any]:
+        return board.faults.model_dump()
+
+    @app.get("/faults/schema")
+    async def schema() -> dict[str, Any]:
+        return Faults.model_json_schema()
+
+    @app.post("/faults")
+    async def change(request: Request) -> Response:
+        try:
+            changes = await request.json()
+            if not isinstance(changes, dict):
+                raise FaultError(f"expected an object of sections, got {type(changes).__name__}")
+            return JSONResponse(board.update(changes).model_dump())
+        except ValueError as error:
+            return JSONResponse({"error": str(error)}, status_code=422)
+
+    @app.delete("/faults")
+    async def clear() -> dict[str, Any]:
+        return board.clear().model_dump()
+
+    return app

@@ -1,0 +1,91 @@
+"""From exposures to camera streams: each finger renders and encodes on its own thread, newest exposure first."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.cell.emulators.camera import CameraEmulator, Shot, encode_jpeg
+from simulation.cell.world import Exposure, Gel
+
+Image = NDArray[np.uint8]
+Draw = Callable[[Gel, int, Gel], Image]
+"""(gel [20, 21, 3], frame seed, gel one frame earlier) -> BGR image uint8 [320, 427, 3]."""
+
+
+class CameraFeed:
+    """One finger's sensor: draws the newest exposure and publishes the shot on the event loop."""
+
+    def __init__(self, camera: CameraEmulator, index: int, draw: Draw, loop: asyncio.AbstractEventLoop) -> None:
+        self.error: BaseException | None = None
+        self.overruns = 0
+        self._camera = camera
+        self._index = index
+        self._draw = draw
+        self._loop = loop
+        self._waiting: Exposure | None = None
+        self._shot_s = -1.0
+        self._wake = threading.Condition()
+        self._stopped = False
+        self._thread = threading.Thread(target=self._run, name=f"camera-{camera.finger}", daemon=True)
+
+    def start(self) -> None:
+        """Start drawing."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        with self._wake:
+            self._stopped = True
+            self._wake.notify()
+        if self._thread.ident is not None:
+            self._thread.join(timeout=5.0)
+
+    def expose(self, exposure: Exposure) -> None:
+        """Take an exposure; one that is still waiting is dropped (the sensor is overrun)."""
+        with self._wake:
+            self.overruns += self._waiting is not None
+            self._waiting = exposure
+            self._wake.notify()
+
+    @property
+    def idle(self) -> bool:
+        """Nobody watches and the last shot is young: the snapshot stays fresh at two frames a second."""
+        return not self._camera.watched and time.monotonic() - self._shot_s < 0.5
+
+    def shoot(self, exposure: Exposure) -> Shot:
+        """Draw and encode one exposure, with this camera's faults."""
+        faults = self._camera.faults
+        gel, previous = exposure.gel[self._index], exposure.previous[self._index]
+        pixels = self._draw(gel, 2 * exposure.seq + self._index, previous)
+        if faults.black:
+            pixels = np.zeros_like(pixels)
+        if faults.half_size:
+            pixels = np.ascontiguousarray(pixels[::2, ::2])
+        return Shot(encode_jpeg(pixels), exposure.seq, exposure.captured_ns)
+
+    def _next(self) -> Exposure | None:
+        with self._wake:
+            self._wake.wait_for(lambda: self._stopped or self._waiting is not None)
+            exposure, self._waiting = self._waiting, None
+            return None if self._stopped else exposure
+
+    def _run(self) -> None:
+        try:
+            while (exposure := self._next()) is not None:
+                if self.idle:
+                    continue
+                self._shot_s = time.monotonic()
+                shot = self.shoot(exposure)
+                asyncio.run_coroutine_threadsafe(self._camera.publish(shot), self._loop)
+        except BaseException as error:  # reported by the cell's main, which ends
+            self.error = error
+
+
+def failure(*parts: Any) -> BaseException | None:
+    """The first error that one of the threads met."""
+    return next((part.error for part in parts if part.error is not None), None)

@@ -1,0 +1,184 @@
+"""The controller without EGM: what TactileMotion.mod and TactileGuard.mod do, as two text servers on the cabinet's arm.
+
+Both live only while the RAPID program runs. A move walks the arm's target along a straight line; the stop flag, raised
+on request or by the guard's own dead man, halts it ``REACTION_S`` later on the controller's stop ramp. Time is the
+controller's, so a stalled machine stalls the arm too.
+"""
+
+import asyncio
+import math
+import socket
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+
+from robot_client.robots.abb_rapid.codec import MAX_TEXT, TextParser
+from simulation.cell.emulators.abb.cabinet import Cabinet
+from simulation.cell.emulators.abb.motion import Pose, normalised, rotated, rotation_between
+
+SILENCE_S = 0.3  # silenceLimit of TactileGuard.mod
+TOP_SPEED_MM_S = 80.0  # topSpeed and turnSpeed of TactileMotion.mod
+TURN_SPEED_RAD_S = math.radians(60.0)
+REACTION_S = 0.04  # from the flag to the brake: an assumption, the modules have run on no controller yet
+_CYCLE_S = 0.004
+
+
+@dataclass(slots=True)
+class Travel:
+    """One move under way: from where to where, how long it takes, and how far it is."""
+
+    number: str
+    start: Pose
+    end: Pose
+    duration_s: float
+    walked_s: float = 0.0
+    stopping_s: float | None = None  # since the flag went up
+
+
+@dataclass
+class RapidServers:
+    """The two servers; ``cycle`` is called every 4 ms of the controller's clock."""
+
+    cabinet: Cabinet
+    silence_s: float = SILENCE_S
+    stop: bool = True
+    mute: bool = False
+    moves: list[str] = field(default_factory=list)
+    stopped_by_silence: int = 0
+    motion_port: int = 0
+    guard_port: int = 0
+    _servers: list[asyncio.Server] = field(default_factory=list)
+    _motion: asyncio.StreamWriter | None = None
+    _guard: asyncio.StreamWriter | None = None
+    _travel: Travel | None = None
+    _silent_s: float = 0.0
+
+    async def start(self, motion: socket.socket, guard: socket.socket) -> None:
+        """Listen on two bound sockets."""
+        self.motion_port, self.guard_port = motion.getsockname()[1], guard.getsockname()[1]
+        self._servers = [
+            await asyncio.start_server(self._serve_motion, sock=motion),
+            await asyncio.start_server(self._serve_guard, sock=guard),
+        ]
+
+    async def close(self) -> None:
+        """Stop listening and hang up."""
+        for server in self._servers:
+            server.close()
+        self.hang_up()
+
+    def hang_up(self, *, motion: bool = True, guard: bool = True) -> None:
+        """Close the connections of the client."""
+        for wanted, writer in ((motion, self._motion), (guard, self._guard)):
+            if wanted and writer is not None:
+                writer.close()
+
+    @property
+    def moving(self) -> bool:
+        """True while a move is under way."""
+        return self._travel is not None
+
+    # ---- time -------------------------------------------------------------------------------------------------
+
+    def cycle(self) -> None:
+        """Let 4 ms pass."""
+        if not self.cabinet.running:
+            self.stop, self._travel = True, None
+            self.hang_up()
+            return
+        if self._guard is not None:
+            self._silent_s += _CYCLE_S
+            if self._silent_s > self.silence_s and not self._guard.is_closing():
+                self.stop = True
+                self.stopped_by_silence += 1
+                self.hang_up(motion=False)
+        if self._travel is not None:
+            self._walk(self._travel)
+
+    def _walk(self, travel: Travel) -> None:
+        arm = self.cabinet.arm
+        if self.stop and travel.stopping_s is None:
+            travel.stopping_s = 0.0
+        if travel.stopping_s is not None:
+            travel.stopping_s += _CYCLE_S
+            arm.braking = arm.braking or travel.stopping_s >= REACTION_S
+            if arm.braking and arm.at_rest:
+                arm.hold()
+                self._end(travel, "S")
+                return
+        if arm.braking:
+            return
+        travel.walked_s = min(travel.walked_s + _CYCLE_S, travel.duration_s)
+        share = travel.walked_s / travel.duration_s
+        start, end = travel.start.position_mm, travel.end.position_mm
+        x, y, z = (a + (b - a) * share for a, b in zip(start, end, strict=True))
+        a, b, c = rotation_between(travel.start.quaternion, travel.end.quaternion)
+        arm.target = Pose((x, y, z), rotated(travel.start.quaternion, (a * share, b * share, c * share)))
+        if share >= 1.0 and arm.at_rest:
+            self._end(travel, "D")
+
+    def _end(self, travel: Travel, result: str) -> None:
+        self._travel = None
+        self._answer(self._motion, f"{result} {travel.number}")
+
+    # ---- text -------------------------------------------------------------------------------------------------
+
+    def _answer(self, writer: asyncio.StreamWriter | None, text: str) -> None:
+        if writer is not None and not writer.is_closing() and not self.mute:
+            writer.write(f"{text}#".encode())
+
+    async def _serve_motion(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._motion = writer
+        async for text in self._requests(reader, writer):
+            if text == "Q":
+                break
+            self._on_move(text)
+        self._motion, self.stop = None, True
+
+    async def _serve_guard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._guard, self._silent_s = writer, 0.0
+        async for text in self._requests(reader, writer):
+            self._silent_s = 0.0
+            self._on_guard(text)
+        self._guard, self.stop = None, True
+
+    async def _requests(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> AsyncIterator[str]:
+        parser = TextParser()
+        try:
+            while self.cabinet.running and (data := await reader.read(MAX_TEXT)):
+                for text in parser.feed(data):
+                    yield text
+        except OSError:
+            pass
+        finally:
+            writer.close()
+
+    def _on_move(self, text: str) -> None:
+        fields = text.split()
+        try:
+            if len(fields) != 10 or fields[0] != "M":
+                raise ValueError
+            x, y, z, *q, speed = (float(value) for value in fields[2:])
+            end = Pose((x, y, z), normalised((q[0], q[1], q[2], q[3])))
+        except ValueError:
+            self._answer(self._motion, "E 0 format")
+            return
+        if not 0.0 < speed <= TOP_SPEED_MM_S:
+            self._answer(self._motion, f"E {fields[1]} speed")
+            return
+        self.moves.append(text)
+        start = self.cabinet.arm.pose
+        turn = math.sqrt(sum(c * c for c in rotation_between(start.quaternion, end.quaternion)))
+        way_s = math.dist(start.position_mm, end.position_mm) / speed
+        self._travel = Travel(fields[1], start, end, max(way_s, turn / TURN_SPEED_RAD_S, _CYCLE_S))
+        self.cabinet.arm.hold()
+        self.cabinet.arm.braking = self.stop  # raised before the start: nothing moves
+
+    def _on_guard(self, text: str) -> None:
+        kind, _, number = text.partition(" ")
+        if not number.isdigit() or kind not in ("H", "R", "S"):
+            return
+        self.stop = {"S": True, "R": False, "H": self.stop}[kind]
+        pose = self.cabinet.arm.pose
+        position = " ".join(f"{value:.2f}" for value in pose.position_mm)
+        quaternion = " ".join(f"{value:.5f}" for value in pose.quaternion)
+        self._answer(self._guard, f"P {number} {position} {quaternion} {int(self.moving)} {int(self.stop)}")

@@ -1,0 +1,94 @@
+"""What the emulated controller answers to a GET: one function a family of resources, as typed states."""
+
+from collections.abc import Mapping
+
+from simulation.cell.emulators.abb.cabinet import Cabinet
+from simulation.cell.emulators.abb.frames import CellFrames
+from simulation.cell.emulators.abb.rws_format import State
+
+TASK = "T_ROB1"
+SYSTEM = [
+    State("sys-system", "system", {"major": "6", "minor": "13", "rwversion": "6.13.00.00", "name": "TactileCell"}),
+    State("sys-options", "options", {"option": "689-1 Externally Guided Motion (EGM)"}),
+]
+_JOINTS = tuple(f"rax_{k}" for k in range(1, 7))
+_NO_AXES = "abcdef"
+_UNDEFINED = "9E+09"
+
+
+def panel(cabinet: Cabinet, what: str) -> list[State]:
+    """``ctrlstate``, ``opmode`` or ``speedratio``; raise KeyError for another name."""
+    values: dict[str, object] = {
+        "ctrlstate": cabinet.state,
+        "opmode": cabinet.board.faults.robot.mode,
+        "speedratio": cabinet.speed_ratio,
+    }
+    return [State(f"pnl-{what}", what, {what: str(values[what])})]
+
+
+def execution(cabinet: Cabinet) -> list[State]:
+    """Running or stopped, and the cycle mode."""
+    fields = {"ctrlexecstate": "running" if cabinet.running else "stopped", "cycle": cabinet.cycle}
+    return [State("rap-execution", "execution", fields)]
+
+
+def tasks(cabinet: Cabinet) -> list[State]:
+    """The one motion task."""
+    fields = {
+        "name": TASK,
+        "type": "normal",
+        "taskstate": "linked",
+        "excstate": "started" if cabinet.running else "ready",
+        "active": "On",
+        "motiontask": "TRUE",
+    }
+    return [State("rap-task-li", TASK, fields)]
+
+
+def motion(cabinet: Cabinet, frames: CellFrames, what: str, query: Mapping[str, str]) -> list[State]:
+    """``jointtarget``, ``robtarget`` (in the base unless a work object is asked for) or ``cartesian``."""
+    pose = cabinet.arm.pose
+    if what == "jointtarget":
+        joints = frames.joints_deg(pose) or (0.0,) * 6
+        fields = {name: f"{value:.6f}" for name, value in zip(_JOINTS, joints, strict=True)}
+        return [State("ms-jointtarget", what, fields | {f"eax_{axis}": _UNDEFINED for axis in _NO_AXES})]
+    if what not in ("robtarget", "cartesian"):
+        raise KeyError(what)
+    in_work_object = query.get("wobj", "wobj0") != "wobj0" or query.get("coordinate", "Base").lower() == "wobj"
+    shown = pose if in_work_object else frames.in_base(pose)
+    fields = {name: f"{value:.4f}" for name, value in zip("xyz", shown.position_mm, strict=True)}
+    fields |= {f"q{k}": f"{value:.9f}" for k, value in enumerate(shown.quaternion, 1)}
+    fields |= {"cf1": "0", "cf4": "0", "cf6": "0", "cfx": "0"}
+    return [State("ms-robtargets", what, fields | {f"eax{axis}": _UNDEFINED for axis in _NO_AXES})]
+
+
+def signal(cabinet: Cabinet, path: str) -> list[State]:
+    """One signal by its last path part; raise KeyError if there is none."""
+    name = path.rsplit("/", 1)[-1]
+    value = cabinet.signals[name]
+    kind = "DI" if name.startswith("di") else "DO"
+    fields = {"name": name, "type": kind, "category": "", "lvalue": f"{value:g}", "lstate": "not simulated"}
+    return [State("ios-signal", path, fields)]
+
+
+def event_log(cabinet: Cabinet, domain: str) -> list[State]:
+    """The event log, newest first."""
+    return [
+        State(
+            "elog-message-li",
+            f"/rw/elog/{domain}/{entry.number}",
+            {
+                "msgtype": str(entry.kind),
+                "code": str(entry.code),
+                "tstamp": entry.stamp,
+                "title": entry.title,
+                "desc": entry.title,
+                "conseqs": "",
+                "causes": "",
+                "actions": "",
+                "argc": "0",
+                "argv": [],
+            },
+        )
+        for entry in reversed(cabinet.log)
+    ]

@@ -1,0 +1,229 @@
+"""The WSG-50-110 as a mechanism: fingers with ramps, a part that blocks them, the grasping state machine, faults.
+
+Widths in mm, speeds in mm/s, forces in N. A spindle drive locks itself: power or program stops leave a held part held;
+only opening the fingers lets go of it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from robot_client.grippers.wsg50.codec import Command, GraspingState, Status, SystemState
+from simulation.cell.emulators.faults import FaultBoard, take
+
+STROKE_MM = 110.0
+SPEED_MM_S = (5.0, 420.0)
+ACCELERATION_MM_S2 = (100.0, 5000.0)
+FORCE_N = (5.0, 80.0)
+CLAMPING_TRAVEL_MM = 5.0
+_FORCE_RISE_S = 0.04
+_GIVE_MM = 0.3  # how far the pads' surface lets the fingers beyond the part's width when it is opened again
+
+Finish = Callable[[Status], None]
+
+
+class Part(Protocol):
+    """What may stand between the fingers."""
+
+    def width_mm(self) -> float | None:
+        """Width at which the fingers meet it, None if nothing is there."""
+
+    def gripped(self, force_n: float) -> None:
+        """The fingers hold it with this force."""
+
+    def released(self) -> None:
+        """The fingers opened."""
+
+    def lost(self) -> bool:
+        """True once it has slipped out of the fingers."""
+
+
+@dataclass(slots=True)
+class _Motion:
+    command: Command
+    target_mm: float
+    speed_mm_s: float
+    finish: Finish
+
+
+class Gripper:
+    """Mechanism and state machine; ``advance`` lets time pass."""
+
+    def __init__(self, part: Part, board: FaultBoard, *, holding: bool = True) -> None:
+        self._part = part
+        self._board = board
+        self.referenced = True
+        self.fast_stopped = False
+        self.stopped = False
+        self.reached = False
+        self.blocked = False
+        width = part.width_mm()
+        self.holding = holding and width is not None
+        self.width_mm = width if self.holding and width is not None else STROKE_MM - 1.0
+        self.state = GraspingState.HOLDING if self.holding else GraspingState.IDLE
+        self.speed_mm_s = 0.0
+        self.acceleration_mm_s2 = 1000.0
+        self.force_limit_n = 40.0
+        self.force_n = self.force_limit_n if self.holding else 0.0
+        self.soft_limits_mm: tuple[float, float] | None = None
+        self._motion: _Motion | None = None
+        self._squeeze_s: float | None = None
+
+    # ---- commands: the immediate status; PENDING means that ``finish`` gets the final one --------------------
+
+    def home(self, direction: int, finish: Finish) -> Status:
+        """Drive to an end stop and take it as reference."""
+        if direction not in (0, 1, 2):
+            return Status.INVALID_PARAMETER
+        denied = self._denied()
+        if denied is not Status.SUCCESS:
+            return denied
+        self.state = GraspingState.POSITIONING
+        target = 0.0 if direction == 2 else STROKE_MM
+        return self._go(_Motion(Command.HOMING, target, 50.0, finish))
+
+    def move(self, command: Command, width_mm: float, speed_mm_s: float, finish: Finish) -> Status:
+        """MOVE, GRASP or RELEASE towards a width."""
+        denied = self._denied()
+        if denied is Status.SUCCESS and not (self.referenced and not self._board.faults.gripper.not_homed):
+            denied = Status.NOT_INITIALIZED
+        if denied is Status.SUCCESS and not self._in_range(width_mm, speed_mm_s):
+            denied = Status.RANGE_ERROR
+        if denied is not Status.SUCCESS:
+            return denied
+        states = {Command.GRASP: GraspingState.GRASPING, Command.RELEASE: GraspingState.RELEASING}
+        self.state = states.get(command, GraspingState.POSITIONING)
+        target = max(0.0, width_mm - CLAMPING_TRAVEL_MM) if command is Command.GRASP else width_mm
+        return self._go(_Motion(command, target, speed_mm_s, finish))
+
+    def stop(self) -> Status:
+        """End a motion (its command is aborted) and the part's monitoring; a held part stays held."""
+        self._abort()
+        self.stopped = True
+        if self.state is not GraspingState.ERROR:
+            self.state = GraspingState.IDLE
+        return Status.SUCCESS
+
+    def fast_stop(self) -> Status:
+        """Stop and latch: nothing moves until the operator acknowledges."""
+        self._abort()
+        self.fast_stopped = True
+        self.state = GraspingState.ERROR
+        return Status.SUCCESS
+
+    def acknowledge(self) -> Status:
+        """Clear a latched stop."""
+        if self.fast_stopped or self.state is GraspingState.ERROR:
+            self.fast_stopped = False
+            self.state = GraspingState.HOLDING if self.holding else GraspingState.IDLE
+        return Status.SUCCESS
+
+    def system_state(self) -> SystemState:
+        """The bits of query 0x40."""
+        faults = self._board.faults.gripper
+        moving = self._motion is not None
+        bits = {
+            SystemState.REFERENCED: self.referenced and not faults.not_homed,
+            SystemState.MOVING: moving,
+            SystemState.BLOCKED_MINUS: self.blocked or self.holding,
+            SystemState.AXIS_STOPPED: self.stopped,
+            SystemState.TARGET_POS_REACHED: self.reached,
+            SystemState.FORCE_CONTROL_MODE: self.holding,
+            SystemState.FAST_STOP: self.fast_stopped,
+            SystemState.TEMP_WARNING: faults.temperature_warning,
+        }
+        value = SystemState(0)
+        for bit, on in bits.items():
+            if on:
+                value |= bit
+        return value
+
+    # ---- time -------------------------------------------------------------------------------------------------
+
+    def advance(self, elapsed_s: float) -> None:
+        """Move the fingers and watch the part for ``elapsed_s``."""
+        faults = self._board.faults.gripper
+        if take(faults, "fast_stop"):
+            self.fast_stop()
+        if self.holding and (faults.part_lost or self._part.lost()):
+            self._lose_part()
+        if self._squeeze_s is not None:
+            self._squeeze(elapsed_s)
+        elif self._motion is not None:
+            self._travel(self._motion, elapsed_s)
+
+    def _denied(self) -> Status:
+        if self.fast_stopped:
+            return Status.ACCESS_DENIED
+        return Status.ALREADY_RUNNING if self._motion is not None else Status.SUCCESS
+
+    def _in_range(self, width_mm: float, speed_mm_s: float) -> bool:
+        low, high = self.soft_limits_mm or (0.0, STROKE_MM)
+        return low <= width_mm <= high and SPEED_MM_S[0] <= speed_mm_s <= SPEED_MM_S[1]
+
+    def _go(self, motion: _Motion) -> Status:
+        self.stopped = self.reached = self.blocked = False
+        self._motion = motion
+        return Status.CMD_PENDING
+
+    def _end(self, status: Status, state: GraspingState) -> None:
+        motion, self._motion = self._motion, None
+        self._squeeze_s = None
+        self.speed_mm_s = 0.0
+        self.state = state
+        if motion is not None:
+            motion.finish(status)
+
+    def _abort(self) -> None:
+        if self._motion is not None:
+            self._end(Status.CMD_ABORTED, GraspingState.IDLE)
+
+    def _lose_part(self) -> None:
+        self.holding, self.force_n = False, 0.0
+        self._part.released()
+        if self.state is GraspingState.HOLDING:
+            self.state = GraspingState.PART_LOST
+            self.width_mm = max(0.0, self.width_mm - CLAMPING_TRAVEL_MM)
+
+    def _travel(self, motion: _Motion, elapsed_s: float) -> None:
+        gap_mm = motion.target_mm - self.width_mm
+        braking = (2.0 * self.acceleration_mm_s2 * abs(gap_mm)) ** 0.5
+        wanted = min(motion.speed_mm_s, braking, abs(self.speed_mm_s) + self.acceleration_mm_s2 * elapsed_s)
+        step_mm = min(abs(gap_mm), wanted * elapsed_s)
+        self.speed_mm_s = wanted if gap_mm > 0 else -wanted
+        width = self.width_mm + (step_mm if gap_mm > 0 else -step_mm)
+        part_mm = self._part.width_mm()
+        if gap_mm < 0 and part_mm is not None and width <= part_mm <= self.width_mm + 1e-9:
+            self.width_mm = part_mm
+            self._meet_part(motion)
+            return
+        self.width_mm = width
+        if self.holding and part_mm is not None and width > part_mm + _GIVE_MM:
+            self.holding, self.force_n = False, 0.0
+            self._part.released()
+        if abs(motion.target_mm - self.width_mm) < 1e-6:
+            self._arrive(motion)
+
+    def _meet_part(self, motion: _Motion) -> None:
+        self.blocked = True
+        if motion.command is Command.GRASP:
+            self._squeeze_s = 0.0
+        else:
+            self._end(Status.AXIS_BLOCKED, GraspingState.IDLE)
+
+    def _squeeze(self, elapsed_s: float) -> None:
+        self._squeeze_s = (self._squeeze_s or 0.0) + elapsed_s
+        self.force_n = self.force_limit_n * min(1.0, self._squeeze_s / _FORCE_RISE_S)
+        if self._squeeze_s >= _FORCE_RISE_S:
+            self.holding = True
+            self._part.gripped(self.force_n)
+            self._end(Status.SUCCESS, GraspingState.HOLDING)
+
+    def _arrive(self, motion: _Motion) -> None:
+        if motion.command is Command.GRASP:
+            self._end(Status.CMD_FAILED, GraspingState.NO_PART)
+            return
+        if motion.command is Command.HOMING:
+            self.referenced = True
+        self.reached = True
+        self._end(Status.SUCCESS, GraspingState.IDLE)

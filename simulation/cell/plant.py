@@ -1,0 +1,75 @@
+"""The simulated plant behind the live cell: physics of one scene, optics of both fingers, their calibration."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import FINGERS
+from service.perception.rectification import Calibration, CameraCalibration
+from simulation.cell.cameras import Draw
+from simulation.cell.emulators.abb.motion import Pose, tool_down
+from simulation.cell.live import Plant
+from simulation.cell.options import CellOptions
+from simulation.cell.world import Gel
+from simulation.data.probe import QuasiStaticCell
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.scene.effects import dropped_share
+from simulation.scene.scene import Scene, load_scene
+
+Image = NDArray[np.uint8]
+LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; a solve that polishes to 1e-7 N may miss a camera tick
+
+
+def load(options: CellOptions) -> Scene:
+    """The scene of the options, blocks free unless they are bolted down; raises SceneError."""
+    changes = {
+        "blocks__free": not options.fixed_blocks,
+        "camera__fps": options.fps,
+        "numerics__residual_n": LIVE_RESIDUAL_N,
+    }
+    return load_scene(options.object, **changes)
+
+
+def _drawer(renderer: Renderer, seed: int) -> Draw:
+    def draw(gel: Gel, frame_seed: int, previous: Gel) -> Image:
+        return renderer.raw(gel, (seed << 32) + frame_seed, previous)
+
+    return draw
+
+
+def build(scene: Scene, options: CellOptions) -> Plant:
+    """Physics and optics of ``scene``, compiled and warm, the object in the hand with the error asked for."""
+    _compile(scene, options)
+    cell = QuasiStaticCell(scene, seed=options.seed)
+    cell.regrasp(options.x_mm, options.theta_deg)
+    x, y, z, yaw = (float(value) for value in cell.pose)
+    renderers = {finger: Renderer(Appearance.draw(scene, finger, options.seed)) for finger in FINGERS}
+    calibration = Calibration(*(CameraCalibration(renderers[finger].homography) for finger in FINGERS))
+
+    def regrasp(_force_n: float) -> None:
+        cell.regrasp(options.x_mm, options.theta_deg)
+
+    def save_calibration(path: Path) -> None:
+        calibration.save(path)
+
+    return Plant(
+        mechanics=cell,
+        regrasp=regrasp,
+        draw={finger: _drawer(renderers[finger], options.seed) for finger in FINGERS},
+        start=Pose((x, y, z), tool_down(math.degrees(yaw))),
+        part_width_mm=scene.object.held_size_y_mm or scene.object.size_y_mm,
+        gap_width_mm=scene.blocks.gap_mm,
+        save_calibration=save_calibration,
+        dropped_share=dropped_share(scene),
+    )
+
+
+def _compile(scene: Scene, options: CellOptions) -> None:
+    """Touch a block once on a throw-away cell, so that the compiled code is loaded before the clock starts."""
+    cell = QuasiStaticCell(scene, seed=options.seed)
+    cell.regrasp(8.0, 6.0)
+    x, y, z, yaw = (float(value) for value in cell.pose)
+    for depth_mm in (5.2, 5.6):
+        cell.move_to(x, y, z - depth_mm, math.degrees(yaw))

@@ -1,0 +1,248 @@
+"""`python -m simulation run`: the whole loop. Simulated cell, service and robot client as processes, one insertion.
+
+The cell plays robot, gripper and cameras on loopback; the service and the client are the real ones and cannot tell.
+Exit 0 if every insertion succeeded, 1 if one did not, 2 on wrong input.
+"""
+
+import json
+import sys
+import time
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+from urllib.request import urlopen
+
+import numpy as np
+import tyro
+
+from simulation.cell import run_report
+from simulation.cell.children import Child, ChildError, terminate_as_interrupt
+from simulation.cell.run_report import Result
+from simulation.scene.scene import Scene, load_scene
+
+TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
+CELL_READY_S = 300.0  # the first start on a machine compiles the physics
+SERVICE_READY_S = 90.0
+FRAME_AGE_MS = 500.0  # the simulated cell computes its frames on the same cores and may pause; a real camera must not
+
+
+class RunError(ValueError):
+    """A run that cannot be set up as asked."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Insert an object in the simulated cell, in real time, through the real protocols."""
+
+    object: str = "rectangle"
+    """Scene: a built-in name, a TOML file, or "all" for the four training objects."""
+    x_mm: float | None = None
+    """Position error at the start; drawn from the seed if left out."""
+    theta_deg: float | None = None
+    """Yaw error at the start; drawn from the seed if left out."""
+    seed: int = 0
+    """Seed of start, grasp, optics and noise."""
+    controller: Literal["belief", "heuristic"] = "belief"
+    """How corrections are chosen."""
+    models: Path = Path("models")
+    """Folder with the networks."""
+    out: Path = Path("runs")
+    """Where runs are kept."""
+    repeat: int = 1
+    """This many starts an object, seeds counting up."""
+    fps: int = 30
+    """Camera rate: 30, 60 or 90."""
+    egm_lag_ms: float = 20.0
+    """Lag of the emulated arm."""
+    link: Literal["egm", "socket"] = "egm"
+    """How the client drives the arm: EGM, or the RAPID sockets of a controller without that option."""
+    timeout_s: float = 240.0
+    """An insertion that takes longer is ended."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """One insertion to do."""
+
+    object: str
+    x_mm: float
+    theta_deg: float
+    seed: int
+
+
+def draw_start(scene: Scene, seed: int) -> tuple[float, float]:
+    """A start error within the scene's ranges that collides; every scene has its own sequence."""
+    rng = np.random.default_rng([seed, zlib.crc32(scene.name.encode())])
+    while True:
+        x_mm = float(rng.uniform(-scene.x_range_mm, scene.x_range_mm))
+        theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))
+        if not scene.fits(x_mm, theta_deg):
+            return round(x_mm, 2), round(theta_deg, 2)
+
+
+def starts(options: RunOptions) -> list[Start]:
+    """What is to be done; raises SceneError or RunError before anything starts."""
+    if options.repeat < 1:
+        raise RunError(f"--repeat {options.repeat}: expected 1 or more")
+    if not options.timeout_s > 0:
+        raise RunError(f"--timeout-s {options.timeout_s}: expected more than 0")
+    if not options.models.is_dir():
+        raise RunError(f"--models {options.models}: no such folder; it holds the .onnx files of the service")
+    found = []
+    for name in TRAINING_OBJECTS if options.object == "all" else (options.object,):
+        scene = load_scene(name)
+        for seed in range(options.seed, options.seed + options.repeat):
+            x_mm, theta_deg = draw_start(scene, seed)
+            x_mm = x_mm if options.x_mm is None else options.x_mm
+            theta_deg = theta_deg if options.theta_deg is None else options.theta_deg
+            found.append(Start(name, x_mm, theta_deg, seed))
+    return found
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _start_cell(start: Start, options: RunOptions, folder: Path) -> Child:
+    arguments = [
+        *("--object", start.object, "--x-mm", str(start.x_mm), "--theta-deg", str(start.theta_deg)),
+        *("--seed", str(start.seed), "--fps", str(options.fps), "--egm-lag-ms", str(options.egm_lag_ms)),
+        *("--out", str(folder / "cell")),
+    ]
+    return Child("cell", "simulation", ["cell", *arguments], folder / "cell.log")
+
+
+def _start_service(told: dict[str, Any], options: RunOptions, folder: Path) -> Child:
+    arguments = [
+        *("--models", str(options.models), "--calibration", told["calibration"], "--port", "0"),
+        *("--camera-left", told["cameras"]["left"], "--camera-right", told["cameras"]["right"]),
+        *("--recordings", str(folder / "recordings"), "--controller", options.controller),
+        *("--frame-rate-hz", str(options.fps), "--max-frame-age-ms", str(FRAME_AGE_MS)),
+    ]
+    return Child("service", "service", ["run", *arguments], folder / "service.log")
+
+
+def _start_client(told: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
+    approach, config = told["approach"], folder / "client.toml"
+    lines = [f'robot = {{ link = "{options.link}" }}', "[socket]"]
+    config.write_text("\n".join([*lines, *(f"{key} = {json.dumps(value)}" for key, value in told["rapid"].items())]))
+    arguments = [
+        *(
+            "--live",
+            "--config",
+            str(config),
+            "--service",
+            url.replace("http://", "ws://").rstrip("/") + "/v1/insertion",
+        ),
+        *("--egm-port", str(told["egm_guide_port"]), "--rws-url", told["rws_url"], "--gripper", told["gripper"]),
+        *(f"--x-mm={approach['x_mm']:.4f}", f"--theta-deg={approach['yaw_deg']:.4f}"),
+        *("--approach-z-mm", f"{approach['z_mm']:.4f}", "--gap-width-mm", f"{told['gap_width_mm']:.3f}"),
+        *("--expected-depth-mm", f"{told['expected_depth_mm']:.3f}", "--log", str(folder / "episode.jsonl")),
+        *("--creep-allowance-mm", f"{told['creep_allowance_mm']:g}"),
+    ]
+    return Child("robot client", "robot_client", ["insert", *arguments], folder / "client.log")
+
+
+class Loop(NamedTuple):
+    """The three processes of one insertion and what the cell told of itself."""
+
+    cell: Child
+    service: Child
+    client: Child
+    told: dict[str, Any]
+    episode: Path
+
+
+@contextmanager
+def loop(start: Start, options: RunOptions, folder: Path) -> Iterator[Loop]:
+    """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails."""
+    folder.mkdir(parents=True)
+    with ExitStack() as children:
+        cell = children.enter_context(_start_cell(start, options, folder))
+        cell.until("cell: ready", CELL_READY_S)
+        told = json.loads((folder / "cell" / "cell.json").read_text())
+        service = children.enter_context(_start_service(told, options, folder))
+        url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
+        client = children.enter_context(_start_client(told, url, options, folder))
+        yield Loop(cell, service, client, told, folder / "episode.jsonl")
+
+
+def insert(start: Start, options: RunOptions, folder: Path) -> Result:
+    """One insertion from nothing running to nothing running; raises ChildError if a process fails."""
+    _say(f"{start.object}: start error x {start.x_mm:+.2f} mm, yaw {start.theta_deg:+.2f} deg, seed {start.seed}")
+    _say("starting the simulated cell (the first time on a machine it compiles its physics: about a minute)")
+    with loop(start, options, folder) as running:
+        watched = (running.cell, running.service)
+        began, used = time.monotonic(), [child.cpu_s() for child in watched]
+        for line in running.client.lines(watched, options.timeout_s):
+            _say(f"  {line}")
+        if running.client.code not in (0, 1):
+            running.client.check()
+        seconds = time.monotonic() - began
+        cores = [(child.cpu_s() - before) / seconds for child, before in zip(watched, used, strict=True)]
+        with urlopen(f"{running.told['admin_url']}/truth", timeout=5.0) as answer:  # noqa: S310 our own child on loopback
+            truth = json.load(answer)
+    (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
+    return run_report.collect(
+        truth,
+        running.episode,
+        object_name=start.object,
+        x_mm=start.x_mm,
+        theta_deg=start.theta_deg,
+        seed=start.seed,
+        seconds=seconds,
+        cores=(cores[0], cores[1]),
+    )
+
+
+def _report(result: Result, folder: Path) -> None:
+    recording = run_report.newest_recording(folder / "recordings")
+    drawn = run_report.draw_last_attempt(recording, folder / "last_attempt.png", result) if recording else None
+    (folder / "result.json").write_text(result.as_json() + "\n")
+    _say("")
+    for line in run_report.screen(result, recording, drawn, folder):
+        _say(line)
+    _say("")
+
+
+def _folder(options: RunOptions, start: Start) -> Path:
+    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(start.object).stem}-{start.seed}"
+    folder, k = options.out / stem, 1
+    while folder.exists():
+        folder, k = options.out / f"{stem}-{k}", k + 1
+    return folder
+
+
+def _table(results: Sequence[Result]) -> None:
+    _say(f"{'object':<12} {'inserted':>9} {'mean attempts':>14} {'most':>5} {'blocks moved mm':>16}")
+    for name in dict.fromkeys(result.object_name for result in results):
+        rows = [result for result in results if result.object_name == name]
+        attempts = [row.attempts if row.inserted else 16 for row in rows]
+        moved = max(row.blocks_moved_mm for row in rows)
+        inserted = f"{sum(row.inserted for row in rows)}/{len(rows)}"
+        _say(f"{name:<12} {inserted:>9} {np.mean(attempts):>14.2f} {max(attempts):>5} {moved:>16.2f}")
+
+
+def main(arguments: list[str]) -> int:
+    """Run; see the module's docstring for the exit code."""
+    options = tyro.cli(RunOptions, args=arguments, prog="python -m simulation run", description=__doc__)
+    todo = starts(options)
+    terminate_as_interrupt()
+    results = []
+    try:
+        for start in todo:
+            folder = _folder(options, start)
+            results.append(insert(start, options, folder))
+            _report(results[-1], folder)
+    except ChildError as error:
+        print(f"run: {error}", file=sys.stderr)
+        return 2 if error.code == 2 else 1
+    except KeyboardInterrupt:
+        print("run: interrupted, everything stopped", file=sys.stderr)
+        return 130
+    if len(results) > 1:
+        _table(results)
+    return 0 if all(result.inserted for result in results) else 1

@@ -1,0 +1,180 @@
+"""What a run says at its end: from the client's episode log, the cell's truth and the service's recording."""
+
+import json
+import textwrap
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simulation.optics import attempt_picture
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One insertion in figures; errors and block motion are the simulator's truth."""
+
+    object_name: str
+    x_mm: float
+    theta_deg: float
+    seed: int
+    inserted: bool
+    attempts: int
+    reason: str
+    seconds: float
+    final_x_mm: float
+    final_theta_deg: float
+    bottom_z_mm: float
+    blocks_moved_mm: float
+    blocks_tilted_deg: float
+    grasp_kept: bool
+    max_force_n: float
+    turned_in_hand_deg: float
+    frozen_ms: tuple[float, ...]
+    rest_ms: tuple[float, ...]
+    overtravel_mm: tuple[float, ...]
+    cores: tuple[float, float] = (float("nan"), float("nan"))  # mean CPU of cell and service during the insertion
+
+    def as_json(self) -> str:
+        """One indented JSON object."""
+        return json.dumps(asdict(self), indent=1)
+
+
+def _events(log: Path) -> list[dict[str, Any]]:
+    if not log.is_file():
+        return []
+    lines = log.read_text(encoding="utf-8").splitlines()
+    found = []
+    for line in lines:
+        try:
+            found.append(json.loads(line))
+        except json.JSONDecodeError:  # the client died while it wrote this line
+            break
+    return found
+
+
+def _slips(events: list[dict[str, Any]]) -> list[int]:
+    """Capture stamps (steady clock, ns) of the frames that showed slip, one an attempt."""
+    found: dict[int, int] = {}
+    for entry in events:
+        message = entry.get("event", {}).get("message", {})
+        if message.get("type") == "slip":
+            found.setdefault(int(message["attempt"]), int(message["captured_ns"]))
+    return list(found.values())
+
+
+def collect(
+    truth: dict[str, Any],
+    log: Path,
+    *,
+    object_name: str,
+    x_mm: float,
+    theta_deg: float,
+    seed: int,
+    seconds: float,
+    cores: tuple[float, float] = (float("nan"), float("nan")),
+) -> Result:
+    """Put episode log and truth together."""
+    events = _events(log)
+    end: dict[str, Any] = next((entry["end"] for entry in events if "end" in entry), {})
+    body, course = truth.get("object", {}), truth["course"]
+    frozen, rest, over = [], [], []
+    for slip_ns in _slips(events):
+        stop = next((stop for stop in truth["stops"] if stop["rest_ns"] > slip_ns), None)
+        if stop is not None:
+            frozen.append(max(0.0, (stop["frozen_ns"] - slip_ns) / 1e6))
+            rest.append((stop["rest_ns"] - slip_ns) / 1e6)
+            over.append(stop["overtravel_mm"])
+    turned = np.degrees(np.linalg.norm(body.get("in_hand", [0.0] * 6)[3:]))
+    return Result(
+        object_name=object_name,
+        x_mm=x_mm,
+        theta_deg=theta_deg,
+        seed=seed,
+        inserted=bool(end.get("inserted", False)) and bool(body.get("inserted", False)),
+        attempts=int(end.get("attempts", 0)),
+        reason=str(end.get("reason") or ""),
+        seconds=seconds,
+        final_x_mm=float(body.get("x_mm", float("nan"))),
+        final_theta_deg=float(body.get("theta_deg", float("nan"))),
+        bottom_z_mm=float(body.get("bottom_z_mm", float("nan"))),
+        blocks_moved_mm=float(course["max_block_shift_mm"]),
+        blocks_tilted_deg=float(course["max_block_tilt_deg"]),
+        grasp_kept=bool(truth["gripper"]["held"]) and not body.get("grasp_lost", False),
+        max_force_n=float(course["max_force_n"]),
+        turned_in_hand_deg=float(turned),
+        frozen_ms=tuple(frozen),
+        rest_ms=tuple(rest),
+        overtravel_mm=tuple(over),
+        cores=cores,
+    )
+
+
+def screen(result: Result, recording: Path | None, drawn: Path | None, folder: Path) -> list[str]:
+    """The one-screen report."""
+    word = "INSERTED" if result.inserted else "NOT INSERTED"
+    count = f"{result.attempts} attempt{'' if result.attempts == 1 else 's'}"
+    lines = [
+        (
+            f"{word} after {count}, {result.seconds:.1f} s   (simulated cell, {result.object_name},"
+            f" start x {result.x_mm:+.2f} mm, yaw {result.theta_deg:+.2f} deg, seed {result.seed})"
+        )
+    ]
+    if result.reason and not result.inserted:
+        lines.append(f"  reason       {result.reason}")
+    lines += [
+        (
+            f"  final error  x {result.final_x_mm:+.2f} mm, yaw {result.final_theta_deg:+.2f} deg (truth),"
+            f" bottom {-result.bottom_z_mm:.1f} mm below the block tops"
+        ),
+        (
+            f"  blocks       moved at most {result.blocks_moved_mm:.2f} mm, tilted {result.blocks_tilted_deg:.2f} deg"
+            " (free to slide and tip)"
+        ),
+        (
+            f"  grasp        {'kept' if result.grasp_kept else 'LOST'}, object turned"
+            f" {result.turned_in_hand_deg:.1f} deg in the hand, largest force {result.max_force_n:.1f} N"
+        ),
+    ]
+    if result.rest_ms:
+        lines.append(
+            f"  slip stop    target frozen {np.median(result.frozen_ms):.0f} ms after the frame"
+            f" (worst {max(result.frozen_ms):.0f}), arm at rest {np.median(result.rest_ms):.0f} ms"
+            f" (worst {max(result.rest_ms):.0f}), overtravel {np.median(result.overtravel_mm):.2f} mm"
+        )
+    if not np.isnan(result.cores).any():
+        lines.append(f"  CPU          cell {result.cores[0]:.2f} cores, service {result.cores[1]:.2f} cores")
+    lines.append(f"  recording    {recording or 'none'}")
+    lines.append(f"  picture      {drawn or 'none: no attempt was blocked'}")
+    lines.append(f"  logs         {folder}")
+    return lines
+
+
+def newest_recording(folder: Path) -> Path | None:
+    """The insertion's folder of the service."""
+    found = sorted(path for path in folder.glob("*") if path.is_dir())
+    return found[-1] if found else None
+
+
+def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | None:
+    """Picture of the last attempt that was decided on; None if there was none."""
+    attempts = sorted(recording.glob("attempt_*.npz"))
+    if not attempts:
+        return None
+    with np.load(attempts[-1], allow_pickle=False) as data:
+        said = json.loads(str(data["decision"]))
+        frames, motion, valid = data["frames"], data["displacement_px"], data["valid"]
+    number = int(attempts[-1].stem.split("_")[1])
+    decision: attempt_picture.Decision = {
+        "title": f"{result.object_name}: attempt {number} of {result.attempts}, simulated",
+        "notes": textwrap.wrap(f"{said.get('reason', '')} {said.get('detail', '')}", 40),
+    }
+    estimate = said.get("estimate")
+    if estimate is not None:
+        decision["estimate"] = (estimate["dx_mm"], estimate["dtheta_deg"])
+        decision["correction"] = (said["dx_mm"], said["dtheta_deg"])
+        decision["class_probabilities"] = said["class_probabilities"]
+        if estimate.get("interval_x_mm") and estimate.get("interval_theta_deg"):
+            decision["interval"] = (tuple(estimate["interval_x_mm"]), tuple(estimate["interval_theta_deg"]))
+    return attempt_picture.save(path, frames, decision, motion, valid)

@@ -1,0 +1,262 @@
+"""The physics behind the devices, in real time: the cameras' clock, the object in the hand, the truth.
+
+At each camera tick the world reads where the arm is, advances the mechanics to there and hands both fingers' gel states
+to their cameras. Ticks that the machine could not serve are skipped and counted, never made up for.
+"""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.cell.emulators.abb.motion import Pose
+
+Gel = NDArray[np.floating[Any]]
+
+
+class CellStateLike(Protocol):
+    """What the world reads of the mechanics' state (``simulation.physics.state.CellState``)."""
+
+    @property
+    def gel(self) -> Gel:
+        """Float [2, 20, 21, 3]."""
+
+    @property
+    def slipping_share(self) -> Any:
+        """Share of slipping nodes a finger, [2]."""
+
+    @property
+    def wrench_n_nmm(self) -> Any:
+        """Wrench at the TCP, [6]."""
+
+    @property
+    def object_error(self) -> tuple[float, float]:
+        """True (x_mm, theta_deg)."""
+
+    @property
+    def in_hand(self) -> Any:
+        """Pose of the object in the hand, [6], mm and rad."""
+
+    @property
+    def bottom_z_mm(self) -> float:
+        """Height of the object's bottom."""
+
+    @property
+    def block_motion(self) -> Any:
+        """[2, 4] dx, dy mm, yaw, tilt deg."""
+
+    @property
+    def in_contact(self) -> bool:
+        """The object touches a block."""
+
+    @property
+    def inserted(self) -> bool:
+        """Its bottom is below the block tops with the footprint inside the gap."""
+
+    @property
+    def grasp_lost(self) -> bool:
+        """It left the fingers."""
+
+
+class Mechanics(Protocol):
+    """The simulated cell as the world uses it (``QuasiStaticCell``)."""
+
+    def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellStateLike:
+        """Advance the TCP and return the new state."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """One camera tick: both fingers' gel states now and one frame earlier."""
+
+    seq: int
+    captured_ns: int
+    gel: Gel
+    previous: Gel
+
+
+@dataclass(slots=True)
+class Course:
+    """Extremes since the start, for the report."""
+
+    max_block_shift_mm: float = 0.0
+    max_block_tilt_deg: float = 0.0
+    max_force_n: float = 0.0
+    max_slipping_share: float = 0.0
+    frames: int = 0
+    frames_skipped: int = 0
+    busy_s: float = 0.0
+    unsolved: int = 0  # moves for which the physics found no equilibrium
+    contact_events: list[tuple[int, float]] = field(default_factory=list)  # (captured_ns, bottom z) at each touchdown
+
+
+class World:
+    """Owns the mechanics and the camera clock; everything it does runs on its own thread."""
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        regrasp: Callable[[float], None],
+        pose: Callable[[], Pose],
+        *,
+        fps: float,
+        held: bool = True,
+    ) -> None:
+        self.fps = fps
+        self.course = Course()
+        self.state: CellStateLike | None = None
+        self.error: BaseException | None = None
+        self.held = held
+        self.on_unsolved: Callable[[str], None] = lambda _why: None
+        self._mechanics = mechanics
+        self._regrasp = regrasp
+        self._pose = pose
+        self._sinks: list[Callable[[Exposure], None]] = []
+        self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="world", daemon=True)
+        self._last: tuple[float, float, float, float] | None = None
+        self._gel: Gel = np.zeros((2, 20, 21, 3), np.float32)
+
+    def on_exposure(self, sink: Callable[[Exposure], None]) -> None:
+        """Have ``sink`` called with every exposure, on the world's thread."""
+        self._sinks.append(sink)
+
+    def warm(self) -> None:
+        """Solve once before the clock starts, so that compilation is over when the cell says it is ready."""
+        self._advance(self._pose())
+
+    def start(self) -> None:
+        """Start the cameras' clock."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop the clock."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout=5.0)
+
+    # ---- what the gripper does --------------------------------------------------------------------------------
+
+    def grip(self, force_n: float) -> None:
+        """The fingers close on the object with this force (carried out at the next tick)."""
+
+        def do() -> None:
+            self._regrasp(force_n)
+            self._last = None
+            self.held = True
+
+        self._todo.put(do)
+
+    def let_go(self) -> None:
+        """The fingers open: the object stays where it is, the gels are free."""
+
+        def do() -> None:
+            self.held = False
+
+        self._todo.put(do)
+
+    # ---- time -------------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            self._loop()
+        except BaseException as error:  # reported by the cell's main, which ends
+            self.error = error
+
+    def _loop(self) -> None:
+        period_s = 1.0 / self.fps
+        due_s = time.monotonic()
+        seq = 0
+        while not self._stop.wait(max(0.0, due_s - time.monotonic())):
+            while not self._todo.empty():
+                self._todo.get()()
+            captured_ns = time.monotonic_ns()
+            before = self._gel
+            self._advance(self._pose())
+            self._note(captured_ns)
+            for sink in self._sinks:
+                sink(Exposure(seq, captured_ns, self._gel, before))
+            now_s = time.monotonic()
+            self.course.busy_s += now_s - captured_ns / 1e9
+            seq += 1
+            due_s += period_s
+            if now_s > due_s:
+                skipped = int((now_s - due_s) / period_s)
+                self.course.frames_skipped += skipped
+                seq += skipped
+                due_s += skipped * period_s
+
+    def _advance(self, pose: Pose) -> None:
+        if not self.held:
+            self._gel = np.zeros_like(self._gel)
+            return
+        where = (*pose.position_mm, pose.yaw_deg)
+        if self._last is not None and all(abs(a - b) < 1e-5 for a, b in zip(where, self._last, strict=True)):
+            return
+        self._last = where
+        try:
+            self.state = self._mechanics.move_to(*where)
+        except RuntimeError as error:  # no equilibrium: the arm was driven into the blocks
+            self.course.unsolved += 1
+            self.on_unsolved(str(error))
+            return
+        self._gel = np.array(self.state.gel, np.float32)
+        if self.state.grasp_lost:
+            self.held = False
+
+    def _note(self, captured_ns: int) -> None:
+        course, state = self.course, self.state
+        course.frames += 1
+        if state is None:
+            return
+        motion = np.abs(np.asarray(state.block_motion, float))
+        course.max_block_shift_mm = max(course.max_block_shift_mm, float(np.hypot(motion[:, 0], motion[:, 1]).max()))
+        course.max_block_tilt_deg = max(course.max_block_tilt_deg, float(motion[:, 3].max()))
+        course.max_force_n = max(course.max_force_n, float(np.linalg.norm(np.asarray(state.wrench_n_nmm)[:3])))
+        course.max_slipping_share = max(course.max_slipping_share, float(np.max(state.slipping_share)))
+        touching = bool(state.in_contact)
+        if touching and not self._touching:
+            course.contact_events.append((captured_ns, float(state.bottom_z_mm)))
+        self._touching = touching
+
+    _touching = False
+
+
+class HeldPart:
+    """The object between the fingers, as the gripper's mechanism sees it.
+
+    Opening the fingers puts the object back into its fixture if the arm stands at ``home`` and leaves it where it is
+    otherwise: from then on there is nothing to grasp, until the arm has put it down at home again.
+    """
+
+    def __init__(self, world: World, size_mm: float, pose: Callable[[], Pose], home: Pose) -> None:
+        self._world = world
+        self._size_mm = size_mm
+        self._pose = pose
+        self._home = home
+        self._there = True
+
+    def width_mm(self) -> float | None:
+        """The object's size along the fingers' axis while it is between them."""
+        return self._size_mm if self._there else None
+
+    def gripped(self, force_n: float) -> None:
+        """The fingers hold it."""
+        self._world.grip(force_n)
+
+    def released(self) -> None:
+        """The fingers opened, or it slipped out."""
+        at, home = self._pose(), self._home
+        near = all(abs(a - b) < 2.0 for a, b in zip(at.position_mm, home.position_mm, strict=True))
+        self._there = near and abs(at.yaw_deg - home.yaw_deg) < 2.0
+        self._world.let_go()
+
+    def lost(self) -> bool:
+        """The mechanics lost the grasp."""
+        return self._world.state is not None and bool(self._world.state.grasp_lost)

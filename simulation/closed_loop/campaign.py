@@ -1,0 +1,169 @@
+"""Many insertions on all cores or on a cluster, logged a line each, so that a killed run goes on where it was.
+
+The log is only valid for the networks, the physics, the service and the client it was made with: `claim` refuses to
+go on with others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any
+
+from simulation.data.manifest import write_durably
+from simulation.data.progress import progress
+from simulation.data.sources import sources_sha256
+
+Row = dict[str, Any]
+PLAYED_BY = "code of the simulator, the service or the client"
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One insertion to play: the folder of its networks and the fields of its `simulation.closed_loop.play.Job`."""
+
+    models: Path
+    job: Mapping[str, Any]
+
+    @property
+    def key(self) -> str:
+        """What a resumed run recognises its row by."""
+        return key_of(self.job)
+
+    def made(self, row: Row) -> bool:
+        """Whether a logged row came of this very job, not of one of the same name under another disturbance."""
+        return all(row.get(name) == value for name, value in self.job.items())
+
+
+def key_of(row: Mapping[str, Any]) -> str:
+    """Key of a job or of the row that came of it."""
+    return "/".join(str(row.get(name, "")) for name in ("condition", "scene", "who", "eyes", "seed", "index"))
+
+
+def play(task: Task) -> Row:
+    """In a worker: load the networks once, then play."""
+    from simulation.closed_loop.play import Job, insert, models_of
+
+    return insert(Job(**task.job), models_of(task.models))
+
+
+def read_log(path: Path) -> list[Row]:
+    """What earlier calls finished; a line cut short by a kill is dropped."""
+    rows = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return rows
+
+
+def fingerprint(folders: Mapping[str, Path]) -> dict[str, str]:
+    """SHA-256 of every deciding network, by contender, and of all the code and scenes that play an insertion."""
+    found = {PLAYED_BY: sources_sha256("simulation.closed_loop.play")}
+    for name, folder in folders.items():
+        for file in sorted(folder.glob("*.step.onnx")):
+            found[f"{name}/{file.name}"] = hashlib.sha256(file.read_bytes()).hexdigest()
+    return found
+
+
+def claim(out: Path, setup: Mapping[str, str]) -> None:
+    """Make the folder this run's; ValueError if what lies there was made with other networks or other code."""
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / "setup.json"
+    if path.exists():
+        before = _said(path)
+        known = before.keys() | {PLAYED_BY}
+        changed = sorted(name for name in known & setup.keys() if before.get(name) != setup[name])
+        if changed:
+            raise ValueError(
+                f"{out} holds results of other {', '.join(changed)}; expected an empty folder (--out) or the same ones"
+            )
+        setup = {**before, **setup}
+    write_durably(path, (json.dumps(setup, indent=1, sort_keys=True) + "\n").encode())
+
+
+def _said(path: Path) -> dict[str, str]:
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError:
+        before = None
+    if not isinstance(before, dict):
+        raise ValueError(  # noqa: TRY004 (of a file, not of a call)
+            f"{path} does not say what the results beside it were made with; expected an empty folder"
+        )
+    return before
+
+
+def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "") -> list[Row]:
+    """Play what the log lacks, with progress and ETA; the row of each of ``tasks`` once, in their order."""
+    wanted = {task.key: task for task in tasks}
+    rows = {key: row for row in read_log(log) if (key := key_of(row)) in wanted and wanted[key].made(row)}
+    missing = [task for key, task in wanted.items() if key not in rows]
+    _end_line(log)
+    with log.open("a", encoding="utf-8") as file, progress("insertions (simulated)", len(missing)) as show:
+        for done, row in enumerate(_results(missing, workers or os.cpu_count() or 1, ray), 1):
+            rows[key_of(row)] = row
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            show(done)
+    return [rows[key] for key in wanted]
+
+
+def _end_line(log: Path) -> None:
+    """A kill may have cut the last line; what comes next must not be glued to it."""
+    if log.exists() and log.stat().st_size and not log.read_bytes().endswith(b"\n"):
+        with log.open("a", encoding="utf-8") as file:
+            file.write("\n")
+
+
+def _results(tasks: Sequence[Task], workers: int, ray: str) -> Iterator[Row]:
+    if not tasks:
+        return
+    if ray:
+        yield from _on_ray(tasks, ray)
+    elif workers == 1:
+        yield from map(play, tasks)
+    else:
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+            os.environ.setdefault(name, "1")  # one process a core; threads inside them would only fight
+        with multiprocessing.get_context("spawn").Pool(workers, _die_with_parent) as pool:
+            yield from pool.imap_unordered(play, tasks)
+
+
+def _die_with_parent() -> None:
+    """However the parent ends, the worker ends too."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    sentinel = parent.sentinel
+
+    def follow() -> None:
+        wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def _on_ray(tasks: Sequence[Task], address: str) -> Iterator[Row]:
+    """On the Ray cluster at ``address`` ("local" starts one here); the models folder must exist on every node."""
+    try:
+        import ray
+    except ImportError as error:
+        raise ValueError('--ray needs Ray: pip install ".[simulation,service,ray]"') from error
+    ray.init(address=None if address == "local" else address, log_to_driver=False, include_dashboard=False)
+    try:
+        remote = ray.remote(num_cpus=1, max_retries=3)(play)
+        waiting = [remote.remote(task) for task in tasks]
+        while waiting:
+            finished, waiting = ray.wait(waiting, num_returns=1)
+            yield from ray.get(finished)
+    finally:
+        ray.shutdown()

@@ -1,0 +1,197 @@
+"""The arm and the cameras of the simulated cell in lock step: time passes a frame at a time, as fast as it computes.
+
+Nothing here decides anything. The motion is the real driver's in outline: constant speed, and a stop that takes effect
+after the lag of the controller, so that overtravel is part of every attempt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import FINGERS, FramePair, TactileFrame
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
+from simulation.scene.effects import dropped_share
+from simulation.scene.scene import Scene
+
+START_NS = 1_000_000_000
+CREEP_ALLOWANCE_MM = 4.0  # what a client may go deeper for a part pushed up in the hand: the gap here has no floor
+MAX_UNSOLVED = 6  # moves in a row without an equilibrium: the cell cannot say what happens, the insertion is void
+Image = NDArray[np.uint8]
+
+
+class GraspEndError(Exception):
+    """The object left the grasp as far as it is simulated: what the gels would see from here on is not known."""
+
+
+@dataclass(slots=True)
+class Course:
+    """What happened to object and blocks up to now; lengths in mm, angles in deg.
+
+    ``in_hand_mm`` is the object's largest displacement in the hand against the grasp (elastic and slipped),
+    ``slipped_mm`` what of it was left once the object was in the air again.
+    """
+
+    block_mm: float = 0.0
+    block_tilt_deg: float = 0.0
+    in_hand_mm: float = 0.0
+    slipped_mm: float = 0.0
+    force_n: float = 0.0
+    unsolved: int = 0
+
+
+@dataclass(slots=True)
+class LockstepCell:
+    """Scene, hand and cameras with one clock. Poses are the TCP's, mm and deg, in the work-object frame.
+
+    With ``draws`` False frames carry no picture (uint8 [0, 0, 3]): for those who look at the gel itself. ``dead`` says
+    what ails the left finger's camera: nothing (""), "dark" frames, or for ever the first one ("frozen").
+    """
+
+    scene: Scene
+    cell: QuasiStaticCell
+    renderers: tuple[Renderer, Renderer]
+    stop_lag_s: float
+    seed: int
+    draws: bool = True
+    dead: str = ""
+    now_ns: int = START_NS
+    frame: int = 0
+    bottom_z_mm: float = math.inf
+    moving: bool = False
+    state: CellState = field(init=False)
+    previous: CellState = field(init=False)
+    course: Course = field(default_factory=Course)
+    _grasped: NDArray[np.float64] = field(init=False)
+    _stuck: int = 0
+    _first: Image | None = None
+
+    def __post_init__(self) -> None:
+        self.state = self.previous = self.cell.look()
+        self._grasped = self.state.in_hand[:3].copy()
+
+    @classmethod
+    def build(
+        cls, scene: Scene, x_mm: float, theta_deg: float, seed: int, *, stop_lag_s: float = 0.03, draws: bool = True
+    ) -> LockstepCell:
+        """A cell with the object grasped at the error given, at approach height."""
+        cell = QuasiStaticCell(scene, seed)
+        cell.regrasp(x_mm, theta_deg)
+        left, right = (Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS)
+        return cls(scene, cell, (left, right), stop_lag_s, seed, draws)
+
+    @property
+    def now_s(self) -> float:
+        """The clock in seconds."""
+        return self.now_ns / 1e9
+
+    @property
+    def pose(self) -> tuple[float, float, float, float]:
+        """TCP x, y, z in mm and yaw in deg."""
+        x, y, z, yaw = self.cell.pose
+        return float(x), float(y), float(z), math.degrees(float(yaw))
+
+    def travel(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float, duration_s: float) -> None:
+        """Go there in a straight line; no frame is looked at on the way.
+
+        Raises PhysicsError where the cell finds no way.
+        """
+        while not self._go(x_mm, y_mm, z_mm, yaw_deg):
+            pass
+        self.previous = self.state  # at rest when the next frame is taken
+        if not self.state.in_contact:
+            self.course.slipped_mm = max(self.course.slipped_mm, self._in_hand_mm())
+        self.now_ns += round(duration_s * 1e9)
+
+    def descend(self, bottom_z_mm: float) -> None:
+        """Begin to go down at the scene's speed; every `next_pair` shows what came of it.
+
+        Raises GraspEndError if an earlier descent pushed the object out of its grasp.
+        """
+        if self.state.grasp_lost:
+            raise GraspEndError("the object was pushed out of the grasp that is simulated (12 mm, a tenth of the grip)")
+        self.bottom_z_mm, self.moving = bottom_z_mm, True
+
+    def hold(self) -> None:
+        """Order a stop: it takes effect after the controller's lag."""
+        if self.moving:
+            lag_mm = self.scene.speed_mm_s * self.stop_lag_s
+            self.bottom_z_mm = max(self.bottom_z_mm, self.pose[2] - lag_mm)
+
+    def next_pair(self, *, look: bool = True) -> FramePair:
+        """Advance one frame period and take both fingers' frames, drawn if anyone is to ``look`` at them.
+
+        Raises PhysicsError when the cell is lost for good.
+        """
+        self.now_ns += round(1e9 / self.scene.camera.fps)
+        self.previous = self.state
+        if self.moving:
+            x, y, z, yaw = self.pose
+            target = max(self.bottom_z_mm, z - self.scene.speed_mm_s / self.scene.camera.fps)
+            if self._go(x, y, target, yaw):
+                self.moving = target > self.bottom_z_mm
+        self.frame += 1
+        left, right = (
+            TactileFrame(finger, self.frame, self.now_ns, self._pixels(index) if self.draws and look else _NOTHING)
+            for index, finger in enumerate(FINGERS)
+        )
+        return FramePair(left, right)
+
+    def arrived(self) -> tuple[bool, bool]:
+        """Which of the two frames taken last reached the service: cameras drop a share of them, each for itself."""
+        share = dropped_share(self.scene)
+        if share <= 0.0:
+            return True, True
+        lost = np.random.default_rng(hash_seed(self.seed, self.frame, 99)).random(2) < share
+        return not lost[0], not lost[1]
+
+    def _pixels(self, index: int) -> Image:
+        if index or not self.dead:
+            return self.picture_later(index)()
+        if self._first is None:
+            self._first = self.picture_later(index)()
+        return np.zeros_like(self._first) if self.dead == "dark" else self._first
+
+    def picture_later(self, index: int) -> Callable[[], Image]:
+        """A finger's raw frame of this moment, drawn when it is asked for: the same bits then as now."""
+        gel, before, seed = self.state.gel[index], self.previous.gel[index], hash_seed(self.seed, self.frame, index)
+        renderer = self.renderers[index]
+        return lambda: renderer.raw(gel, seed, before)
+
+    def _go(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> bool:
+        """Advance; False where no equilibrium was found: the arm is then late by a part of the move."""
+        try:
+            state = self.cell.move_to(x_mm, y_mm, z_mm, yaw_deg)
+        except PhysicsError:
+            self.course.unsolved += 1
+            self._stuck += 1
+            if self._stuck > MAX_UNSOLVED:
+                raise
+            return False
+        self._stuck = 0
+        self._see(state)
+        return True
+
+    def _in_hand_mm(self) -> float:
+        return float(np.linalg.norm(self.state.in_hand[:3] - self._grasped))
+
+    def _see(self, state: CellState) -> None:
+        self.state = state
+        course, blocks = self.course, state.block_motion
+        course.in_hand_mm = max(course.in_hand_mm, self._in_hand_mm())
+        course.block_mm = max(course.block_mm, float(np.hypot(blocks[:, 0], blocks[:, 1]).max()))
+        course.block_tilt_deg = max(course.block_tilt_deg, float(blocks[:, 3].max()))
+        course.force_n = max(course.force_n, float(np.linalg.norm(state.wrench_n_nmm[:3])))
+
+
+_NOTHING: Image = np.zeros((0, 0, 3), np.uint8)
+
+
+def hash_seed(*parts: int) -> int:
+    """One seed out of several numbers, the same on every machine."""
+    return int(np.random.SeedSequence(parts).generate_state(1)[0])

@@ -1,0 +1,309 @@
+"""The closed loop faster than real time: the service's own session and the robot client's own state machine.
+
+`python -m simulation evaluate` runs the paper's test protocol in lock step: rendered frames go through the service's
+perception, the shipped ONNX files and its controller; what it answers goes through the client's insertion machine.
+This is the one module of the simulator that imports them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from robot_client.insertion.events import (
+    Arrived,
+    Begin,
+    Command,
+    Event,
+    FromService,
+    Grasp,
+    Grasped,
+    Hold,
+    Move,
+    Say,
+    Standstill,
+)
+from robot_client.insertion.events import Tick as ClientTick
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import Limits as ClientLimits
+from robot_client.insertion.machine import step
+from robot_client.insertion.state import Phase, Plan, State
+from service.contract import FINGERS, FramePair
+from service.contract.wire import Correction, Estimate, NoDecision
+from service.decision.attempt import WorkResult
+from service.decision.evidence import Evidence
+from service.decision.models import ModelSet, load_models
+from service.decision.work import Work
+from service.perception.finger import TactileFinger
+from service.perception.observation import FingerWatch
+from service.perception.rectification import CameraCalibration
+from service.session.state_machine import InsertionSession
+from simulation.closed_loop.baselines import CONTENDERS, Chooser, Contender, View
+from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, Course, GraspEndError, LockstepCell, hash_seed
+from simulation.closed_loop.true_fields import GelFinger
+from simulation.physics.quasistatic import PhysicsError
+from simulation.scene.scene import load_scene
+
+MAX_FRAMES = 4000
+Eyes = Literal["pictures", "gel"]
+# A blind search may jump from one end of the range to the other
+FAR = ClientLimits(max_dx_mm=45.0, max_dtheta_deg=45.0)
+
+
+@dataclass(slots=True)
+class Outcome:
+    """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
+
+    ``inserted`` is the truth, ``claimed`` what the client believes; ``void``: the physics came to its end.
+    """
+
+    inserted: bool
+    claimed: bool
+    attempts: int
+    reason: str
+    void: bool
+    final_error: tuple[float, float]
+    grasp_kept: bool
+    course: Course
+    trials: list[dict[str, Any]] = field(default_factory=list)
+
+
+class Insertion:
+    """Couples the lock-step cell, the service's session and the client's machine; `run` plays it to the end."""
+
+    def __init__(
+        self,
+        world: LockstepCell,
+        models: ModelSet,
+        contender: Contender,
+        *,
+        chooser: Chooser | None = None,
+        eyes: Eyes = "pictures",
+        gap_error_mm: float = 0.0,
+    ) -> None:
+        self.world = world
+        self.models = models
+        self.contender = contender
+        self.chooser = chooser
+        left, right = (_finger(models, world, index, eyes) for index in range(2))
+        self.session = InsertionSession(models, left, right, controller_name=contender.controller)
+        if not contender.sees:
+            self.session.submit = self._skip_networks
+        plan = Plan(
+            insertion_id="simulated",
+            approach=self._pose(),
+            gap_width_mm=world.scene.blocks.gap_mm + gap_error_mm,
+            grasp_height_mm=world.scene.grasp.height_mm,
+            expected_depth_mm=25.0,
+            creep_allowance_mm=CREEP_ALLOWANCE_MM,
+            limits=FAR if chooser else ClientLimits(),
+        )
+        self.state = State(plan)
+        self.trials: list[dict[str, Any]] = []
+        self.before = world.state  # what it was when the descent began, hanging free
+        self._events: deque[Event] = deque()
+        self._standing = False
+        self._skipped: list[Work] = []
+
+    def run(self) -> Outcome:
+        """Play the insertion to its end; where the physics comes to its end, it is void and counts as failed."""
+        world, void = self.world, ""
+        try:
+            self._play()
+        except (PhysicsError, GraspEndError) as stuck:
+            void = f"physics: {stuck}"
+        error = world.state.object_error
+        return Outcome(
+            inserted=self.state.phase is Phase.INSERTED and world.state.inserted and not void,
+            claimed=self.state.phase is Phase.INSERTED,
+            attempts=self.state.attempt,
+            reason=void or self.state.reason,
+            void=bool(void),
+            final_error=(float(error[0]), float(error[1])),
+            grasp_kept=not world.state.grasp_lost,
+            course=world.course,
+            trials=self.trials,
+        )
+
+    def _play(self) -> None:
+        self._post(Begin(at_s=self.world.now_s, pose=self._pose()))
+        for _ in range(MAX_FRAMES):
+            if self.state.done:
+                break
+            self._frame()
+
+    def _frame(self) -> None:
+        was_moving = self.world.moving
+        pair = self.world.next_pair(look=self.session.wants_frames)
+        now_ns = self.world.now_ns
+        self._show(pair, now_ns)
+        self._hear(self.session.on_tick(now_ns))
+        self._post(ClientTick(at_s=self.world.now_s))
+        if was_moving and not self.world.moving:
+            self._standing = True
+        if self._standing and not self.world.moving:
+            self._standing = False
+            event = Standstill if self.state.phase is Phase.STOPPING else Arrived
+            self._post(event(at_s=self.world.now_s, pose=self._pose()))
+
+    def _show(self, pair: FramePair, now_ns: int) -> None:
+        arrived = self.world.arrived()
+        if all(arrived):
+            self._hear(self.session.on_pair(pair, now_ns))
+        else:
+            for frame, came in zip((pair.left, pair.right), arrived, strict=True):
+                if came:
+                    self._hear(self.session.on_frame(frame, now_ns))
+        while self._skipped:
+            work, attempt = self._skipped.pop(0), self.session.attempt
+            if attempt is not None and attempt.result is None:
+                result = WorkResult(work.attempt, attempt.generation, self._nothing_known(), None, {})
+                self._hear(self.session.on_result(result, now_ns))
+
+    def _skip_networks(self, work: Work) -> None:
+        """In the networks' place where nobody listens to them: done with the last frame of the decision."""
+        attempt = self.session.attempt
+        if attempt is not None and len(attempt.decision_pairs) >= self.models.card.frames_per_decision:
+            self._skipped.append(work)
+
+    def _nothing_known(self) -> Evidence:
+        classes = self.models.card.classes
+        return Evidence(classes, np.full(len(classes), 1.0 / len(classes)), (0.0, 0.0), (10.0, 10.0))
+
+    def _hear(self, messages: list[Any]) -> None:
+        for message in messages:
+            heard = message
+            if isinstance(message, Correction | NoDecision):
+                heard = self._note(message)
+            self._post(FromService(at_s=self.world.now_s, message=heard))
+
+    def _note(self, message: Correction | NoDecision) -> Correction | NoDecision:
+        """Log the attempt beside the truth; a baseline puts its own move in the correction's place."""
+        if self.chooser and (isinstance(message, Correction) or not self.contender.sees):
+            message = self._chosen(self.chooser, message)
+        decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
+        wrench = [round(float(v), 3) for v in self.world.state.wrench_n_nmm]
+        self.trials.append({"error_before": list(self.before.object_error), "wrench": wrench, "decision": decision})
+        return message
+
+    def _chosen(self, chooser: Chooser, message: Correction | NoDecision) -> Correction:
+        scene, estimate, classes = self.world.scene, None, None
+        if isinstance(message, Correction) and self.contender.sees:
+            estimate = (message.estimate.dx_mm, message.estimate.dtheta_deg)
+            classes = message.class_probabilities
+        felt = np.asarray(self.world.state.wrench_n_nmm - self.before.wrench_n_nmm, np.float64)
+        view = View(
+            message.attempt,
+            self.before.object_error,
+            felt,
+            self.state.plan.gap_width_mm,
+            scene.grasp.height_mm,
+            classes,
+            estimate,
+        )
+        dx, dtheta = chooser.choose(view)
+        said = message if isinstance(message, Correction) else _empty_correction(message)
+        return said.model_copy(update={"dx_mm": dx, "dtheta_deg": dtheta, "reason": self.contender.title})
+
+    def _post(self, event: Event) -> None:
+        self._events.append(event)
+        while self._events:
+            self.state, commands = step(self.state, self._events.popleft())
+            for command in commands:
+                self._carry_out(command)
+
+    def _carry_out(self, command: Command) -> None:
+        match command:
+            case Say():
+                self._hear(self.session.handle(command.message, self.world.now_ns))
+            case Grasp():
+                self._events.append(Grasped(at_s=self.world.now_s, width_mm=80.0))
+            case Hold():
+                if self.world.moving:
+                    self.world.hold()
+                else:
+                    self._standing = True
+            case Move() if command.motion == "descend":
+                self.before = self.world.state
+                self.world.descend(command.target.z_mm)
+            case Move():
+                target = command.target
+                duration_s = self.state.plan.ramps.duration_s(self._pose(), target, command.motion)
+                self.world.travel(target.x_mm, target.y_mm, target.z_mm, target.yaw_deg, duration_s)
+                self._events.append(Arrived(at_s=self.world.now_s, pose=self._pose()))
+
+    def _pose(self) -> WorkPose:
+        x, y, z, yaw = self.world.pose
+        return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
+
+
+def _finger(models: ModelSet, world: LockstepCell, index: int, eyes: Eyes) -> FingerWatch:
+    if eyes == "gel":
+        return GelFinger(world, FINGERS[index])
+    calibration = CameraCalibration(world.renderers[index].homography)
+    return TactileFinger(FINGERS[index], models.card.frame, calibration)
+
+
+def _empty_correction(refused: NoDecision) -> Correction:
+    return Correction(
+        insertion_id=refused.insertion_id,
+        attempt=refused.attempt,
+        dx_mm=0.0,
+        dtheta_deg=0.0,
+        class_probabilities={},
+        estimate=Estimate(dx_mm=0.0, dtheta_deg=0.0),
+        confidence=0.0,
+        controller="heuristic",
+        reason="",
+        latency_ms={},
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One insertion to play: scene, start error, seed, who decides, by what eyes, under which disturbance.
+
+    ``changes`` are dotted keys of the scene; ``gap_error_mm`` is added to the gap width that the client tells.
+    """
+
+    scene: str
+    index: int
+    x_mm: float
+    theta_deg: float
+    seed: int
+    who: str
+    eyes: Eyes = "pictures"
+    condition: str = ""
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    gap_error_mm: float = 0.0
+    dead: Literal["", "dark", "frozen"] = ""
+
+
+def stage(job: Job, models: ModelSet) -> Insertion:
+    """The insertion of a job, ready to run: blocks free, the object in the hand."""
+    scene = load_scene(job.scene, blocks__free=True).varied(job.changes)
+    contender = CONTENDERS[job.who]
+    eyes: Eyes = job.eyes if contender.sees else "gel"
+    world = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, draws=eyes == "pictures")
+    world.dead = job.dead
+    reach = (scene.x_range_mm, scene.theta_range_deg)
+    chooser = contender.make(hash_seed(job.seed, job.index), reach) if contender.make else None
+    return Insertion(world, models, contender, chooser=chooser, eyes=eyes, gap_error_mm=job.gap_error_mm)
+
+
+def insert(job: Job, models: ModelSet) -> dict[str, Any]:
+    """Play a job; the row of results. A start that fits at once counts, as in the paper."""
+    outcome = stage(job, models).run()
+    return asdict(job) | asdict(outcome)
+
+
+@cache
+def models_of(folder: Path) -> ModelSet:
+    """The networks of a folder, loaded once a process."""
+    return load_models(folder)

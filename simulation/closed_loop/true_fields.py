@@ -1,0 +1,85 @@
+"""Perception of one finger from the simulated gel itself, for runs in which pictures need not be seen.
+
+Slip and onset are judged by the service's own detectors on the true marker field, with the tracker's measured error
+added; a picture is drawn only when a network asks for it. Some five times cheaper than drawing and tracking all.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import FINGERS, Finger, TactileFrame
+from service.perception.markers.field import field_from_gel
+from service.perception.observation import Observation
+from service.perception.rectification import CameraCalibration, Rectifier
+from service.perception.slip.detector import SlipDetector
+from service.perception.slip.onset import OnsetDetector
+from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
+
+# RMS per axis at 2 grey levels of camera noise, and what each grey level more adds (docs/slip_report.md).
+TRACKING_PX = 0.039
+TRACKING_PX_PER_GREY = 0.0038
+
+
+class LatePicture:
+    """An image that is drawn and rectified when numpy first asks for its pixels."""
+
+    def __init__(self, draw: Callable[[], Image], rectifier: Rectifier) -> None:
+        self._draw = draw
+        self._rectifier = rectifier
+        self._pixels: Image | None = None
+
+    def __array__(self, dtype: Any = None, *, copy: bool | None = None) -> Image:
+        """Uint8 [320, 327, 3]."""
+        if self._pixels is None:
+            self._pixels = self._rectifier.apply(self._draw())
+        return self._pixels
+
+
+class GelFinger:
+    """A :class:`FingerWatch` that looks at the cell's gel of this moment instead of the frame."""
+
+    def __init__(self, world: LockstepCell, finger: Finger) -> None:
+        self._world = world
+        self._finger = finger
+        self._index = FINGERS.index(finger)
+        self._rectifier = Rectifier(CameraCalibration(world.renderers[self._index].homography))
+        self._slip = SlipDetector()
+        self._onset = OnsetDetector()
+        self._rearm = False
+        noise = world.scene.camera.noise_grey
+        self._error_px = max(0.02, TRACKING_PX + TRACKING_PX_PER_GREY * (noise - 2.0))
+
+    def rearm(self) -> None:
+        """The next frame becomes the reference of slip and onset."""
+        self._rearm = True
+
+    def observe(self, frame: TactileFrame) -> Observation:
+        """Perceive the moment that the frame was taken at."""
+        world = self._world
+        seen = field_from_gel(self._exposed(), frame.captured_ns, marker_pitch_mm=world.scene.marker_pitch_mm)
+        rng = np.random.default_rng(hash_seed(world.seed, world.frame, self._index, 7))
+        error = rng.normal(0.0, self._error_px, seen.displacement_px.shape).astype(np.float32)
+        seen = dataclasses.replace(seen, displacement_px=seen.displacement_px + error, contact=None)
+        onset = None
+        if self._rearm:
+            slip = self._slip.rearm(seen)
+            self._onset.rearm(seen)
+            self._rearm = False
+        else:
+            slip, onset = self._slip.update(seen), self._onset.update(seen)
+        picture = cast("NDArray[np.uint8]", LatePicture(world.picture_later(self._index), self._rectifier))
+        onset_ns = None if onset is None else onset.captured_ns
+        return Observation(self._finger, frame.seq, frame.captured_ns, picture, seen, slip, onset_ns, {})
+
+    def _exposed(self) -> NDArray[np.floating]:
+        """The gel as a picture shows it: a smeared marker is found in the middle of its way during the exposure."""
+        now: NDArray[np.floating] = self._world.state.gel[self._index]
+        late = np.float32(0.5 * self._world.renderers[self._index].appearance.motion_blur_share)
+        seen: NDArray[np.floating] = now - late * (now - self._world.previous.gel[self._index])
+        return seen

@@ -1,0 +1,281 @@
+"""Self-supervised collection: poke with known random errors, keep what collides, on every core, safe to kill.
+
+As in the paper: errors uniform in x and yaw, the object put back in its fixture every 5 pokes and drifting in the
+hand between them, the descent stopped by slip. Every re-fixture draws another gel, grasp, friction, noise and light;
+a share of the re-fixtures comes from held-out ranges and is the test set.
+
+The unit of work is a shard, made from nothing but (seed, object, shard number): a killed collection starts its
+unfinished shards again and gets the same bits.
+"""
+
+import hashlib
+import math
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from service.contract import FINGERS
+from simulation.data.dataset import DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, encode_shard, split_of
+from simulation.data.manifest import shard_file_name, write_durably
+from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
+from simulation.data.sources import sources_sha256
+from simulation.optics.appearance import Appearance
+from simulation.scene.scene import Scene, load_scene
+
+TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
+POKES_PER_FIXTURE = 5
+MAX_STOP_DELAY_FRAMES = 2
+MAX_OVERTRAVEL_MM = 0.15
+LIFT_MM = 0.5
+LIFT_STEP_MM = 0.5  # nothing is read from a lift: steps 3 times as coarse move the drift by less than 0.05 mm
+_MAX_POKES_PER_TRIAL = 40  # a scene where fewer than 1 poke in 40 collides is a mistake, not a data set
+_GROUPS_PER_SHARD = 100_000
+_SHARDS_PER_OBJECT = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """One shard to make; small and picklable, everything follows from it."""
+
+    folder: Path
+    scene_name: str
+    shard: int
+    trials: int
+    seed: int
+    held_out_share: float
+    slip_truth: bool = False
+
+    @property
+    def file_name(self) -> str:
+        """File name of the shard inside the dataset."""
+        return shard_file_name(self.scene_name, self.shard)
+
+    def group_id(self, number: int) -> int:
+        """A number no other re-fixture of the collection has; wherever a scene's TOML file lies, it is the same."""
+        object_id = int(hashlib.sha256(Path(self.scene_name).stem.encode()).hexdigest()[:6], 16)
+        return (object_id * _SHARDS_PER_OBJECT + self.shard) * _GROUPS_PER_SHARD + number
+
+
+@dataclass(frozen=True, slots=True)
+class Fixture:
+    """One re-fixture: the cell as drawn, its looks, its side of the split."""
+
+    scene: Scene
+    group: int
+    held_out: bool
+    appearances: tuple[Appearance, Appearance]
+    cell_seed: int
+
+
+def scene_sha256(scene: Scene) -> str:
+    """SHA-256 of everything a scene says."""
+    return hashlib.sha256(scene.identity_json().encode()).hexdigest()
+
+
+def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.random.Generator]:
+    """Re-fixture ``number`` of a shard and the random stream of its pokes."""
+    group = plan.group_id(number)
+    rng = np.random.Generator(np.random.PCG64([plan.seed, group]))
+    held_out = bool(rng.random() < plan.held_out_share)
+    scene = base.randomised(rng, held_out=held_out)
+    look_seed, cell_seed = (int(n) for n in rng.integers(2**31, size=2))
+    left, right = (Appearance.draw(scene, finger, look_seed) for finger in FINGERS)
+    return Fixture(scene, group, held_out, (left, right), cell_seed), rng
+
+
+def pokes(plan: Plan, base: Scene) -> Iterator[tuple[Fixture, int, int, Probe | None]]:
+    """All pokes of a shard in order, without end: (fixture, poke in group, seed, probe or None without equilibrium).
+
+    A group ends early when the object has left the hand or went into the gap: both need a new fixture.
+    """
+    for number in range(_GROUPS_PER_SHARD):
+        fixture, rng = draw_fixture(base, plan, number)
+        hand: Hand | None = None
+        for poke in range(POKES_PER_FIXTURE):
+            scene = fixture.scene
+            x_mm = float(rng.uniform(-scene.x_range_mm, scene.x_range_mm))
+            theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))
+            seed = int(rng.integers(2**31))
+            try:
+                hand = hand or Hand(fixture)
+                hand.aim(x_mm, theta_deg)
+                probe = hand.poke(rng)
+            except PhysicsError:
+                yield fixture, poke, seed, None
+                break
+            yield fixture, poke, seed, probe
+            if probe.outcome != "blocked":
+                break
+
+
+class Hand:
+    """A cell between two fixtures: pokes follow one another and the object keeps its drift in the hand."""
+
+    def __init__(self, fixture: Fixture) -> None:
+        self._cell = QuasiStaticCell(fixture.scene, seed=fixture.cell_seed)
+        self._cell.regrasp(0.0, 0.0)
+        self._zero = self._cell.pose.copy()  # TCP x, y, z (mm) and yaw (rad) that put the fresh object at no error
+
+    def aim(self, x_mm: float, theta_deg: float) -> None:
+        """Hand over the gap where a freshly fixtured object would have this error; the one in hand has drifted."""
+        x, y, z, yaw = (float(value) for value in self._zero)
+        self._cell.move_to(x + x_mm, y, z, math.degrees(yaw) + theta_deg)
+
+    def poke(self, rng: np.random.Generator) -> Probe:
+        """Descend until slip, a little further as a real arm does, and lift off again."""
+        cell = self._cell
+        delay_frames = int(rng.integers(MAX_STOP_DELAY_FRAMES + 1))
+        overtravel_mm = float(rng.uniform(0, MAX_OVERTRAVEL_MM))
+        x, _, top, yaw = (float(value) for value in cell.pose)
+        phase = float(rng.random())
+        probe = descend(
+            cell, x, math.degrees(yaw), phase=phase, stop_delay_frames=delay_frames, overtravel_mm=overtravel_mm
+        )
+        if probe.outcome == "blocked":
+            self._lift(top)
+        return probe
+
+    def _lift(self, top_z_mm: float) -> None:
+        """Straight up until nothing touches, then to approach height."""
+        cell, scene = self._cell, self._cell.scene
+        x, y, _, yaw = (float(value) for value in cell.pose)
+        cell.scene = scene.varied({"numerics.load_step_mm": max(LIFT_STEP_MM, scene.numerics.load_step_mm)})
+        while cell.look().in_contact and cell.pose[2] < top_z_mm:
+            cell.move_to(x, y, min(top_z_mm, float(cell.pose[2]) + LIFT_MM), math.degrees(yaw))
+        cell.scene = scene
+        cell.move_to(x, y, top_z_mm, math.degrees(yaw))
+
+
+def trial_of(
+    fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: str, *, slip_truth: bool = False
+) -> Trial:
+    """What is logged of a poke."""
+    x_mm, theta_deg = probe.error_before
+    return Trial(
+        x_mm=float(x_mm),
+        theta_deg=float(theta_deg),
+        object_name=object_name,
+        gap_width_mm=fixture.scene.blocks.gap_mm,
+        grasp_height_mm=fixture.scene.grasp.height_mm,
+        group=fixture.group,
+        poke=poke,
+        seed=seed,
+        scene_sha256=scene_sha256(fixture.scene),
+        onset_frame=probe.onset_frame,
+        true_slip_frame=probe.true_slip_frame,
+        stop_frame=probe.stop_frame,
+        outcome=probe.outcome,
+        split=split_of(fixture.group, held_out=fixture.held_out),
+        appearances=fixture.appearances,
+        gel=np.asarray(probe.gel, np.float16),
+        depth_mm=np.asarray(probe.depth_mm, np.float32),
+        wrench=np.asarray(probe.wrench, np.float32),
+        in_hand=np.asarray(probe.in_hand, np.float32),
+        slipping=probe.slipping if slip_truth else None,
+    )
+
+
+def make_shard(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> ShardEntry:
+    """Poke until ``plan.trials`` collisions are kept and write them; same plan, same bytes.
+
+    Raises DatasetError if the scene hardly ever collides.
+    """
+    entry, data = shard_of(plan, on_trial)
+    write_durably(plan.folder / plan.file_name, data)
+    return entry
+
+
+def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[ShardEntry, bytes]:
+    """As :func:`make_shard`, but the bytes are handed back: for workers on other machines."""
+    base = load_scene(plan.scene_name)
+    kept: list[Trial] = []
+    outcomes: Counter[str] = Counter()
+    for fixture, poke, seed, probe in pokes(plan, base):
+        usable = probe is not None and probe.outcome == "blocked" and probe.onset_frame >= 0
+        outcome = "no_equilibrium" if probe is None else probe.outcome
+        outcomes[outcome if usable or outcome != "blocked" else "no_motion"] += 1
+        if probe is not None and usable:
+            kept.append(trial_of(fixture, poke, seed, probe, base.name, slip_truth=plan.slip_truth))
+            on_trial()
+        if len(kept) == plan.trials:
+            break
+        if outcomes.total() >= _MAX_POKES_PER_TRIAL * plan.trials:
+            raise DatasetError(
+                f"scene {plan.scene_name}: nothing to collect, {dict(outcomes)} in {outcomes.total()} pokes"
+            )
+    return encode_shard(plan.file_name, kept, dict(outcomes))
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Collect pokes that collided, with their labels, as Parquet shards. Run it again to resume or to add more."""
+
+    out: Path = Path("data/probes")
+    """Folder of the dataset; created if absent, continued if it holds the same collection."""
+    trials_per_object: int = 7500
+    """Collisions to keep of each object; rounded up to whole shards."""
+    objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = TRAINING_OBJECTS
+    """Scene names or TOML files."""
+    seed: int = 0
+    """Same seed, same data, bit for bit, whatever the number of workers."""
+    workers: int = 0
+    """Processes; 0 means one a core."""
+    trials_per_shard: int = 250
+    """Collisions in a shard: what a kill can cost each worker."""
+    held_out_share: float = 0.12
+    """Share of re-fixtures drawn from held-out ranges (the test split)."""
+    slip_truth: bool = False
+    """Also store where each gel slips (Trial.slipping); the other columns stay as they are."""
+    ray: str = ""
+    """Address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)."""
+
+
+def asked_manifest(options: Options) -> Manifest:
+    """What the finished collection would say of itself, without shards."""
+    if options.trials_per_object < 1 or options.trials_per_shard < 1:
+        raise DatasetError("--trials-per-object and --trials-per-shard must be at least 1")
+    if options.workers < 0 or options.seed < 0 or not 0.0 <= options.held_out_share <= 1.0:
+        given = f"{options.workers}, {options.seed} and {options.held_out_share}"
+        raise DatasetError(f"expected --workers and --seed from 0 on, --held-out-share from 0 to 1, got {given}")
+    names = Counter(Path(name).stem for name in set(options.objects))
+    if not names or max(names.values()) > 1:
+        given = ", ".join(options.objects) or "none"
+        raise DatasetError(f"--objects {given}: expected at least one, no two of the same name: a shard is named by it")
+    return Manifest(
+        made_by="simulation collect",
+        seed=options.seed,
+        trials_per_object=options.trials_per_object,
+        trials_per_shard=options.trials_per_shard,
+        held_out_share=options.held_out_share,
+        scenes={name: scene_sha256(load_scene(name)) for name in options.objects},
+        physics=sources_sha256("simulation.data.probe"),
+    )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command line; 0 when the dataset is complete."""
+    from simulation.data.workers import collect, collect_on_ray
+
+    options = tyro.cli(Options, args=arguments, prog="python -m simulation collect")
+    asked = asked_manifest(options)
+    with DatasetWriter(options.out, asked) as writer:
+        writer.extend(asked)
+        manifest = writer.manifest
+        size, seed, share = manifest.trials_per_shard, manifest.seed, manifest.held_out_share
+        plans = [
+            Plan(options.out, scene, shard, size, seed, share, options.slip_truth)
+            for scene, shard in manifest.missing_shards()
+        ]
+        if options.ray:
+            collect_on_ray(writer, plans, options.ray)
+        else:
+            collect(writer, plans, options.workers or os.cpu_count() or 1)
+        writer.finish()
+    print(f"{writer.manifest.trials} collisions in {len(writer.manifest.shards)} shards under {options.out}")
+    return 0

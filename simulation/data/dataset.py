@@ -1,0 +1,285 @@
+"""Datasets of pokes: Parquet shards and one manifest; frames are drawn from gel states when they are read.
+
+A dataset is a folder: ``manifest.json`` and ``*.parquet``. Only what the manifest lists exists; a shard is listed
+after it is complete and on disk, so a kill at any moment loses no listed trial and doubles none. Everything needed
+to draw a trial's frames (gel states, optics, seed) is in its row: the same row gives the same bits.
+This module is all of the simulator that training may import.
+"""
+
+import dataclasses
+import fcntl
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest, write_durably
+from simulation.data.trial import (
+    LABELS,
+    SCALARS,
+    SPLITS,
+    Split,
+    Trial,
+    from_row,
+    parquet_schema,
+    render_frames,
+    scalars,
+    split_of,
+    to_row,
+)
+from simulation.optics.appearance import Appearance
+
+__all__ = [
+    "Dataset",
+    "DatasetError",
+    "DatasetWriter",
+    "Manifest",
+    "ShardEntry",
+    "Split",
+    "Trial",
+    "slice_of",
+    "split_of",
+]
+
+_ROWS_PER_GROUP = 10
+_CACHED_GROUPS = 16
+_CACHED_RENDERERS = 32
+
+
+class DatasetWriter:
+    """Adds complete shards to a dataset folder; the manifest on disk is always true. Close it, or use ``with``."""
+
+    def __init__(self, path: Path, fresh: Manifest) -> None:
+        """Create the folder or continue the one that is there.
+
+        DatasetError, with nothing changed, if it holds another collection, broken shards, or another writer.
+        """
+        self.path = path
+        path.mkdir(parents=True, exist_ok=True)
+        self._lock = _locked(path)
+        try:
+            self.manifest = self._opened(fresh)
+        except BaseException:
+            self.close()
+            raise
+
+    def _opened(self, fresh: Manifest) -> Manifest:
+        if not (self.path / MANIFEST).exists():
+            write_durably(self.path / MANIFEST, fresh.model_dump_json(indent=1).encode())
+            return fresh
+        manifest = read_manifest(self.path)
+        manifest.must_continue(fresh, self.path)
+        for entry in manifest.shards:
+            entry.must_be_whole(self.path)
+        for leftover in self.path.glob(".*.tmp"):
+            leftover.unlink()
+        return manifest
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def write_shard(self, name: str, trials: Sequence[Trial]) -> ShardEntry:
+        """Write one shard durably, without listing it yet."""
+        entry, data = encode_shard(name, trials)
+        write_durably(self.path / name, data)
+        return entry
+
+    def commit(self, entry: ShardEntry) -> None:
+        """List a shard that is on disk. A name is listed once."""
+        if any(listed.name == entry.name for listed in self.manifest.shards):
+            raise DatasetError(f"shard {entry.name} is already in {self.path / MANIFEST}")
+        shards = tuple(sorted((*self.manifest.shards, entry), key=lambda listed: listed.order))
+        self.manifest = self.manifest.model_copy(update={"shards": shards})
+        self._save()
+
+    def extend(self, asked: Manifest) -> None:
+        """Take over a larger size or more objects; the dataset is incomplete until :meth:`finish`.
+
+        DatasetError, with nothing changed, if shards are to be made by other physics than those that are there.
+        """
+        larger = max(self.manifest.trials_per_object, asked.trials_per_object)
+        update = {"scenes": self.manifest.scenes | asked.scenes, "trials_per_object": larger, "complete": False}
+        larger_one = self.manifest.model_copy(update=update)
+        mixed = bool(self.manifest.physics) and self.manifest.physics != asked.physics
+        if mixed and larger_one.missing_shards():
+            raise DatasetError(f"{self.path}: the physics has changed since its shards were made; use another folder")
+        self.manifest = larger_one
+        self._save()
+
+    def finish(self) -> bool:
+        """Mark the dataset complete if every object has all its shards; whether it is."""
+        complete = not self.manifest.missing_shards()
+        self.manifest = self.manifest.model_copy(update={"complete": complete})
+        self._save()
+        return complete
+
+    def close(self) -> None:
+        """Let another process write."""
+        self._lock.close()
+
+    def _save(self) -> None:
+        write_durably(self.path / MANIFEST, self.manifest.model_dump_json(indent=1).encode())
+
+
+def _locked(path: Path) -> BinaryIO:
+    """The folder's lock; the kernel lets it go when this process ends, also by kill -9."""
+    lock = (path / ".lock").open("wb")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        lock.close()
+        raise DatasetError(f"{path}: another process is writing to this dataset") from error
+    return lock
+
+
+def encode_shard(
+    name: str, trials: Sequence[Trial], outcomes: Mapping[str, int] | None = None
+) -> tuple[ShardEntry, bytes]:
+    """Check trials and encode them as the shard ``name``: the entry to list it with and the file's bytes."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    for trial in trials:
+        trial.check()
+    slip_truth = bool(trials) and all(trial.slipping is not None for trial in trials)
+    table = pa.Table.from_pylist([to_row(trial) for trial in trials], schema=parquet_schema(slip_truth=slip_truth))
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, row_group_size=_ROWS_PER_GROUP, compression="zstd", use_dictionary=["appearances"])
+    data = sink.getvalue().to_pybytes()
+    object_name = trials[0].object_name if trials else ""
+    entry = ShardEntry.of(name, data, trials=len(trials), object_name=object_name, outcomes=dict(outcomes or {}))
+    return entry, data
+
+
+class Dataset:
+    """Reads a dataset; trials are numbered 0.. over the shards in manifest order.
+
+    Raises DatasetError on a missing, truncated or altered shard, another schema version, or labels that are not
+    finite: by name, before anything is used.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        splits: Iterable[Split] | None = None,
+        *,
+        verify: bool = True,
+        noise_scale: float = 1.0,
+    ) -> None:
+        """Open ``path``, keep only ``splits`` if given.
+
+        ``verify`` compares every shard's SHA-256 (0.1 s each); ``noise_scale`` multiplies the cameras' noise, to see
+        what depends on it.
+        """
+        self.path = Path(path)
+        self.noise_scale = noise_scale
+        self.manifest = read_manifest(self.path)
+        wanted = set(SPLITS if splits is None else splits)
+        self.labels: dict[str, NDArray[Any]] = {}
+        self._groups: OrderedDict[tuple[int, int], list[dict[str, Any]]] = OrderedDict()
+        self._renderers: OrderedDict[Appearance, Any] = OrderedDict()
+        self._files: dict[int, Any] = {}
+        columns: dict[str, list[Any]] = {name: [] for name in SCALARS}
+        where: list[tuple[int, int]] = []
+        for shard, entry in enumerate(self.manifest.shards):
+            entry.must_be_whole(self.path, verify=verify)
+            found = self._label_columns(shard)
+            for name in SCALARS:
+                columns[name] += found[name]
+            where += [(shard, row) for row in range(entry.trials)]
+        keep = [i for i, split in enumerate(columns["split"]) if split in wanted]
+        self._where = [where[i] for i in keep]
+        self.labels = {name: np.asarray([values[i] for i in keep]) for name, values in columns.items()}
+
+    def __len__(self) -> int:
+        return len(self._where)
+
+    def trials_of_shard(self, name: str) -> list[int]:
+        """Numbers of the trials that lie in shard ``name``; DatasetError if the manifest does not list it."""
+        names = [entry.name for entry in self.manifest.shards]
+        if name not in names:
+            raise DatasetError(f"{self.path / name}: not listed in {MANIFEST}")
+        return [index for index, (shard, _) in enumerate(self._where) if shard == names.index(name)]
+
+    def trial(self, index: int) -> Trial:
+        """Trial ``index``; its arrays are read-only views."""
+        shard, row = self._where[index]
+        return from_row(self._row_group(shard, row // _ROWS_PER_GROUP)[row % _ROWS_PER_GROUP])
+
+    def frames(self, index: int, start: int | None = None, count: int = 8, *, jpeg: bool = False) -> NDArray[np.uint8]:
+        """Uint8 [count, 2, 320, 327, 3]: rectified frames from ``start`` (the onset if None), both fingers.
+
+        The same (dataset, index, frame) gives the same bits in every process. ``jpeg`` adds the coding of a camera
+        that streams MJPEG at quality 95.
+        """
+        trial = self.trial(index)
+        return render_frames(trial, self._renderer, trial.onset_frame if start is None else start, count, jpeg=jpeg)
+
+    def _renderer(self, look: Appearance) -> Any:
+        from simulation.optics.renderer import Renderer
+
+        if look not in self._renderers:
+            noise = look.noise_sigma_grey * self.noise_scale
+            self._renderers[look] = Renderer(dataclasses.replace(look, noise_sigma_grey=noise))
+            if len(self._renderers) > _CACHED_RENDERERS:
+                self._renderers.popitem(last=False)
+        return self._renderers[look]
+
+    def _file(self, shard: int) -> Any:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if shard not in self._files:
+            path = self.path / self.manifest.shards[shard].name
+            try:
+                self._files[shard] = pq.ParquetFile(path, memory_map=True)
+            except (pa.ArrowException, OSError) as error:
+                raise DatasetError(f"{path}: not a Parquet shard: {error}") from error
+            found = self._files[shard].schema_arrow
+            version = self.manifest.schema_version
+            known = [parquet_schema(slip_truth=slip, schema_version=version) for slip in (False, True)]
+            if not any(found.equals(schema) for schema in known):
+                raise DatasetError(f"{path}: its columns are not those of schema {version}")
+        return self._files[shard]
+
+    def _label_columns(self, shard: int) -> dict[str, list[Any]]:
+        found: dict[str, list[Any]] = self._file(shard).read(columns=scalars(self.manifest.schema_version)).to_pydict()
+        found.setdefault("grasp_height_mm", [0.0] * len(found["x_mm"]))
+        name = self.path / self.manifest.shards[shard].name
+        for label in LABELS:
+            if not np.isfinite(np.asarray(found[label], float)).all():
+                raise DatasetError(f"{name}: label {label} holds a number that is not finite")
+        if len(found["x_mm"]) != self.manifest.shards[shard].trials:
+            stated = self.manifest.shards[shard].trials
+            raise DatasetError(f"{name}: {len(found['x_mm'])} trials, the manifest says {stated}")
+        return found
+
+    def _row_group(self, shard: int, group: int) -> list[dict[str, Any]]:
+        key = (shard, group)
+        if key not in self._groups:
+            rows: list[dict[str, Any]] = self._file(shard).read_row_group(group).to_pylist()
+            self._groups[key] = rows
+            if len(self._groups) > _CACHED_GROUPS:
+                self._groups.popitem(last=False)
+        self._groups.move_to_end(key)
+        return self._groups[key]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Open files stay behind when a worker process gets a copy."""
+        return self.__dict__ | {"_files": {}, "_groups": OrderedDict(), "_renderers": OrderedDict()}
+
+
+def slice_of(numbers: Sequence[int], first: int, count: int, source: Path) -> list[int]:
+    """``count`` of the trials' ``numbers`` from place ``first`` on; DatasetError where that is none of them."""
+    if first < 0 or count < 1:
+        raise DatasetError(f"--first {first} --count {count}: expected 0 or more and 1 or more")
+    chosen = list(numbers[first : first + count])
+    if not chosen:
+        raise DatasetError(f"{source}: no trials from number {first} on, it has {len(numbers)}")
+    return chosen

@@ -1,0 +1,197 @@
+"""Trials in the LeRobot v3.0 layout: many episodes a Parquet file, images embedded, tables of episodes and tasks.
+
+``data/chunk-000/file-000.parquet`` rows are frames; ``meta/info.json`` names the features; ``meta/episodes/...`` says
+which rows are which trial; ``meta/tasks.parquet`` and ``meta/stats.json`` complete it. Written with pyarrow alone.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.data.dataset import Dataset
+from simulation.data.manifest import write_durably
+from simulation.data.trial import FRAMES, Trial
+
+EPISODES_PER_FILE = 8  # about 100 MB of PNG, the size LeRobot itself rolls over at
+FILES_PER_CHUNK = 1000
+FPS = 30
+CAMERAS = ("observation.images.left", "observation.images.right")
+_DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_HAND = ["x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad"]
+_WRENCH = ["fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm"]
+
+
+def features() -> dict[str, dict[str, Any]]:
+    """The features of a frame as ``meta/info.json`` lists them."""
+    image = {"dtype": "image", "shape": [320, 327, 3], "names": ["height", "width", "channels"]}
+    vectors = {
+        "observation.state": ["depth_mm", *_HAND],
+        "observation.wrench": _WRENCH,
+        "action": ["descend_mm"],
+        "error": ["x_mm", "theta_deg"],
+    }
+    found: dict[str, dict[str, Any]] = dict.fromkeys(CAMERAS, image)
+    for name, names in vectors.items():
+        found[name] = {"dtype": "float32", "shape": [len(names)], "names": names}
+    found["observation.gel"] = {"dtype": "float32", "shape": [2 * 20 * 21 * 3], "names": None}
+    found["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
+    for name in ("frame_index", "episode_index", "index", "task_index"):
+        found[name] = {"dtype": "int64", "shape": [1], "names": None}
+    return found
+
+
+def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[int], None] = lambda _: None) -> None:
+    """Write trials ``numbers`` of ``dataset`` under ``out``, which must not hold a dataset already."""
+    tasks: dict[str, int] = {}
+    episodes: list[dict[str, Any]] = []
+    stats = _Stats()
+    for first in range(0, len(numbers), EPISODES_PER_FILE):
+        rows: list[dict[str, Any]] = []
+        place = divmod(first // EPISODES_PER_FILE, FILES_PER_CHUNK)
+        for episode, number in enumerate(numbers[first : first + EPISODES_PER_FILE], start=first):
+            trial = dataset.trial(number)
+            text = f"insert the {trial.object_name} into the gap"
+            task = tasks.setdefault(text, len(tasks))
+            frames = dataset.frames(number, 0, FRAMES)
+            rows += _rows(trial, frames, episode, task)
+            stats.add(rows[-FRAMES:], frames)
+            episodes.append(_episode(episode, text, place))
+            show(len(episodes))
+        _write(out / _DATA.format(chunk_index=place[0], file_index=place[1]), rows, _data_schema())
+    _write_meta(out, tasks, episodes, stats)
+
+
+def _rows(trial: Trial, frames: NDArray[np.uint8], episode: int, task: int) -> list[dict[str, Any]]:
+    state = np.concatenate([trial.depth_mm[:, None], trial.in_hand], axis=1)
+    descend_mm = np.diff(trial.depth_mm, append=trial.depth_mm[-1:])
+    gel = trial.gel.astype(np.float32).reshape(FRAMES, -1)
+    rows = []
+    for k in range(FRAMES):
+        row: dict[str, Any] = {camera: _png(frames[k, finger]) for finger, camera in enumerate(CAMERAS)}
+        row |= {"observation.state": state[k], "observation.wrench": trial.wrench[k], "observation.gel": gel[k]}
+        row |= {"action": descend_mm[k], "error": [trial.x_mm, trial.theta_deg], "timestamp": k / FPS}
+        row |= {"frame_index": k, "episode_index": episode, "index": episode * FRAMES + k, "task_index": task}
+        rows.append(row)
+    return rows
+
+
+def _png(frame: NDArray[np.uint8]) -> dict[str, Any]:
+    done, data = cv2.imencode(".png", frame)
+    assert done
+    return {"bytes": data.tobytes(), "path": None}
+
+
+def _episode(episode: int, task: str, place: tuple[int, int]) -> dict[str, Any]:
+    start = episode * FRAMES
+    return {
+        "episode_index": episode,
+        "tasks": [task],
+        "length": FRAMES,
+        "dataset_from_index": start,
+        "dataset_to_index": start + FRAMES,
+        "data/chunk_index": place[0],
+        "data/file_index": place[1],
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+    }
+
+
+def _data_schema() -> Any:
+    """Arrow schema of the frames, with the column types that Hugging Face `datasets` reads images by."""
+    import pyarrow as pa
+
+    image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+    fields: list[Any] = []
+    types: dict[str, Any] = {}
+    for name, feature in features().items():
+        size, scalar = feature["shape"][0], feature["dtype"]
+        if scalar == "image":
+            kind, types[name] = image, {"_type": "Image"}
+        elif size == 1:
+            kind, types[name] = pa.type_for_alias(scalar), {"dtype": scalar, "_type": "Value"}
+        else:
+            kind = pa.list_(pa.type_for_alias(scalar), size)
+            types[name] = {"feature": {"dtype": scalar, "_type": "Value"}, "length": size, "_type": "Sequence"}
+        fields.append(pa.field(name, kind))
+    return pa.schema(fields, metadata={"huggingface": json.dumps({"info": {"features": types}})})
+
+
+def _write(path: Path, rows: list[dict[str, Any]], schema: Any = None) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.Table.from_pylist(rows, schema=schema), sink, row_group_size=FRAMES, compression="snappy")
+    write_durably(path, sink.getvalue().to_pybytes())
+
+
+def _write_meta(out: Path, tasks: dict[str, int], episodes: list[dict[str, Any]], stats: "_Stats") -> None:
+    import pyarrow as pa
+
+    _write(out / _EPISODES.format(chunk_index=0, file_index=0), episodes)
+    # pandas reads the task text back as the index, which is where LeRobot looks for it
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        for name, kind, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    ]
+    index = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    schema = pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": json.dumps(index)})
+    rows = [{"task_index": number, "task": text} for text, number in tasks.items()]
+    _write(out / "meta/tasks.parquet", rows, schema)
+    info = {
+        "codebase_version": "v3.0",
+        "robot_type": "two tactile fingers on a parallel gripper (simulated)",
+        "total_episodes": len(episodes),
+        "total_frames": len(episodes) * FRAMES,
+        "total_tasks": len(tasks),
+        "chunks_size": FILES_PER_CHUNK,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": FPS,
+        "splits": {"train": f"0:{len(episodes)}"},
+        "data_path": _DATA,
+        "video_path": None,
+        "features": features(),
+    }
+    write_durably(out / "meta/stats.json", json.dumps(stats.result(), indent=1).encode())
+    write_durably(out / "meta/info.json", json.dumps(info, indent=1).encode())  # last: a folder with it is whole
+
+
+class _Stats:
+    """Minimum, maximum, mean and standard deviation of every feature over all frames; images per channel in 0..1."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, list[NDArray[np.float64]]] = {}
+        self._count: dict[str, int] = {}
+
+    def add(self, rows: list[dict[str, Any]], frames: NDArray[np.uint8]) -> None:
+        """One trial: its rows and its frames [30, 2, H, W, 3] BGR."""
+        for finger, camera in enumerate(CAMERAS):
+            self._one(camera, frames[:, finger, ::4, ::4, ::-1].reshape(-1, 3) / 255)
+        for name in rows[0].keys() - set(CAMERAS):
+            self._one(name, np.asarray([np.atleast_1d(row[name]) for row in rows], np.float64))
+
+    def _one(self, name: str, values: NDArray[np.float64]) -> None:
+        new = [values.min(0), values.max(0), values.sum(0), (values**2).sum(0)]
+        old = self._sums.get(name, [new[0], new[1], 0 * new[2], 0 * new[3]])
+        merged = [np.minimum(old[0], new[0]), np.maximum(old[1], new[1]), old[2] + new[2], old[3] + new[3]]
+        self._sums[name], self._count[name] = merged, self._count.get(name, 0) + len(values)
+
+    def result(self) -> dict[str, dict[str, Any]]:
+        """Feature -> min, max, mean, std, count; channels of images as [3, 1, 1]."""
+        found = {}
+        for name, (low, high, total, squares) in self._sums.items():
+            count = self._count[name]
+            mean = total / count
+            spread = np.sqrt(np.maximum(squares / count - mean**2, 0))
+            shape = (-1, 1, 1) if name in CAMERAS else (-1,)
+            figures = {"min": low, "max": high, "mean": mean, "std": spread}
+            found[name] = {key: value.reshape(shape).tolist() for key, value in figures.items()} | {"count": [count]}
+        return found

@@ -1,0 +1,206 @@
+"""One guarded descent in lock step: what the cell of the paper does once, without sockets and faster than real time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
+from simulation.scene.scene import Scene
+
+__all__ = ["CellState", "Outcome", "PhysicsError", "Probe", "QuasiStaticCell", "run_probe"]
+
+Outcome = Literal["blocked", "inserted", "grasp_lost"]
+INSERTION_DEPTH_MM = 25.0
+ONSET_MM = 0.02  # markers that moved by this much, about 0.3 px, show motion of the object
+DECISION_FRAMES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Result of one descent; frames are those kept, frame indices count within them, -1 is "never".
+
+    gel: float16 [frames, 2, 20, 21, 3] = du mm, dv mm (finger frame), pressure N/mm2. depth_mm [frames]: approach z
+    minus z. slipping: bool [frames, 2, 20, 21], where the gel slid on the object at each marker. wrench: [frames, 6]
+    N, N mm on the object at the TCP, hand frame. in_hand: [frames, 6] mm, rad.
+    error_before: (x mm, theta deg) of the object when the descent began.
+    """
+
+    gel: NDArray[np.float16]
+    slipping: NDArray[np.bool_]
+    depth_mm: NDArray[np.float64]
+    wrench: NDArray[np.float64]
+    in_hand: NDArray[np.float64]
+    onset_frame: int
+    true_slip_frame: int
+    stop_frame: int
+    outcome: Outcome
+    x_mm: float
+    theta_deg: float
+    error_before: tuple[float, float]
+    error_after: tuple[float, float]
+    block_motion: NDArray[np.float64]
+
+
+class _Recorder:
+    """Collects frames and finds the onset: the first frame whose markers left their rest by ONSET_MM."""
+
+    def __init__(self, first: CellState) -> None:
+        self.states = [first]
+        self.depth_mm = [0.0]
+        self.onset = -1
+
+    def add(self, state: CellState, depth_mm: float) -> int:
+        index = len(self.states)
+        self.states.append(state)
+        self.depth_mm.append(depth_mm)
+        if self.onset < 0:
+            moved = np.abs(state.gel[..., :2] - self.states[0].gel[..., :2])
+            if float(moved.max()) > ONSET_MM:
+                self.onset = index
+        return index
+
+
+def run_probe(
+    scene: Scene | QuasiStaticCell,
+    x_mm: float,
+    theta_deg: float,
+    *,
+    seed: int = 0,
+    fps: int | None = None,
+    frames: int = 30,
+    speed_mm_s: float | None = None,
+    stop_delay_frames: int = 0,
+    overtravel_mm: float = 0.0,
+) -> Probe:
+    """Regrasp at the error given, descend until slip, a full insertion or the force limit, and keep the last frames.
+
+    The stop takes effect stop_delay_frames after the frame that shows slip, plus overtravel_mm. Frames are then taken
+    while the arm stands still until the decision's 8 frames from the onset are complete.
+
+    Given a Cell instead of a Scene, its compiled state is used again: the blocks are put back and the object is held
+    afresh, as with a new one; only the draw of the grasp's pre-tilt goes on from where the cell's stream stands. For
+    pokes that leave blocks and object as they are, use `descend`. Raises PhysicsError where no equilibrium is found
+    and ValueError for arguments that make no sense.
+    """
+    cell = scene if isinstance(scene, QuasiStaticCell) else QuasiStaticCell(scene, seed)
+    if isinstance(scene, QuasiStaticCell):
+        cell.reset_blocks()
+    cell.regrasp(x_mm, theta_deg)
+    return descend(
+        cell,
+        x_mm,
+        theta_deg,
+        phase=float(np.random.default_rng((seed, 1)).random()),
+        fps=fps,
+        frames=frames,
+        speed_mm_s=speed_mm_s,
+        stop_delay_frames=stop_delay_frames,
+        overtravel_mm=overtravel_mm,
+    )
+
+
+def descend(
+    cell: QuasiStaticCell,
+    x_mm: float,
+    theta_deg: float,
+    *,
+    phase: float = 0.5,
+    fps: int | None = None,
+    frames: int = 30,
+    speed_mm_s: float | None = None,
+    stop_delay_frames: int = 0,
+    overtravel_mm: float = 0.0,
+) -> Probe:
+    """As `run_probe`, from where the cell stands now: for pokes that follow one another without a new fixture.
+
+    phase: when the first frame falls within a frame period, 0..1.
+    """
+    rate, speed = fps or cell.scene.camera.fps, speed_mm_s or cell.scene.speed_mm_s
+    _check(frames, rate, speed, stop_delay_frames, overtravel_mm)
+    if cell.coasting is not None:
+        cell.coasting.speed_mm_s = speed
+    record = _Recorder(cell.look())
+    slip, outcome = _lower(cell, record, speed / rate, phase, stop_delay_frames, overtravel_mm)
+    stop = len(record.states) - 1
+    while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
+        record.add(cell.wait(1.0 / rate) if cell.coasting else record.states[-1], record.depth_mm[-1])
+    return _keep(record, frames, slip, stop, outcome, x_mm, theta_deg)
+
+
+def _check(frames: int, rate: float, speed: float, stop_delay_frames: int, overtravel_mm: float) -> None:
+    sound = frames > DECISION_FRAMES and stop_delay_frames >= 0 and overtravel_mm >= 0.0
+    if not (sound and rate > 0 and speed > 0.0):
+        raise ValueError(
+            f"probe: expected frames > {DECISION_FRAMES}, fps and speed > 0, delay and overtravel >= 0, got "
+            f"{frames}, {rate}, {speed}, {stop_delay_frames}, {overtravel_mm}"
+        )
+
+
+def _lower(
+    cell: QuasiStaticCell,
+    record: _Recorder,
+    pitch_mm: float,
+    phase: float,
+    stop_delay_frames: int,
+    overtravel_mm: float,
+) -> tuple[int, Outcome]:
+    """Go down by pitch_mm a frame until something ends it; gives the frame that truly slips (-1: none) and the end."""
+    start, limits = cell.pose.copy(), cell.scene.numerics
+    slip, stop_depth = -1, math.inf
+    depth = -pitch_mm * (1.0 - phase)
+    while True:
+        depth = min(depth + pitch_mm, INSERTION_DEPTH_MM, stop_depth)
+        state = cell.move_to(start[0], start[1], start[2] - max(depth, 0.0), math.degrees(start[3]))
+        index = record.add(state, max(depth, 0.0))
+        if state.grasp_lost:
+            return slip, "grasp_lost"
+        slips = float(state.slipping_share.max()) >= limits.slip_share
+        if slip < 0 and (slips or state.wrench_n_nmm[2] > cell.scene.grasp.force_limit_n):
+            slip = index
+            stop_depth = min(INSERTION_DEPTH_MM, depth + stop_delay_frames * pitch_mm + overtravel_mm)
+        if depth >= INSERTION_DEPTH_MM:
+            return slip, "inserted" if state.inserted else "blocked"
+        if depth >= stop_depth:
+            return slip, "blocked"
+
+
+def _keep(
+    record: _Recorder, frames: int, slip: int, stop: int, outcome: Outcome, x_mm: float, theta_deg: float
+) -> Probe:
+    count = len(record.states)
+    last = count
+    if record.onset >= 0:
+        last = (
+            max(record.onset + DECISION_FRAMES + 1, min(count, record.onset + frames - 4))
+            if outcome == "inserted"
+            else count
+        )
+        last = min(last, count)
+    index = np.maximum(np.arange(last - frames, last), 0)
+    shift = frames - last
+    states = [record.states[i] for i in index]
+
+    def place(frame: int) -> int:
+        return frame + shift if frame >= 0 and 0 <= frame + shift < frames else -1
+
+    return Probe(
+        gel=np.stack([state.gel for state in states]).astype(np.float16),
+        slipping=np.stack([state.slipping for state in states]),
+        depth_mm=np.array([record.depth_mm[i] for i in index]),
+        wrench=np.stack([state.wrench_n_nmm for state in states]),
+        in_hand=np.stack([state.in_hand for state in states]),
+        onset_frame=place(record.onset),
+        true_slip_frame=place(slip),
+        stop_frame=place(stop),
+        outcome=outcome,
+        x_mm=x_mm,
+        theta_deg=theta_deg,
+        error_before=record.states[0].object_error,
+        error_after=record.states[-1].object_error,
+        block_motion=record.states[-1].block_motion,
+    )

@@ -1,0 +1,60 @@
+"""What a result was computed with: one hash of a module, of all that it imports of this repository, and of the objects.
+
+What an earlier run left is gone on with only where this has not changed. Comments and docstrings do not count.
+"""
+
+import ast
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("simulation", "service", "robot_client")
+
+
+def sources_sha256(module: str, root: Path = ROOT) -> str:
+    """SHA-256 of everything that ``module`` runs, from the files as they are now; nothing is imported."""
+    digest = hashlib.sha256()
+    for path in sorted(_closure(module, root)):
+        digest.update(str(path.relative_to(root)).encode() + ast.dump(_Bare().visit(_parsed(path))).encode())
+    for path in sorted((root / "simulation" / "objects").glob("*.toml")):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+class _Bare(ast.NodeTransformer):
+    def visit_Expr(self, node: ast.Expr) -> ast.AST:
+        """Without docstrings."""
+        text = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        return ast.Pass() if text else node
+
+
+def _parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def _closure(module: str, root: Path) -> set[Path]:
+    found: set[Path] = set()
+    waiting = [module]
+    while waiting:
+        path = _file_of(waiting.pop(), root)
+        if path is not None and path not in found:
+            found.add(path)
+            waiting += _imported(_parsed(path))
+    return found
+
+
+def _imported(tree: ast.Module) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def _file_of(module: str, root: Path) -> Path | None:
+    if module.split(".", maxsplit=1)[0] not in PACKAGES:
+        return None
+    place = root.joinpath(*module.split("."))
+    return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)

@@ -1,0 +1,112 @@
+"""How one finger of one cell looks: every number of its optics, drawn once, kept beside the data, read back exactly."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from service.contract import FINGERS, Finger
+from simulation.scene.scene import Scene
+
+Corners = tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
+
+# Where the rectified image's corner pixels lie in the raw frame (top left, top right, bottom right, bottom left):
+# the camera looks along the finger, so the far (lower) edge appears at about half the width of the near one.
+NOMINAL_CORNERS_PX: Corners = ((24.0, 6.0), (402.0, 6.0), (312.0, 311.0), (114.0, 311.0))
+# A scene's word for the held surface -> (relief pattern, period in px, gain)
+OBJECT_TEXTURES = {
+    "smooth": ("smooth", 5.0, 0.05),
+    "paper": ("smooth", 3.0, 0.09),
+    "ribbed": ("ribs", 14.0, 0.10),
+    "label": ("print", 12.0, 0.07),
+    "layers": ("layers", 5.0, 0.07),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Appearance:
+    """Optics of one finger. Lengths in rectified px unless the name says otherwise; light as a share of full scale."""
+
+    finger: Finger = "left"
+    seed: int = 0
+    mm_per_px: float = 0.07
+    corners_raw_px: Corners = NOMINAL_CORNERS_PX
+    noise_sigma_grey: float = 4.0
+    exposure: float = 1.0
+    light_bgr: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    light_shift: float = 0.0
+    ambient: float = 0.12
+    shading_gain: float = 1.0
+    reference_pressure_n_per_mm2: float = 0.05
+    cloth_period_px: float = 3.7
+    cloth_contrast: float = 0.07
+    worn: float = 0.5
+    dot_darkness: float = 0.78
+    missing_dots_share: float = 0.005
+    object_texture: str = "smooth"
+    object_texture_period_px: float = 5.0
+    object_texture_gain: float = 0.07
+    defocus_px: float = 0.6
+    motion_blur_share: float = 0.0  # exposure time over frame period
+    rolling_share: float = 0.0  # readout time of the sensor over frame period
+
+    @classmethod
+    def draw(cls, scene: Scene, finger: Finger, seed: int) -> Self:
+        """The appearance of ``finger`` in ``scene``; the same (scene, finger, seed) gives the same numbers.
+
+        What the scene states (mm per px, noise, exposure, textures) is taken as it is; what a maker cannot control
+        (mounting, LED balance, yarn) is drawn from ``seed``.
+        """
+        rng = np.random.Generator(np.random.PCG64([seed, FINGERS.index(finger), 0x1A9]))
+        given = optics_of(scene)
+        jitter = rng.normal(0, 1.5, (4, 2)).round(3)
+        corners = tuple((u + du, v + dv) for (u, v), (du, dv) in zip(NOMINAL_CORNERS_PX, jitter.tolist(), strict=True))
+        drawn: dict[str, Any] = {
+            "corners_raw_px": corners,
+            "light_bgr": tuple(float(x) for x in rng.uniform(0.9, 1.1, 3).round(4)),
+            "light_shift": round(float(rng.uniform(-0.12, 0.12)), 4),
+            "cloth_period_px": round(float(rng.uniform(3.3, 4.2)), 4),
+            "seed": int(rng.integers(2**31)),
+        }
+        return cls(finger=finger, **(drawn | given))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data, exact: ``from_dict(as_dict()) == self``."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Self:
+        """Inverse of :meth:`as_dict` (also after JSON); keys an older shard lacks keep their defaults.
+
+        Raises ValueError naming unknown keys.
+        """
+        unknown = set(data) - {f.name for f in dataclasses.fields(cls)}
+        if unknown:
+            raise ValueError(f"appearance has unknown keys {sorted(unknown)}")
+        return cls(**{name: _as_tuples(value) for name, value in data.items()})
+
+
+def _as_tuples(value: Any) -> Any:
+    """Lists (JSON) to tuples (hashable), all the way down."""
+    return tuple(_as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
+
+
+def optics_of(scene: Scene) -> dict[str, Any]:
+    """The appearance fields that the scene itself fixes (see `simulation.scene.scene.Camera`, `Gel`, `HeldObject`)."""
+    from simulation.scene.effects import active_effects
+
+    camera, active = scene.camera, active_effects(scene)
+    texture, period, gain = OBJECT_TEXTURES[scene.object.texture]
+    return {
+        "mm_per_px": camera.mm_per_px,
+        "noise_sigma_grey": camera.noise_grey if active.camera_noise else 0.0,
+        "exposure": camera.exposure * camera.light,
+        "worn": scene.gel.wear if active.gel_wear else 0.0,
+        "missing_dots_share": 0.02 * scene.gel.wear if active.gel_wear else 0.0,
+        "object_texture": texture,
+        "object_texture_period_px": period,
+        "object_texture_gain": gain if active.object_texture else 0.0,
+        "motion_blur_share": camera.exposure_ms * camera.fps / 1000 if active.motion_blur else 0.0,
+        "rolling_share": camera.readout_ms * camera.fps / 1000 if active.rolling_shutter else 0.0,
+    }

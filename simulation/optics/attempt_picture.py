@@ -1,0 +1,146 @@
+"""One picture of one attempt: what both fingers saw, how the dots moved, what was decided. Used by `view` and `run`."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.optics import texture
+
+__all__ = ["Decision", "draw", "save"]
+
+ARROW_SCALE = 3.0  # motions are a few px of 327: drawn three times longer than they are
+_FINGER_NAMES = ("left finger (+y)", "right finger (-y)")
+
+
+class Decision(TypedDict, total=False):
+    """What the picture says besides the frames; every key may be left out."""
+
+    title: str
+    truth: tuple[float, float]  # x_mm, theta_deg
+    estimate: tuple[float, float]
+    correction: tuple[float, float]  # dx_mm, dtheta_deg
+    interval: tuple[tuple[float, float], tuple[float, float]]  # 90 %: (x low, high), (theta low, high)
+    class_probabilities: Mapping[str, float]
+    notes: Sequence[str]
+
+
+def draw(
+    frames: NDArray[np.uint8],
+    decision: Decision | None = None,
+    motion_px: NDArray[np.floating] | None = None,
+    valid: NDArray[np.bool_] | None = None,
+) -> Any:
+    """A matplotlib figure of an attempt.
+
+    ``frames`` uint8 [n, 2, H, W, 3] BGR rectified, first to last; ``motion_px`` [2, rows, cols, 2] (u, v) of the dots
+    from the first to the last frame, drawn as arrows from their rest positions; ``valid`` bool [2, rows, cols].
+    Raises ValueError on another shape of frames.
+    """
+    from matplotlib.figure import Figure
+
+    if frames.ndim != 5 or frames.shape[1] != 2 or frames.shape[-1] != 3 or not len(frames):
+        raise ValueError(f"frames have shape {list(frames.shape)}, expected [n, 2, height, width, 3]")
+    figure = Figure(figsize=(15, 8.4), dpi=100, layout="constrained")
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1.35, 1.0))
+    upper, lower = parts
+    left, right, facts = upper.subplots(1, 3, width_ratios=(1, 1, 0.95))
+    for finger, axes in enumerate((left, right)):
+        moved = None if motion_px is None else motion_px[finger]
+        imprint(axes, frames[-1, finger], _FINGER_NAMES[finger], moved, None if valid is None else valid[finger])
+    _facts(facts, decision or {})
+    _differences(lower, frames)
+    if decision and "title" in decision:
+        figure.suptitle(decision["title"])
+    return figure
+
+
+def save(
+    path: str | Path,
+    frames: NDArray[np.uint8],
+    decision: Decision | None = None,
+    motion_px: NDArray[np.floating] | None = None,
+    valid: NDArray[np.bool_] | None = None,
+) -> Path:
+    """Draw (see :func:`draw`) into a PNG at ``path``; its folder is made."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure = draw(frames, decision, motion_px, valid)
+    FigureCanvasAgg(figure).print_png(str(path))
+    return path
+
+
+def imprint(
+    axes: Any,
+    frame: NDArray[np.uint8],
+    caption: str,
+    motion_px: NDArray[np.floating] | None = None,
+    valid: NDArray[np.bool_] | None = None,
+) -> None:
+    """One rectified frame [H, W, 3] on ``axes`` with the dots' motion [rows, cols, 2] in px as arrows."""
+    axes.imshow(frame[..., ::-1])
+    axes.set_axis_off()
+    if motion_px is not None:
+        rest, motion = texture.marker_rest_px(), np.asarray(motion_px, float)
+        shown = np.isfinite(motion).all(-1) & (True if valid is None else valid)
+        start, step = rest[shown], motion[shown] * ARROW_SCALE
+        style = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "color": "yellow"}
+        axes.quiver(start[:, 0], start[:, 1], step[:, 0], step[:, 1], **style)
+        largest = float(np.linalg.norm(motion[shown], axis=-1).max(initial=0.0))
+        caption += f"  dots moved up to {largest:.1f} px (arrows x{ARROW_SCALE:g})"
+    axes.set_title(caption, fontsize=9)
+
+
+def _differences(figure: Any, frames: NDArray[np.uint8]) -> None:
+    """A row a finger: each frame minus the first, grey is no change."""
+    shown = frames if len(frames) <= 8 else frames[np.linspace(0, len(frames) - 1, 8).round().astype(int)]
+    grid = figure.subplots(2, len(shown), squeeze=False)
+    for finger in range(2):
+        for k, frame in enumerate(shown):
+            change = frame[finger].astype(np.int16) - shown[0, finger]
+            axes = grid[finger, k]
+            axes.imshow(np.clip(128 + 2 * change, 0, 255).astype(np.uint8)[..., ::-1])
+            axes.set_xticks([])
+            axes.set_yticks([])
+            if finger == 0:
+                axes.set_title(f"frame {k + 1} - frame 1" if k else "frame 1", fontsize=8)
+        grid[finger, 0].set_ylabel(("left", "right")[finger], fontsize=8)
+
+
+def _facts(axes: Any, decision: Decision) -> None:
+    """Class bars above, numbers below."""
+    bars = decision.get("class_probabilities", {})
+    axes.set_title("decision" if bars or "estimate" in decision else "no decision", fontsize=9)
+    if bars:
+        names = list(bars)
+        axes.bar(range(len(names)), [bars[name] for name in names], color="tab:green")
+        axes.set_xticks(range(len(names)), names)
+        axes.set_ylim(0, 2.2)  # the upper half is for the text
+        axes.set_yticks([0, 0.5, 1.0])
+        axes.set_xlabel("class", fontsize=8)
+    else:
+        axes.set_axis_off()
+    axes.text(0.03, 0.97, "\n".join(fact_lines(decision)), transform=axes.transAxes, va="top", family="monospace")
+
+
+def fact_lines(decision: Decision) -> list[str]:
+    """The numbers of a decision, one a line, with units."""
+    lines = []
+    if "truth" in decision:
+        lines.append(_pair("true error", decision["truth"]))
+    if "estimate" in decision:
+        lines.append(_pair("estimate", decision["estimate"]))
+    if "interval" in decision:
+        (x_low, x_high), (theta_low, theta_high) = decision["interval"]
+        lines.append(f"{'90 %':<11} {x_low:+.1f}..{x_high:+.1f} mm  {theta_low:+.1f}..{theta_high:+.1f} deg")
+    if "correction" in decision:
+        lines.append(_pair("correction", decision["correction"]))
+    return [*lines, *decision.get("notes", ())]
+
+
+def _pair(what: str, values: tuple[float, float]) -> str:
+    return f"{what:<11} {values[0]:+7.2f} mm  {values[1]:+7.2f} deg"

@@ -1,0 +1,49 @@
+"""The LEDs' light on the gel, and what the camera sees beside the gel."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.optics import texture
+from simulation.optics.appearance import Appearance
+
+Floats = NDArray[np.float32]
+
+
+def illumination(look: Appearance, at: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Light on the gel [3, 320, 427] (grey levels per unit of albedo) and what surrounds the gel [3, 320, 427].
+
+    ``at`` [320, 427, 2]: where each raw pixel lies in the rectified image, gel at rest, px.
+    GelSlim: green from LEDs at the lower corners, an olive-red cast towards the upper left and centre, brightest
+    along the lower edge; beside the gel dark housing, a cable and reflections.
+    """
+    u = at[..., 0] / (texture.RECTIFIED_WIDTH_PX - 1)
+    v = at[..., 1] / (texture.RECTIFIED_HEIGHT_PX - 1)
+    s = look.light_shift
+    corners = np.exp(-(((u - 0.02 - s) / 0.45) ** 2 + ((v - 1.0) / 0.55) ** 2))
+    corners = corners + np.exp(-(((u - 0.98 - s) / 0.45) ** 2 + ((v - 1.0) / 0.55) ** 2))
+    edge = np.exp(-(((v - 1.02) / 0.16) ** 2))
+    cast = np.exp(-(((u - 0.33 + s) / 0.5) ** 2 + ((v - 0.22) / 0.6) ** 2))
+    green = 0.30 + 0.46 * corners + 0.22 * edge + 0.16 * cast
+    red = 0.20 + 0.06 * corners + 0.20 * edge + 0.34 * cast
+    blue = 0.17 + 0.16 * corners + 0.20 * edge + 0.05 * cast
+    light = (np.stack([blue, green, red], -1) + look.ambient) * look.light_bgr * (look.exposure * 255)
+    margin = np.minimum(
+        np.minimum(u, 1 - u) * texture.RECTIFIED_WIDTH_PX, np.minimum(v, 1 - v) * texture.RECTIFIED_HEIGHT_PX
+    )
+    gel = np.clip(margin / 6 + 1.5, 0, 1)[..., None]
+    return _planes(light * gel), _planes(_housing(rng, look.exposure) * (1 - gel))
+
+
+def _housing(rng: np.random.Generator, exposure: float) -> Floats:
+    """Float32 [320, 427, 3]: black print, a grey cable and soft green reflections outside the gel."""
+    v, u = np.mgrid[: texture.RAW_HEIGHT_PX, : texture.RAW_WIDTH_PX].astype(np.float32)
+    side = rng.choice([-1, 1])
+    cable = np.exp(-(((u - 213.5 - side * (205 - 0.22 * v)) / 7) ** 2))
+    glow = np.exp(-(((v - 318) / 50) ** 2)) * np.exp(-(((np.abs(u - 213.5) - 120) / 45) ** 2))
+    tint = np.stack([18 + 40 * cable + 30 * glow, 22 + 42 * cable + 90 * glow, 17 + 40 * cable + 26 * glow], -1)
+    return np.asarray(exposure * tint, np.float32)
+
+
+def _planes(image: NDArray[np.floating]) -> Floats:
+    """[H, W, 3] to contiguous float32 [3, H, W]: whole planes multiply several times faster than interleaved colour."""
+    return np.ascontiguousarray(np.moveaxis(image, -1, 0), np.float32)

@@ -1,0 +1,281 @@
+"""The simulated bench: a hand that holds the object above the gap, moved by poses, with all its memory.
+
+Frames and signs are the work-object frame's; angles at the interface in deg.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.physics import layer_pads
+from simulation.physics.constants import BASE_K, scene_constants
+from simulation.physics.grasp import close_fingers
+from simulation.physics.inertia import coasting_of
+from simulation.physics.kernels import bristles, contact, load_step, records
+from simulation.physics.kernels.linear import rotation_into
+from simulation.physics.readout import Readout
+from simulation.physics.state import CellState, PhysicsError, Reason, block_motion, rotation_vector
+from simulation.scene.effects import Active, active_effects
+from simulation.scene.scene import Scene
+
+__all__ = ["CellState", "PhysicsError", "QuasiStaticCell"]
+
+Array = NDArray[np.float64]
+
+APPROACH_MM = 5.0
+LOST_MM, LOST_GRIP = 12.0, 0.1
+MAX_HALVINGS = 6
+DAMPING = 0.02  # share of a round by which friction limits follow where no shorter step helps
+
+
+class QuasiStaticCell:
+    """A scene with its state.
+
+    `regrasp` puts the object back into the hand, `move_to` moves the hand quasi-statically.
+    """
+
+    def __init__(self, scene: Scene, seed: int = 0) -> None:
+        self.scene = scene
+        self.rng = np.random.default_rng(seed)
+        self.active: Active = active_effects(scene)
+        self.foot = np.ascontiguousarray(scene.object.footprint_mm)
+        self.readout = Readout(scene, coupled=self.active.gel_coupling)
+        self.constants = scene_constants(scene, self.active)
+        pitch, camera = scene.marker_pitch_mm, scene.camera
+        height, width = camera.marker_rows * pitch, camera.marker_columns * pitch
+        self.nodes = bristles.make_nodes(scene.gel.node_rows, scene.gel.node_columns, height, width, scene.gel.crown_mm)
+        self.layer = layer_pads.pads_of(scene, self.nodes, self.constants)
+        self.coasting = coasting_of(scene) if self.active.inertia else None
+        vertices = len(self.foot)
+        self.base_slot = records.slot_count(vertices)
+        self.slots = np.zeros(self.base_slot + 8, dtype=records.SLOT)
+        self.rows = np.zeros(records.row_count(vertices), dtype=records.ROW)
+        self.trials = np.zeros(3, dtype=records.TRIAL)
+        self.record = np.zeros(1, dtype=records.STATE)
+        self.state: Any = self.record[0]
+        self.corner = np.empty((vertices, 3))
+        self.pose = np.zeros(4)
+        self.direct = True
+        self.reset_blocks()
+        self.regrasp(0.0, 0.0)
+
+    def reset_blocks(self) -> None:
+        """Put both blocks back where the scene has them."""
+        half = 0.5 * self.scene.blocks.gap_mm
+        weight = float(self.constants["block_weight"][0])
+        sink = weight / (4.0 * BASE_K) if self.active.free_blocks else 0.0
+        self.state["block_turn"][:] = np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])])
+        self.state["block"][:] = [[half, 0.0, -sink], [-half, 0.0, -sink]]
+        self.slots["force"][self.base_slot :] = 0.25 * weight if self.active.free_blocks else 0.0
+        self.slots["slide"][self.base_slot :] = 0.0
+
+    def regrasp(self, x_mm: float, theta_deg: float) -> CellState:
+        """Fixture: object centred in hand up to the pre-tilt spread, error (x_mm, theta_deg), approach height."""
+        if not (math.isfinite(x_mm) and math.isfinite(theta_deg)):
+            raise ValueError(f"regrasp: expected finite numbers, got {x_mm}, {theta_deg}")
+        spread = self.scene.grasp
+        tilt = np.radians(self.rng.normal(0.0, 1.0, 2) * (spread.pre_tilt_spread_deg, spread.pre_yaw_spread_deg))
+        rotation_into(self.state["turn"], 0.0, tilt[0], tilt[1])
+        self.state["place"][:] = 0.0
+        self.state["mode"][:] = contact.TOP
+        self.slots[: self.base_slot] = 0
+        for name in ("sx", "sz", "slipped"):
+            self.nodes[name] = 0.0
+        self.grasp_lost = False
+        if self.coasting is not None:
+            self.coasting.velocity[:] = 0.0
+        self.pose = np.array([0.0, 0.0, spread.height_mm + 10.0 * APPROACH_MM, 0.0])
+        if self.layer is None:
+            self._close()
+        elif not self.layer.close(self._close):
+            text = f"scene {self.scene.name!r}: the pads do not settle while the fingers close"
+            raise PhysicsError(text, "pads unsettled")
+        self._advance(self.pose)
+        # place the hand so that the object's error is the one asked for
+        x, theta = self._object_error()
+        self.pose[3] += math.radians(theta_deg - theta)
+        x, theta = self._object_error()
+        self.pose[0] += x_mm - x
+        self.pose[2] = APPROACH_MM + spread.height_mm
+        return self.look()
+
+    def _work(self) -> records.Workspace:
+        """The kernels' memory; made anew, so that a study may put other nodes in place."""
+        return records.Workspace(
+            self.constants, self.record, self.trials, self.rows, self.slots, self.nodes, self.foot, self.corner
+        )
+
+    def _close(self) -> None:
+        close_fingers(self.scene, self._work())
+
+    def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
+        """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium was found."""
+        target = np.array([x_mm, y_mm, z_mm, math.radians(yaw_deg)])
+        if not np.all(np.isfinite(target)):
+            raise ValueError(f"move_to: expected finite numbers, got {target.tolist()}")
+        if self.grasp_lost:
+            self.pose = target
+            return self.look()
+        self.nodes["slipped"] = 0.0
+        start, reach = self.pose.copy(), self._free_share(target)
+        if reach > 0.0:
+            self.pose = start + reach * (target - start)
+            if self.coasting is not None:
+                self.coasting.ride(target[:3] - start[:3])
+        rest = target - self.pose
+        length = max(float(np.max(np.abs(rest[:3]))), 40.0 * abs(float(rest[3])))
+        if reach < 1.0 and length > 0.0:
+            begin, count = self.pose.copy(), max(1, math.ceil(length / self.scene.numerics.load_step_mm - 1e-9))
+            for i in range(count):
+                self._advance(begin + rest * ((i + 1) / count))
+                if self.lost():
+                    break
+        self.pose = target
+        return self.look()
+
+    def wait(self, duration_s: float) -> CellState:
+        """Stand still: nothing changes but for inertia, which swings on. Raises PhysicsError as `move_to` does."""
+        if self.coasting is not None and not self.grasp_lost:
+            self.nodes["slipped"] = 0.0
+            for dt_s in self.coasting.ticks(duration_s):
+                self._advance(self.pose, dt_s=dt_s)
+        return self.look()
+
+    def _free_share(self, target: Array) -> float:
+        """Share of a move in which nothing touches, so that the held object just rides along."""
+        if np.any(self.slots["force"][: self.base_slot] > 0.0):
+            return 0.0
+        now, then = self._lowest(self.pose), self._lowest(target)
+        if now > 1e-3 and then > 1e-3:
+            return 1.0
+        vertical = np.array_equal(self.pose[[0, 1, 3]], target[[0, 1, 3]])
+        return max(0.0, (now - 0.01) / (now - then)) if vertical and now > then and now > 0.01 else 0.0
+
+    def _lowest(self, pose: Array) -> float:
+        bottom = np.column_stack([self.foot, np.full(len(self.foot), self.constants["bottom"][0])])
+        heights = bottom @ self.state["turn"][2] + self.state["place"][2] + pose[2]
+        return float(heights.min() - max(0.0, float(self.state["block"][:, 2].max())))
+
+    def _solve(self, target: Array, blend: float) -> int:
+        tolerance_n = self.scene.numerics.residual_n
+        status: int = load_step.advance(self._work(), self.pose, target, tolerance_n, self.direct, blend)
+        return status
+
+    def _step(self, target: Array, blend: float) -> int:
+        if self.layer is None:
+            return self._solve(target, blend)
+        return self.layer.advance((self.record, self.slots), lambda: self._solve(target, blend))
+
+    def _pass(self, target: Array, dt_s: float | None, blend: float = 1.0) -> int:
+        """One load step as it is, not divided; blend below 1: damp the friction limits where they jump."""
+        if self.coasting is None:
+            return self._step(target, blend)
+        dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
+        return self.coasting.step(self.constants, self.trials, self._centre(), dt_s, lambda: self._step(target, blend))
+
+    def _advance(self, target: Array, dt_s: float | None = None) -> None:
+        """One load step, divided where it must be. Raises PhysicsError."""
+        try:
+            self._divide(target, 0, dt_s, rescue=False)
+        except PhysicsError:
+            # the object may have nowhere to go but far: leap over what no short step passes, or else crawl through it
+            status = self._pass(target, dt_s, DAMPING)
+            if status == load_step.STALLED:
+                self._divide(target, 0, dt_s, rescue=True)
+            else:
+                self._arrive(target, status)
+
+    def _divide(self, target: Array, depth: int, dt_s: float | None, *, rescue: bool) -> None:
+        status = self._pass(target, dt_s)
+        if status == load_step.STALLED and rescue and depth == MAX_HALVINGS:
+            status = self._pass(target, dt_s, DAMPING)
+        if status == load_step.STALLED and self._drops():
+            status = load_step.LOST
+        if status == load_step.STALLED and depth < MAX_HALVINGS:
+            middle = 0.5 * (self.pose + target)
+            half_s = None if dt_s is None else 0.5 * dt_s
+            self._divide(middle, depth + 1, half_s, rescue=rescue)
+            self._divide(target, depth + 1, half_s, rescue=rescue)
+            return
+        if status == load_step.STALLED:
+            reason = self._why()
+            raise PhysicsError(
+                f"scene {self.scene.name!r}: no equilibrium within {self.scene.numerics.residual_n} N at TCP "
+                f"{np.round(target[:3], 3).tolist()} mm: {reason}, forces off by {self.state['report'][0]:.2e} N",
+                reason,
+            )
+        self._arrive(target, status)
+
+    def _arrive(self, target: Array, status: int) -> None:
+        """A load step ended at its target, solved or with the object lost."""
+        self.pose = target
+        if self.coasting is not None:
+            self.coasting.arrive(self._centre())
+        grips = self._grips()
+        if (
+            status == load_step.LOST
+            or np.abs(self.state["place"]).max() > LOST_MM
+            or grips.min() < LOST_GRIP * grips.max()
+        ):
+            self.grasp_lost = True
+
+    def _drops(self) -> bool:
+        """Whether the object weighs more than friction between the pads can carry."""
+        return bool(self.constants["weight"][0] > self.constants["friction"][0] * self._grips().sum())
+
+    def _why(self) -> Reason:
+        """What kept the last load step from an equilibrium."""
+        if self.layer is not None and self.layer.unsettled:
+            return "pads unsettled"
+        return "friction unsettled" if self.state["report"][0] <= 1e-3 else "forces unbalanced"
+
+    def lost(self) -> bool:
+        """Whether the object has left the grasp."""
+        return self.grasp_lost
+
+    def _grips(self) -> Array:
+        return np.asarray(self.nodes["pressure"].reshape(2, -1).sum(axis=1) * self.constants["area"][0])
+
+    def _world(self) -> tuple[Array, Array]:
+        hand = np.empty((3, 3))
+        rotation_into(hand, 0.0, 0.0, self.pose[3])
+        return hand @ self.state["turn"], hand @ self.state["place"] + self.pose[:3]
+
+    def _centre(self) -> Array:
+        turn, place = self._world()
+        return np.asarray(place + turn[:, 2] * float(self.constants["mass_height"][0]))
+
+    def _object_error(self) -> tuple[float, float]:
+        turn, place = self._world()
+        bottom = place + turn[:, 2] * float(self.constants["bottom"][0])
+        return float(bottom[0]), math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+
+    def look(self) -> CellState:
+        """The state now, without moving."""
+        turn, place = self._world()
+        bottom = float(np.min(self.foot @ turn[2, :2]) + turn[2, 2] * float(self.constants["bottom"][0]) + place[2])
+        touching = (self.nodes["pressure"] > 0.0).reshape(2, -1).sum(axis=1)
+        slipped = self.nodes["slipped"].reshape(2, -1).sum(axis=1)
+        return CellState(
+            gel=self.readout(self._stretch(), self.nodes["pressure"]),
+            slipping=self.readout.at_markers(self.nodes["slipped"]) > 0.0,
+            slipping_share=slipped / np.maximum(touching, 1),
+            wrench_n_nmm=self.state["wrench"].copy(),
+            in_hand=np.concatenate([self.state["place"], rotation_vector(self.state["turn"])]),
+            object_error=self._object_error(),
+            bottom_z_mm=bottom,
+            block_motion=block_motion(self.state, 0.5 * self.scene.blocks.gap_mm),
+            in_contact=bool(np.any(self.slots["force"][: self.base_slot] > 0.0)),
+            inserted=bool(bottom < -15.0) and not self.grasp_lost,
+            grasp_lost=self.grasp_lost,
+            residual_n=float(self.state["report"][0]),
+        )
+
+    def _stretch(self) -> Array:
+        if self.layer is not None:
+            return self.layer.stretch
+        return np.stack([self.nodes["sx"], self.nodes["sz"]], axis=1)

@@ -1,0 +1,134 @@
+"""Which effects a scene calls for.
+
+Each is declared once, with the predicate that switches it on and the reason it gives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from simulation.scene.scene import Scene
+
+
+class Active(NamedTuple):
+    """Switches of one scene."""
+
+    gravity: bool
+    inertia: bool
+    edge_friction: bool
+    free_blocks: bool
+    gel_wear: bool
+    gel_coupling: bool
+    object_texture: bool
+    motion_blur: bool
+    rolling_shutter: bool
+    camera_noise: bool
+    dropped_frames: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One effect: its key in `scene.effects`, what it is, and needed(scene) -> (whether, why)."""
+
+    key: str
+    what: str
+    needed: Callable[[Scene], tuple[bool, str]]
+
+
+def _gravity(scene: Scene) -> tuple[bool, str]:
+    share = scene.object.mass_kg * 9.81 / (2.0 * max(scene.gel.friction, 1e-9) * scene.grasp.force_n)
+    return share > 0.03, f"weight is {100.0 * share:.1f} % of what the grip can carry (limit 3 %)"
+
+
+def inertia_share(scene: Scene) -> float:
+    """Force of a sudden stop, v sqrt(m k), over what the grip can carry."""
+    gel, camera, pitch_mm = scene.gel, scene.camera, scene.marker_pitch_mm
+    area = camera.marker_rows * camera.marker_columns * pitch_mm**2
+    stiffness_n_per_m = 2.0 * gel.shear_modulus_n_per_mm2 / gel.thickness_mm * area * 1e3
+    jolt_n = scene.speed_mm_s * 1e-3 * math.sqrt(scene.object.mass_kg * stiffness_n_per_m)
+    return jolt_n / (2.0 * max(gel.friction, 1e-9) * scene.grasp.force_n)
+
+
+def _inertia(scene: Scene) -> tuple[bool, str]:
+    share = inertia_share(scene)
+    return share > 0.1, f"a sudden stop loads the grip to {100.0 * share:.1f} % of what it can carry (limit 10 %)"
+
+
+def _edge_friction(scene: Scene) -> tuple[bool, str]:
+    return scene.blocks.friction > 0.02, f"block friction is {scene.blocks.friction:g} (limit 0.02)"
+
+
+def _free_blocks(scene: Scene) -> tuple[bool, str]:
+    return scene.blocks.free, "blocks.free is set" if scene.blocks.free else "blocks are fixed"
+
+
+def _gel_wear(scene: Scene) -> tuple[bool, str]:
+    return scene.gel.wear > 0.02, f"gel.wear is {scene.gel.wear:g} (limit 0.02)"
+
+
+def _gel_coupling(scene: Scene) -> tuple[bool, str]:
+    if scene.gel.tier == "layer":
+        return False, "the layer tier couples by itself"
+    reach = 0.5 * scene.gel.thickness_mm
+    return (
+        reach > 0.3 * scene.marker_pitch_mm,
+        f"rubber couples over {reach:.2f} mm, markers are {scene.marker_pitch_mm:.2f} mm apart",
+    )
+
+
+def _texture(scene: Scene) -> tuple[bool, str]:
+    return scene.object.texture != "smooth", f"object.texture is {scene.object.texture}"
+
+
+def _blur(scene: Scene) -> tuple[bool, str]:
+    smear = scene.speed_mm_s * scene.camera.exposure_ms * 1e-3 / scene.camera.mm_per_px
+    return smear > 0.3, f"markers smear by up to {smear:.2f} px in an exposure (limit 0.3)"
+
+
+def _rolling(scene: Scene) -> tuple[bool, str]:
+    lag = scene.speed_mm_s * scene.camera.readout_ms * 1e-3 / scene.camera.mm_per_px
+    return lag > 0.3, f"the image moves by up to {lag:.2f} px while it is read out (limit 0.3)"
+
+
+def _noise(scene: Scene) -> tuple[bool, str]:
+    return scene.camera.noise_grey > 0.0, f"camera.noise_grey is {scene.camera.noise_grey:g}"
+
+
+def _dropped(scene: Scene) -> tuple[bool, str]:
+    return scene.camera.dropped_share > 0.0, f"camera.dropped_share is {scene.camera.dropped_share:g}"
+
+
+EFFECTS = (
+    Effect("gravity", "weight of the held object", _gravity),
+    Effect("inertia", "the held object's mass against sudden stops", _inertia),
+    Effect("edge_friction", "friction at the blocks' edges and walls", _edge_friction),
+    Effect("free_blocks", "blocks that slide on the table and tip", _free_blocks),
+    Effect("gel_wear", "worn spots and missing markers", _gel_wear),
+    Effect("gel_coupling", "rubber between the bristles: coupled and bulging markers", _gel_coupling),
+    Effect("object_texture", "imprint of the object's texture", _texture),
+    Effect("motion_blur", "markers smeared within an exposure", _blur),
+    Effect("rolling_shutter", "rows read one after another while the gel moves", _rolling),
+    Effect("camera_noise", "grey-level noise", _noise),
+    Effect("dropped_frames", "frames that never arrive", _dropped),
+)
+
+
+def decide(effect: Effect, scene: Scene) -> tuple[bool, str]:
+    """Whether an effect is on for a scene, and why."""
+    switch = getattr(scene.effects, effect.key)
+    if switch != "auto":
+        return switch == "on", f"forced {switch} by the scene"
+    return effect.needed(scene)
+
+
+def active_effects(scene: Scene) -> Active:
+    """All switches of a scene."""
+    return Active(**{effect.key: decide(effect, scene)[0] for effect in EFFECTS})
+
+
+def dropped_share(scene: Scene) -> float:
+    """Share of camera frames that never arrive, 0..1."""
+    return scene.camera.dropped_share if active_effects(scene).dropped_frames else 0.0

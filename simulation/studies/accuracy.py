@@ -1,0 +1,218 @@
+"""`python -m simulation accuracy`: what physics accuracy costs in time, against converged references.
+
+Each scene is poked once (1.5 mm past touchdown, friction partly slipping) with one knob turned at a time. Errors are
+those of the held object's pose, of the force and of the markers' motion at the end of the poke: once against the same
+tier, converged (what load step and node count cost), once against the converged layer tier (what the model costs).
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import tyro
+
+from service.contract import FINGERS
+from simulation.data.probe import run_probe
+from simulation.data.progress import progress
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
+from simulation.physics.quasistatic import CellState, QuasiStaticCell
+from simulation.scene.scene import Scene, load_scene
+from simulation.studies import accuracy_report
+
+Tier = Literal["bristle", "layer"]
+Changes = dict[str, Any]
+
+SCENES = ("rectangle", "circle", "ellipse", "hexagon")
+X_MM, THETA_DEG, PAST_TOUCHDOWN_MM = 8.0, 5.0, 1.5
+CLEAN: Changes = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+FINE, FINER = {"gel__node_rows": 40, "gel__node_columns": 42}, {"gel__node_rows": 60, "gel__node_columns": 63}
+COARSE = {"gel__node_rows": 10, "gel__node_columns": 11}
+REFERENCES: dict[Tier, Changes] = {
+    "bristle": {"numerics__load_step_mm": 0.01, **FINER},
+    "layer": {"gel__tier": "layer", "numerics__load_step_mm": 0.02, **FINE},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One way to compute: its name, what it belongs with in the picture, tier and changed keys."""
+
+    name: str
+    family: Literal["load step", "nodes", "effects", "layer"]
+    tier: Tier
+    changes: Changes
+
+
+SETTINGS = (
+    Setting("load step 0.50 mm", "load step", "bristle", {"numerics__load_step_mm": 0.5}),
+    Setting("load step 0.34 mm", "load step", "bristle", {"numerics__load_step_mm": 0.34}),
+    Setting("default: load step 0.17 mm, 20 x 21 nodes", "load step", "bristle", {}),
+    Setting("load step 0.04 mm", "load step", "bristle", {"numerics__load_step_mm": 0.04}),
+    Setting("load step 0.01 mm", "load step", "bristle", {"numerics__load_step_mm": 0.01}),
+    Setting("10 x 11 nodes", "nodes", "bristle", COARSE),
+    Setting("40 x 42 nodes", "nodes", "bristle", FINE),
+    Setting("40 x 42 nodes, load step 0.04 mm", "nodes", "bristle", {**FINE, "numerics__load_step_mm": 0.04}),
+    Setting("edge friction left out", "effects", "bristle", {"effects__edge_friction": "off"}),
+    Setting("gel coupling left out", "effects", "bristle", {"effects__gel_coupling": "off"}),
+    Setting("gravity forced on", "effects", "bristle", {"effects__gravity": "on"}),
+    Setting("layer, load step 0.50 mm", "layer", "layer", {"numerics__load_step_mm": 0.5}),
+    Setting("layer, load step 0.17 mm, 20 x 21 nodes", "layer", "layer", {}),
+    Setting("layer, load step 0.04 mm", "layer", "layer", {"numerics__load_step_mm": 0.04}),
+    Setting("layer, 10 x 11 nodes", "layer", "layer", COARSE),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """How far an end state is from a reference; markers are RMS over both fingers, against the state at rest."""
+
+    position_um: float
+    turn_deg: float
+    force_n: float
+    markers_um: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """One scene under one setting: CPU time of the poke, errors against its own tier's and the layer's reference."""
+
+    scene: str
+    setting: str
+    family: str
+    tier: Tier
+    cpu_ms: float
+    numerical: Error
+    model: Error
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """End of a poke: the state, what the markers moved by since the grasp (mm), best CPU time in ms."""
+
+    state: CellState
+    motion: np.ndarray[tuple[int, ...], np.dtype[np.float32]]
+    cpu_ms: float
+
+
+def poke(scene: str, tier: Tier, changes: Changes, repeats: int) -> End:
+    """Poke a scene; CPU time is the best of that many repeats."""
+    cell, best = QuasiStaticCell(load_scene(scene, **{"gel__tier": tier, **CLEAN, **changes})), float("inf")
+    for _ in range(repeats):
+        held = cell.regrasp(X_MM, THETA_DEG)
+        x, y, z, yaw = cell.pose
+        start = time.process_time()
+        state = cell.move_to(x, y, z - 5.0 - PAST_TOUCHDOWN_MM, float(np.degrees(yaw)))
+        best = min(best, 1e3 * (time.process_time() - start))
+    return End(state, (state.gel - held.gel)[..., :2], best)
+
+
+def error_of(end: End, reference: End) -> Error:
+    """How far a poke ended from the reference's."""
+    shift = end.state.in_hand - reference.state.in_hand
+    force = end.state.wrench_n_nmm[:3] - reference.state.wrench_n_nmm[:3]
+    return Error(
+        position_um=float(1e3 * np.linalg.norm(shift[:3])),
+        turn_deg=float(np.degrees(np.linalg.norm(shift[3:]))),
+        force_n=float(np.linalg.norm(force)),
+        markers_um=float(1e3 * np.sqrt(np.mean(np.sum((end.motion - reference.motion) ** 2, axis=-1)))),
+    )
+
+
+def measure(repeats: int, show: Callable[[int], None]) -> list[Cost]:
+    """Every setting on every scene."""
+    out: list[Cost] = []
+    for scene in SCENES:
+        references = {tier: poke(scene, tier, changes, 1) for tier, changes in REFERENCES.items()}
+        for setting in SETTINGS:
+            end = poke(scene, setting.tier, setting.changes, repeats)
+            errors = error_of(end, references[setting.tier]), error_of(end, references["layer"])
+            out.append(Cost(scene, setting.name, setting.family, setting.tier, end.cpu_ms, *errors))
+            show(len(out))
+    return out
+
+
+def probe_times(repeats: int) -> dict[str, dict[str, float]]:
+    """Best CPU time, ms, of a whole probe a scene on one core: marker fields of each tier; 2 x 30 frames, rectified."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        return {name: _probe_times(load_scene(name), repeats) for name in SCENES}
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def _probe_times(scene: Scene, repeats: int) -> dict[str, float]:
+    out = {}
+    for tier in ("bristle", "layer"):
+        cell = QuasiStaticCell(scene.varied({"gel.tier": tier}))
+        out[f"{tier}, marker fields"] = _best_ms(lambda cell=cell: run_probe(cell, X_MM, THETA_DEG), repeats)  # type: ignore[misc]
+    gel = run_probe(scene, X_MM, THETA_DEG).gel.astype(np.float32)
+    eyes = [Renderer(Appearance.draw(scene, finger, 0)) for finger in FINGERS]
+
+    def draw() -> None:
+        for i, fields in enumerate(gel):
+            for eye, now, before in zip(eyes, fields, gel[max(0, i - 1)], strict=True):
+                eye.rectified(now, i, before)
+
+    out["images of 2 x 30 frames"] = _best_ms(draw, repeats)
+    out["bristle, fields and images"] = out["bristle, marker fields"] + out["images of 2 x 30 frames"]
+    return out
+
+
+def _best_ms(what: Callable[[], Any], repeats: int) -> float:
+    best = float("inf")
+    for _ in range(repeats):
+        start = time.process_time()
+        what()
+        best = min(best, 1e3 * (time.process_time() - start))
+    return best
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure what physics accuracy costs; write accuracy.md, accuracy.json and accuracy.png."""
+
+    out: Path = Path("docs")
+    """folder for the three files"""
+    repeats: int = 5
+    """runs of which the fastest counts"""
+    probes_only: bool = False
+    """time whole probes anew and keep the costs of the accuracy.json that is there"""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command line."""
+    options = tyro.cli(Options, args=arguments, prog="python -m simulation accuracy")
+    if options.repeats < 1 or not options.out.is_dir():
+        raise ValueError(f"expected --repeats >= 1 and an existing folder, got {options.repeats} and {options.out}")
+    rows = _kept(options.out / "accuracy.json") if options.probes_only else _measured(options.repeats)
+    times = probe_times(options.repeats)
+    text = accuracy_report.as_markdown(rows, times)
+    (options.out / "accuracy.md").write_text(text, encoding="utf-8")
+    found = {"x_mm": X_MM, "theta_deg": THETA_DEG, "past_touchdown_mm": PAST_TOUCHDOWN_MM}
+    (options.out / "accuracy.json").write_text(
+        json.dumps({"poke": found, "costs": rows, "probe_ms": times}, indent=1) + "\n", encoding="utf-8"
+    )
+    accuracy_report.draw(rows, options.out / "accuracy.png")
+    print(text)
+    return 0
+
+
+def _measured(repeats: int) -> list[dict[str, Any]]:
+    with progress("pokes", len(SCENES) * len(SETTINGS)) as show:
+        return [asdict(cost) for cost in measure(repeats, show)]
+
+
+def _kept(path: Path) -> list[dict[str, Any]]:
+    if not path.is_file():
+        raise ValueError(f"--probes-only: there is no {path} whose costs could be kept")
+    rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["costs"]
+    return rows

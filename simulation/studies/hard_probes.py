@@ -1,0 +1,136 @@
+"""Random hard probes: touchdown, edge on edge, friction from none to 2, soft and hard blocks, loss of grip.
+
+Each must end solved, with the object lost from the grasp, or refused by a typed reason; what is solved is finite,
+balanced and inside the friction cones. The same (seed, number) is the same probe on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+
+from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
+from simulation.scene.scene import BUILT_IN, Scene, load_scene
+
+RESIDUAL_N, CONE_N_PER_MM2 = 1e-6, 1e-9  # what a solved probe must keep
+DEPTHS_MM = (5.05, 5.6, 6.5, 5.2)  # just touching, sliding, deep, and back up
+CHUNK = 50
+
+
+class ImpossibleStateError(AssertionError):
+    """A probe that calls itself solved broke a promise: a non-finite number, a residual, a friction cone."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """How hard probes ended: outcome or "refused: reason" -> count; the worst figures of what was solved."""
+
+    ended: Counter[str] = field(default_factory=Counter)
+    worst_residual_n: float = 0.0
+    worst_cone_n_per_mm2: float = -math.inf
+    cpu_s: float = 0.0
+
+    def add(self, other: Tally) -> None:
+        """Add another tally to this one."""
+        self.ended += other.ended
+        self.worst_residual_n = max(self.worst_residual_n, other.worst_residual_n)
+        self.worst_cone_n_per_mm2 = max(self.worst_cone_n_per_mm2, other.worst_cone_n_per_mm2)
+        self.cpu_s += other.cpu_s
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Tally:
+        """Inverse of `as_dict`."""
+        cpu_s = 1e-3 * data["cpu_ms_per_probe"] * data["probes"]
+        return cls(Counter(data["ended"]), data["worst_residual_n"], data["worst_cone_violation_n_per_mm2"], cpu_s)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "probes": self.ended.total(),
+            "ended": dict(sorted(self.ended.items())),
+            "worst_residual_n": self.worst_residual_n,
+            "worst_cone_violation_n_per_mm2": max(0.0, self.worst_cone_n_per_mm2),
+            "cpu_ms_per_probe": 1e3 * self.cpu_s / max(1, self.ended.total()),
+        }
+
+
+def hard_scene(rng: np.random.Generator, tier: str) -> Scene:
+    """One of the eight objects with hard contact, grip and numbers."""
+    return load_scene(
+        BUILT_IN[int(rng.integers(len(BUILT_IN)))],
+        gel__tier=tier,
+        gel__friction=float(rng.choice([0.0, 0.2, 0.8, 2.0])),
+        blocks__friction=float(rng.choice([0.0, 0.25, 1.0])),
+        blocks__stiffness_n_per_mm=float(10.0 ** rng.uniform(1.0, 4.0)),
+        blocks__free=bool(rng.random() < 0.5),
+        grasp__force_n=float(rng.uniform(1.0, 60.0)),
+        numerics__load_step_mm=float(rng.choice([0.05, 0.17, 0.5])),
+    )
+
+
+def hard_probe(seed: int, number: int, tier: str, tally: Tally) -> str:
+    """One probe; gives how it ended and notes it. Raises ImpossibleStateError where a promise is broken."""
+    rng = np.random.default_rng((seed, number))
+    start = time.process_time()
+    try:
+        ended = _descend(hard_scene(rng, tier), rng, tally)
+    except PhysicsError as error:
+        ended = f"refused: {error.reason}"
+    tally.cpu_s += time.process_time() - start
+    tally.ended[ended] += 1
+    return ended
+
+
+def _descend(scene: Scene, rng: np.random.Generator, tally: Tally) -> str:
+    cell = QuasiStaticCell(scene, int(rng.integers(1 << 30)))
+    span = scene.x_range_mm
+    cell.regrasp(float(rng.uniform(-span, span)), float(rng.uniform(-15.0, 15.0)))
+    x, y, z, yaw = cell.pose
+    for depth in DEPTHS_MM:
+        state = cell.move_to(x, y, z - depth, math.degrees(yaw))
+        if state.grasp_lost:
+            return "grasp lost"
+        _check(cell, state)
+        tally.worst_residual_n = max(tally.worst_residual_n, state.residual_n)
+        tally.worst_cone_n_per_mm2 = max(tally.worst_cone_n_per_mm2, float(cell.state["report"][4]))
+    return "solved"
+
+
+def _check(cell: QuasiStaticCell, state: CellState) -> None:
+    numbers = (state.gel, state.wrench_n_nmm, state.in_hand, state.block_motion)
+    if not all(np.isfinite(array).all() for array in numbers):
+        raise ImpossibleStateError(f"{cell.scene.name}: a non-finite number at TCP {cell.pose.tolist()}")
+    cone = float(cell.state["report"][4])
+    if not (state.residual_n <= RESIDUAL_N and cone <= CONE_N_PER_MM2):
+        raise ImpossibleStateError(
+            f"{cell.scene.name}: residual {state.residual_n:.1e} N, cone violation {cone:.1e} N/mm2 at TCP "
+            f"{cell.pose.tolist()}"
+        )
+
+
+def _chunk(work: tuple[int, int, int, str]) -> Tally:
+    seed, first, count, tier = work
+    tally = Tally()
+    for number in range(first, first + count):
+        hard_probe(seed, number, tier, tally)
+    return tally
+
+
+def run(count: int, seed: int, tier: str, workers: int, done: int = 0) -> Iterator[Tally]:
+    """Tallies of chunks of probes done .. count - 1 in order, from that many processes (0: one a core)."""
+    work = [(seed, first, min(CHUNK, count - first), tier) for first in range(done, count, CHUNK)]
+    workers = workers or os.cpu_count() or 1
+    if workers == 1:
+        yield from map(_chunk, work)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(_chunk, work)

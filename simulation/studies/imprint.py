@@ -1,0 +1,69 @@
+"""`python -m simulation plate`: what the simulated sensor sees, object by object, to lay beside a real one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from simulation.data.probe import run_probe
+from simulation.optics import attempt_picture
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.scene.scene import load_scene
+
+COLUMNS = ("raw, held", "raw, after the collision", "rectified, after", "difference", "motion of the dots")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Poke with each object once and draw the left finger: raw, rectified, difference, dot motion."""
+
+    out: Path = Path("docs/imprint.png")
+    """PNG file to write."""
+    objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("rectangle", "circle", "vitamin")
+    """Scenes to show, one a row."""
+    x_mm: float = 8.0
+    """Position error of the poke."""
+    theta_deg: float = 6.0
+    """Yaw error of the poke."""
+    seed: int = 1
+    """Seed of the grasp and of the optics."""
+
+
+def _row(axes: Sequence[Any], name: str, options: Options) -> None:
+    scene = load_scene(name)
+    probe = run_probe(scene, options.x_mm, options.theta_deg, seed=options.seed)
+    renderer = Renderer(Appearance.draw(scene, "left", options.seed))
+    before, after = (probe.gel[k, 0].astype(np.float32) for k in (0, -1))
+    held, pressed = renderer.raw(before, 0), renderer.raw(after, 1)
+    flat = renderer.rectify(pressed)
+    change = 128 + 2 * (flat.astype(np.int16) - renderer.rectify(held))
+    images = [held, pressed, flat, np.clip(change, 0, 255).astype(np.uint8)]
+    for panel, image in zip(axes, images, strict=False):
+        panel.imshow(image[..., ::-1])
+    motion_px = (after - before)[None, ..., :2] / scene.camera.mm_per_px
+    attempt_picture.imprint(axes[-1], flat, "", motion_px[0])
+    for panel in axes:
+        panel.set_xticks([])
+        panel.set_yticks([])
+    axes[0].set_ylabel(name)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command line."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    options = tyro.cli(Options, args=arguments, prog="python -m simulation plate")
+    figure = Figure(figsize=(16, 2.9 * len(options.objects)), dpi=60, layout="constrained")
+    grid = figure.subplots(len(options.objects), len(COLUMNS), squeeze=False)
+    for axes, name in zip(grid, options.objects, strict=True):
+        _row(axes, name, options)
+    for axes, title in zip(grid[0], COLUMNS, strict=True):
+        axes.set_title(title, fontsize=10)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    FigureCanvasAgg(figure).print_png(str(options.out))
+    print(options.out)
+    return 0

@@ -1,0 +1,154 @@
+"""`python -m simulation theory`: the simulator beside what theory knows, always through the whole cell.
+
+Hertz, Cattaneo-Mindlin and Winkler: a heavy flat box hangs between two paraboloid pads, and its weight is the
+tangential load (Johnson, Contact Mechanics, 1985, 4.22-4.24 and 7.38-7.42; on bristles the stick radius is
+c / a = (1 - Q / (mu P))^(1/4)). Geometry: the share of uniformly drawn errors that insert at once.
+Writes OUT/theory.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.physics import elastic_layer
+from simulation.physics.kernels import bristles
+from simulation.physics.quasistatic import QuasiStaticCell
+from simulation.scene.scene import load_scene
+
+Floats = NDArray[np.float64]
+WIDTH_MM, CROWN_MM, FRICTION = 21.0, 0.5, 0.8
+CURVATURE_MM = (0.5 * WIDTH_MM) ** 2 / CROWN_MM
+FORCE_N, LOAD_N = 20.0, 0.5 * 9.81  # a pad's
+STRAIGHT = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+HANGING = {
+    "object__mass_kg": 1.0,
+    "object__centre_of_mass_height_mm": 30.0,
+    "effects__gravity": "on",
+    "gel__crown_mm": CROWN_MM,
+    "gel__friction": FRICTION,
+    **STRAIGHT,
+}
+INSERTS = {"circle": 0.167, "rectangle": 0.020, "ellipse": 0.107, "hexagon": 0.186}  # the paper's task, computed
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """One figure beside theory: relative error and its limit."""
+
+    what: str
+    error: float
+    limit: float
+
+
+def hang(nodes: int, tier: str, modulus_n_per_mm2: float = 1.0) -> QuasiStaticCell:
+    """The hanging box, at rest; its pads are half-spaces of Poisson's ratio 0.5 in the layer tier."""
+    grid = {"gel__node_rows": nodes, "gel__node_columns": nodes, "gel__shear_modulus_n_per_mm2": modulus_n_per_mm2}
+    cell = QuasiStaticCell(load_scene("rectangle", gel__tier=tier, **grid, **HANGING))
+    cell.nodes = bristles.make_nodes(nodes, nodes, WIDTH_MM, WIDTH_MM, CROWN_MM)
+    cell.constants["area"] = (WIDTH_MM / nodes) ** 2
+    if cell.layer is not None:
+        cells = elastic_layer.Grid(nodes, nodes, WIDTH_MM / nodes, WIDTH_MM / nodes)
+        cell.layer.use(elastic_layer.half_space(cells, modulus_n_per_mm2, 0.5), cell.nodes, cell.constants)
+    cell.regrasp(0.0, 0.0)
+    return cell
+
+
+def relative(found: Floats, expected: Floats) -> float:
+    """Relative error of a field, in the L2 norm."""
+    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
+def dome(r: Floats, a: float) -> Floats:
+    """Hertz's profile, sqrt(1 - (r / a)^2), 0 outside."""
+    return np.asarray(np.sqrt(np.clip(1.0 - (r / a) ** 2, 0.0, None)))
+
+
+def half_space(nodes: int, cell: QuasiStaticCell | None = None) -> list[Compared]:
+    """Hertz's pressure, Cattaneo and Mindlin's traction and displacement, nodes x nodes a pad."""
+    cell = cell or hang(nodes, "layer")
+    shear, share = 1.0, LOAD_N / (FRICTION * FORCE_N)
+    a = (3.0 * FORCE_N * CURVATURE_MM / (4.0 * 4.0 * shear)) ** (1.0 / 3.0)  # E* = 2 G / (1 - nu) = 4 G
+    top, r = 1.5 * FORCE_N / (math.pi * a * a), np.hypot(cell.nodes["x"], cell.nodes["z"])
+    c = a * (1.0 - share) ** (1.0 / 3.0)
+    traction = FRICTION * top * (dome(r, a) - c / a * dome(r, c))
+    sag = 3.0 * FRICTION * FORCE_N * 1.5 / (16.0 * shear * a) * (1.0 - (1.0 - share) ** (2.0 / 3.0))
+    return [
+        Compared("pressure, Hertz", relative(cell.nodes["pressure"], top * dome(r, a)), 0.01),
+        Compared("tangential displacement, Mindlin", abs(-cell.state["place"][2] / sag - 1.0), 0.001),
+        Compared(
+            "partial-slip traction, Cattaneo and Mindlin",
+            relative(cell.constants["kt"] * np.abs(cell.nodes["sz"]), traction),
+            0.03,
+        ),
+    ]
+
+
+def winkler(nodes: int, cell: QuasiStaticCell | None = None) -> list[Compared]:
+    """A bed of springs (Winkler): pressure, displacement and traction follow from both loads in closed form."""
+    cell = cell or hang(nodes, "bristle", modulus_n_per_mm2=0.5)
+    kn, kt = float(cell.constants["kn"][0]), float(cell.constants["kt"][0])
+    a = (4.0 * FORCE_N * CURVATURE_MM / (math.pi * kn)) ** 0.25
+    top, r = kn * a * a / (2.0 * CURVATURE_MM), np.hypot(cell.nodes["x"], cell.nodes["z"])
+    sag = FRICTION * top / kt * (1.0 - (1.0 - LOAD_N / (FRICTION * FORCE_N)) ** 0.5)
+    traction = np.minimum(kt * sag, FRICTION * top * dome(r, a) ** 2)
+    return [
+        Compared("pressure, Winkler", relative(cell.nodes["pressure"], top * dome(r, a) ** 2), 0.005),
+        Compared("tangential displacement, Winkler", abs(-cell.state["place"][2] / sag - 1.0), 0.002),
+        Compared("partial-slip traction, Winkler", relative(kt * np.abs(cell.nodes["sz"]), traction), 0.01),
+    ]
+
+
+def inserting(name: str, draws: int, seed: int) -> tuple[float, float]:
+    """Share of uniform errors (+-15 mm, +-15 deg) that insert at once, and its standard error."""
+    scene, rng = load_scene(name), np.random.default_rng(seed)
+    fits = [scene.fits(x, theta) for x, theta in rng.uniform(-15.0, 15.0, (draws, 2)).tolist()]
+    share = float(np.mean(fits))
+    return share, math.sqrt(share * (1.0 - share) / draws)
+
+
+def report(grids: tuple[int, ...], draws: int) -> str:
+    """The page."""
+    lines = [
+        "# The simulator beside theory",
+        "",
+        "Relative errors through the whole cell: grasp, equilibrium, pads.",
+        "",
+    ]
+    lines += [
+        f"| | {' | '.join(f'{n} x {n}' for n in grids)} | limit at 64 x 64 |",
+        "|---|" + "---:|" * (len(grids) + 1),
+    ]
+    for tier in (half_space, winkler):
+        for row in zip(*(tier(n) for n in grids), strict=True):
+            errors = " | ".join(f"{100 * one.error:.3f} %" for one in row)
+            lines.append(f"| {row[0].what} | {errors} | {100 * row[0].limit:g} % |")
+    lines += ["", "Share of uniform errors that insert at once; in brackets the standard error of as many draws.", ""]
+    lines += [f"| object | computed from the task | drawn, {draws} |", "|---|---:|---:|"]
+    for name, share in INSERTS.items():
+        found, error = inserting(name, draws, 0)
+        lines.append(f"| {name} | {100 * share:.1f} % | {100 * found:.2f} % ({100 * error:.2f}) |")
+    return "\n".join([*lines, "", "Made by `python -m simulation theory --out docs`.", ""])
+
+
+def main(arguments: list[str]) -> int:
+    """Print the page, and write it where asked."""
+    parser = argparse.ArgumentParser(prog="python -m simulation theory", description=__doc__)
+    parser.add_argument("--grids", type=int, nargs="+", default=[32, 64], help="nodes a side of a pad (default 32 64)")
+    parser.add_argument("--draws", type=int, default=20_000, help="errors drawn for the geometry table (%(default)s)")
+    parser.add_argument("--out", type=Path, help="folder for theory.md; without it the page is only printed")
+    given = parser.parse_args(arguments)
+    if min(given.grids) < 4 or given.draws < 1:
+        raise ValueError(f"expected --grids of at least 4 and --draws >= 1, got {given.grids} and {given.draws}")
+    if given.out is not None and not given.out.is_dir():
+        raise ValueError(f"--out {given.out}: no such folder")
+    page = report(tuple(given.grids), given.draws)
+    print(page)
+    if given.out is not None:
+        (given.out / "theory.md").write_text(page, encoding="utf-8")
+    return 0

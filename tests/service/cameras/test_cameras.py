@@ -1,0 +1,287 @@
+import itertools
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from service.cameras.capture import RETRY_S, Camera, CameraError, CameraFrame, Capture, now_ns
+from service.cameras.sources import MjpegSource, PushSource, RecordingSource, V4l2Source, open_source, told_stamp_ns
+from service.contract import TactileFrame
+from tests.service.mjpeg import FakeFinger
+
+BLACK = np.zeros((4, 4, 3), np.uint8)
+
+
+def collect(camera_url: str, seconds: float) -> tuple[list[CameraFrame], list[str]]:
+    frames: list[CameraFrame] = []
+    faults: list[str] = []
+    camera = Camera("left", open_source(camera_url), frames.append, lambda _, code, __: faults.append(code))
+    camera.start()
+    time.sleep(seconds)
+    camera.stop()
+    return frames, faults
+
+
+def test_mjpeg_frames_are_stamped_counted_and_keep_their_jpeg() -> None:
+    finger = FakeFinger("left", 30)
+    frames, faults = collect(finger.url, 1.0)
+    finger.close()
+    assert len(frames) >= 5
+    assert [f.frame.seq for f in frames] == list(range(len(frames)))
+    assert all(a.frame.captured_ns < b.frame.captured_ns for a, b in itertools.pairwise(frames))
+    assert all(f.jpeg is not None and f.frame.pixels.shape == (320, 427, 3) for f in frames)
+    assert faults == []
+
+
+def test_a_camera_that_is_not_there_is_one_fault() -> None:
+    frames, faults = collect("http://127.0.0.1:9/none", 0.8)
+    assert (frames, faults) == ([], ["camera_lost"])
+
+
+def test_an_unattended_camera_is_counted_in_full_and_decoded_now_and_then() -> None:
+    jpeg = cv2.imencode(".jpg", np.zeros((8, 9, 3), np.uint8))[1].tobytes()
+    seen: list[CameraFrame] = []
+    attended = False
+    camera = Camera("left", PushSource(), seen.append, lambda *_: None, lambda: attended)
+    for stamp_ns in range(1, 41):
+        camera._publish(Capture(stamp_ns, None, jpeg + bytes([stamp_ns])))
+    assert (camera.frames_n, camera.newest_ns, camera.state) == (40, 40, "live")
+    assert len(seen) == 10
+    attended = True
+    for stamp_ns in range(41, 51):
+        camera._publish(Capture(stamp_ns, None, jpeg + bytes([stamp_ns])))
+    assert [frame.frame.captured_ns for frame in seen[10:]] == list(range(41, 51))
+    assert [frame.frame.seq for frame in seen] == list(range(20))
+
+
+def test_a_few_broken_pictures_are_left_out_and_ten_in_a_row_are_a_lost_camera() -> None:
+    camera = Camera("left", PushSource(), lambda _: None, lambda *_: None)
+    for stamp_ns in range(9):
+        camera._publish(Capture(stamp_ns, None, b"no pict%d" % stamp_ns))
+    assert camera.latest is None
+    with pytest.raises(CameraError, match="10 bytes are not a JPEG"):
+        camera._publish(Capture(9, None, b"no picture"))
+
+
+def test_an_empty_picture_is_broken_like_any_other() -> None:
+    whole = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+    camera = Camera("left", PushSource(), lambda _: None, lambda *_: None)
+    for stamp_ns, jpeg in enumerate((whole, b"", whole)):
+        camera._publish(Capture(stamp_ns, None, jpeg))
+    assert camera.latest is not None
+    assert (camera.state, camera.latest.frame.captured_ns) == ("live", 2)
+
+
+class Endless:
+    """An answer whose parts have no header that ends."""
+
+    read_n = 0
+
+    def read1(self, size: int) -> bytes:
+        self.read_n += size
+        assert self.read_n < 1 << 24, "it would go on until the memory is full"
+        return b"x\n" * (size // 2)
+
+
+def test_a_stream_without_the_end_of_a_header_is_a_fault_and_no_memory_leak() -> None:
+    source = MjpegSource("http://127.0.0.1:9/")
+    with pytest.raises(CameraError, match="without the end of a part's header"):
+        next(source._parse(Endless(), b"--frame", threading.Event()))
+
+
+def test_a_changed_size_is_a_fault() -> None:
+    finger = FakeFinger("left", 30)
+    faults: list[str] = []
+    camera = Camera("left", MjpegSource(finger.url), lambda _: None, lambda *fault: faults.append(fault[2]))
+    camera.start()
+    while camera.latest is None:
+        time.sleep(0.01)
+    finger.size = (640, 480)
+    deadline = time.monotonic() + 10
+    while not faults and time.monotonic() < deadline:
+        time.sleep(0.01)
+    camera.stop()
+    finger.close()
+    assert faults == ["left frames changed from 427 x 320 to 640 x 480"]
+
+
+def test_a_silent_camera_is_stalled() -> None:
+    source = PushSource()
+    faults: list[str] = []
+    camera = Camera("left", source, lambda _: None, lambda *fault: faults.append(fault[1]))
+    camera.start()
+    source.push(TactileFrame("left", 0, 0, BLACK))
+    while camera.latest is None:
+        time.sleep(0.01)
+    camera.check_stall(now_ns())
+    assert camera.state == "live"
+    camera.check_stall(now_ns() + 600_000_000)
+    camera.check_stall(now_ns() + 900_000_000)
+    camera.stop()
+    assert (camera.state, faults) == ("stalled", ["camera_stalled"])
+
+
+def still(camera_of: str, n: int) -> list[Capture]:
+    """The same picture n times, each with a new stamp."""
+    picture = np.full((8, 9, 3), 7, np.uint8)
+    jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
+    return [Capture(i + 1, None if camera_of == "jpeg" else picture.copy(), jpeg) for i in range(n)]
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "pixels"])
+def test_a_picture_that_comes_again_and_again_is_a_frozen_camera(kind: str) -> None:
+    seen: list[CameraFrame] = []
+    faults: list[tuple[str, str]] = []
+    camera = Camera("left", PushSource(), seen.append, lambda _, code, detail: faults.append((code, detail)))
+    for capture in still(kind, 20):
+        camera._publish(capture)
+    assert (len(seen), camera.repeated_n, camera.state) == (1, 19, "live")
+    camera.check_stall(600_000_000)
+    camera.check_stall(900_000_000)
+    assert faults == [("camera_frozen", "the same picture 20 times for 0.5 s from push:")]
+    assert camera.state == "stalled"
+    camera._publish(Capture(10**9, np.full((8, 9, 3), 8, np.uint8)))
+    assert (len(seen), camera.state) == (2, "live")
+
+
+def test_a_stamp_that_does_not_advance_is_no_new_frame() -> None:
+    seen: list[CameraFrame] = []
+    camera = Camera("left", PushSource(), seen.append, lambda *_: None)
+    for stamp_ns, grey in ((5, 1), (5, 2), (4, 3), (6, 4)):
+        camera._publish(Capture(stamp_ns, np.full((8, 9, 3), grey, np.uint8)))
+    assert [(f.frame.captured_ns, int(f.frame.pixels[0, 0, 0])) for f in seen] == [(5, 1), (6, 4)]
+    assert camera.repeated_n == 2
+
+
+def test_a_source_that_fails_is_tried_again_four_times_a_second() -> None:
+    """Reconnection within 1 s of return follows: 0.25 s between tries, each with a time limit of 1 s or less."""
+    assert RETRY_S <= 0.25
+    tries: list[float] = []
+
+    class Flaky:
+        name = "flaky"
+
+        def frames(self, stop: threading.Event) -> Iterator[Capture]:
+            tries.append(time.monotonic())
+            if len(tries) < 4:
+                raise OSError("unplugged")
+            yield Capture(now_ns(), BLACK)
+            stop.wait(5)
+
+    faults: list[str] = []
+    camera = Camera("left", Flaky(), lambda _: None, lambda _, code, __: faults.append(code))
+    camera.start()
+    deadline = time.monotonic() + 20
+    while camera.state != "live" and time.monotonic() < deadline:
+        time.sleep(0.01)
+    camera.stop()
+    assert camera.state == "live"
+    assert faults == ["camera_lost"]
+    assert all(b - a >= RETRY_S for a, b in itertools.pairwise(tries))
+
+
+class Device:
+    """What OpenCV gives for a video device, frame by frame; there is none on a test machine."""
+
+    def __init__(self, frames_n: int) -> None:
+        self.left_n, self.set_to, self.released = frames_n, {}, False
+
+    def isOpened(self) -> bool:
+        return True
+
+    def set(self, key: int, value: float) -> bool:
+        self.set_to[key] = value
+        return True
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        self.left_n -= 1
+        return (self.left_n >= 0, np.full((4, 4, 3), self.left_n % 250, np.uint8) if self.left_n >= 0 else None)
+
+    def release(self) -> None:
+        self.released = True
+
+
+def test_a_video_device_gives_its_frames_and_is_given_back_when_unplugged(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = Device(5)
+    opened: list[tuple[int, int]] = []
+    monkeypatch.setattr(cv2, "VideoCapture", lambda index, backend: opened.append((index, backend)) or device)
+    source = open_source("/dev/video2", frame_rate_hz=60.0)
+    captures = list(source.frames(threading.Event()))
+    assert (source.name, opened, len(captures)) == ("v4l2:2", [(2, cv2.CAP_V4L2)], 5)
+    assert all(a.captured_ns <= b.captured_ns for a, b in itertools.pairwise(captures))
+    assert device.set_to == {cv2.CAP_PROP_FPS: 60.0, cv2.CAP_PROP_BUFFERSIZE: 1}
+    assert device.released
+
+
+def test_an_absent_video_device_says_so_and_opencv_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(CameraError, match="cannot open /dev/video63; is it plugged in"):
+        next(V4l2Source(63, 30.0).frames(threading.Event()))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_newest_pushed_frames_are_kept_and_one_client_pushes() -> None:
+    source = PushSource()
+    for seq in range(10):
+        source.push(TactileFrame("left", seq, 0, np.full((4, 4, 3), seq, np.uint8)))
+    stop = threading.Event()
+    kept = []
+    for capture in source.frames(stop):
+        kept.append(int(capture.pixels[0, 0, 0]))
+        if len(kept) == 4:
+            stop.set()
+    assert kept == [6, 7, 8, 9]
+    assert (source.claim(), source.claim()) == (True, False)
+    source.release()
+    assert source.claim()
+
+
+def test_a_stamp_of_this_machines_clock_is_believed_and_no_other() -> None:
+    now = 5_000_000_000_000
+    assert told_stamp_ns(b"X-Timestamp: 4999.980000000\r\n", now) == 4_999_980_000_000
+    assert told_stamp_ns(b"X-Timestamp: 1700000000.5\r\n", now) == now
+    assert told_stamp_ns(b"X-Timestamp: 4000.5\r\n", now) == now
+    assert told_stamp_ns(b"Content-Length: 3\r\n", now) == now
+
+
+class Parts:
+    """An answer of parts, each with its stamp in s."""
+
+    def __init__(self, *stamps_s: float) -> None:
+        self.parts = [b"--f\r\nX-Timestamp: %.9f\r\nContent-Length: 1\r\n\r\nx\r\n" % stamp_s for stamp_s in stamps_s]
+
+    def read1(self, _size: int) -> bytes:
+        return self.parts.pop(0) if self.parts else b""
+
+
+def test_a_picture_that_was_held_up_for_seconds_does_not_pass_for_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.cameras.sources.now_ns", lambda: 5_000_000_000_000)
+    source = MjpegSource("http://127.0.0.1:9/")
+    captures = source._parse(Parts(4999.98, 4997.5, 4999.99), b"--f", threading.Event())
+    assert [capture.captured_ns / 1e9 for capture in captures] == pytest.approx([4999.98, 4997.5, 4999.99])
+    captures = source._parse(Parts(4000.5, 4000.6), b"--f", threading.Event())
+    assert [capture.captured_ns / 1e9 for capture in captures] == [5000.0, 5000.0], "another machine's clock"
+
+
+def test_a_recording_plays_and_an_absent_one_says_so(tmp_path: Path) -> None:
+    for index in range(3):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((8, 9, 3), index, np.uint8))
+    stop = threading.Event()
+    source = RecordingSource(tmp_path, 200.0)
+    levels = []
+    for capture in source.frames(stop):
+        levels.append(int(capture.pixels[0, 0, 0]))
+        if len(levels) == 4:
+            stop.set()
+    assert levels == [0, 1, 2, 0]
+    with pytest.raises(CameraError, match="does not exist"):
+        RecordingSource(tmp_path / "none")
+
+
+@pytest.mark.parametrize("url", ["ftp://x", "left", "http://", ""])
+def test_an_unknown_camera_is_named_with_the_accepted_forms(url: str) -> None:
+    with pytest.raises(CameraError):
+        open_source(url)

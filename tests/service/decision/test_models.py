@@ -1,0 +1,85 @@
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+from service.contract import CARD_KEY, ContractError
+from service.decision.evidence import DecisionRun, Refusal
+from service.decision.models import load_models
+from tests.service import tiny_models
+
+
+def test_a_missing_folder_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(ContractError, match="export them"):
+        load_models(tmp_path / "none")
+
+
+def test_a_model_without_a_card_is_refused(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path)
+    model = onnx.load(str(folder / "direction.step.onnx"))
+    del model.metadata_props[:]
+    onnx.save(model, str(folder / "direction.step.onnx"))
+    with pytest.raises(ContractError, match=f"no model card \\({CARD_KEY}\\)"):
+        load_models(folder)
+
+
+def test_two_models_that_disagree_are_refused(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path)
+    onnx.save(tiny_models.step_model("magnitude", frames_per_decision=6), str(folder / "magnitude.step.onnx"))
+    with pytest.raises(ContractError, match="disagree on frames_per_decision: tiny-direction says 8"):
+        load_models(folder)
+
+
+def test_a_missing_network_and_a_second_one_are_refused(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path)
+    onnx.save(tiny_models.step_model("direction", 5), str(folder / "other.onnx"))
+    with pytest.raises(ContractError, match="two direction step models"):
+        load_models(folder)
+    (folder / "other.onnx").unlink()
+    (folder / "magnitude.step.onnx").unlink()
+    with pytest.raises(ContractError, match="no magnitude step model"):
+        load_models(folder)
+
+
+def test_garbage_is_no_model(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path)
+    (folder / "direction.step.onnx").write_bytes(b"not a model")
+    with pytest.raises(ContractError, match="not a readable ONNX model"):
+        load_models(folder)
+
+
+def test_a_graph_that_is_not_what_its_card_says_is_refused(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path)
+    model = tiny_models.step_model("direction")
+    lie = tiny_models.card("direction", "step", state_size=9)
+    onnx.helper.set_model_props(model, lie.to_props())
+    onnx.save(model, str(folder / "direction.step.onnx"))
+    with pytest.raises(ContractError, match="its card says"):
+        load_models(folder)
+
+
+def test_a_decision_run_needs_all_its_frames_and_their_shape(tmp_path: Path) -> None:
+    models = load_models(tiny_models.write_models(tmp_path))
+    frame = np.full((2, 320, 327, 3), 90, np.uint8)
+    run = DecisionRun(models, frame, 56.0)
+    for _ in range(7):
+        run.step(frame)
+    with pytest.raises(Refusal, match="7 frame pairs"):
+        run.evidence()
+    run.step(frame)
+    evidence = run.evidence()
+    assert evidence.probabilities.sum() == pytest.approx(1)
+    assert evidence.sigma is not None
+    with pytest.raises(ContractError, match="reads uint8"):
+        run.step(frame[:, :100])
+
+
+def test_state_is_passed_on_through_onnxruntime(tmp_path: Path) -> None:
+    models = load_models(tiny_models.write_models(tmp_path))
+    step = models.steps[0]
+    frame, dark = np.full((2, 320, 327, 3), 90, np.uint8), np.full((2, 320, 327, 3), 80, np.uint8)
+    state = step.fresh_state()
+    for expected in (10.0, 15.0, 17.5):
+        _, state = step.step(frame, dark, state, 56.0)
+        assert state == pytest.approx(np.full((1, 6), expected))

@@ -1,0 +1,203 @@
+"""Full depth is an insertion only where the gels agree: told by a whole session and by the look itself."""
+
+import math
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.contract import FramePair, TactileFrame, wire
+from service.decision.models import ModelSet, load_models
+from service.decision.seating import LEAST_PITCH, Look, Push, borne, look, push_of
+from service.observability.hub import Hub
+from service.perception.markers.field import field_from_gel
+from service.perception.observation import Observation, PairObservation
+from service.perception.slip.detector import SlipDetector
+from service.session.factory import make_session
+from service.session.manager import Desk
+from service.session.state_machine import InsertionSession
+from service.settings import Settings
+from tests.service import drawn, tiny_models
+
+ID = "seat-1"
+FRAMES = 30
+NEVER = 10**6
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> ModelSet:
+    return load_models(tiny_models.write_models(tmp_path_factory.mktemp("models") / "m"))
+
+
+@pytest.fixture
+def session(models: ModelSet) -> InsertionSession:
+    session = make_session(models, drawn.calibration())
+    session.handle(wire.ClientHello(insertion_id=ID, client="test"), 0)
+    return session
+
+
+def stopped(outcome: str = "inserted") -> wire.Stopped:
+    return wire.Stopped(insertion_id=ID, attempt=1, depth_mm=25.0, outcome=outcome)
+
+
+def descend(session: InsertionSession, onset: int, frames: int = FRAMES) -> int:
+    """Arm and go down for ``frames`` frames with an object that pushes from frame ``onset`` on; the time, ns."""
+    session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
+    for index in range(frames):
+        pair = drawn.pair(index, onset=onset, slip_at=onset + 10)
+        session.on_pair(pair, pair.captured_ns)
+        if index == 1:
+            session.handle(wire.Descending(insertion_id=ID, attempt=1), pair.captured_ns)
+    return pair.captured_ns
+
+
+def test_an_object_that_pushes_all_the_way_is_not_claimed(session: InsertionSession) -> None:
+    now_ns = descend(session, onset=8)
+    fault, finished = session.handle(stopped(), now_ns)
+    assert (fault.type, fault.code, fault.fatal) == ("fault", "not_seated", False)
+    assert "gels still carry a push of 0." in fault.detail
+    assert "not claimed" in fault.detail
+    assert (finished.type, finished.outcome) == ("finished", "failed")
+    assert session.handle(stopped(), now_ns) == [finished], "asked again, it says the same"
+
+
+@pytest.mark.parametrize("onset", [NEVER, FRAMES - 4], ids=["nothing pushes", "a floor, touched at last"])
+def test_an_object_that_came_along_is_claimed_at_once(session: InsertionSession, onset: int) -> None:
+    (finished,) = session.handle(stopped(), descend(session, onset))
+    assert finished.outcome == "inserted"
+
+
+def test_where_the_look_is_switched_off_depth_alone_is_the_claim(session: InsertionSession) -> None:
+    session.looks = False
+    (finished,) = session.handle(stopped(), descend(session, onset=8))
+    assert finished.outcome == "inserted"
+
+
+def test_without_a_frame_that_tells_the_claim_waits_and_is_then_refused(session: InsertionSession) -> None:
+    now_ns = descend(session, NEVER, frames=1)
+    assert session.handle(stopped(), now_ns) == []
+    assert session.on_tick(now_ns + 1_900_000_000) == []
+    fault, finished = session.on_tick(now_ns + 2_100_000_000)
+    assert (fault.code, finished.outcome) == ("not_seen", "failed")
+
+
+def test_a_frame_that_comes_late_still_makes_the_claim(session: InsertionSession) -> None:
+    now_ns = descend(session, NEVER)
+    late_ns = now_ns + int(2 * session.limits.max_frame_age_ms * 1e6)
+    assert session.handle(stopped(), late_ns) == [], "what was seen last is too old"
+    (finished,) = session.on_pair(drawn.pair(FRAMES, onset=NEVER, start_ns=late_ns - now_ns), late_ns + 40_000_000)
+    assert finished.outcome == "inserted"
+
+
+def test_a_frozen_camera_never_makes_a_claim(session: InsertionSession) -> None:
+    descend(session, NEVER, frames=2)
+    frozen = drawn.raw("left", 1, NEVER, NEVER + 10)
+    said = []
+    for index in range(2, 100):
+        pair = drawn.pair(index, onset=NEVER, slip_at=NEVER + 10)
+        left = TactileFrame("left", index, pair.captured_ns, frozen)
+        said += session.on_pair(FramePair(left, pair.right), pair.captured_ns)
+        said += session.handle(stopped(), pair.captured_ns) if index == 20 else []
+        said += session.on_tick(pair.captured_ns)
+        if session.finished:
+            break
+    assert [getattr(m, "code", m.type) for m in said] == ["not_seen", "finished"]
+
+
+# ---- the look itself -----------------------------------------------------------------------------------------------
+
+
+def pair_of(up_px: tuple[float, float], spoil: float = 0.0, at: tuple[int, int] = (0, 0)) -> PairObservation:
+    """Both fingers' fields, carried up by ``up_px``; ``spoil`` is put in one place of the left one."""
+    fingers = []
+    for finger, up in zip(("left", "right"), up_px, strict=True):
+        gel = np.zeros((20, 21, 3), np.float32)
+        gel[..., 1] = -up * 1.05 / 15
+        field = field_from_gel(gel, 0, marker_pitch_mm=1.05)
+        if finger == "left":
+            field.displacement_px[at] += np.float32(spoil)
+        slip = SlipDetector().rearm(field)
+        fingers.append(Observation(finger, 0, 0, np.zeros((0, 0, 3), np.uint8), field, slip, None, {}))
+    return PairObservation(*fingers)
+
+
+REST = pair_of((0.0, 0.0))
+
+
+def test_the_push_is_the_weaker_fingers_and_what_the_grasp_bears_both_fingers() -> None:
+    push = push_of(pair_of((3.0, 6.0)), REST)
+    assert push.weaker_pitch == pytest.approx(0.2)
+    assert push.mean_pitch == pytest.approx(0.3)
+    assert borne([push, push_of(pair_of((1.0, 1.0)), REST)]) == pytest.approx(0.3)
+
+
+@given(st.sampled_from([math.nan, math.inf, -math.inf]), st.integers(0, 19), st.integers(0, 20), st.floats(-40.0, 40.0))
+def test_no_claim_is_ever_made_of_a_field_that_is_not_finite(
+    bad: float, row: int, column: int, rest_of_it_px: float
+) -> None:
+    good = [Push(k * 33_000_000, 0.0, 0.0) for k in range(20)]
+    spoilt = push_of(pair_of((rest_of_it_px, rest_of_it_px), bad, (row, column)), REST)
+    assert not look([*good, spoilt._replace(captured_ns=10**9)], 0, 0.5).seated
+
+
+@pytest.mark.parametrize("status", ["lost", "duplicate", "no_grid"])
+def test_a_field_without_new_evidence_tells_nothing(status: str) -> None:
+    seen = pair_of((0.0, 0.0))
+    blind = replace(seen.right, field=replace(seen.right.field, status=status))
+    assert math.isnan(push_of(PairObservation(seen.left, blind), REST).weaker_pitch)
+
+
+def test_a_finger_that_shows_half_of_its_markers_tells_nothing() -> None:
+    seen = pair_of((0.0, 0.0))
+    seen.left.field.valid[:10] = False
+    assert math.isnan(push_of(seen, REST).mean_pitch)
+
+
+def test_no_frame_is_no_claim() -> None:
+    assert not look([], 0, 0.0).seated
+
+
+@given(st.lists(st.floats(0.25, 0.6), min_size=40, max_size=90), st.data())
+def test_a_grasp_that_slides_is_seen_whatever_single_frames_miss(pushes: list[float], data: st.DataObject) -> None:
+    """A tenth of the frames may show nothing, or no push, as long as the newest does."""
+    missed = data.draw(st.sets(st.integers(0, len(pushes) - 2), max_size=1))
+    seen = [
+        Push(index * 33_000_000, math.nan if index in missed and index % 2 else 0.0 if index in missed else push, push)
+        for index, push in enumerate(pushes)
+    ]
+    assert not look(seen, 0, 0.5).seated
+
+
+@given(st.floats(0.0, 0.9 * LEAST_PITCH), st.floats(0.0, 1.0))
+def test_what_the_walls_of_a_gap_leave_is_claimed_whatever_the_grasp_bears(rub: float, bears: float) -> None:
+    assert look([Push(k * 33_000_000, rub, rub) for k in range(75)], 0, bears).seated
+
+
+def test_the_operator_reads_the_push_and_what_it_is_compared_with() -> None:
+    told = str(Look(0.48, 0.5))
+    assert "0.48 marker pitches, 96% of the strongest they bore (in a gap: below 0.25)" in told
+    assert "strongest" not in str(Look(0.48, 0.0))
+
+
+# ---- the wait for the answer ---------------------------------------------------------------------------------------
+
+
+def test_a_client_that_waits_for_the_end_of_its_recording_hears_heartbeats(models: ModelSet, tmp_path: Path) -> None:
+    """Its insertion is over and `finished` comes when the recording is whole: silence would be a lost link."""
+    settings = Settings(camera_left="push:", camera_right="push:", recordings=tmp_path)
+    desk = Desk(settings, models, None, {}, Hub(), lambda _: None)
+    said: list[wire.ServiceMessage] = []
+    desk.connect(wire.ClientHello(insertion_id=ID, client="test"), said.append)
+    desk.receive(wire.Abort(insertion_id=ID, reason="test"), said.append)
+    assert desk.active is None
+    desk.receive(wire.ClientHeartbeat(insertion_id=ID, count=3), said.append)
+    desk.receive(wire.ClientHeartbeat(insertion_id="another", count=4), said.append)
+    assert [m.count for m in said if isinstance(m, wire.ServiceHeartbeat)] == [3]
+    for thread in threading.enumerate():
+        if thread.name == "close-recording":
+            thread.join()
+    assert [m.outcome for m in said if isinstance(m, wire.Finished)] == ["aborted"]

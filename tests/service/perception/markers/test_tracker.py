@@ -1,0 +1,213 @@
+import numpy as np
+import pytest
+
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.slip.detector import SlipDetector
+from tests.service.perception.synthetic import FRAME_NS, draw, grid, twist
+
+SENSORS = [
+    (7, 9, 320, 240, 34.0, 14.0),
+    (11, 16, 384, 278, 23.5, 9.0),
+    (20, 21, 327, 320, 15.0, 5.0),
+    (14, 18, 640, 480, 33.0, 11.0),
+    (20, 21, 640, 480, 22.0, 8.0),
+]
+
+
+def follow(tracker, images, start=0):
+    return [tracker.update(image, (start + k) * FRAME_NS) for k, image in enumerate(images)]
+
+
+def identity(field, truth, width=327, height=320, margin=6.0):
+    """Share of the visible markers that are tracked as themselves, within a quarter pitch."""
+    error = np.linalg.norm(field.rest_px + field.displacement_px - truth, axis=-1)
+    inside = (truth > margin).all(-1) & (truth[..., 0] < width - margin) & (truth[..., 1] < height - margin)
+    return float((field.valid & (error < 0.25 * field.pitch_px))[inside].mean())
+
+
+@pytest.mark.parametrize(("noise", "limit_px"), [(2.0, 0.04), (6.0, 0.08)])
+def test_displacement_is_found_to_a_few_hundredths_of_a_pixel(noise, limit_px):
+    rng = np.random.default_rng(1)
+    rest = grid()
+    errors = []
+    tracker = MarkerTracker()
+    tracker.update(draw(rest, rng, noise=noise), 0)
+    first = rest
+    for k in range(1, 6):
+        moved = twist(rest, 0.8 * k, shift=(0.37 * k, -0.61 * k))
+        field = tracker.update(draw(moved, rng, noise=noise), k * FRAME_NS)
+        error = (field.displacement_px - (moved - first))[field.valid]
+        errors.append(error)
+    rms = float(np.sqrt(np.square(np.concatenate(errors)).mean()))  # per axis
+    assert rms < limit_px
+
+
+def test_a_marker_carried_into_the_border_is_followed_but_is_no_evidence():
+    """Cut by the border it seems to lie further inside; one that rests there has its place all the same."""
+    rng = np.random.default_rng(5)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng)])
+    carried = 2.0 - rest[0, 0, 1]  # the first row, 2 px inside the upper border
+    for k in range(1, 6):
+        field = tracker.update(draw(rest + np.array([0, carried * k / 5]), rng), k * FRAME_NS)
+    assert not field.valid[0].any()
+    assert field.valid[1:].all()
+    beside = MarkerTracker()
+    low = rest + np.array([0, carried + 1.0])
+    first, second = follow(beside, [draw(low, rng), draw(low + 0.2, rng)])
+    assert first.valid[0].mean() > 0.9
+    assert second.valid[0].mean() > 0.9
+
+
+def test_a_marker_torn_long_is_no_evidence():
+    rng = np.random.default_rng(6)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng)])
+    image = draw(rest, rng)
+    u, v = np.rint(rest[10, 10]).astype(int)
+    image[v - 6 : v + 6, u - 1 : u + 2] = image[v, u]  # a bar more than twice as long as the marker
+    field = tracker.update(image, FRAME_NS)
+    assert not field.valid[10, 10]
+    assert field.valid.sum() == field.valid.size - 1
+
+
+def shifted(points, u, v):
+    return points + np.array([u, v])
+
+
+@pytest.mark.parametrize(
+    "jump",
+    [
+        lambda p: shifted(p, 13.5, 0),
+        lambda p: shifted(p, -13.5, 0),
+        lambda p: shifted(p, 0, 13.5),
+        lambda p: shifted(p, 9.5, -9.5),
+        lambda p: p + np.array([13.5, 0]) * np.exp(-np.square(p - 160).sum(-1) / 2 / 50**2)[..., None],
+        lambda p: shifted(p, 45, 0),  # exactly three pitches: only the border tells
+        lambda p: shifted(p, 0, -45),
+        lambda p: shifted(p, 30, 45),
+        lambda p: twist(p, 20),
+        lambda p: twist(p, 35),
+    ],
+)
+@pytest.mark.parametrize("noise", [2.0, 6.0])
+def test_markers_keep_their_identity_over_a_jump(jump, noise):
+    rng = np.random.default_rng(2)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng, noise=noise) for _ in range(3)])
+    truth = jump(rest)
+    field = tracker.update(draw(truth, rng, noise=noise), 3 * FRAME_NS)
+    assert field.status == "tracking"
+    assert identity(field, truth) >= 0.99
+
+
+@pytest.mark.parametrize("step_deg", [5.0, -5.0, 3.0])
+def test_a_twist_of_sixty_degrees_is_followed_and_is_not_slip(step_deg):
+    rng = np.random.default_rng(3)
+    rest = grid()
+    tracker, slip = MarkerTracker(), SlipDetector()
+    for k in range(round(60 / abs(step_deg)) + 1):
+        truth = twist(rest, step_deg * k)
+        field = tracker.update(draw(truth, rng), k * FRAME_NS)
+        assert identity(field, truth) >= 0.98
+        state = slip.update(field) if k else slip.rearm(field)
+        assert not state.slip, f"{step_deg * k} deg: {state.reason}"
+
+
+@pytest.mark.parametrize(("rows", "cols", "width", "height", "pitch", "diameter"), SENSORS)
+def test_the_grid_is_found_by_itself(rows, cols, width, height, pitch, diameter):
+    rng = np.random.default_rng(4)
+    points = grid(rows, cols, pitch, width, height)
+    tracker = MarkerTracker()
+    field = tracker.update(draw(points, rng, width, height, diameter), 0)
+    assert tracker.grid_shape == (rows, cols)
+    assert field.pitch_px == pytest.approx(pitch, rel=0.02)
+    assert identity(field, points, width, height) == 1.0
+
+
+def slid(points, k, pitch, hold_pitch):
+    """A patch of sticking nodes carried down by 0.1 pitch a frame; its outer third lets go at ``hold_pitch``."""
+    middle, half = points.mean((0, 1)), 0.42 * np.ptp(points, axis=(0, 1))
+    rho = np.linalg.norm((points - middle) / half, axis=-1)
+    way = 0.1 * pitch * k
+    limit = np.where(rho < 0.65, np.inf, hold_pitch * pitch)
+    carried = np.where(rho < 1, np.minimum(way, limit), 0.5 * way * np.exp(-3 * (rho - 1)))
+    return points + np.stack([np.zeros_like(carried), carried], -1)
+
+
+@pytest.mark.parametrize(("rows", "cols", "width", "height", "pitch", "diameter"), SENSORS)
+def test_slip_is_seen_at_every_size_and_grid_and_sticking_is_not_slip(rows, cols, width, height, pitch, diameter):
+    rng = np.random.default_rng(14)
+    points = grid(rows, cols, pitch, width, height)
+    for hold_pitch, expected in ((0.6, True), (np.inf, False)):
+        tracker, slip, seen = MarkerTracker(), SlipDetector(), None
+        for k in range(12):
+            image = draw(slid(points, k, pitch, hold_pitch), rng, width, height, diameter)
+            field = tracker.update(image, k * FRAME_NS)
+            state = slip.update(field) if k else slip.rearm(field)
+            seen = k if state.slip and seen is None else seen
+        assert (seen is not None) == expected
+        assert not expected or 6 <= seen <= 9, f"let go after frame 6, seen at {seen}"
+
+
+def test_an_exposure_jump_moves_no_marker():
+    rng = np.random.default_rng(5)
+    rest = grid()
+    tracker = MarkerTracker()
+    fields = follow(tracker, [draw(rest, rng, light=light) for light in (140, 140, 70, 210, 50)])
+    for field in fields[1:]:
+        assert identity(field, rest) >= 0.99
+        assert np.abs(field.displacement_px[field.valid]).max() < 0.6
+
+
+def test_repeated_and_late_frames_are_no_new_evidence():
+    rng = np.random.default_rng(6)
+    image = draw(grid(), rng)
+    tracker = MarkerTracker()
+    tracker.update(image, 10)
+    assert tracker.update(image, 20).status == "duplicate"
+    assert tracker.update(draw(grid(), rng), 5).status == "duplicate"
+    assert tracker.update(draw(grid(), rng), 30).status == "tracking"
+
+
+def test_half_the_gel_covered_keeps_the_other_half():
+    rng = np.random.default_rng(7)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng), draw(rest, rng)])
+    covered = draw(rest, rng)
+    covered[:, :160] = 90
+    field = tracker.update(covered, 2 * FRAME_NS)
+    assert field.usable
+    assert not field.valid[:, :9].any()
+    assert field.valid[:, 11:].mean() > 0.98
+    back = tracker.update(draw(rest, rng), 3 * FRAME_NS)
+    assert identity(back, rest) >= 0.99
+
+
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_a_blank_frame_is_lost_not_an_error(level):
+    rng = np.random.default_rng(8)
+    rest = grid()
+    blank = np.full((320, 327, 3), level, np.uint8)
+    tracker = MarkerTracker()
+    assert tracker.update(blank, 0).status == "no_grid"
+    assert tracker.update(draw(rest, rng), 1).status == "tracking"
+    lost = tracker.update(blank, 2)
+    assert lost.status == "lost"
+    assert np.isfinite(lost.displacement_px).all()
+    assert not lost.valid.any()
+    assert tracker.update(None, 3).status == "lost"
+    assert identity(tracker.update(draw(rest, rng), 4), rest) >= 0.99
+
+
+def test_a_frame_of_another_size_or_type_is_refused():
+    tracker = MarkerTracker()
+    tracker.update(draw(grid(), np.random.default_rng(9)), 0)
+    with pytest.raises(ValueError, match="reset"):
+        tracker.update(np.zeros((100, 100, 3), np.uint8), 1)
+    with pytest.raises(ValueError, match="expected uint8"):
+        tracker.update(np.zeros((320, 327, 3), np.float32), 1)  # type: ignore[arg-type]

@@ -1,0 +1,88 @@
+"""That nothing touches the gel is seen in images alone, and is never said of an object that is held."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.perception.markers.field import empty_field
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.slip.contact import FreeGel
+from service.perception.slip.detector import SlipDetector
+from service.perception.slip.grasp import GraspWatch
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.quasistatic import QuasiStaticCell
+from simulation.scene.scene import BUILT_IN, load_scene
+from tests.service.perception.synthetic import FRAME_NS, draw, grid
+
+FREE = np.zeros((20, 21, 3), np.float32)
+
+
+def seen(renderer, gels, seed=0):
+    tracker = MarkerTracker()
+    return [tracker.update(renderer.rectified(gel, seed + k), k * FRAME_NS) for k, gel in enumerate(gels)]
+
+
+def bulged(points, px):
+    """The grid carried outwards around its middle by up to ``px``, as rubber under a pressed fingertip."""
+    way = (points - points.mean((0, 1))) / 60.0
+    return points + px * 1.6 * way * np.exp(0.5 - 0.5 * np.square(way).sum(-1, keepdims=True))
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("noise", [2.0, 6.0])
+def test_a_simulated_finger_knows_from_its_picture_whether_it_holds_something(name, noise):
+    scene = load_scene(name, camera__noise_grey=noise, grasp__force_n=0.6 * load_scene(name).grasp.force_n)
+    cell = QuasiStaticCell(scene, 1)
+    cell.regrasp(3.0, 2.0)
+    renderer = Renderer(Appearance.draw(scene, "left", 5))
+    held, free = (seen(renderer, [gel])[0] for gel in (cell.look().gel[0], FREE))
+    assert FreeGel().mark(held) is held
+    marked = FreeGel().mark(free)
+    assert marked.contact is not None
+    assert not marked.contact.any()
+    detector = SlipDetector()
+    assert detector.rearm(marked).state == "no_contact"
+    assert not detector.armed
+    assert detector.rearm(FreeGel().mark(held)).state == "hold"
+
+
+def test_a_gel_printed_unevenly_is_free_only_against_a_frame_that_shows_it_free():
+    rng = np.random.default_rng(1)
+    rest = grid(jitter=0.5)
+    tracker = MarkerTracker()
+    fields = [
+        tracker.update(draw(p, rng), k * FRAME_NS) for k, p in enumerate([rest, rest, bulged(rest, 1.5), rest + 0.05])
+    ]
+    free = FreeGel()
+    assert all(free.mark(field) is field for field in fields), "what is not known is left open"
+    free.learn(fields[0])
+    assert [free.mark(field).contact is not None for field in fields] == [True, True, False, True]
+    with pytest.raises(ValueError, match="without markers"):
+        free.learn(empty_field(0, "no_grid", "black"))
+
+
+def test_half_a_picture_says_nothing():
+    rng = np.random.default_rng(2)
+    field = MarkerTracker().update(draw(grid(jitter=0.0), rng), 0)
+    assert FreeGel().mark(field).contact is not None
+    assert FreeGel().mark(replace(field, valid=field.valid & (np.arange(21) < 9))).contact is None
+    assert FreeGel().mark(replace(field, status="lost")).contact is None
+
+
+def test_a_watch_goes_from_no_contact_over_grasping_to_hold_and_back():
+    scene = load_scene("circle")
+    cell = QuasiStaticCell(scene, 1)
+    cell.regrasp(3.0, 2.0)
+    held = cell.look().gel[0]
+    closing = [FREE] * 20 + [held * np.float32(share) for share in np.linspace(0.2, 1.0, 5)]
+    gels = closing + [held] * 20 + [FREE] * 20
+    watch = GraspWatch()
+    states = [watch.update(field) for field in seen(Renderer(Appearance.draw(scene, "left", 5)), gels)]
+    assert {state.state for state in states[:20]} == {"no_contact"}
+    assert states[24].state == "grasping"
+    assert states[44].state == "hold"
+    assert states[45].state == "release"
+    assert states[45].stop
+    assert {state.state for state in states[46:]} == {"no_contact"}
+    assert not any(state.slip for state in states)

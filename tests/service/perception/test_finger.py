@@ -1,0 +1,81 @@
+"""One finger of a live session over a simulated clip: fingers that close on an object, hold it and open again."""
+
+import numpy as np
+import pytest
+
+from service.contract import FrameSpec, TactileFrame, wire
+from service.decision.models import load_models
+from service.perception.finger import TactileFinger
+from service.perception.observation import Observation
+from service.perception.rectification import Calibration, CameraCalibration, Rectifier
+from service.session.factory import make_session
+from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.quasistatic import QuasiStaticCell
+from simulation.scene.scene import load_scene
+from tests.service import drawn, tiny_models
+
+FREE = np.zeros((20, 21, 3), np.float32)
+
+
+@pytest.mark.parametrize(("name", "noise"), [("circle", 2.0), ("white_box", 6.0)])
+def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_while_it_is_not(name, noise) -> None:
+    scene = load_scene(name, camera__noise_grey=noise)
+    cell = QuasiStaticCell(scene, 1)
+    cell.regrasp(3.0, 2.0)
+    held = cell.look().gel[0].astype(np.float32)
+    clip = [FREE] * 4 + [held * np.float32(share) for share in (0.3, 0.6)] + [held] * 6 + [FREE] * 4
+    renderer = Renderer(Appearance.draw(scene, "left", 5))
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), CameraCalibration(renderer.homography))
+    seen: list[Observation] = []
+    for k, gel in enumerate(clip):
+        if k == 8:
+            finger.rearm()
+        pixels = renderer.raw(gel, k)
+        seen.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)))
+    states = [observation.slip.state for observation in seen]
+    assert set(states[:4]) == {"no_contact"}
+    assert "no_contact" not in states[5:12]
+    assert set(states[8:12]) == {"hold"}
+    assert seen[12].slip.stop, "an object that is gone stops the arm, whatever it is called"
+    assert set(states[13:]) == {"no_contact"}
+
+
+def test_an_attempt_with_nothing_in_hand_says_so_and_is_not_decided(tmp_path) -> None:
+    models = load_models(tiny_models.write_models(tmp_path / "m"))
+    renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
+    calibration = Calibration(*(CameraCalibration(renderers[finger].homography) for finger in ("left", "right")))
+    session, states = make_session(models, calibration), set()
+    session.on_observation = lambda observation: states.add(observation.slip.state)
+    session.handle(wire.ClientHello(insertion_id="empty", client="test"), 0)
+    said = session.handle(wire.Arm(insertion_id="empty", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
+    for index in range(6):
+        stamp_ns = index * drawn.PERIOD_NS
+        frames = (TactileFrame(f, index, stamp_ns, renderers[f].raw(FREE, index)) for f in ("left", "right"))
+        said += session.on_pair(drawn.FramePair(*frames), stamp_ns)
+    said += session.handle(wire.Stopped(insertion_id="empty", attempt=1, depth_mm=6.0, outcome="blocked"), stamp_ns)
+    said += session.on_tick(stamp_ns + 10_000_000_000)
+    assert states == {"no_contact"}
+    assert [message.type for message in said] == ["armed", "no_decision"]
+    assert (said[-1].reason, said[-1].detail) == ("no_motion", "nothing touches the gels")
+
+
+def test_a_frame_looked_ahead_at_is_not_rectified_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), drawn.calibration().camera("left"))
+    frame = TactileFrame("left", 0, 0, drawn.raw("left", 0, 3, 6))
+    finger.look_ahead(frame)
+    monkeypatch.setattr(Rectifier, "apply", lambda *_: pytest.fail("rectified twice"))
+    assert finger.observe(frame).field.valid.any()
+
+
+def test_a_frame_rectified_before_its_turn_is_perceived_just_the_same() -> None:
+    """Also where more were looked ahead at than are kept."""
+    spec, camera = FrameSpec(height_px=320, width_px=327), drawn.calibration().camera("left")
+    plain, ahead = (TactileFinger("left", spec, camera) for _ in range(2))
+    frames = [TactileFrame("left", k, k * drawn.PERIOD_NS, drawn.raw("left", k, 3, 6)) for k in range(8)]
+    for frame in frames:
+        ahead.look_ahead(frame)
+    for frame in frames:
+        one, other = plain.observe(frame), ahead.observe(frame)
+        np.testing.assert_array_equal(one.image, other.image)
+        np.testing.assert_array_equal(one.field.displacement_px, other.field.displacement_px)
+        assert other.cost_ms["rectify"] > 0

@@ -1,0 +1,180 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+from service import __main__ as entry
+from service.cameras.capture import CameraFrame
+from service.contract import TactileFrame, wire
+from service.recordings.protowire import COMPRESSED_IMAGE, MARKERS, RAW_IMAGE, Schema
+from service.recordings.reader import Recording, RecordingError
+from service.recordings.recovery import recover
+from service.recordings.retention import make_room, prune
+from service.recordings.writer import Recorder
+from tests.service.client import Driver
+from tests.service.conftest import LiveService
+
+
+def test_a_recorded_insertion_is_decided_again_bit_for_bit(
+    live: LiveService, models_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    driver = Driver(live, "again")
+    driver.until("hello")
+    driver.attempt(1)
+    driver.attempt(2)
+    path = driver.insert(3).recording
+    driver.close()
+    assert path is not None
+    assert entry.main(["replay", path, "--models", str(models_folder)]) == 0
+    assert "all the same bit for bit" in capsys.readouterr().out
+    recording = Recording(Path(path))
+    assert recording.complete
+    assert len(recording.of("/left/markers")) > 20
+    kinds = [e.json()["message"]["type"] for e in recording.of("/messages") if e.json()["from"] == "service"]
+    assert kinds == ["hello", *["armed", "slip", "correction"] * 2, "armed", "finished"]
+
+
+@pytest.mark.parametrize("schema", [COMPRESSED_IMAGE, RAW_IMAGE, MARKERS])
+def test_the_encoding_is_what_the_protobuf_library_reads(schema: Schema) -> None:
+    samples = {
+        "string": "jpeg",
+        "bytes": b"\0\xff" * 200,
+        "fixed32": 427,
+        "uint64": 2**40,
+        "float": 1.5,
+        "time": 1_700_000_000_123_456_789,
+        "floats": np.array([1, -2.5], "<f4").tobytes(),
+    }
+    values = {name: samples[kind] for name, _, kind in schema.fields}
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.descriptor_set()).file:
+        pool.Add(file)
+    message = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))()
+    message.ParseFromString(schema.encode(values))
+    for name, _, kind in schema.fields:
+        value = getattr(message, name)
+        if kind == "time":
+            assert value.seconds * 10**9 + value.nanos == samples["time"]
+        else:
+            assert (list(value) == [1.0, -2.5]) if kind == "floats" else value == values[name]
+    assert schema.decode(message.SerializeToString()) == values
+
+
+def test_raw_frames_come_back_exactly(tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).integers(0, 255, (320, 427, 3), np.uint8)
+    recorder = Recorder(tmp_path, "raw", {})
+    recorder.frame(CameraFrame(TactileFrame("left", 5, 123_456_789, pixels), None))
+    recorder.message("client", wire.Abort(insertion_id="raw", reason="x").model_dump(), 123_456_790)
+    recording = Recording(recorder.close({"outcome": "aborted"}))
+    frame = recording.frames("left")[5]
+    assert frame.captured_ns == 123_456_789
+    assert (frame.pixels == pixels).all()
+
+
+KILLED = """
+import os, signal, sys, time
+from pathlib import Path
+from service.recordings.writer import Recorder
+recorder = Recorder(Path(sys.argv[1]), "killed", {})
+for index in range(40):
+    recorder.message("client", {"index": index}, time.monotonic_ns())
+    time.sleep(0.05)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_killed_service_leaves_all_but_the_last_second(tmp_path: Path) -> None:
+    code = subprocess.run([sys.executable, "-c", textwrap.dedent(KILLED), str(tmp_path)], check=False).returncode
+    assert code == -signal.SIGKILL
+    (path,) = tmp_path.glob("*_killed/insertion.mcap.part")
+    recording = Recording(path)
+    assert not recording.complete
+    seen = [e.json()["message"]["index"] for e in recording.of("/messages")]
+    assert seen == list(range(len(seen)))
+    assert len(seen) >= 20
+    (whole,) = recover(tmp_path)
+    again = Recording(whole)
+    assert (again.complete, again.recovered) == (True, True)
+    assert [e.json()["message"]["index"] for e in again.of("/messages")] == seen
+    assert again.metadata == recording.metadata
+    summary = json.loads((whole.parent / "summary.json").read_text())
+    assert (summary["insertion_id"], summary["outcome"]) == ("killed", "interrupted")
+    assert list(tmp_path.glob("*/*.part")) == recover(tmp_path) == []
+
+
+def test_a_recording_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, "alive", {})
+    assert recover(tmp_path) == []
+    assert Recording(recorder.close({"outcome": "aborted"})).recovered is False
+
+
+def test_a_part_that_holds_nothing_is_put_aside_and_not_tried_again(tmp_path: Path) -> None:
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "insertion.mcap.part").write_bytes(os.urandom(1000))
+    assert recover(tmp_path) == []
+    assert [path.name for path in (tmp_path / "x").iterdir()] == ["insertion.mcap.unreadable"]
+
+
+def test_the_disk_use_of_recordings_is_bounded_while_one_is_written(tmp_path: Path) -> None:
+    bound = 4_000_000
+    noise = np.random.default_rng(0).integers(0, 255, (320, 427, 3), np.uint8)
+    for insertion in range(6):
+        recorder = Recorder(tmp_path, f"i{insertion}", {}, make_room(tmp_path, bound))
+        for index in range(10):
+            recorder.frame(CameraFrame(TactileFrame("left", index, index + 1, noise), None))
+        recorder.close({"outcome": "failed"})
+        assert recorder.left_out_n > 0
+        assert sum(file.stat().st_size for file in tmp_path.rglob("*.*")) < bound
+    assert len(list(tmp_path.iterdir())) >= 2
+
+
+def test_garbage_is_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no recording at"):
+        Recording(tmp_path / "none.mcap")
+    (tmp_path / "x.mcap").write_bytes(os.urandom(1000))
+    with pytest.raises(RecordingError, match="no readable MCAP"):
+        Recording(tmp_path / "x.mcap")
+
+
+def test_folders_that_are_no_recordings_never_make_room(tmp_path: Path) -> None:
+    for name in (".git", "20250101", "20250101T000000_a", "20260101T000000_b", "photos"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "content").write_bytes(b"\0" * 1000)
+    assert [path.name for path in prune(tmp_path, 1500)] == ["20250101T000000_a"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".git", "20250101", "20260101T000000_b", "photos"]
+
+
+def test_the_oldest_insertions_make_room(tmp_path: Path) -> None:
+    for index in range(4):
+        folder = tmp_path / f"2026010{index}T000000_{index}"
+        folder.mkdir()
+        (folder / "insertion.mcap").write_bytes(b"\0" * 1000)
+    removed = prune(tmp_path, 2500)
+    assert [path.name[-1] for path in removed] == ["0", "1"]
+    assert len(prune(tmp_path, 0)) == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "insertion.mcap.part").write_bytes(b"\0" * 1000)
+
+    def disk_is_full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("service.recordings.recovery._copy", disk_is_full)
+    assert recover(tmp_path) == []
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.glob("*/*")) == [
+        "a/insertion.mcap.part",
+        "b/insertion.mcap.part",
+    ]

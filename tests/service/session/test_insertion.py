@@ -1,0 +1,97 @@
+"""What a running insertion does first and what it leaves for later."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.cameras.capture import CameraFrame
+from service.contract import wire
+from service.decision.models import load_models
+from service.recordings.reader import Recording
+from service.recordings.writer import Recorder
+from service.session.factory import make_session
+from service.session.insertion import Insertion
+from tests.service import drawn, tiny_models
+
+WRITERS = ("frame", "observation", "message", "call", "attempt")
+
+
+class Witness:
+    """An insertion over a real session and a real recorder, on a clock of its own; ``events`` is what happened when."""
+
+    def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
+        self.now_ns, self.events = 0, []
+        patch.setattr("service.session.insertion.now_ns", lambda: self.now_ns)
+        for name in WRITERS:
+            patch.setattr(Recorder, name, self.noting(name, getattr(Recorder, name)))
+        models = load_models(tiny_models.write_models(folder / "models"))
+        self.recorder = Recorder(folder / "recordings", "first", {}, 1 << 30)
+        session = make_session(models, drawn.calibration())
+        self.insertion = Insertion(session, self.recorder, self.send, lambda kind, _: self.events.append(kind))
+
+    def noting(self, name: str, write: Any) -> Any:
+        def noted(*given: Any) -> None:
+            self.events.append(f"write {name}")
+            write(*given)
+
+        return noted
+
+    def send(self, message: wire.ServiceMessage) -> None:
+        self.events.append(f"send {message.type}")
+
+    def show(self, index: int, *, one_finger: bool = False) -> None:
+        pair = drawn.pair(index)
+        self.now_ns = pair.captured_ns
+        self.insertion.frame(CameraFrame(pair.left, None), None)
+        if not one_finger:
+            self.insertion.frame(CameraFrame(pair.right, None), pair)
+
+    def until_stopped(self) -> None:
+        """All but the last pair that the decision needs; the arm stands."""
+        self.insertion.message(wire.ClientHello(insertion_id="first", client="test"))
+        self.insertion.message(wire.Arm(insertion_id="first", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0))
+        for index in range(17):
+            self.show(index)
+        stopped = wire.Stopped(insertion_id="first", attempt=1, depth_mm=6.0, outcome="blocked")
+        self.insertion.message(stopped)
+        self.events.clear()
+
+
+@pytest.fixture
+def witness(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Witness]:
+    made = Witness(tmp_path, monkeypatch)
+    yield made
+    made.recorder.close({})
+
+
+def test_the_correction_is_sent_before_anything_is_written_or_shown_and_then_all_of_it_is(witness: Witness) -> None:
+    witness.until_stopped()
+    witness.show(17)
+    first, *rest = witness.events
+    assert first == "send correction"
+    assert rest.count("write frame") == rest.count("write observation") == 2
+    assert rest.count("write attempt") == rest.count("message") == 1
+    assert rest.index("message") < rest.index("write message")
+
+
+def test_what_waits_for_an_answer_that_does_not_come_is_written_down_all_the_same(witness: Witness) -> None:
+    witness.until_stopped()
+    witness.show(17, one_finger=True)
+    assert not witness.events
+    witness.now_ns += 200_000_000
+    witness.insertion.tick()
+    assert witness.events.count("write frame") == 1
+
+
+def test_an_end_is_written_down_before_it_is_published_and_the_recording_is_whole(witness: Witness) -> None:
+    witness.until_stopped()
+    witness.show(17)
+    witness.insertion.message(wire.Abort(insertion_id="first", reason="done"))
+    assert witness.events[-2:] == ["message", "finished"]
+    path = witness.recorder.close({})
+    said = [entry.json()["message"]["type"] for entry in Recording(path).of("/messages")]
+    assert said[-2:] == ["abort", "finished"]
+    assert (path.parent / "attempt_01.npz").exists()
+    assert isinstance(witness.insertion.session.finished, wire.Finished)

@@ -1,0 +1,119 @@
+"""How insertions open and are handed over: whoever asks is answered, and whoever loses an insertion is told."""
+
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from service.cameras.capture import CameraFrame
+from service.contract import FINGERS, Finger, TactileFrame, wire
+from service.decision.models import ModelSet, load_models
+from service.observability.hub import Hub
+from service.recordings.reader import Recording
+from service.session.manager import Desk
+from service.settings import Settings
+from tests.service import drawn
+
+
+@pytest.fixture(scope="module")
+def models(models_folder: Path) -> ModelSet:
+    return load_models(models_folder)
+
+
+def camera(finger: Finger, size: tuple[int, int]) -> SimpleNamespace:
+    """A camera that has delivered one frame of ``size`` (width, height)."""
+    pixels = np.zeros((size[1], size[0], 3), np.uint8)
+    entry = wire.CameraEntry(finger=finger, source="x", state="live", frame_rate_hz=30.0)
+    return SimpleNamespace(latest=CameraFrame(TactileFrame(finger, 0, 1, pixels), None), entry=entry)
+
+
+def desk(models: ModelSet, folder: Path, size: tuple[int, int] = (427, 320)) -> Desk:
+    calibration = folder / "calibration.toml"
+    drawn.calibration().save(calibration)
+    settings = Settings(
+        models=folder, camera_left="push:", camera_right="push:", recordings=folder / "r", calibration=calibration
+    )
+    cameras = {finger: camera(finger, size) for finger in FINGERS}
+    return Desk(settings, models, drawn.calibration(), cameras, Hub(), lambda _: None)
+
+
+class Client:
+    """The driving end of a connection."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+        self.heard: list[wire.ServiceMessage] = []
+
+    def send(self, message: wire.ServiceMessage) -> None:
+        self.heard.append(message)
+
+    def connect(self, insertion_id: str = "one") -> wire.ServiceMessage:
+        self.desk.connect(wire.ClientHello(insertion_id=insertion_id, client="test"), self.send)
+        return self.heard[-1]
+
+
+def wait_for_recorders() -> None:
+    for thread in threading.enumerate():
+        if thread.name in {"recorder", "close-recording"}:
+            thread.join(20)
+            assert not thread.is_alive()
+
+
+def test_a_client_is_told_that_a_camera_has_another_size_now(models: ModelSet, tmp_path: Path) -> None:
+    tried = desk(models, tmp_path, size=(640, 480))
+    for _ in range(2):
+        fault = Client(tried).connect()
+        assert (fault.type, fault.code, fault.fatal) == ("fault", "not_ready", True)
+        assert "frame is uint8[480, 640, 3], expected uint8[320, 427, 3]" in fault.detail
+    assert tried.active is None
+    wait_for_recorders()
+    assert list(tmp_path.glob("r/*/*.part")) == []
+
+
+@pytest.mark.parametrize("text", [None, "schema_version = 2"])
+def test_a_recording_keeps_the_calibration_that_the_service_began_with(
+    text: str | None, models: ModelSet, tmp_path: Path
+) -> None:
+    opened = desk(models, tmp_path)
+    path = tmp_path / "calibration.toml"
+    began_with = path.read_text()
+    path.unlink()
+    if text:
+        path.write_text(text)
+    client = Client(opened)
+    assert client.connect().type == "hello"
+    opened.abort("done")
+    wait_for_recorders()
+    (recorded,) = tmp_path.glob("r/*/insertion.mcap")
+    assert Recording(recorded).metadata["calibration"] == began_with
+
+
+def test_a_client_that_loses_its_insertion_to_another_connection_is_told_at_once(
+    models: ModelSet, tmp_path: Path
+) -> None:
+    shared = desk(models, tmp_path)
+    first, second = Client(shared), Client(shared)
+    assert first.connect().type == second.connect().type == "hello"
+    lost = first.heard[-1]
+    assert (lost.type, lost.code, lost.fatal) == ("fault", "taken_over", True)
+    assert [message.type for message in second.heard] == ["hello"]
+    second.connect()
+    assert [message.type for message in second.heard] == ["hello", "hello"], "who says hello again loses nothing"
+    shared.abort("done")
+    wait_for_recorders()
+
+
+def test_asking_for_the_end_of_an_insertion_ends_no_other_one(models: ModelSet, tmp_path: Path) -> None:
+    shared = desk(models, tmp_path)
+    Client(shared).connect("first")
+    shared.abort("done")
+    driver = Client(shared)
+    driver.connect("second")
+    shared.disconnect(driver.send)
+    assert Client(shared).connect("first").type == "finished"
+    assert shared.active is not None
+    assert shared.active.session.insertion_id == "second"
+    shared.abort("done")
+    wait_for_recorders()

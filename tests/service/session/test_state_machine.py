@@ -1,0 +1,183 @@
+import pytest
+
+from service.contract import wire
+from service.decision.models import ModelSet, load_models
+from service.session.factory import make_session
+from service.session.state_machine import InsertionSession
+from tests.service import drawn, tiny_models
+
+ID = "test-1"
+
+
+@pytest.fixture(scope="session")
+def models(tmp_path_factory: pytest.TempPathFactory) -> ModelSet:
+    return load_models(tiny_models.write_models(tmp_path_factory.mktemp("models") / "m"))
+
+
+@pytest.fixture
+def session(models: ModelSet) -> InsertionSession:
+    return make_session(models, drawn.calibration())
+
+
+def hello(session: InsertionSession, **changes: object) -> wire.ServiceHello:
+    (reply,) = session.handle(wire.ClientHello(insertion_id=ID, client="test", **changes), 0)
+    assert isinstance(reply, wire.ServiceHello)
+    return reply
+
+
+def probe(session: InsertionSession, attempt: int, start_ns: int, frames: int = 30, outcome: str = "blocked") -> list:
+    """One attempt in lock step: the arm stops one frame after slip, or at the last frame."""
+    said = session.handle(
+        wire.Arm(insertion_id=ID, attempt=attempt, gap_width_mm=56.0, expected_depth_mm=25.0), start_ns
+    )
+    stopped = False
+    for index in range(frames):
+        pair = drawn.pair(index, start_ns=start_ns)
+        said += session.on_pair(pair, pair.captured_ns)
+        if index == 1:
+            said += session.handle(wire.Descending(insertion_id=ID, attempt=attempt), pair.captured_ns)
+        if not stopped and (any(isinstance(m, wire.Slip) for m in said) or index == frames - 1):
+            stopped = True
+            message = wire.Stopped(insertion_id=ID, attempt=attempt, depth_mm=6.0, outcome=outcome)
+            said += session.handle(message, pair.captured_ns)
+    return said
+
+
+def kinds(said: list) -> list[str]:
+    return [message.type for message in said]
+
+
+def test_a_blocked_attempt_arms_slips_and_is_corrected(session: InsertionSession) -> None:
+    hello(session)
+    said = probe(session, 1, 0)
+    assert kinds(said) == ["armed", "slip", "correction"]
+    armed, slip, correction = said
+    assert armed.reference_seq == 0
+    assert 16 <= slip.frame_seq <= 18
+    assert correction.attempt == 1
+    assert sum(correction.class_probabilities.values()) == pytest.approx(1)
+    assert set(correction.latency_ms) >= {"rectify", "markers", "slip", "networks_last_step", "controller"}
+
+
+def test_the_decision_rests_on_eight_pairs_from_the_onset(session: InsertionSession) -> None:
+    attempts = []
+    session.on_attempt = attempts.append
+    hello(session)
+    probe(session, 1, 0)
+    (attempt,) = attempts
+    numbers = [pair.seq for pair in attempt.decision_pairs]
+    assert numbers == list(range(numbers[0], numbers[0] + 8))
+    assert abs(numbers[0] - 10) <= 1
+    arrays = attempt.arrays()
+    assert arrays["frames"].shape == (8, 2, 320, 327, 3)
+    assert arrays["displacement_px"].shape == (2, 20, 21, 2)
+    assert (arrays["reference"] == arrays["frames"][0]).all()
+
+
+def test_an_insertion_of_several_attempts_ends_with_inserted(session: InsertionSession) -> None:
+    hello(session, controller="heuristic")
+    for attempt in (1, 2, 3):
+        assert kinds(probe(session, attempt, attempt * 10**10))[-1] == "correction"
+    session.handle(wire.Arm(insertion_id=ID, attempt=4, gap_width_mm=56.0, expected_depth_mm=25.0), 5 * 10**10)
+    for index in (0, 1):
+        pair = drawn.pair(index, start_ns=5 * 10**10)
+        session.on_pair(pair, pair.captured_ns)
+    end = wire.Stopped(insertion_id=ID, attempt=4, depth_mm=25.0, outcome="inserted")
+    (finished,) = session.handle(end, pair.captured_ns)
+    assert (finished.outcome, finished.attempts) == ("inserted", 4)
+
+
+def test_a_repeated_stop_repeats_the_correction_and_nothing_else(session: InsertionSession) -> None:
+    hello(session)
+    correction = probe(session, 1, 0)[-1]
+    again = wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked")
+    assert session.handle(again, 10**10) == [correction]
+
+
+def test_no_motion_is_no_decision(session: InsertionSession) -> None:
+    hello(session)
+    said = session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
+    for index in range(6):
+        said += session.on_pair(drawn.pair(index), index)
+    said += session.handle(wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked"), 0)
+    said += session.on_tick(1_000_000_000)
+    assert kinds(said) == ["armed"]
+    (refused,) = session.on_tick(2_100_000_000)
+    assert (refused.type, refused.reason) == ("no_decision", "no_motion")
+
+
+def test_messages_out_of_order_are_faults_that_change_nothing(session: InsertionSession) -> None:
+    arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    assert kinds(session.handle(arm, 0)) == ["fault"]
+    hello(session)
+    assert kinds(session.handle(wire.Descending(insertion_id=ID, attempt=1), 0)) == ["fault"]
+    stop = wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked")
+    assert kinds(session.handle(stop, 0)) == ["fault"]
+    assert kinds(session.handle(arm.model_copy(update={"attempt": 2}), 0)) == ["fault"]
+    assert kinds(session.handle(arm.model_copy(update={"insertion_id": "other"}), 0)) == ["fault"]
+    assert session.attempt is None
+
+
+def test_an_old_newest_frame_in_a_descent_is_a_fault_once(session: InsertionSession) -> None:
+    hello(session)
+    session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
+    session.on_pair(drawn.pair(0), 0)
+    assert kinds(session.on_tick(600_000_000)) == ["fault"]
+    assert session.on_tick(700_000_000) == []
+
+
+def test_a_lost_camera_during_a_descent_means_no_decision(session: InsertionSession) -> None:
+    hello(session)
+    session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
+    session.on_pair(drawn.pair(0), 0)
+    assert session.on_camera_fault("camera_lost", "left gone")[0].code == "camera_lost"
+    stop = wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked")
+    (refused,) = session.handle(stop, 1)
+    assert (refused.type, refused.reason) == ("no_decision", "stale")
+
+
+def test_another_protocol_is_refused(session: InsertionSession) -> None:
+    (fault,) = session.handle(wire.ClientHello(insertion_id=ID, client="old", protocol=99), 0)
+    assert fault.fatal
+    assert "protocol 99" in fault.detail
+
+
+def armed_with(session: InsertionSession, index: int) -> list:
+    arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    pair = drawn.pair(index, onset=100, slip_at=100)
+    return [*session.handle(arm, pair.captured_ns), *session.on_pair(pair, pair.captured_ns)]
+
+
+@pytest.mark.parametrize("blind", ["left", "right"])
+def test_one_blind_finger_in_a_descent_is_as_stale_as_two(session: InsertionSession, blind: str) -> None:
+    hello(session)
+    armed_with(session, 0)
+    said = []
+    for index in range(1, 20):
+        pair = drawn.pair(index, onset=100, slip_at=100)
+        seen = pair.right if blind == "left" else pair.left
+        said += session.on_frame(seen, seen.captured_ns) + session.on_tick(seen.captured_ns)
+    assert [message.code for message in said] == ["stale_frames"]
+    (beat,) = session.handle(wire.ClientHeartbeat(insertion_id=ID, count=1), seen.captured_ns)
+    assert beat.frame_age_ms == pytest.approx(seen.captured_ns / 1e6)
+
+
+def test_after_a_cameras_fault_the_same_attempt_is_armed_with_a_new_reference_only(session: InsertionSession) -> None:
+    hello(session)
+    armed_with(session, 0)
+    session.on_camera_fault("camera_lost", "left gone")
+    again = drawn.pair(1).captured_ns
+    arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    assert session.handle(arm, again) == [], "the old reference is of another time"
+    (armed,) = session.on_pair(drawn.pair(1), again)
+    assert armed.reference_seq == 1
+    assert session.attempt is not None
+    assert session.attempt.broken == ""
+
+
+def test_frames_that_are_stale_again_after_a_new_arm_are_a_fault_again(session: InsertionSession) -> None:
+    hello(session)
+    armed_with(session, 0)
+    assert kinds(session.on_tick(600_000_000)) == ["fault"]
+    assert kinds(armed_with(session, 21)) == ["armed"]
+    assert kinds(session.on_tick(1_400_000_000)) == ["fault"]

@@ -1,0 +1,189 @@
+"""Who comes in, how fast, and over what: tokens, origins, rates, time limits, TLS. On real sockets."""
+
+import contextlib
+import itertools
+import shutil
+import socket
+import ssl
+import subprocess
+import time
+from pathlib import Path
+
+import httpx
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from service.contract import wire
+from service.settings import SettingsError, read_settings
+from service.web import gate, patience
+from service.web.gate import BURST_S, Rate
+from tests.service.conftest import LiveService, live_service
+
+
+@given(per_s=st.floats(0.5, 50), waits=st.lists(st.floats(0, 2), max_size=200))
+def test_no_client_gets_more_than_its_rate_and_its_burst(per_s: float, waits: list[float]) -> None:
+    rate = Rate(per_s)
+    times = [1000.0, *(1000.0 + t for t in itertools.accumulate(waits))]
+    passed = [t for t in times if rate.allows("a", t)]
+    assert len(passed) <= max(1.0, per_s * BURST_S) + per_s * (times[-1] - times[0]) + 1
+    assert Rate(per_s).allows("a", 0.0)
+    assert rate.allows("another", times[-1])
+
+
+def test_a_rate_of_nothing_is_no_limit_and_old_clients_are_forgotten() -> None:
+    assert all(Rate(0).allows("a") for _ in range(10_000))
+    rate = Rate(1.0)
+    for client in range(gate.MAX_CLIENTS + 10):
+        rate.allows(str(client), 0.0)
+    assert len(rate._left) == gate.MAX_CLIENTS
+
+
+def test_a_client_too_fast_is_told_to_slow_down_and_health_goes_on(tmp_path: Path, models_folder: Path) -> None:
+    with live_service(tmp_path, models_folder, requests_per_s=0.5) as slow:
+        codes = [httpx.get(slow.url("/v1/models")).status_code for _ in range(4)]
+        assert codes[0] == 200
+        assert 429 in codes
+        refused = httpx.get(slow.url("/v1/models"))
+        if refused.status_code == 429:  # a machine that took two seconds for this has saved up another one
+            assert refused.headers["retry-after"] == "1"
+            assert "more than 0.5 requests a second" in refused.json()["error"]
+        assert {httpx.get(slow.url("/healthz")).status_code for _ in range(10)} == {200}
+        others = httpx.get(slow.url("/v1/models"), headers={"Authorization": "Bearer another"})
+        assert others.status_code == 200
+
+
+def test_half_a_request_is_not_waited_for(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patience, "HEAD_TIMEOUT_S", 0.2)
+    for said in (b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\nGET /heal"):
+        with socket.create_connection(("127.0.0.1", live.port), 20) as link:
+            link.sendall(said)
+            heard = b""
+            while piece := link.recv(4096):  # ends when the service closes, else by the socket's own 20 s
+                heard += piece
+            assert heard.count(b"200 OK") == said.count(b"\r\n\r\n")
+
+
+def test_a_head_without_end_is_refused(live: LiveService) -> None:
+    with socket.create_connection(("127.0.0.1", live.port), 20) as link:
+        heard = b""
+        with contextlib.suppress(ConnectionError):  # what it answers may be lost with the connection
+            link.sendall(b"GET /healthz HTTP/1.1\r\n")
+            for number in range(100):
+                link.sendall(f"X-{number}: {'x' * 4000}\r\n".encode())
+            while piece := link.recv(4096):  # the end of the connection, else this times out
+                heard += piece
+        assert heard == b"" or b" 400 " in heard.splitlines()[0]
+
+
+def test_a_body_that_does_not_come_is_408(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gate, "BODY_TIMEOUT_S", 0.2)
+    with socket.create_connection(("127.0.0.1", live.port), 20) as link:
+        link.sendall(b"POST /v1/decisions HTTP/1.1\r\nHost: x\r\nContent-Length: 1000\r\n\r\nabc")
+        assert b"408" in link.recv(4096).split(b"\r\n")[0]
+
+
+def test_a_body_too_large_is_refused(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.web.routes.api.MAX_BODY_BYTES", 1000)
+    monkeypatch.setattr("service.web.routes.oip.MAX_BODY_BYTES", 1000)
+    assert httpx.post(live.url("/v1/decisions"), content=b"x" * 2000).status_code == 413
+    infer = httpx.post(live.url("/v2/models/direction.step/infer"), content=b"x" * 2000)
+    assert (infer.status_code, "larger than 1000" in infer.json()["error"]) == (413, True)
+
+
+def test_a_foreign_page_gets_no_websocket_and_an_allowed_one_does(tmp_path: Path, models_folder: Path) -> None:
+    with live_service(tmp_path, models_folder, allowed_origins=("https://cell.example",)) as guarded:
+        url = guarded.url("/v1/live", "ws")
+        for origin in ("https://evil.example", "null"):
+            with pytest.raises(InvalidStatus, match="403"), connect(url, origin=origin):
+                pass
+        with connect(url, origin="https://cell.example") as link:
+            assert link.recv(20)
+        with connect(url, origin=f"http://127.0.0.1:{guarded.port}") as link:
+            assert link.recv(20)
+
+
+def test_a_watching_token_cannot_drive_or_push(tmp_path: Path, models_folder: Path) -> None:
+    tokens = {"token_watch": "w", "token_drive": "d"}
+    with live_service(tmp_path, models_folder, **tokens) as guarded:
+        path = guarded.url("/v1/insertions/ws", "ws")
+        hello = wire.ClientHello(insertion_id="role", client="test").model_dump_json()
+        with connect(path, additional_headers={"Authorization": "Bearer w"}) as link:
+            link.send(hello)
+            assert wire.parse_service(link.recv(20)).code == "forbidden"
+        with connect(f"{path}?token=d") as link:
+            link.send(hello)
+            assert wire.parse_service(link.recv(20)).type == "hello"
+        with pytest.raises(InvalidStatus), connect(path):
+            pass
+        push = guarded.url("/v1/cameras/left/push?token=w", "ws")
+        with pytest.raises(InvalidStatus), connect(push):
+            pass
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl command to make a certificate with")
+    folder = tmp_path_factory.mktemp("tls")
+    cert, key = folder / "cert.pem", folder / "key.pem"
+    command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+    command += ["-keyout", str(key), "-out", str(cert), "-days", "2", "-subj", "/CN=localhost"]
+    subprocess.run([*command, "-addext", "subjectAltName=IP:127.0.0.1"], check=True, capture_output=True)
+    return cert, key
+
+
+def test_tls_carries_requests_and_an_insertion_and_nothing_goes_in_the_clear(
+    tmp_path: Path, models_folder: Path, certificate: tuple[Path, Path]
+) -> None:
+    cert, key = certificate
+    trusting = ssl.create_default_context(cafile=str(cert))
+    options = {"tls_certificate": cert, "tls_key": key, "host": "0.0.0.0", "token_drive": "d"}
+    with live_service(tmp_path, models_folder, **options) as guarded:
+        bearer = {"Authorization": "Bearer d"}
+        url = guarded.url("/v1/models", "https")
+        assert httpx.get(url, headers=bearer, verify=trusting).status_code == 200
+        assert httpx.get(url, verify=trusting).status_code == 401
+        with pytest.raises(httpx.ConnectError, match="CERTIFICATE_VERIFY_FAILED"):
+            httpx.get(url, headers=bearer)
+        with pytest.raises(httpx.HTTPError):
+            httpx.get(guarded.url("/v1/models"), headers=bearer)
+        path = guarded.url("/v1/insertions/ws", "wss")
+        with connect(path, ssl=trusting, additional_headers=bearer, compression=None) as link:
+            link.send(wire.ClientHello(insertion_id="tls", client="test").model_dump_json())
+            assert wire.parse_service(link.recv(20)).type == "hello"
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.20", "cell-pc.local"])
+def test_every_public_address_needs_a_token(host: str) -> None:
+    cameras = ["--camera-left", "push:", "--camera-right", "push:"]
+    with pytest.raises(SettingsError, match="is reachable from outside: set --token-drive"):
+        read_settings([*cameras, "--host", host])
+    with pytest.raises(SettingsError, match="give both or neither"):
+        read_settings([*cameras, "--tls-certificate", "c.pem"])
+
+
+def test_a_client_that_does_not_read_is_cut_off_and_the_service_goes_on(live: LiveService) -> None:
+    """A watcher with a full receive buffer must not hold up the perception thread."""
+    with socket.create_connection(("127.0.0.1", live.port), 20) as deaf:
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        head = "GET /v1/cameras/left/frames HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        deaf.sendall(f"{head}Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {'A' * 22}==\r\n\r\n".encode())
+        assert deaf.recv(12) == b"HTTP/1.1 101"
+        time.sleep(0.5)
+        with connect(live.url("/v1/insertions/ws", "ws"), compression=None) as link:
+            link.send(wire.ClientHello(insertion_id="beside-deaf", client="test").model_dump_json())
+            assert wire.parse_service(link.recv(20)).type == "hello"
+            link.send(wire.Abort(insertion_id="beside-deaf", reason="done").model_dump_json())
+            assert wire.parse_service(link.recv(20)).type == "finished"
+
+
+def test_no_hello_in_time_is_a_fault(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.web.routes.insertion.HELLO_TIMEOUT_S", 0.1)
+    with connect(live.url("/v1/insertions/ws", "ws"), compression=None) as link:
+        fault = wire.parse_service(link.recv(20))
+        assert "no hello within 0.1 s" in fault.detail
+        with pytest.raises(ConnectionClosed):
+            link.recv(20)

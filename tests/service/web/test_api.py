@@ -1,0 +1,84 @@
+import tomllib
+from pathlib import Path
+
+import httpx
+import pytest
+
+from service.contract import TactileFrame, encode_frame, wire
+from service.perception.rectification import Rectifier
+from tests.docs.commands import ROOT
+from tests.service import drawn
+from tests.service.client import Driver
+from tests.service.conftest import LiveService, live_service
+
+
+def test_the_page_and_its_modules_are_served(live: LiveService) -> None:
+    assert "Tactile insertion" in httpx.get(live.url("/")).text
+    for name in ("main.js", "draw.js", "past.js", "token.js", "style.css"):
+        assert httpx.get(live.url(f"/dashboard/{name}")).status_code == 200
+
+
+def test_a_recorded_insertion_is_listed_played_and_removed(live: LiveService) -> None:
+    driver = Driver(live, "listed")
+    driver.until("hello")
+    driver.attempt(1)
+    driver.send(wire.Abort(insertion_id="listed", reason="done"))
+    driver.until("finished")
+    driver.close()
+    (entry,) = [r for r in httpx.get(live.url("/v1/recordings")).json()["recordings"] if r["insertion_id"] == "listed"]
+    base = live.url(f"/v1/recordings/{entry['name']}")
+    assert (entry["decided"], entry["outcome"]) == ([1], "aborted")
+    assert httpx.get(f"{base}/attempts/1").json()["frames_n"] == 8
+    assert httpx.get(f"{base}/attempts/1/frames/7.jpg").headers["content-type"] == "image/jpeg"
+    assert httpx.get(f"{base}/attempts/1/frames/8.jpg").status_code == 404
+    assert httpx.get(base).content[:5] == b"\x89MCAP"
+    assert httpx.delete(base).status_code == 200
+    assert httpx.get(base).status_code == 404
+
+
+def test_a_recorded_sequence_is_decided_over_http(live: LiveService) -> None:
+    rectifiers = {finger: Rectifier(drawn.calibration().camera(finger)) for finger in ("left", "right")}
+    body = b"".join(
+        encode_frame(TactileFrame(finger, i, i, rectifiers[finger].apply(drawn.raw(finger, 10 + i, 10, 16))))
+        for i in range(8)
+        for finger in ("left", "right")
+    )
+    answer = httpx.post(live.url("/v1/decisions"), content=body)
+    assert answer.status_code == 200
+    assert sum(answer.json()["class_probabilities"].values()) == pytest.approx(1)
+    refused = httpx.post(live.url("/v1/decisions"), content=body[:-1])
+    assert refused.status_code == 400
+    assert "expected 16 encoded frames" in refused.json()["error"]
+
+
+def test_models_and_cameras_are_told(live: LiveService) -> None:
+    roles = [m["card"]["role"] for m in httpx.get(live.url("/v1/models")).json()["models"]]
+    assert roles == ["direction", "magnitude"]
+    assert len(httpx.get(live.url("/v1/cameras")).json()["cameras"]) == 2
+    assert "/v1/decisions" in httpx.get(live.url("/openapi.json")).json()["paths"]
+
+
+def test_a_foreign_page_is_refused(live: LiveService) -> None:
+    assert httpx.get(live.url("/v1/models"), headers={"Origin": "http://evil.example"}).status_code == 403
+
+
+def test_tokens_give_roles(tmp_path: Path, models_folder: Path) -> None:
+    with live_service(tmp_path, models_folder, token_watch="w", token_drive="d", token_admin="a") as guarded:
+
+        def code(method: str, path: str, token: str | None) -> int:
+            headers = {"Authorization": f"Bearer {token}"} if token else {}
+            return httpx.request(method, guarded.url(path), headers=headers).status_code
+
+        assert code("GET", "/healthz", None) == 200
+        assert [code("GET", "/v1/models", token) for token in (None, "x", "w", "d", "a")] == [401, 401, 200, 200, 200]
+        assert [code("POST", "/v1/decisions", token) for token in ("w", "d")] == [403, 400]
+        assert [code("DELETE", "/v1/recordings/none", token) for token in ("d", "a")] == [403, 404]
+        infer = "/v2/models/direction.step/infer"
+        assert [code("POST", infer, token) for token in (None, "x", "w", "d")] == [401, 401, 403, 400]
+        assert [code("POST", infer.replace("direction", "no"), token) for token in ("w", "d")] == [403, 404]
+
+
+def test_every_door_tells_the_version_of_the_package(live: LiveService) -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    told = [httpx.get(live.url(page)).json()["info"]["version"] for page in ("/openapi.json", "/v1/asyncapi.json")]
+    assert [*told, httpx.get(live.url("/v2")).json()["version"]] == 3 * [version]

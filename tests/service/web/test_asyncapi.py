@@ -1,0 +1,74 @@
+"""The description of the WebSockets is the code's own: nothing is missing, nothing is left over, examples are valid."""
+
+import json
+from typing import Any
+
+import httpx
+import jsonschema_rs
+import pytest
+
+from service import __version__
+from service.contract import wire
+from service.web import asyncapi
+from tests.service.conftest import LiveService
+
+DOCUMENT = json.loads(json.dumps(asyncapi.document(__version__)))
+MESSAGES = {m.__name__: m for m in (*asyncapi.CLIENT, *asyncapi.SERVICE)}
+
+
+def refs(part: Any) -> set[str]:
+    if isinstance(part, dict):
+        return {v for k, v in part.items() if k == "$ref"}.union(*(refs(v) for v in part.values()))
+    return set().union(*(refs(v) for v in part)) if isinstance(part, list) else set()
+
+
+def find(ref: str) -> Any:
+    place: Any = DOCUMENT
+    for key in ref.removeprefix("#/").split("/"):
+        place = place[key]
+    return place
+
+
+def test_every_reference_leads_somewhere() -> None:
+    assert len(refs(DOCUMENT)) > 20
+    for ref in refs(DOCUMENT):
+        find(ref)
+
+
+@pytest.mark.parametrize(
+    ("operation", "union", "action"),
+    [("hearClient", wire.ClientMessage, "receive"), ("tellClient", wire.ServiceMessage, "send")],
+)
+def test_every_message_of_the_code_is_described_in_its_direction(operation: str, union: Any, action: str) -> None:
+    told = DOCUMENT["operations"][operation]
+    described = {find(find(m["$ref"])["$ref"])["title"] for m in told["messages"]}
+    assert described == {model.__name__ for model in asyncapi.messages_of(union)}
+    assert told["action"] == action
+
+
+@pytest.mark.parametrize("name", sorted(MESSAGES))
+def test_examples_are_valid_and_the_code_reads_them(name: str) -> None:
+    message = DOCUMENT["components"]["messages"][name]
+    schema = {"$ref": message["payload"]["$ref"], "components": DOCUMENT["components"]}
+    assert message["examples"]
+    for example in message["examples"]:
+        jsonschema_rs.validator_for(schema).validate(example["payload"])
+        parse = wire.parse_client if MESSAGES[name] in asyncapi.CLIENT else wire.parse_service
+        read = parse(json.dumps(example["payload"]))
+        assert type(read) is MESSAGES[name]
+        assert read.type == message["name"]
+
+
+def test_a_key_that_the_code_refuses_is_refused_by_the_schema() -> None:
+    schema = {"$ref": "#/components/schemas/Arm", "components": DOCUMENT["components"]}
+    arm = {"type": "arm", "insertion_id": "x", "attempt": 1, "gap_width_mm": 56.0, "expected_depth_mm": 25.0}
+    validator = jsonschema_rs.validator_for(schema)
+    assert validator.is_valid(arm)
+    for wrong in ({"attempt": 16}, {"gap_width_mm": 0}, {"insertion_id": "a b"}, {"speed": 3}):
+        assert not validator.is_valid(arm | wrong)
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            wire.parse_client(json.dumps(arm | wrong))
+
+
+def test_the_service_serves_it(live: LiveService) -> None:
+    assert httpx.get(live.url("/v1/asyncapi.json")).json() == DOCUMENT

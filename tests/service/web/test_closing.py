@@ -1,0 +1,128 @@
+"""However a conversation ends, the client is told why, and no client can hold on to what it does not read."""
+
+import contextlib
+import socket
+import time
+
+import httpx
+import pytest
+import structlog
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from service.contract import wire
+from tests.service.client import Driver
+from tests.service.conftest import LiveService
+
+
+def goodbye(link: ClientConnection) -> tuple[int, str]:
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            link.recv(20)
+    with pytest.raises(ConnectionClosed) as closed:
+        link.recv(20)
+    assert closed.value.rcvd is not None
+    return closed.value.rcvd.code, closed.value.rcvd.reason
+
+
+def first_words(live: LiveService, text: str | bytes) -> tuple[int, str]:
+    with connect(live.url("/v1/insertion", "ws"), compression=None) as link:
+        link.send(text)
+        return goodbye(link)
+
+
+def test_every_end_of_a_driving_connection_has_a_reason_and_a_line_in_the_log(live: LiveService) -> None:
+    with structlog.testing.capture_logs() as lines:
+        driver = Driver(live, "ends")
+        driver.until("hello")
+        busy = first_words(live, wire.ClientHello(insertion_id="other", client="x").model_dump_json())
+        driver.insert(1)
+        ends = [
+            goodbye(driver.socket),
+            busy,
+            first_words(live, "what?"),
+            first_words(live, b"bytes"),
+            first_words(live, wire.ClientHeartbeat(insertion_id="h", count=1).model_dump_json()),
+            first_words(live, wire.ClientHello(insertion_id="old", client="x", protocol=99).model_dump_json()),
+            first_words(live, wire.ClientHello(insertion_id="ends", client="again").model_dump_json()),
+        ]
+    expected = [
+        (1000, "insertion inserted"),
+        (1013, "busy: insertion ends is under way"),
+        (1008, "bad_message: "),
+        (1008, "bad_message: binary frame"),
+        (1008, "bad_message: first message is heartbeat, expected hello"),
+        (1008, "protocol_version: client speaks protocol 99"),
+        (1000, "insertion inserted"),
+    ]
+    for (code, reason), (said, because) in zip(expected, ends, strict=True):
+        assert said == code
+        assert because.startswith(reason)
+    told = {(line["code"], line["reason"]) for line in lines if line["event"] == "client gone"}
+    assert {(code, reason) for code, reason in ends} <= {(code, reason[:123]) for code, reason in told}
+
+
+def test_a_client_of_another_protocol_opens_no_insertion(live: LiveService) -> None:
+    before = live.station.desk.opened_n, sorted(live.recordings.iterdir())
+    first_words(live, wire.ClientHello(insertion_id="older", client="x", protocol=99).model_dump_json())
+    assert (live.station.desk.opened_n, sorted(live.recordings.iterdir())) == before
+    assert live.station.active is None
+
+
+def test_a_fault_inside_the_service_is_told_and_logged(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(live.station, "connect", broken)
+    with structlog.testing.capture_logs() as lines:
+        hello = wire.ClientHello(insertion_id="broken", client="x").model_dump_json()
+        assert first_words(live, hello) == (1011, "internal error: ZeroDivisionError")
+    assert [line["log_level"] for line in lines if line["event"] == "connection broke"] == ["error"]
+
+
+def test_a_listener_that_fails_is_counted_and_breaks_no_insertion(live: LiveService) -> None:
+    def broken(kind: str, _: object) -> None:
+        if kind == "message":
+            raise ZeroDivisionError
+
+    remove = live.station.hub.subscribe(broken)
+    try:
+        driver = Driver(live, "watched-badly")
+        driver.until("hello")
+        assert driver.insert(1).outcome == "inserted"
+        driver.close()
+    finally:
+        remove()
+    assert live.station.hub.errors_n >= 3
+    told = f'tactile_internal_errors{{where="listener"}} {float(live.station.hub.errors_n)}'
+    assert told in httpx.get(live.url("/metrics")).text
+    live.station.hub.errors_n = 0
+
+
+UPGRADE = "GET {} HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+UPGRADE += "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+PLAIN = "GET {} HTTP/1.1\r\nHost: x\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    ("request_text", "path"),
+    [(UPGRADE, "/v1/cameras/left/frames?max_hz=240"), (PLAIN, "/v1/cameras/left/stream.mjpg?max_hz=240")],
+)
+def test_a_viewer_that_does_not_read_is_let_go(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch, request_text: str, path: str
+) -> None:
+    monkeypatch.setattr("service.web.patience.READ_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(live.fingers[0], "rate_hz", 200.0)
+    with socket.socket() as link:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        link.connect(("127.0.0.1", live.port))
+        link.sendall(request_text.format(path).encode())
+        until(lambda: live.station.viewers_n == 1)
+        until(lambda: live.station.viewers_n == 0)
+
+
+def until(holds: object) -> None:
+    deadline = time.monotonic() + 60
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)

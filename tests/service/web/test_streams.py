@@ -1,0 +1,117 @@
+"""Frames in by WebSocket, out by WebSocket and MJPEG, while the same service decides."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from service.contract import FINGERS, Finger, TactileFrame, decode_frame, encode_frame
+from service.session.station import Station
+from service.settings import Settings
+from tests.service.client import Driver
+from tests.service.conftest import LiveService, served
+
+
+@pytest.fixture
+def pushed(tmp_path: Path, models_folder: Path) -> Iterator[tuple[Station, str]]:
+    """A service whose cameras are whatever clients push."""
+    settings = Settings(models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path / "r")
+    with served(settings) as (station, port):
+        yield station, f"ws://127.0.0.1:{port}"
+
+
+def picture(finger: Finger, seq: int) -> TactileFrame:
+    pixels = np.random.default_rng(seq).integers(0, 255, (320, 327, 3), np.uint8)
+    return TactileFrame(finger, seq, seq, pixels)
+
+
+def test_what_is_pushed_in_comes_out_bit_for_bit(pushed: tuple[Station, str]) -> None:
+    station, base = pushed
+    for finger in FINGERS:
+        with (
+            connect(f"{base}/v1/cameras/{finger}/frames?max_hz=240", compression=None) as out,
+            connect(f"{base}/v1/cameras/{finger}/push", compression=None) as into,
+        ):
+            for seq in range(3):
+                into.send(encode_frame(picture(finger, seq)))
+                seen = decode_frame(out.recv(20))
+                assert (seen.finger, seen.seq) == (finger, seq)
+                assert (seen.pixels == picture(finger, seq).pixels).all()
+    assert [camera.state for camera in station.cameras.values()] == ["live", "live"]
+
+
+def test_a_wrong_frame_closes_the_pushing_connection_with_the_reason(pushed: tuple[Station, str]) -> None:
+    _, base = pushed
+    wrong = {
+        b"junk": "binary frame of 4 bytes",
+        encode_frame(picture("right", 0)): "a frame of the right finger, expected left",
+        "text": "",
+    }
+    for message, reason in wrong.items():
+        with connect(f"{base}/v1/cameras/left/push", compression=None) as into:
+            into.send(message)
+            with pytest.raises(ConnectionClosed) as closed:
+                into.recv(20)
+            assert closed.value.rcvd.code == 1003
+            assert reason in closed.value.rcvd.reason
+
+
+def test_one_client_pushes_a_camera(pushed: tuple[Station, str]) -> None:
+    _, base = pushed
+    with connect(f"{base}/v1/cameras/left/push", compression=None) as first:
+        first.send(encode_frame(picture("left", 0)))
+        with connect(f"{base}/v1/cameras/left/push", compression=None) as second, pytest.raises(ConnectionClosed) as no:
+            second.recv(20)
+        assert "another client pushes the left camera" in no.value.rcvd.reason
+        with connect(f"{base}/v1/cameras/right/push", compression=None) as other:
+            other.send(encode_frame(picture("right", 0)))
+
+
+def test_a_camera_of_its_own_takes_no_pushed_frames(live: LiveService) -> None:
+    with connect(live.url("/v1/cameras/left/push", "ws")) as link, pytest.raises(ConnectionClosed) as closed:
+        link.recv(20)
+    assert "start the service with --camera-left push:" in closed.value.rcvd.reason
+
+
+def test_a_slow_viewer_gets_the_newest_frame_and_skips_the_others(live: LiveService) -> None:
+    with connect(live.url("/v1/cameras/right/frames?max_hz=2&form=jpeg", "ws"), compression=None) as out:
+        pictures = [out.recv(20) for _ in range(3)]
+    assert all(cv2.imdecode(np.frombuffer(p, np.uint8), cv2.IMREAD_COLOR).shape == (320, 427, 3) for p in pictures)
+
+
+def test_mjpeg_streams_each_finger_and_says_how_many_viewers_it_takes(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for finger in FINGERS:
+        with httpx.stream("GET", live.url(f"/v1/cameras/{finger}/stream.mjpg"), timeout=30) as answer:
+            assert answer.headers["content-type"].startswith("multipart/x-mixed-replace")
+            received = b""
+            for piece in answer.iter_bytes():
+                received += piece
+                if received.count(b"--frame") > 2:
+                    break
+        start = received.index(b"\r\n\r\n") + 4
+        assert received[start : start + 2] == b"\xff\xd8"
+    monkeypatch.setattr("service.web.routes.cameras.MAX_VIEWERS", 0)
+    assert httpx.get(live.url("/v1/cameras/left/stream.mjpg")).status_code == 429
+    with connect(live.url("/v1/cameras/left/frames", "ws")) as link, pytest.raises(ConnectionClosed) as closed:
+        link.recv(20)
+    assert closed.value.rcvd.code == 1013
+
+
+def test_viewers_come_and_go_while_an_insertion_is_decided(live: LiveService) -> None:
+    driver = Driver(live, "watched")
+    driver.until("hello")
+    links = [
+        connect(live.url(f"/v1/cameras/{f}/frames?max_hz=240", "ws"), compression=None, close_timeout=0.1)
+        for f in FINGERS
+    ]
+    with links[0], links[1]:
+        driver.attempt(1)
+    assert driver.insert(2).outcome == "inserted"
+    driver.close()

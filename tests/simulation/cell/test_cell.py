@@ -1,0 +1,88 @@
+"""The cell as a whole: truth, faults over HTTP, ports, what happens to a dropped object."""
+
+import socket
+
+import httpx
+import pytest
+
+from robot_client.grippers.wsg50.codec import Command
+from simulation.cell.emulators.faults import FaultBoard, FaultError
+from simulation.cell.emulators.net import BusyPortError
+from simulation.cell.live import bind_all
+from simulation.cell.options import CellError, CellOptions
+from tests.simulation.physics.bench import WsgClient, bench
+
+
+@pytest.fixture(scope="module")
+def cell():
+    with bench() as made:
+        yield made
+
+
+def test_truth_tells_pose_error_and_wires(cell):
+    cell.wait(lambda: cell.cell.world.course.frames > 2)
+    truth = httpx.get(cell.told["admin_url"] + "/truth").json()
+    assert truth["object"]["x_mm"] == pytest.approx(8.0)
+    assert truth["object"]["theta_deg"] == pytest.approx(6.0)
+    assert truth["controller"]["state"] == "motoroff"
+    assert truth["gripper"]["state"] == "HOLDING"
+
+
+def test_faults_are_set_read_and_cleared_over_http(cell):
+    url = cell.told["admin_url"] + "/faults"
+    assert httpx.post(url, json={"egm": {"drop_share": 0.5}}).json()["egm"]["drop_share"] == 0.5
+    assert httpx.get(url).json()["egm"]["drop_share"] == 0.5
+    assert httpx.delete(url).json()["egm"]["drop_share"] == 0.0
+    refused = httpx.post(url, json={"egm": {"drop_share": 2.0}})
+    assert refused.status_code == 422
+    assert "drop_share" in refused.json()["error"]
+
+
+@pytest.mark.parametrize("changes", [{"robot": {"nonsense": True}}, {"nothing": {}}, {"egm": 3}])
+def test_unknown_faults_are_refused_and_change_nothing(changes):
+    board = FaultBoard()
+    with pytest.raises(FaultError):
+        board.update({"rws": {"refuse_next": 3}} | changes)
+    assert board.faults.rws.refuse_next == 0
+
+
+def test_a_busy_port_is_one_clear_line():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(BusyPortError, match=f"gripper cannot have port {port}"):
+            bind_all(CellOptions(gripper_port=port))
+
+
+@pytest.mark.parametrize("wrong", [{"fps": 31}, {"x_mm": float("nan")}, {"egm_lag_ms": 0.0}, {"rws_port": 70000}])
+def test_a_cell_that_cannot_be_is_refused_by_name(wrong):
+    with pytest.raises(CellError, match=next(iter(wrong)).replace("_", "-")):
+        CellOptions(**wrong).check()
+
+
+def test_an_object_let_go_away_from_its_fixture_cannot_be_grasped_again(cell):
+    gripper = WsgClient(cell.told["gripper"])
+    gripper.do(Command.RELEASE, 100.0, 400.0)
+    cell.wait(lambda: not cell.cell.world.held)
+    assert cell.cell.part.width_mm() == 80.0  # the arm stands at the fixture
+    gripper.do(Command.GRASP, 80.0, 400.0)
+    cell.wait(lambda: cell.cell.world.held)
+    arm = cell.cell.cabinet.arm
+    x, y, z = arm.pose.position_mm
+    cell.call(setattr, arm, "pose", type(arm.pose)((x, y, z + 20.0), arm.pose.quaternion))
+    gripper.do(Command.RELEASE, 100.0, 400.0)
+    cell.wait(lambda: not cell.cell.world.held)
+    assert cell.cell.part.width_mm() is None
+    gripper.close()
+
+
+def test_physics_without_equilibrium_is_a_protective_stop(cell):
+    cell.call(cell.cell.board.clear)
+    cell.physics.broken = True
+    cell.call(cell.cell.world.grip, 40.0)
+    cell.wait(lambda: cell.cell.cabinet.state == "guardstop")
+    cell.physics.broken = False
+    assert any("Motion supervision" in entry.title for entry in cell.cell.cabinet.log)
+    cell.call(cell.cell.board.clear)
+    cell.wait(lambda: cell.cell.cabinet.state == "motoroff")

@@ -1,0 +1,137 @@
+"""The run's own parts: starts, children, report. The loop itself is in tests/test_run.py."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.cell import run, run_report
+from simulation.cell.children import Child, ChildError
+from simulation.scene.scene import load_scene
+
+
+@pytest.mark.parametrize("name", run.TRAINING_OBJECTS)
+def test_a_drawn_start_collides_and_repeats(name):
+    scene = load_scene(name)
+    for seed in range(20):
+        x_mm, theta_deg = run.draw_start(scene, seed)
+        assert not scene.fits(x_mm, theta_deg)
+        assert abs(x_mm) <= scene.x_range_mm
+        assert abs(theta_deg) <= scene.theta_range_deg
+        assert run.draw_start(scene, seed) == (x_mm, theta_deg)
+
+
+def test_all_objects_and_repeats_are_counted(tmp_path):
+    found = run.starts(run.RunOptions(object="all", repeat=5, models=tmp_path))
+    assert [start.object for start in found[::5]] == list(run.TRAINING_OBJECTS)
+    assert len(found) == 20
+
+
+def test_a_stated_start_is_kept(tmp_path):
+    (start,) = run.starts(run.RunOptions(x_mm=8.0, theta_deg=6.0, models=tmp_path))
+    assert (start.x_mm, start.theta_deg) == (8.0, 6.0)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--object", "rectangl"], ["--models", "/none"], ["--repeat", "0"]],
+)
+def test_wrong_input_is_one_line_and_exit_2(arguments):
+    done = subprocess.run(
+        [sys.executable, "-m", "simulation", "run", *arguments], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in done.stderr
+
+
+@pytest.fixture
+def script(tmp_path, monkeypatch):
+    """Write a module and make a child of it."""
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+    def make(text: str) -> Child:
+        (tmp_path / "childscript.py").write_text(text)
+        return Child("the child", "childscript", [], tmp_path / "child.log")
+
+    return make
+
+
+def test_a_child_that_fails_shows_its_last_lines(script):
+    with script("print('why it failed'); raise SystemExit(2)") as child, pytest.raises(ChildError) as raised:
+        child.until("ready", 10.0)
+    assert "why it failed" in str(raised.value)
+    assert raised.value.code == 2
+
+
+def test_a_silent_child_is_given_up(script):
+    with (
+        script("import time; time.sleep(60)") as child,
+        pytest.raises(ChildError, match=r"not ready within 0 s"),
+    ):
+        child.until("ready", 0.3)
+    assert child.code is not None
+
+
+def test_a_child_that_ignores_the_request_is_killed(script):
+    text = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('ready'); time.sleep(60)"
+    with script(text) as child:
+        assert child.until("ready", 10.0) == "ready"
+        begin = time.monotonic()
+        child.end(patience_s=0.3)
+    assert child.code == -signal.SIGKILL
+    assert time.monotonic() - begin < 5.0
+
+
+def test_lines_of_a_child_come_as_they_are_written(script):
+    with script("print('one'); print('two')") as child:
+        assert list(child.lines((), 10.0)) == ["one", "two"]
+
+
+def test_the_report_puts_log_and_truth_together(tmp_path):
+    log = tmp_path / "episode.jsonl"
+    slip = {"type": "slip", "attempt": 1, "captured_ns": 1_000_000_000}
+    lines = [{"plan": {}}, {"event": {"kind": "service", "message": slip}}, {"end": {"inserted": True, "attempts": 2}}]
+    log.write_text("\n".join(json.dumps(line) for line in lines))
+    stop = {"frozen_ns": 1_030_000_000, "rest_ns": 1_080_000_000, "overtravel_mm": 0.2}
+    truth = {
+        "object": {"x_mm": 0.5, "theta_deg": -1.0, "bottom_z_mm": -20.0, "inserted": True, "in_hand": [0.0] * 6},
+        "course": {"max_block_shift_mm": 0.1, "max_block_tilt_deg": 0.0, "max_force_n": 9.0},
+        "gripper": {"held": True},
+        "stops": [stop],
+    }
+    result = run_report.collect(truth, log, object_name="rectangle", x_mm=8.0, theta_deg=6.0, seed=0, seconds=12.0)
+    assert result.inserted
+    assert result.frozen_ms == (30.0,)
+    assert result.rest_ms == (80.0,)
+    text = "\n".join(run_report.screen(result, None, None, Path("x")))
+    assert "INSERTED after 2 attempts" in text
+    assert "overtravel 0.20 mm" in text
+
+
+def test_a_log_that_breaks_off_still_counts(tmp_path):
+    log = tmp_path / "episode.jsonl"
+    log.write_text('{"plan": {}}\n{"event": {"ki')
+    assert len(run_report._events(log)) == 1
+
+
+def test_the_last_decided_attempt_is_drawn(tmp_path):
+    frames = np.zeros((8, 2, 320, 327, 3), np.uint8)
+    said = {"estimate": {"dx_mm": 1.0, "dtheta_deg": 2.0}, "dx_mm": -0.7, "dtheta_deg": -1.4, "class_probabilities": {}}
+    arrays = {"frames": frames, "displacement_px": np.zeros((2, 20, 21, 2), np.float32)}
+    np.savez(tmp_path / "attempt_02.npz", valid=np.ones((2, 20, 21), bool), decision=json.dumps(said), **arrays)
+    truth = {
+        "course": {"max_block_shift_mm": 0.0, "max_block_tilt_deg": 0.0, "max_force_n": 0.0},
+        "gripper": {"held": True},
+        "stops": [],
+    }
+    result = run_report.collect(truth, tmp_path / "no", object_name="o", x_mm=0.0, theta_deg=0.0, seed=0, seconds=1.0)
+    drawn = run_report.draw_last_attempt(tmp_path, tmp_path / "p.png", result)
+    assert drawn is not None
+    assert drawn.stat().st_size > 10_000
+    assert run_report.draw_last_attempt(tmp_path / "none", tmp_path / "q.png", result) is None

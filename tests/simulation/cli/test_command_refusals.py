@@ -1,0 +1,55 @@
+"""Wrong numbers at the simulator's command line: one line that names the option, and nothing is written."""
+
+from pathlib import Path
+
+import pytest
+
+from simulation.__main__ import main
+from simulation.data.dataset import DatasetWriter
+from tests.service import tiny_models
+from tests.simulation.strategies import made_up_manifest, made_up_trial
+
+REFUSED = [
+    ("collect --out OUT --workers -1", "--workers"),
+    ("collect --out OUT --seed -1", "--seed"),
+    ("collect --out OUT --held-out-share nan", "--held-out-share"),
+    ("export-dataset DATA --out OUT --count -1", "--count -1"),
+    ("export-dataset DATA --out OUT --first -3", "--first -3"),
+    ("view DATA --out OUT --count -1", "--count -1"),
+    ("view DATA --out OUT --first -3", "--first -3"),
+    ("robustness --models MODELS --out OUT --docs OUT --count 0", "--count 0"),
+    ("robustness --models MODELS --out OUT --docs OUT --objects", "nothing to play"),
+    ("robustness --models MODELS --out OUT --docs OUT --tiers", "nothing to play"),
+    ("evaluate --models MODELS --paper-models OUT --who paper --out OUT --docs OUT", "nothing to play"),
+    ("evaluate --models MODELS --out OUT --docs OUT --objects", "nothing to play"),
+    ("run --timeout-s nan --out OUT", "--timeout-s nan"),
+    ("cell --seed -1 --out OUT", "--seed -1"),
+    ("probe rectangle --x-mm 1e308", "--x-mm 1e+308"),
+    ("probe rectangle --seed -1", "--seed -1"),
+    ("evaluate --models MODELS --out OUT --docs OUT --seed=-1", "--seed -1"),
+]
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> dict[str, Path]:
+    data = tmp_path_factory.mktemp("data")
+    with DatasetWriter(data, made_up_manifest()) as writer:
+        writer.commit(writer.write_shard("rectangle-00000.parquet", [made_up_trial(k) for k in range(12)]))
+    return {"DATA": data, "MODELS": tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")}
+
+
+@pytest.mark.parametrize(("line", "named"), REFUSED, ids=[line for line, _ in REFUSED])
+def test_a_number_that_cannot_be_is_named_and_nothing_is_written(folders, tmp_path, capsys, line, named) -> None:
+    places = {**folders, "OUT": tmp_path / "out"}
+    assert main([str(places.get(word, word)) for word in line.split()]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert named in said[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_cell_whose_folder_cannot_be_made_says_so_before_anything_runs(tmp_path, capsys) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("a file")
+    assert main(["cell", "--out", str(taken)]) == 2
+    assert str(taken) in capsys.readouterr().err

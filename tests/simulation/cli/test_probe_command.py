@@ -1,0 +1,56 @@
+"""`python -m simulation probe`: a person looks at one descent."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from service.contract import FINGERS
+from simulation.__main__ import main
+from simulation.data.probe import run_probe
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
+from simulation.scene.scene import load_scene
+
+PROBE = ["probe", "circle", "--x-mm", "8", "--theta-deg", "5", "--seed", "3"]
+
+
+def test_a_saved_picture_is_the_renderers_last_frame_of_both_fingers(tmp_path: Path, capsys) -> None:
+    path = tmp_path / "last.png"
+    assert main([*PROBE, "--save", str(path)]) == 0
+    seen = cv2.imread(str(path))
+    scene = load_scene("circle")
+    found = run_probe(scene, 8.0, 5.0, seed=3)
+    now, before = found.gel[-1].astype(np.float32), found.gel[-2].astype(np.float32)
+    drawn = [
+        Renderer(Appearance.draw(scene, finger, 3)).rectified(now[k], 2 * 29 + k, before[k])
+        for k, finger in enumerate(FINGERS)
+    ]
+    np.testing.assert_array_equal(seen, np.concatenate(drawn, axis=1))
+    assert "outcome blocked" in capsys.readouterr().out
+
+
+def test_a_saved_video_shows_every_kept_frame_at_the_cameras_rate(tmp_path: Path) -> None:
+    path = tmp_path / "descent.mp4"
+    assert main([*PROBE, "--save", str(path)]) == 0
+    video = cv2.VideoCapture(str(path))
+    frames = []
+    while (read := video.read())[0]:
+        frames.append(read[1])
+    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(30.0)
+    assert len(frames) == 30
+    assert frames[0].shape == (320, 654, 3)
+    moved = np.abs(frames[-1].astype(float) - frames[0]).mean()
+    assert moved > np.abs(frames[1].astype(float) - frames[0]).mean() + 1.0
+
+
+@pytest.mark.parametrize("name", ["out.gif", "no/such/folder/out.png", "no/such/folder/out.mp4"])
+def test_a_picture_that_cannot_be_written_is_one_line(tmp_path: Path, name: str, capsys) -> None:
+    assert main([*PROBE, "--save", str(tmp_path / name)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_layer_tier_can_be_looked_at(capsys) -> None:
+    assert main(["probe", "circle", "--tier", "layer"]) == 0
+    assert "outcome blocked" in capsys.readouterr().out

@@ -1,0 +1,32 @@
+"""What the cheap eyes see of the gel is what the tracker sees in pictures of it, smear of the exposure included."""
+
+import numpy as np
+
+from service.perception.markers.tracker import MarkerTracker
+from simulation.closed_loop.lockstep import LockstepCell
+from simulation.closed_loop.true_fields import GelFinger
+from simulation.scene.scene import load_scene
+
+
+def test_the_cheap_eyes_see_a_moving_gel_where_the_tracker_does() -> None:
+    world = LockstepCell.build(load_scene("rectangle"), 6.0, 0.0, seed=3)
+    finger, tracker = GelFinger(world, "left"), MarkerTracker()
+    rest = finger.observe(world.next_pair().left)
+    first = tracker.update(np.asarray(rest.image), 0)
+    px_per_mm, gel_at_rest = first.pitch_px / world.scene.marker_pitch_mm, world.state.gel[0]
+    world.descend(-25.0)
+    off_px, late_px = [], []
+    for step in range(24):
+        observed = finger.observe(world.next_pair().left)
+        tracked = tracker.update(np.asarray(observed.image), step + 1)
+        gel = world.state.gel[0]
+        if np.abs(gel - world.previous.gel[0])[..., :2].max() * px_per_mm < 0.5:
+            continue
+        seen = tracked.displacement_px - first.displacement_px
+        said = observed.field.displacement_px - rest.field.displacement_px
+        now = (gel - gel_at_rest)[..., :2] * px_per_mm
+        off_px.append(np.median(np.abs(seen - said)[tracked.valid]))
+        late_px.append(np.median(np.abs(seen - now)[tracked.valid]))
+    assert len(off_px) >= 3
+    assert max(off_px) < 0.08
+    assert max(late_px) > 2 * max(off_px)

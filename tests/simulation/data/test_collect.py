@@ -1,0 +1,202 @@
+"""Collection: labels are true, groups stay whole, and a kill at any moment loses and doubles nothing."""
+
+import dataclasses
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.data.collect import POKES_PER_FIXTURE, Options, Plan, asked_manifest, make_shard, pokes, shard_of
+from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
+from simulation.data.manifest import read_manifest
+from simulation.scene.scene import load_scene
+from tests.simulation.strategies import made_up_manifest
+
+COLLECT = [sys.executable, "-m", "simulation", "collect", "--objects", "circle", "--trials-per-shard", "3"]
+
+
+def plan(folder: Path, **changes: object) -> Plan:
+    return dataclasses.replace(Plan(folder, "circle", 0, 4, 0, 0.3), **changes)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One finished collection of 6 collisions by two processes, through the command line."""
+    folder = tmp_path_factory.mktemp("collected")
+    command = [*COLLECT, "--out", str(folder), "--trials-per-object", "6", "--workers", "2"]
+    subprocess.run(command, check=True, capture_output=True)
+    return folder
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.parquet")}
+
+
+def test_a_shard_follows_from_its_plan_alone(tmp_path: Path) -> None:
+    first = make_shard(plan(tmp_path))
+    assert make_shard(plan(tmp_path)) == first
+    assert make_shard(plan(tmp_path, seed=1)).sha256 != first.sha256
+    assert first.outcomes["blocked"] == first.trials == 4
+
+
+def test_labels_are_the_true_errors_and_only_collisions_are_kept(made: Path) -> None:
+    dataset = Dataset(made)
+    assert dataset.manifest.complete
+    scene = load_scene("circle")
+    for index in range(len(dataset)):
+        trial = dataset.trial(index)
+        assert trial.outcome == "blocked"
+        assert abs(trial.x_mm) < scene.x_range_mm + 3
+        assert abs(trial.theta_deg) < scene.theta_range_deg + 5
+        shear = np.abs(trial.gel[..., :2].astype(float) - trial.gel[0, ..., :2].astype(float)).max((1, 2, 3, 4))
+        assert shear[trial.onset_frame] > 0
+        assert shear[trial.onset_frame + 7] > 0.1, "8 frames from the onset show the collision"
+
+
+def test_a_group_is_one_fixture_of_at_most_five_pokes(tmp_path: Path) -> None:
+    seen: dict[int, list[int]] = {}
+    looks: dict[int, set[object]] = {}
+    for count, (fixture, poke, _, _) in enumerate(pokes(plan(tmp_path), load_scene("circle"))):
+        seen.setdefault(fixture.group, []).append(poke)
+        looks.setdefault(fixture.group, set()).add((fixture.appearances, fixture.scene.gel.friction))
+        if count >= 7:
+            break
+    assert all(order == list(range(len(order))) and len(order) <= POKES_PER_FIXTURE for order in seen.values())
+    assert all(len(drawn) == 1 for drawn in looks.values())
+    assert len({next(iter(drawn)) for drawn in looks.values()}) == len(seen)
+
+
+def test_knowing_the_slip_changes_nothing_else(tmp_path: Path) -> None:
+    base = load_scene("circle")
+    one = shard_of(plan(tmp_path))
+    other = shard_of(plan(tmp_path, slip_truth=True))
+    assert one[1] == shard_of(plan(tmp_path))[1]
+    assert base.name == one[0].object_name == other[0].object_name
+    for name, (entry, data) in (("plain", one), ("known", other)):
+        (tmp_path / name).mkdir()
+        with DatasetWriter(tmp_path / name, made_up_manifest(scenes={"circle": "0" * 64})) as writer:
+            (tmp_path / name / entry.name).write_bytes(data)
+            writer.commit(entry)
+    plain, known = Dataset(tmp_path / "plain").trial(1), Dataset(tmp_path / "known").trial(1)
+    assert np.array_equal(plain.gel, known.gel)
+    assert plain.slipping is None
+    at = known.true_slip_frame
+    assert known.slipping[at].mean((1, 2)).max() > 0.1
+
+
+@pytest.mark.slow
+def test_number_of_processes_does_not_change_the_data(made: Path, tmp_path: Path) -> None:
+    command = [*COLLECT, "--out", str(tmp_path), "--trials-per-object", "6", "--workers", "1"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert digests(tmp_path) == digests(made)
+
+
+@pytest.mark.slow
+def test_a_ray_cluster_makes_the_same_data(made: Path, tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    command = [*COLLECT, "--out", str(tmp_path), "--trials-per-object", "6", "--ray", "local"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert digests(tmp_path) == digests(made)
+    assert read_manifest(tmp_path) == read_manifest(made)
+
+
+def alive(process_group: int) -> bool:
+    try:
+        os.killpg(process_group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("wait_for_shard", [pytest.param(False, marks=pytest.mark.slow), True])
+def test_kill_9_loses_nothing_and_doubles_nothing(made: Path, tmp_path: Path, wait_for_shard: bool) -> None:
+    command = [*COLLECT, "--out", str(tmp_path), "--trials-per-object", "6", "--workers", "2"]
+    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not (tmp_path / "manifest.json").exists():
+        time.sleep(0.02)
+    while wait_for_shard and time.monotonic() < deadline and not read_manifest(tmp_path).shards:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    deadline = time.monotonic() + 120  # its own: what comes before may have used up the first on a busy machine
+    while alive(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not alive(process.pid), "workers die with their parent"
+    subprocess.run(command, check=True, capture_output=True)
+    assert digests(tmp_path) == digests(made)
+    assert read_manifest(tmp_path) == read_manifest(made)
+    assert not list(tmp_path.glob(".*.tmp"))
+    labels = Dataset(tmp_path).labels
+    assert len(set(zip(labels["group"], labels["poke"], strict=True))) == len(labels["x_mm"]) == 6
+
+
+def test_a_finished_collection_is_left_as_it_is(made: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in made.glob("*.parquet")}
+    command = [*COLLECT, "--out", str(made), "--trials-per-object", "6", "--workers", "1"]
+    subprocess.run(command, check=True, capture_output=True)
+    assert before == {path: path.stat().st_mtime_ns for path in made.glob("*.parquet")}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--trials-per-object", "0"], "at least 1"),
+        (["--objects", "circel"], "circle"),
+        (["--seed", "5"], "seed is 0, asked for 5"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(made: Path, arguments: list[str], message: str) -> None:
+    before = digests(made)
+    result = subprocess.run([*COLLECT, "--out", str(made), *arguments], capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert digests(made) == before
+
+
+def test_shards_of_two_physics_are_not_mixed(tmp_path: Path) -> None:
+    asked = asked_manifest(Options(objects=("circle",), trials_per_object=6, trials_per_shard=3))
+    with DatasetWriter(tmp_path, asked.model_copy(update={"physics": "0" * 64})) as writer:
+        before = (tmp_path / "manifest.json").read_bytes()
+        with pytest.raises(DatasetError, match="the physics has changed"):
+            writer.extend(asked)
+        assert (tmp_path / "manifest.json").read_bytes() == before
+        writer.extend(asked.model_copy(update={"physics": "0" * 64}))
+
+
+def test_two_scenes_of_one_name_are_refused_before_anything_is_made(tmp_path: Path) -> None:
+    mine = tmp_path / "circle.toml"
+    mine.write_bytes((Path(__file__).parents[3] / "simulation/objects/circle.toml").read_bytes())
+    for objects in (("circle", str(mine)), ()):
+        with pytest.raises(DatasetError, match="no two of the same name"):
+            asked_manifest(Options(objects=objects))
+
+
+def test_a_scene_that_never_collides_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("simulation.data.collect._MAX_POKES_PER_TRIAL", 3)
+    scene = tmp_path / "roomy.toml"
+    shape = '[object]\nshape = "rectangle"\nsize_x_mm = 10.0\nsize_y_mm = 10.0\n'
+    scene.write_text(shape + "[blocks]\ngap_mm = 240.0\n")
+    with pytest.raises(DatasetError, match="nothing to collect"):
+        make_shard(plan(tmp_path, scene_name=str(scene), trials=1))
+
+
+def test_a_scene_file_draws_the_same_wherever_it_lies(tmp_path: Path) -> None:
+    here, there = (
+        plan(tmp_path, scene_name="a/roomy.toml", trials=1),
+        plan(tmp_path, scene_name="b/roomy.toml", trials=1),
+    )
+    assert here.group_id(3) == there.group_id(3) != plan(tmp_path, scene_name="a/tight.toml", trials=1).group_id(3)
+
+
+def test_the_asked_size_is_rounded_up_to_whole_shards(tmp_path: Path) -> None:
+    options = Options(out=tmp_path, trials_per_object=11, trials_per_shard=5, objects=("circle", "rectangle"))
+    missing = asked_manifest(options).missing_shards()
+    assert missing == [(name, n) for n in range(3) for name in ("circle", "rectangle")]

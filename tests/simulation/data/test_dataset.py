@@ -1,0 +1,219 @@
+"""Datasets: what is listed is whole, what is read is what was written, what is broken is named and left alone."""
+
+import hashlib
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, split_of
+from simulation.data.trial import LABELS
+from tests.simulation.strategies import made_up_manifest, made_up_trial
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two committed shards of 12 trials, complete."""
+    with DatasetWriter(tmp_path, made_up_manifest()) as writer:
+        for shard in range(2):
+            trials = [made_up_trial(12 * shard + k) for k in range(12)]
+            writer.commit(writer.write_shard(f"rectangle-{shard:05d}.parquet", trials))
+        assert writer.finish()
+    return tmp_path
+
+
+def test_trials_come_back_exactly(folder: Path) -> None:
+    dataset = Dataset(folder)
+    assert len(dataset) == 24
+    assert dataset.manifest.complete
+    for index in (0, 9, 10, 11, 12, 23):
+        read, written = dataset.trial(index), made_up_trial(index)
+        for name in written.__slots__:
+            assert np.array_equal(getattr(read, name), getattr(written, name)), name
+
+
+def test_where_the_gel_slips_comes_back_exactly_where_it_was_collected(tmp_path: Path) -> None:
+    slipping = np.random.default_rng(0).random((12, 30, 2, 20, 21)) < 0.3
+    with DatasetWriter(tmp_path, made_up_manifest()) as writer:
+        known = [made_up_trial(k, slipping=slipping[k]) for k in range(12)]
+        writer.commit(writer.write_shard("rectangle-00000.parquet", known))
+        writer.commit(writer.write_shard("rectangle-00001.parquet", [made_up_trial(12 + k) for k in range(12)]))
+        writer.finish()
+    dataset = Dataset(tmp_path)
+    for index in (0, 11):
+        assert np.array_equal(dataset.trial(index).slipping, slipping[index])
+        assert np.array_equal(dataset.trial(index).gel, made_up_trial(index).gel)
+    assert dataset.trial(12).slipping is None
+
+
+def test_frames_are_the_same_every_time(folder: Path) -> None:
+    first, second = Dataset(folder), Dataset(folder)
+    frames = first.frames(13, count=2)
+    assert frames.shape == (2, 2, 320, 327, 3)
+    assert frames.dtype == np.uint8
+    second.frames(3, count=1)
+    assert np.array_equal(second.frames(13, count=2), frames)
+    assert np.array_equal(second.frames(13, 16, 1)[0], frames[1])
+    copied: Dataset = pickle.loads(pickle.dumps(first))
+    assert np.array_equal(copied.frames(13, count=2), frames)
+
+
+def test_another_process_draws_the_same_bits(folder: Path) -> None:
+    code = (
+        "import hashlib, sys; from simulation.data.dataset import Dataset;"
+        "print(hashlib.sha256(Dataset(sys.argv[1]).frames(13, count=2).tobytes()).hexdigest())"
+    )
+    command = [sys.executable, "-c", code, str(folder)]
+    other = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+    assert other == hashlib.sha256(Dataset(folder).frames(13, count=2).tobytes()).hexdigest()
+
+
+def test_noise_can_be_scaled_on_reading(folder: Path) -> None:
+    clean, noisy = (Dataset(folder, noise_scale=scale).frames(3, count=1).astype(float) for scale in (0.0, 4.0))
+    assert np.array_equal(clean, Dataset(folder, noise_scale=0.0).frames(3, count=1))
+    assert np.std(noisy - clean) > 2.5 * np.std(Dataset(folder).frames(3, count=1) - clean)
+
+
+def test_splits_are_kept_apart_and_cover_everything(folder: Path) -> None:
+    sizes = [len(Dataset(folder, [split])) for split in ("train", "validation", "test")]
+    assert sizes == [12, 6, 6]
+    assert set(Dataset(folder, ["test"]).labels["split"]) == {"test"}
+
+
+def test_the_split_depends_on_the_group_alone() -> None:
+    assert all(split_of(group, held_out=True) == "test" for group in range(50))
+    splits = [split_of(group, held_out=False) for group in range(2000)]
+    assert splits == [split_of(group, held_out=False) for group in range(2000)]
+    assert 0.12 < splits.count("validation") / len(splits) < 0.18
+    assert "test" not in splits
+
+
+def test_frames_outside_the_trial_are_refused(folder: Path) -> None:
+    with pytest.raises(DatasetError, match=r"frames 25\.\.32"):
+        Dataset(folder).frames(0, 25, 8)
+
+
+def shard(folder: Path) -> Path:
+    return folder / "rectangle-00001.parquet"
+
+
+def test_a_truncated_shard_is_named_and_left_alone(folder: Path) -> None:
+    shard(folder).write_bytes(shard(folder).read_bytes()[:-100])
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    with pytest.raises(DatasetError, match=r"rectangle-00001\.parquet: .* bytes.*truncated"):
+        Dataset(folder)
+    with pytest.raises(DatasetError, match="truncated"):
+        DatasetWriter(folder, made_up_manifest())
+    assert before == {path: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_an_altered_shard_is_named(folder: Path) -> None:
+    data = bytearray(shard(folder).read_bytes())
+    data[len(data) // 2] ^= 1
+    shard(folder).write_bytes(data)
+    with pytest.raises(DatasetError, match=r"rectangle-00001\.parquet: SHA-256"):
+        Dataset(folder)
+
+
+def test_a_missing_shard_is_named(folder: Path) -> None:
+    shard(folder).unlink()
+    with pytest.raises(DatasetError, match=r"rectangle-00001\.parquet: listed .* but missing"):
+        Dataset(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema_version": 3}, "schema version 3, expected 2"),
+        ({"surprise": 1}, "surprise"),
+        ({"seed": "zero"}, "seed"),
+    ],
+)
+def test_a_manifest_of_another_version_is_refused_and_kept(
+    folder: Path, change: dict[str, object], message: str
+) -> None:
+    path = folder / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    before = path.read_bytes()
+    for opener in (Dataset, lambda where: DatasetWriter(where, made_up_manifest())):
+        with pytest.raises(DatasetError, match=message):
+            opener(folder)
+    assert path.read_bytes() == before
+
+
+def test_half_a_manifest_is_refused(folder: Path) -> None:
+    path = folder / "manifest.json"
+    path.write_text(path.read_text()[:50])
+    with pytest.raises(DatasetError, match=r"manifest\.json"):
+        Dataset(folder)
+
+
+def test_no_dataset_is_said_so(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="no such file"):
+        Dataset(tmp_path)
+
+
+@pytest.mark.parametrize("name", LABELS)
+def test_labels_that_are_not_numbers_are_refused_on_writing_and_on_reading(
+    folder: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad = made_up_trial(0, **{name: float("nan")})
+    with DatasetWriter(folder, made_up_manifest()) as writer:
+        with pytest.raises(DatasetError, match=name):
+            writer.write_shard("bad.parquet", [bad])
+        assert not (folder / "bad.parquet").exists()
+        monkeypatch.setattr("simulation.data.trial.Trial.check", lambda _: None)  # as a writer with a bug would
+        writer.commit(writer.write_shard("bad.parquet", [bad]))
+    with pytest.raises(DatasetError, match=rf"bad\.parquet: label {name}"):
+        Dataset(folder)
+
+
+def test_gel_states_that_are_not_numbers_are_refused() -> None:
+    gel = made_up_trial(0).gel.copy()
+    gel[3, 0, 2, 2, 0] = np.nan
+    with pytest.raises(DatasetError, match="gel"):
+        made_up_trial(0, gel=gel).check()
+
+
+def test_another_collection_is_not_continued(folder: Path) -> None:
+    with pytest.raises(DatasetError, match="seed is 0, asked for 1"):
+        DatasetWriter(folder, made_up_manifest(seed=1))
+    with pytest.raises(DatasetError, match="scene rectangle has changed"):
+        DatasetWriter(folder, made_up_manifest(scenes={"rectangle": "1" * 64}))
+
+
+def test_a_shard_is_listed_once(folder: Path) -> None:
+    with DatasetWriter(folder, made_up_manifest()) as writer, pytest.raises(DatasetError, match="already"):
+        writer.commit(writer.manifest.shards[0])
+    assert len(Dataset(folder)) == 24
+
+
+def test_two_writers_cannot_share_a_folder(folder: Path) -> None:
+    with DatasetWriter(folder, made_up_manifest()), pytest.raises(DatasetError, match="another process"):
+        DatasetWriter(folder, made_up_manifest())
+
+
+def test_growing_makes_a_complete_dataset_incomplete_until_filled(folder: Path) -> None:
+    with DatasetWriter(folder, made_up_manifest()) as writer:
+        writer.extend(made_up_manifest(trials_per_object=36))
+        assert not Dataset(folder).manifest.complete
+        assert writer.manifest.missing_shards() == [("rectangle", 2)]
+        assert not writer.finish()
+
+
+def test_what_a_killed_writer_left_is_swept(folder: Path) -> None:
+    leftover = folder / ".rectangle-00002.parquet.99.tmp"
+    leftover.write_bytes(b"half")
+    DatasetWriter(folder, made_up_manifest()).close()
+    assert not leftover.exists()
+
+
+def test_equal_trials_give_equal_bytes(tmp_path: Path) -> None:
+    trials = [made_up_trial(k) for k in range(12)]
+    with DatasetWriter(tmp_path, made_up_manifest()) as writer:
+        first = writer.write_shard("a.parquet", trials)
+        assert writer.write_shard("b.parquet", trials).sha256 == first.sha256

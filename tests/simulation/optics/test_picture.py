@@ -1,0 +1,63 @@
+"""Pictures: drawn from plain arrays, whatever part of the decision is known."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from simulation.data import view
+from simulation.data.dataset import DatasetError, DatasetWriter
+from simulation.optics import attempt_picture
+from simulation.optics.attempt_picture import Decision
+from simulation.studies import imprint
+from tests.simulation.strategies import made_up_manifest, made_up_trial
+
+DECISION: attempt_picture.Decision = {
+    "title": "attempt 2",
+    "truth": (3.0, -4.0),
+    "estimate": (2.5, -3.0),
+    "correction": (-1.75, 2.1),
+    "interval": ((1.0, 4.0), (-5.0, -1.0)),
+    "class_probabilities": {"1": 0.1, "2": 0.7, "near": 0.2},
+}
+
+
+@pytest.mark.parametrize("decision", [None, {}, DECISION, {"estimate": (1.0, 2.0)}])
+@pytest.mark.parametrize("count", [1, 8, 12])
+def test_a_picture_is_drawn_from_what_is_there(tmp_path: Path, decision: Decision | None, count: int) -> None:
+    frames = np.full((count, 2, 320, 327, 3), 90, np.uint8)
+    motion = np.full((2, 20, 21, 2), 2.0)
+    motion[0, 3, 3] = np.nan
+    path = attempt_picture.save(tmp_path / "new" / "attempt.png", frames, decision, motion, np.ones((2, 20, 21), bool))
+    assert cv2.imread(str(path)).shape == (840, 1500, 3)
+
+
+def test_every_number_of_a_decision_is_written_with_its_unit() -> None:
+    text = "\n".join(attempt_picture.fact_lines(DECISION))
+    for part in ("+3.00 mm", "-4.00 deg", "+2.50 mm", "-1.75 mm", "+2.10 deg", "+1.0..+4.0 mm", "-5.0..-1.0 deg"):
+        assert part in text
+
+
+def test_frames_of_another_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match="expected \\[n, 2, height, width, 3\\]"):
+        attempt_picture.draw(np.zeros((8, 320, 327, 3), np.uint8))
+
+
+def test_view_draws_the_trials_asked_for(tmp_path: Path) -> None:
+    with DatasetWriter(tmp_path / "data", made_up_manifest()) as writer:
+        for shard in range(2):
+            trials = [made_up_trial(2 * shard + k) for k in range(2)]
+            writer.commit(writer.write_shard(f"rectangle-{shard:05d}.parquet", trials))
+    out = tmp_path / "out"
+    assert view.main([str(tmp_path / "data" / "rectangle-00001.parquet"), "--out", str(out), "--count", "1"]) == 0
+    assert [path.name for path in out.iterdir()] == ["trial-000002.png"]
+    with pytest.raises(DatasetError, match="not listed"):
+        view.main([str(tmp_path / "data" / "rectangle-00009.parquet")])
+    with pytest.raises(DatasetError, match="no trials from number 77"):
+        view.main([str(tmp_path / "data"), "--first", "77"])
+
+
+def test_the_plate_of_the_docs_can_be_made_again(tmp_path: Path) -> None:
+    assert imprint.main(["--out", str(tmp_path / "plate.png"), "--objects", "circle"]) == 0
+    assert cv2.imread(str(tmp_path / "plate.png")) is not None

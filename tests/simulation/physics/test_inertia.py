@@ -1,0 +1,61 @@
+"""Inertia of the held object: a mass on the gel's springs, and nothing where the arm is slow."""
+
+import numpy as np
+import pytest
+
+from simulation.data.probe import QuasiStaticCell, run_probe
+from simulation.scene.effects import active_effects, inertia_share
+from simulation.scene.scene import BUILT_IN, load_scene
+
+CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+
+
+def test_an_object_that_is_stopped_swings_as_a_mass_on_the_gels_springs() -> None:
+    """Amplitude v / omega and half period pi / omega, omega^2 = k / m; k is the stiffness of all pressed bristles."""
+    scene = load_scene(
+        "rectangle",
+        speed_mm_s=100.0,
+        effects__inertia="on",
+        effects__gravity="off",
+        object__mass_kg=1.0,
+        object__centre_of_mass_height_mm=30.0,
+        gel__friction=2.0,
+        numerics__load_step_mm=0.01,
+        **CLEAN,
+    )
+    cell = QuasiStaticCell(scene)
+    cell.regrasp(0.0, 0.0)
+    cell.coasting.velocity[:] = (0.0, 0.0, -5.0)
+    heights = []
+    for _ in range(250):
+        cell.wait(1e-4)
+        heights.append(float(cell.state["place"][2]))
+    pressed = np.count_nonzero(cell.nodes["pressure"])
+    omega = np.sqrt(1e3 * float(cell.constants["kt"][0] * cell.constants["area"][0]) * pressed / 1.0)
+    assert -min(heights) == pytest.approx(5.0 / omega, rel=0.02)
+    assert 1e-4 * int(np.argmax(np.array(heights) > 0.0)) == pytest.approx(np.pi / omega, rel=0.02)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_the_shipped_scenes_are_too_slow_and_light_for_inertia(name: str) -> None:
+    scene = load_scene(name)
+    assert inertia_share(scene) < 0.1
+    assert not active_effects(scene).inertia
+    assert QuasiStaticCell(scene).coasting is None
+
+
+def test_speed_and_mass_call_for_inertia() -> None:
+    scene = load_scene("mustard", speed_mm_s=60.0)
+    assert active_effects(scene).inertia
+    assert not active_effects(scene.varied({"speed_mm_s": 10.0})).inertia
+    assert not active_effects(scene.varied({"object.mass_kg": 0.01})).inertia
+
+
+def test_a_fast_heavy_object_still_moves_after_the_arm_has_stopped() -> None:
+    heavy = {"object__mass_kg": 1.0, "speed_mm_s": 80.0, "camera__fps": 90, **CLEAN}
+    fast, calm = (
+        run_probe(load_scene("rectangle", effects__inertia=switch, **heavy), 9.0, 0.0) for switch in ("on", "off")
+    )
+    after = slice(calm.stop_frame, None)
+    assert np.ptp(calm.in_hand[after, 2]) == 0.0
+    assert np.ptp(fast.in_hand[fast.stop_frame :, 2]) > 0.01

@@ -1,0 +1,68 @@
+"""Scenes refuse what cannot be, naming the key."""
+
+import re
+
+import numpy as np
+import pytest
+
+from simulation.scene.scene import BUILT_IN, SceneError, load_scene
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_built_in_scene_loads(name: str) -> None:
+    assert load_scene(name).clearance_mm == pytest.approx(2.25, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("override", "named"),
+    [
+        ({"gel__thicknes_mm": 1.0}, "gel.thicknes_mm: unknown key"),
+        (
+            {"gel__shear_modulus_n_per_mm2": -0.1},
+            "gel.shear_modulus_n_per_mm2: expected a number >= 0.005 and <= 5.0 (given: -0.1)",
+        ),
+        ({"blocks__gap_mm": 50.0}, "blocks.gap_mm: 50.0 must exceed object.size_x_mm 51.0"),
+        ({"blocks__stiffness_n_per_mm": -5.0}, "blocks.stiffness_n_per_mm: expected a number >= 5.0 and <= 50000.0"),
+        ({"gel__friction": float("nan")}, "gel.friction: expected a number >= 0.0 and <= 2.0 (given: nan)"),
+        ({"object__corner_radius_mm": 40.0}, "object.corner_radius_mm: must be 0 to 25.5"),
+        ({"object__held_corner_radius_mm": 40.0}, "object.held_corner_radius_mm"),
+        ({"gel__crown_mm": 1.0, "gel__thickness_mm": 1.0}, "gel.crown_mm: must be 0 to 0.5"),
+        ({"camera__fps": 45}, "camera.fps: Input should be 30, 60 or 90"),
+    ],
+)
+def test_an_impossible_scene_is_refused_by_name(override: dict[str, float], named: str) -> None:
+    with pytest.raises(SceneError, match=re.escape(named)):
+        load_scene("rectangle", **override)
+
+
+def test_an_unknown_name_gets_the_nearest_one() -> None:
+    with pytest.raises(SceneError, match="did you mean 'rectangle'"):
+        load_scene("rectangel")
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_draw_of_every_object_can_exist(name: str) -> None:
+    scene, rng = load_scene(name), np.random.default_rng(1)
+    draws = [scene.randomised(rng, held_out=bool(index % 2)) for index in range(60)]
+    assert len({draw.grasp.height_mm for draw in draws}) == 60
+
+
+def test_every_draw_of_the_largest_scene_can_exist() -> None:
+    largest = {
+        "object.size_x_mm": 200.0,
+        "object.size_y_mm": 110.0,
+        "object.corner_radius_mm": 50.0,
+        "blocks.gap_mm": 250.0,
+        "camera.noise_grey": 30.0,
+        "x_range_mm": 60.0,
+    }
+    scene, rng = load_scene("rectangle").varied(largest), np.random.default_rng(2)
+    assert all(scene.randomised(rng, held_out=bool(index % 2)).blocks.gap_mm <= 250.0 for index in range(60))
+
+
+def test_held_out_draws_never_meet_training_draws() -> None:
+    scene, rng = load_scene("circle"), np.random.default_rng(0)
+    train = [scene.randomised(rng).gel.friction for _ in range(50)]
+    held = [scene.randomised(rng, held_out=True).gel.friction for _ in range(50)]
+    assert all(0.65 <= value <= 0.95 for value in train)
+    assert not any(0.65 < value < 0.95 for value in held)

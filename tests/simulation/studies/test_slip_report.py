@@ -1,0 +1,71 @@
+"""The slip report's own arithmetic, and one small run of all of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from service.perception.markers.tracker import MarkerTracker
+from simulation.__main__ import main
+from simulation.studies.slip.detection import Tally, alarm_of, true_fields, wilson
+from simulation.studies.slip.tracker_costs import accuracy_at_noise
+from simulation.studies.slip.trials import draw_trials
+
+
+def test_wilson_matches_the_textbook():
+    share, low, high = wilson(86, 100)
+    assert (round(share, 2), round(low, 3), round(high, 3)) == (0.86, 0.779, 0.915)
+    assert wilson(0, 0)[1:] == (0.0, 1.0)
+
+
+def test_trials_know_their_truth_and_repeat():
+    trials = list(draw_trials(4, 3, 30))
+    for trial, other in zip(trials, draw_trials(2, 3, 30), strict=False):
+        assert np.array_equal(trial.gel, other.gel)
+    for trial in trials:
+        assert (trial.label == "slip") == (trial.slip_frame >= 0)
+        assert np.isfinite(trial.gel).all()
+        if trial.kind != "slip":
+            assert trial.label != "slip"
+
+
+def test_a_late_and_an_early_alarm_are_not_right():
+    trial = next(trial for trial in draw_trials(16, 3, 30) if trial.label == "slip")
+    tally = Tally()
+    tally.judge(trial, 1)
+    tally.judge(trial, None)
+    tally.judge(trial, trial.slip_frame)
+    assert (tally.false, tally.missed, tally.right) == (1, 1, 1)
+
+
+def test_slip_is_seen_on_true_fields_of_every_object():
+    tally = Tally()
+    for trial in draw_trials(16, 5, 30):
+        tally.judge(trial, alarm_of(true_fields(trial)))
+    assert tally.right >= tally.trials - 1
+
+
+@pytest.mark.parametrize("count", [1, pytest.param(8, marks=pytest.mark.slow)])
+def test_displacements_are_within_the_limits_on_simulated_trials(count):
+    """Length of the error vector, RMS over all markers of whole descents; `docs/slip_report.md` has more of them."""
+    trials = [trial for trial in draw_trials(count, 1, 30) if trial.label == "slip"]
+    assert trials
+    for noise, limit_px in ((2.0, 0.06), (6.0, 0.10)):
+        seen = accuracy_at_noise(trials, noise, {"standard": MarkerTracker})["standard"]
+        assert np.sqrt(2) * seen["rms_px"] < limit_px
+        assert seen["wrong_share"] < 0.001
+        assert seen["seen_share"] > 0.95
+
+
+def test_bad_counts_are_refused(capsys):
+    assert main(["slip-report", "--trials", "0"]) == 2
+    assert "expected at least 1" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_report_is_written(tmp_path):
+    assert main(["slip-report", "--trials", "8", "--tradeoff", "2", "--out", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "slip_report.json").read_text())
+    assert len(result["trackers"]) >= 5
+    assert (tmp_path / "slip_report.png").stat().st_size > 10_000
+    assert "| standard |" in (tmp_path / "slip_report.md").read_text()
