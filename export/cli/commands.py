@@ -58,7 +58,7 @@ def quantize(
         out: folder in which int8-MODE is made.
         data: collected dataset; its training split calibrates, its validation split compares the commands.
         decisions: how many collisions are compared.
-        mode: ONNX Runtime's static or dynamic int8, or weights in blocks of 32.
+        mode: ONNX Runtime's static or dynamic int8, or weights in blocks of 16.
     """
     from export.onnx.decisions import read_split
     from export.quantise.quantise import CALIBRATION_DECISIONS, quantise

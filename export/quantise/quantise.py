@@ -1,7 +1,7 @@
 """int8 builds of a released step model by ONNX Runtime's own quantiser, and storage in fp16.
 
 ``static`` multiplies in int8 with scales found on calibration decisions, ``dynamic`` with scales found at every call;
-``blocked`` stores the weights of the fully connected and recurrent layers in blocks of 32 that share a scale. Which of
+``blocked`` stores the weights of the fully connected and recurrent layers in blocks of 16 that share a scale. Which of
 them pay is what ``python -m export tradeoff`` shows, by the robot commands that they would change.
 """
 
@@ -26,7 +26,7 @@ Mode = Literal["static", "dynamic", "blocked"]
 MODES: tuple[Mode, ...] = get_args(Mode)
 LAYERS = ("Conv", "Gemm")
 CALIBRATION_DECISIONS = 16
-BLOCK = 32
+BLOCK = 16
 ACCUMULATE_INT8 = 4
 """``accuracy_level`` of MatMulNBits: inputs are rounded to int8, block by block, when they arrive."""
 FAR_OFF = 0.25
@@ -65,7 +65,7 @@ def quantise(file: Path, out: Path, decisions: Sequence[Decision], mode: Mode = 
     with _quiet():
         _build(graph, out, mode, _Calibration(feeds(model, decisions)))
     attach_card(out, model.card.model_copy(update={"quantisation": "int8", "self_test": None}))
-    _check(model, open_model(out), decisions[:2])
+    refuse_far_off(model, open_model(out), decisions[:2])
     return out
 
 
@@ -107,8 +107,8 @@ def feeds(model: Model, decisions: Sequence[Decision]) -> Iterator[Arrays]:
             state = model(inputs)["next_state"]
 
 
-def _check(model: Model, build: Model, decisions: Sequence[Decision]) -> None:
-    """Refuse a build whose outputs are far off: saturation shows as errors of the size of the outputs."""
+def refuse_far_off(model: Model, build: Model, decisions: Sequence[Decision]) -> None:
+    """Raise FarOffError on a build whose outputs are far off: saturation shows as errors of the size of the outputs."""
     gap, size = dict[str, float](), dict[str, float]()
     for inputs in feeds(model, decisions):
         expected, actual = model(inputs), build(inputs)

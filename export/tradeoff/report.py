@@ -120,12 +120,17 @@ def _agreements(about: dict[str, Any], points: list[Point]) -> list[str]:
         "Each build against its fp32 source after 8 frames, by the command of the paper's rule, on collisions that",
         "calibrated no build. ONNX Runtime's quantiser makes them: `int8 static` takes its scales from calibration,",
         "`int8 dynamic` from every call, `int8 blocked` stores the weights of fully connected and recurrent layers in",
-        "blocks of 32 (MatMulNBits). `fp16`: every weight in 16 bits, widened on loading.",
+        "blocks of 16 (MatMulNBits). `fp16`: every weight in 16 bits, widened on loading.",
         "",
         *(f"- {row['name']}: {row['summary']}" for row in about["agreement"]),
         "",
         *gains(about["agreement"], points),
         "",
+        *(
+            []
+            if any("int8" in row["name"] for row in about["agreement"])
+            else ["No int8 build was measured in this run.", ""]
+        ),
         *(["Refused, because the outputs are far off:", "", *refused, ""] if refused else []),
     ]
 
