@@ -15,10 +15,10 @@ from export.bench.report import line, write
 from export.onnx.decisions import Decision, decided_class
 from export.onnx.golden import golden_frames
 from export.onnx.model import Arrays, Model, open_model
-from export.onnx.runtime import cpu_name, session
+from export.onnx.runtime import session
 from export.onnx.to_onnx import PICTURES
+from reporting.machine import commit, cpu_name
 from training.data.labels import class_of
-from training.fit.checkpoint import git_commit
 
 BATCH = 16
 SWEEP = ((1, False), (1, True), (2, False), (2, True))
@@ -39,7 +39,7 @@ def benchmark(
     Raises ContractError on a bad file and on an unknown peer.
     """
     models = [open_model(file) for file in files]
-    report: dict[str, Any] = {"cpu": cpu_name(), "commit": git_commit(), "seconds": seconds, "models": []}
+    report: dict[str, Any] = {"cpu": cpu_name(), "commit": commit(), "seconds": seconds, "models": []}
     print(f"{report['cpu']}, one thread")
     for model in models:
         row = measure(model, seconds=seconds)

@@ -9,7 +9,6 @@ from rich.progress import track
 
 from export.bench.measure import Timing
 from export.onnx.decisions import FRAME_COUNTS, PAIR, Decision
-from export.onnx.runtime import cpu_name
 from export.tradeoff.candidates import Candidate, find_candidates
 from export.tradeoff.points import (
     Point,
@@ -24,8 +23,8 @@ from export.tradeoff.points import (
 )
 from export.tradeoff.report import NAME, draw, write
 from export.tradeoff.scores import Score, Scores, score
+from reporting.machine import commit, cpu_name
 from service.contract import ContractError, ModelCard
-from training.fit.checkpoint import git_commit
 
 CONTROLLERS = ("belief", "joint", "paper")
 """Those of the closed-loop report that decide with networks."""
@@ -59,7 +58,7 @@ def tradeoff(
     }
     about = about | {
         "cpu": cpu_name(),
-        "commit": git_commit(),
+        "commit": commit(),
         "decisions": networks[0].count,
         "crowding": max(crowding),
     }
