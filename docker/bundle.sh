@@ -11,7 +11,7 @@ work=$out/$name
 rm -rf "$work"
 mkdir -p "$work/app" "$work/wheels"
 "$python" -m pip download -q --require-hashes --no-deps --only-binary :all: -r requirements/run.txt -d "$work/wheels"
-git archive HEAD service robot_client simulation reporting models requirements/run.txt pyproject.toml LICENSE \
+git archive HEAD service robot_client simulation reporting tactile_insertion models requirements/run.txt pyproject.toml LICENSE \
   docker/healthcheck.py README.md CHANGELOG.md SECURITY.md docs | tar -x -C "$work/app"
 cp docker/systemd/* docker/install.sh "$work/"
 chmod +x "$work/install.sh"

@@ -25,7 +25,7 @@ FAILED_COUNTS_AS = 16
 
 def cell(arguments: list[str]) -> int:
     """One cell in real time: robot, gripper, cameras on loopback. Exit 0 when interrupted, 1 if the physics failed."""
-    options = tyro.cli(CellOptions, args=arguments, prog="python -m simulation cell", description=cell.__doc__)
+    options = tyro.cli(CellOptions, args=arguments, prog="tactile-insertion cell", description=cell.__doc__)
     options.check()
     scene = load(options)
     options.out.mkdir(parents=True, exist_ok=True)  # refused before there are sockets and threads
@@ -35,7 +35,7 @@ def cell(arguments: list[str]) -> int:
 
 def run(arguments: list[str]) -> int:
     """The whole loop: exit 0 if every insertion succeeded, 1 if one did not, 2 on wrong input."""
-    options = tyro.cli(RunOptions, args=arguments, prog="python -m simulation run", description=run.__doc__)
+    options = tyro.cli(RunOptions, args=arguments, prog="tactile-insertion run", description=run.__doc__)
     todo = starts(options)
 
     def insert_all() -> int:

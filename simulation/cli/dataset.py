@@ -70,7 +70,7 @@ def asked_manifest(options: CollectOptions) -> Manifest:
 
 def collect(arguments: list[str]) -> int:
     """Collect what is missing; 0 when the dataset is complete."""
-    options = tyro.cli(CollectOptions, args=arguments, prog="python -m simulation collect")
+    options = tyro.cli(CollectOptions, args=arguments, prog="tactile-insertion collect")
     asked = asked_manifest(options)
     with DatasetWriter(options.out, asked) as writer:
         writer.extend(asked)
@@ -136,7 +136,7 @@ def _describe(trial: Trial, number: int) -> attempt_picture.Decision:
 
 def view(arguments: list[str]) -> int:
     """Draw the trials asked for."""
-    options = tyro.cli(ViewOptions, args=arguments, prog="python -m simulation view")
+    options = tyro.cli(ViewOptions, args=arguments, prog="tactile-insertion view")
     dataset, numbers = _chosen_trials(options)
     for number in numbers:
         trial = dataset.trial(number)
@@ -164,7 +164,7 @@ class ExportOptions:
 
 def export_dataset(arguments: list[str]) -> int:
     """Export the trials asked for; nothing is overwritten."""
-    options = tyro.cli(ExportOptions, args=arguments, prog="python -m simulation export-dataset")
+    options = tyro.cli(ExportOptions, args=arguments, prog="tactile-insertion export-dataset")
     dataset = Dataset(options.source)
     numbers = slice_of(range(len(dataset)), options.first, options.count, options.source)
     if options.out.exists() and any(options.out.iterdir()):

@@ -32,7 +32,7 @@ class AccuracyOptions:
 
 def accuracy(arguments: list[str]) -> int:
     """Measure, then write the JSON, the figure and the page."""
-    options = tyro.cli(AccuracyOptions, args=arguments, prog="python -m simulation accuracy")
+    options = tyro.cli(AccuracyOptions, args=arguments, prog="tactile-insertion accuracy")
     if options.repeats < 1 or not options.out.is_dir():
         raise ValueError(f"expected --repeats >= 1 and an existing folder, got {options.repeats} and {options.out}")
     with progress("pokes", len(SCENES) * len(SETTINGS)) as show:
@@ -58,7 +58,7 @@ class TheoryOptions:
 
 def theory(arguments: list[str]) -> int:
     """Print the page, and write it where asked."""
-    options = tyro.cli(TheoryOptions, args=arguments, prog="python -m simulation theory")
+    options = tyro.cli(TheoryOptions, args=arguments, prog="tactile-insertion theory")
     if not options.grids or min(options.grids) < 4 or options.draws < 1:
         raise ValueError(f"expected --grids of at least 4 and --draws >= 1, got {options.grids} and {options.draws}")
     if options.out is not None and not options.out.is_dir():
@@ -93,7 +93,7 @@ class HardProbeOptions:
 
 def hard_probes(arguments: list[str]) -> int:
     """Run what an earlier call left to do, and print how the probes ended."""
-    options = tyro.cli(HardProbeOptions, args=arguments, prog="python -m simulation hard-probes")
+    options = tyro.cli(HardProbeOptions, args=arguments, prog="tactile-insertion hard-probes")
     if options.count < 1 or options.workers < 0:
         raise ValueError(f"expected --count >= 1 and --workers >= 0, got {options.count} and {options.workers}")
     if options.out is not None and not options.out.is_dir():

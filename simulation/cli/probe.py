@@ -49,7 +49,7 @@ def save(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
 
 def probe(arguments: list[str]) -> int:
     """Run one descent and print what happened, frame by frame."""
-    parser = argparse.ArgumentParser(prog="python -m simulation probe", description=probe.__doc__)
+    parser = argparse.ArgumentParser(prog="tactile-insertion probe", description=probe.__doc__)
     parser.add_argument("scene", help="a built-in name (rectangle, circle, ...) or a TOML file")
     parser.add_argument("--x-mm", type=float, default=8.0, help="position error across the gap (default 8)")
     parser.add_argument("--theta-deg", type=float, default=5.0, help="yaw error (default 5)")
@@ -78,7 +78,7 @@ def probe(arguments: list[str]) -> int:
 
 def imprint(arguments: list[str]) -> int:
     """Draw what the simulated sensor records, object by object, as one picture."""
-    options = tyro.cli(study.Options, args=arguments, prog="python -m simulation imprint")
+    options = tyro.cli(study.Options, args=arguments, prog="tactile-insertion imprint")
     study.draw(options)
     print(options.out)
     return 0

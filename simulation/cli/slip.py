@@ -40,7 +40,7 @@ class SlipOptions:
 
 def slip_report(arguments: list[str]) -> int:
     """Measure the parts asked for, then write the JSON, the figure and the page."""
-    options = tyro.cli(SlipOptions, args=arguments, prog="python -m simulation slip-report")
+    options = tyro.cli(SlipOptions, args=arguments, prog="tactile-insertion slip-report")
     if options.trials < 1 or options.tradeoff < 1:
         raise ValueError(f"--trials {options.trials} --tradeoff {options.tradeoff}: expected at least 1")
     path = options.out / f"{NAME}.json"
@@ -62,7 +62,7 @@ def slip_report(arguments: list[str]) -> int:
 
 def stop_report(arguments: list[str]) -> int:
     """Insert with every way of driving the arm, print the page and write it; raises ValueError on wrong input."""
-    options = tyro.cli(stop_latency.StopOptions, args=arguments, prog="python -m simulation stop-report")
+    options = tyro.cli(stop_latency.StopOptions, args=arguments, prog="tactile-insertion stop-report")
 
     def measure() -> int:
         text = stop_latency.stop_page(stop_latency.measure(options), options.fps)

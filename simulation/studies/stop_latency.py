@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple
 
 from reporting.page import page
 from reporting.table import table
+from service.contract.shipped import released_models
 from simulation.cell.emulators.abb.rapid import REACTION_S
 from simulation.cell.run import RunOptions, Start, insert, starts
 
@@ -41,7 +42,7 @@ class StopOptions:
     """Scene: a built-in name or a TOML file."""
     fps: int = 30
     """Camera rate: 30, 60 or 90."""
-    models: Path = Path("models")
+    models: Path = field(default_factory=released_models)
     """Folder with the networks."""
     out: Path = Path("docs/robot_stop.md")
     """Table to write."""

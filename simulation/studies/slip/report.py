@@ -99,7 +99,7 @@ def draw(trackers: dict[str, Row], path: Path) -> None:
             ms, marker = row["cpu_ms_per_frame"], "s" if "baseline" in name else "o"
             for key, colour in (("noise_2", BLUE), ("noise_6", ORANGE)):
                 errors.plot(ms, row[key]["rms_px"], marker, color=colour)
-            label(errors, (ms, row["noise_6"]["rms_px"]), name, dy=-9.0 if place % 2 else 4.0)
+            label(errors, (ms, row["noise_6"]["rms_px"]), name, dy=(4.0, -9.0, 12.0, -17.0)[place % 4])
             share, low, high = (100 * value for value in row["accuracy"])
             shares.errorbar(share, name, xerr=[[share - low], [high - share]], fmt=marker, color=BLUE, capsize=3)
         errors.set(title="noise of 2 (blue) and 6 (orange) grey levels", xlim=(0, None), ylim=(0, None))
