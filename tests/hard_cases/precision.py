@@ -1,5 +1,6 @@
 """Hard cases of precision: single against double, and int8, whose products saturate and whose activations have ends."""
 
+import math
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -12,19 +13,14 @@ from export.onnx.model import Model, open_model
 from export.onnx.verify import decide
 from export.quantise.quantise import FarOffError, quantise, refuse_far_off
 from tests.hard_cases.networks import LARGEST, PICTURES, golden, largest_of, released
-from tests.hard_cases.registry import ROOT, case
-
-QUANTISE = "export/quantise/quantise.py"
+from tests.hard_cases.registry import ROOT, Guard, case
 
 
 @case(
     "networks",
     why="float32 keeps seven digits; a network that loses three of them is ill-conditioned",
     holds="the released architecture, with fresh weights, decides in float32 as in float64: relative gap",
-    guard=(
-        "training/networks/decider.py",
-        "self.cell = nn.GRUCell(features + TOLD, settings.state_size)",
-    ),
+    guard="training.networks.decider:Trunk.advance",
     limit=1e-4,
     quick=False,
 )
@@ -65,7 +61,7 @@ def _golden_decisions() -> list[Decision]:
     "networks",
     why="products that saturate in 16 bits, or a scale found on other frames, are wrong and say nothing",
     holds="a build whose outputs are a quarter off is refused: builds that pass",
-    guard=(QUANTISE, "if not share < FAR_OFF:", "if False:"),
+    guard=Guard("export.quantise.quantise:FAR_OFF", "no build is far off", math.inf),
 )
 def int8_far_from_fp32(seed: int) -> float:
     import onnx
@@ -89,8 +85,8 @@ def int8_far_from_fp32(seed: int) -> float:
 @case(
     "networks",
     why="extreme inputs drive every quantised activation to the ends of its 256 steps",
-    holds="the int8 twins stay finite and bounded on every hard input: largest",
-    guard=(QUANTISE, "refuse_far_off(model, open_model(out), decisions[:2])"),
+    holds="int8 builds stay finite and bounded on every hard input: largest",
+    guard="export.quantise.quantise:refuse_far_off",
     limit=LARGEST,
     quick=False,
 )
@@ -106,8 +102,8 @@ def int8_at_its_extremes(_seed: int) -> float:
 @case(
     "networks",
     why="a weight of eight bits is off by a 250th of the largest beside it, and a state carries that on",
-    holds="the int8 twins stay near fp32 on golden frames that they were not rounded for: mean gap relative to the output",
-    guard=(QUANTISE, "block_size=BLOCK"),
+    holds="an int8 build stays near fp32 on golden frames that did not calibrate it: mean gap relative to the output",
+    guard="export.quantise.quantise:BLOCK",
     limit=0.02,
     quick=False,
 )
