@@ -13,7 +13,7 @@ from simulation.closed_loop import campaign, statistics
 from simulation.closed_loop.baselines import CONTENDERS
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.statistics import OBJECTS, Row
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from simulation.closed_loop import campaign, robustness, statistics
 from simulation.closed_loop.baselines import CONTENDERS
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.robustness import CONDITIONS, Condition
-from simulation.scene.scene import BUILT_IN, load_scene
+from simulation.scene.worlds import load_scene, object_names
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def main(arguments: list[str]) -> int:
     """Run, print the table, write the files."""
     options = tyro.cli(Options, args=arguments, prog="python -m simulation robustness")
     for given, known, flag in (
-        (options.objects, BUILT_IN, "objects"),
+        (options.objects, object_names(), "objects"),
         (options.only, CONDITIONS, "only"),
         ((options.who,), CONTENDERS, "who"),
     ):

@@ -48,7 +48,7 @@ from simulation.closed_loop.baselines import CONTENDERS, Chooser, Contender, Vie
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, Course, GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import GelFinger
 from simulation.physics.quasistatic import PhysicsError
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 MAX_FRAMES = 4000
 Eyes = Literal["pictures", "gel"]

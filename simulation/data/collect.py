@@ -26,9 +26,10 @@ from simulation.data.manifest import shard_file_name, write_durably
 from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
 from simulation.data.sources import sources_sha256
 from simulation.optics.appearance import Appearance
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.randomisation import randomised
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene, training_objects
 
-TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 POKES_PER_FIXTURE = 5
 MAX_STOP_DELAY_FRAMES = 2
 MAX_OVERTRAVEL_MM = 0.15
@@ -83,7 +84,7 @@ def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.rand
     group = plan.group_id(number)
     rng = np.random.Generator(np.random.PCG64([plan.seed, group]))
     held_out = bool(rng.random() < plan.held_out_share)
-    scene = base.randomised(rng, held_out=held_out)
+    scene = randomised(base, rng, held_out=held_out)
     look_seed, cell_seed = (int(n) for n in rng.integers(2**31, size=2))
     left, right = (Appearance.draw(scene, finger, look_seed) for finger in FINGERS)
     return Fixture(scene, group, held_out, (left, right), cell_seed), rng
@@ -220,8 +221,8 @@ class Options:
     """Folder of the dataset; created if absent, continued if it holds the same collection."""
     trials_per_object: int = 7500
     """Collisions to keep of each object; rounded up to whole shards."""
-    objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = TRAINING_OBJECTS
-    """Scene names or TOML files."""
+    objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = training_objects()
+    """Names or TOML files."""
     seed: int = 0
     """Same seed, same data, bit for bit, whatever the number of workers."""
     workers: int = 0

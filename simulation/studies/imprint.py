@@ -11,7 +11,7 @@ import tyro
 from simulation.data.probe import run_probe
 from simulation.optics import attempt_picture
 from simulation.optics.renderer import Appearance, Renderer
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 COLUMNS = ("raw, held", "raw, after the collision", "rectified, after", "difference", "motion of the dots")
 

@@ -17,7 +17,7 @@ import pytest
 from simulation.closed_loop.play import Job, insert, models_of
 from simulation.data.probe import run_probe
 from simulation.physics.state import PhysicsError
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 HERE = Path(__file__).parent
 MODELS = HERE.parents[1] / "models"

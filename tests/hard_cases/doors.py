@@ -23,7 +23,7 @@ from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.rigid import fit_motion, moving_patch
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from tests.hard_cases.decision import LIMITS, _cards, told
 from tests.hard_cases.motion import pose
 from tests.hard_cases.registry import case, non_finite, not_refused

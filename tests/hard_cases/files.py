@@ -12,7 +12,8 @@ from service.contract import ContractError, ModelCard
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
 from service.recordings.reader import Recording, RecordingError
 from service.tools.replay import ReplayError, ReplayOptions, read_clip
-from simulation.scene.scene import SceneError, load_scene
+from simulation.scene.scene import SceneError
+from simulation.scene.worlds import load_scene
 from tests.hard_cases.registry import ROOT, case, not_refused
 from training.fit.checkpoint import Checkpoint
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from simulation.data.probe import QuasiStaticCell
 from simulation.physics.kernels import load_step
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 OWN = {
     "gravity": ("_gravity",),

@@ -11,7 +11,7 @@ import pytest
 from simulation.cli import evaluate
 from simulation.cli import robustness as robustness_command
 from simulation.closed_loop import campaign, robustness
-from simulation.scene.scene import BUILT_IN, load_scene
+from simulation.scene.worlds import load_scene, object_names
 from tests.service import tiny_models
 from tests.simulation.closed_loop.test_evaluation import ROW
 
@@ -108,7 +108,7 @@ def test_a_killed_run_goes_on_where_it_was(models, tmp_path):
     assert after[: len(before)] == before
 
 
-@pytest.mark.parametrize("scene", BUILT_IN)
+@pytest.mark.parametrize("scene", object_names())
 def test_every_disturbance_makes_a_possible_scene(scene):
     cell = load_scene(scene, blocks__free=True)
     for name, condition in robustness.CONDITIONS.items():

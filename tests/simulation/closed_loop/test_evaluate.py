@@ -10,7 +10,7 @@ from service.decision.models import load_models
 from simulation.closed_loop.baselines import Oracle, error_from_levers, lever_arms_mm
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.closed_loop.play import Job, insert, stage
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from tests.service import tiny_models
 
 RELEASED = Path(__file__).parents[3] / "models"

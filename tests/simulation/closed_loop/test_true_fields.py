@@ -5,7 +5,7 @@ import numpy as np
 from service.perception.markers.tracker import MarkerTracker
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.closed_loop.true_fields import GelFinger
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 
 def test_the_cheap_eyes_see_a_moving_gel_where_the_tracker_does() -> None:
