@@ -117,11 +117,11 @@ soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models a
 	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)
 
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
-	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)
+	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --perception $(PERCEPTION)
 
-EYES ?= pictures
+PERCEPTION ?= pictures
 robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time, on both tiers of the gel: docs/robustness.md
-	$(RUN) -m simulation robustness --out runs/robustness --docs docs --eyes $(EYES)
+	$(RUN) -m simulation robustness --out runs/robustness --docs docs --perception $(PERCEPTION)
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.

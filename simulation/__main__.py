@@ -19,7 +19,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),
     "collect": ("simulation.data.collect:main", "poke on all cores and keep the collisions as a dataset"),
     "view": ("simulation.data.view:main", "trials of a dataset as pictures"),
-    "plate": ("simulation.studies.imprint:main", "what the simulated sensor sees, object by object, as one picture"),
+    "imprint": (
+        "simulation.studies.imprint:main",
+        "imprints of objects as the simulated sensor shows them, as one picture",
+    ),
     "export-dataset": ("simulation.data.export:main", "trials as a LeRobot v3.0 dataset or as MCAP files"),
     "slip-report": (
         "simulation.studies.slip.detection:main",
@@ -73,6 +76,9 @@ def main(arguments: list[str]) -> int:
     except (ValueError, OSError) as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":

@@ -20,11 +20,11 @@ from simulation.scene.worlds import load_scene
 
 def pictures(scene: Scene, probe: Probe, seed: int) -> list[NDArray[np.uint8]]:
     """Rectified frames of both fingers side by side, uint8 [320, 654, 3] BGR, one a kept frame."""
-    eyes = [Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS]
+    renderers = [Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS]
     out = []
     for i, gel in enumerate(probe.gel.astype(np.float32)):
         previous = probe.gel[max(i - 1, 0)].astype(np.float32)
-        pair = [eye.rectified(gel[k], 2 * i + k, previous[k]) for k, eye in enumerate(eyes)]
+        pair = [renderer.rectified(gel[k], 2 * i + k, previous[k]) for k, renderer in enumerate(renderers)]
         out.append(np.concatenate(pair, axis=1))
     return out
 

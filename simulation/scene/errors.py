@@ -38,8 +38,9 @@ def allowed(table: type[BaseModel] | None, key: str) -> str:
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """One line on the first thing wrong: key, what is expected, what was given."""
-    first = error.errors()[0]
+    """One line on the first thing wrong, an unknown key before all: key, what is expected, what was given."""
+    wrong = error.errors()
+    first = next((one for one in wrong if one["type"] == "extra_forbidden"), wrong[0])
     key = ".".join(str(part) for part in first["loc"])
     *parents, last = first["loc"] or ("",)
     table = _table(model, parents)

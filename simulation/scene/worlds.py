@@ -199,6 +199,15 @@ def object_names() -> tuple[str, ...]:
 
 
 @cache
+def known_object(name_or_path: str) -> Scene | None:
+    """The object that results call so, or None where its file is not there any more."""
+    try:
+        return load_scene(name_or_path)
+    except SceneError:
+        return None
+
+
+@cache
 def training_objects() -> tuple[str, ...]:
     """The registry's objects that the released networks were trained on, in their order."""
     return tuple(name for name in object_names() if load_scene(name).training)

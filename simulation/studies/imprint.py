@@ -1,4 +1,4 @@
-"""`python -m simulation plate`: what the simulated sensor sees, object by object, to lay beside a real one."""
+"""`python -m simulation imprint`: what the simulated sensor shows of each object, to lay beside a real one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class Options:
     out: Path = Path("docs/imprint.png")
     """PNG file to write."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("rectangle", "circle", "vitamin")
-    """Scenes to show, one a row."""
+    """Names or TOML files of the objects to show, one a row."""
     x_mm: float = 8.0
     """Position error of the poke."""
     theta_deg: float = 6.0
@@ -48,7 +48,7 @@ def _row(axes: Sequence[Any], name: str, options: Options) -> None:
     for panel in axes:
         panel.set_xticks([])
         panel.set_yticks([])
-    axes[0].set_ylabel(name)
+    axes[0].set_ylabel(scene.name)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation plate")
+    options = tyro.cli(Options, args=arguments, prog="python -m simulation imprint")
     figure = Figure(figsize=(16, 2.9 * len(options.objects)), dpi=60, layout="constrained")
     grid = figure.subplots(len(options.objects), len(COLUMNS), squeeze=False)
     for axes, name in zip(grid, options.objects, strict=True):
