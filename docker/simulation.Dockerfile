@@ -8,6 +8,7 @@ RUN python -m venv --without-pip /opt/venv \
  && python -m pip --python /opt/venv/bin/python install --no-cache-dir --only-binary :all: --require-hashes --no-deps \
     -r requirements.txt
 COPY simulation /opt/app/simulation
+COPY reporting /opt/app/reporting
 COPY service/__init__.py /opt/app/service/__init__.py
 COPY service/contract /opt/app/service/contract
 COPY service/perception /opt/app/service/perception

@@ -59,11 +59,12 @@ def _refuse_negative_seed(words: list[str]) -> None:
             raise ValueError(f"--seed {seed}: expected 0 or more")
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Run one command. Exit status 2 with one line when the input was wrong."""
+    arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in {"-h", "--help"}:
         print(usage())
-        return 0
+        return 0 if arguments else 2
     name, rest = arguments[0], arguments[1:]
     if name not in COMMANDS:
         print(f"no command {name!r}: expected one of {', '.join(COMMANDS)}", file=sys.stderr)
@@ -82,4 +83,4 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

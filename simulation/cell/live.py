@@ -43,7 +43,7 @@ INSERTION_MM = 20.0  # how deep its bottom is in the gap when it counts as inser
 
 
 class Plant(NamedTuple):
-    """What stands behind the devices: physics, optics, and the numbers that a client is told."""
+    """What stands behind the devices: physics, optics, and the numbers that a client needs."""
 
     mechanics: Mechanics
     regrasp: Callable[[float], None]
@@ -181,7 +181,7 @@ class LiveCell:
             await asyncio.sleep(0.2)
         raise RuntimeError(f"the cell's physics or optics failed: {error}") from error
 
-    # ---- what others are told ---------------------------------------------------------------------------------
+    # ---- what others are given --------------------------------------------------------------------------------
 
     def description(self, calibration: Path) -> dict[str, Any]:
         """Contents of cell.json: addresses, calibration, and what a client may know of the task."""

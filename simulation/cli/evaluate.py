@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from service.contract.shipped import released_models
 from simulation.closed_loop import benchmark, campaign, statistics
 from simulation.closed_loop.baselines import CONTROLLERS
 from simulation.closed_loop.campaign import Task
@@ -35,7 +36,7 @@ class Options:
     """folder for results"""
     docs: Path = Path("runs/evaluation")
     """folder for the report"""
-    models: Path = Path("models")
+    models: Path = field(default_factory=released_models)
     """folder with the ONNX files to judge; its folder `joint` holds the joint density, if there is one"""
     paper_models: Path = Path("models/paper")
     """folder with the paper's recipe (AlexNet + LSTM); its row is left out while there is none"""
@@ -107,7 +108,7 @@ def tasks(options: Options, names: tuple[str, ...], objects: dict[str, Scene]) -
 
 def main(arguments: list[str]) -> int:
     """Run, print the table, write the files; 0 also when insertions failed: the table says so."""
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation evaluate")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion evaluate")
     names, objects = entered(options), load_objects(options.objects)
     setup = campaign.fingerprint({name: folder_of(options, name) for name in names})
     if options.json is not None:

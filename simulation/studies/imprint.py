@@ -56,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation imprint")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion imprint")
     figure = Figure(figsize=(16, 2.9 * len(options.objects)), dpi=60, layout="constrained")
     grid = figure.subplots(len(options.objects), len(COLUMNS), squeeze=False)
     for axes, name in zip(grid, options.objects, strict=True):
