@@ -128,8 +128,12 @@ def _start_service(facts: dict[str, Any], options: RunOptions, folder: Path) -> 
 
 def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
     approach, config = facts["approach"], folder / "client.toml"
-    lines = [f'robot = {{ link = "{options.link}" }}', "[socket]"]
-    config.write_text("\n".join([*lines, *(f"{key} = {json.dumps(value)}" for key, value in facts["rapid"].items())]))
+    robot = {
+        "egm": {"device": "abb_egm", "port": facts["egm_guide_port"]},
+        "socket": {"device": "abb_rapid", **facts["rapid"]},
+    }[options.link]
+    keys = {**robot, "rws.url": facts["rws_url"]}.items()
+    config.write_text("\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys)]))
     arguments = [
         *(
             "--live",
@@ -138,7 +142,7 @@ def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: 
             "--service",
             url.replace("http://", "ws://").rstrip("/") + "/v1/insertion",
         ),
-        *("--egm-port", str(facts["egm_guide_port"]), "--rws-url", facts["rws_url"], "--gripper", facts["gripper"]),
+        *("--gripper", facts["gripper"]),
         *(f"--x-mm={approach['x_mm']:.4f}", f"--theta-deg={approach['yaw_deg']:.4f}"),
         *("--approach-z-mm", f"{approach['z_mm']:.4f}", "--gap-width-mm", f"{facts['gap_width_mm']:.3f}"),
         *("--expected-depth-mm", f"{facts['expected_depth_mm']:.3f}", "--log", str(folder / "episode.jsonl")),
