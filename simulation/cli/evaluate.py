@@ -11,12 +11,12 @@ from typing import Annotated, Literal
 
 import tyro
 
+from reporting.files import write_json
 from service.contract.shipped import released_models
 from simulation.closed_loop import benchmark, campaign, statistics
 from simulation.closed_loop.baselines import CONTROLLERS
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.statistics import Row
-from simulation.data.manifest import write_durably
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World, files_in, load_objects, load_world, object_names
 
@@ -138,7 +138,7 @@ def _play_worlds(options: Options, path: Path, controller: str, objects: dict[st
     path.parent.mkdir(parents=True, exist_ok=True)
     log = path.with_suffix(".insertions.jsonl")
     rows = benchmark.table(campaign.run(todo, log, workers=options.workers, ray=options.ray))
-    write_durably(path, (json.dumps(rows, indent=1) + "\n").encode())
+    write_json(path, rows)
     for row in rows:
         inserted = f"{row['inserted']}/{row['insertions']} inserted, mean trials {row['mean_trials']:.2f}"
         print(f"{row['world']}, {row['object']}: {inserted} (simulated)")
