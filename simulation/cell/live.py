@@ -117,7 +117,7 @@ class LiveCell:
         self.gripper = Gripper(self.part, self.board, holding=held)
         self.wsg = Wsg50Emulator(self.gripper, self.board)
         self.cameras = {finger: CameraEmulator(finger, self.board, plant.dropped_share) for finger in FINGERS}
-        self.admin = HttpServer(create_admin(self, self.board), self.sockets.admin)
+        self.admin = HttpServer(create_admin(self.truth, self.board), self.sockets.admin)
         self.feeds: list[CameraFeed] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._started_s = time.monotonic()
