@@ -34,14 +34,14 @@ def _parsed(path: Path) -> ast.Module:
 
 
 def _closure(module: str, root: Path) -> set[Path]:
-    found: set[Path] = set()
+    files: set[Path] = set()
     waiting = [module]
     while waiting:
         path = _file_of(waiting.pop(), root)
-        if path is not None and path not in found:
-            found.add(path)
+        if path is not None and path not in files:
+            files.add(path)
             waiting += _imported(_parsed(path))
-    return found
+    return files
 
 
 def _imported(tree: ast.Module) -> Iterator[str]:
