@@ -78,7 +78,7 @@ test-lowest: ## the lowest versions that pyproject.toml allows: every module imp
 	sh requirements/torch.sh $(LOWEST_VENV)/bin/pip $(if $(TORCH_CPU_INDEX),$(TORCH_LOWEST),$(TORCH_VERSION))
 	uv pip install -q --python $(LOWEST_VENV)/bin/python -r requirements/torch.in
 	uv pip install -q --python $(LOWEST_VENV)/bin/python --resolution lowest-direct --override requirements/no-torch.txt \
-	  -r pyproject.toml --extra service --extra robot --extra simulation --extra training
+	  -r pyproject.toml --extra training
 	$(LOWEST_VENV)/bin/python -m tests.import_everything
 	$(LOWEST_VENV)/bin/python -m simulation probe rectangle --x-mm 8 --theta-deg 5
 	$(LOWEST_VENV)/bin/python -m export verify $(MODELS)
