@@ -3,7 +3,7 @@
 ``at_s`` is the client's monotonic clock. Non-finite numbers cannot be put into any of them.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
@@ -112,17 +112,5 @@ class Say(Contract):
 Command = Annotated[Grasp | Move | Hold | Say, Field(discriminator="kind")]
 MOTION_COMMANDS = (Grasp, Move)
 
-_EVENT: TypeAdapter[Any] = TypeAdapter(Event)
-_COMMAND: TypeAdapter[Any] = TypeAdapter(Command)
-
-
-def parse_event(data: object) -> Event:
-    """An event out of its JSON object; raises pydantic's ValidationError (a ValueError)."""
-    event: Event = _EVENT.validate_python(data, strict=False)
-    return event
-
-
-def parse_command(data: object) -> Command:
-    """A command out of its JSON object; raises pydantic's ValidationError (a ValueError)."""
-    command: Command = _COMMAND.validate_python(data, strict=False)
-    return command
+EVENT: TypeAdapter[Event] = TypeAdapter(Event)
+COMMAND: TypeAdapter[Command] = TypeAdapter(Command)

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from pydantic import ValidationError
 
-from robot_client.insertion.events import Command, Event, parse_command, parse_event
+from robot_client.insertion.events import COMMAND, EVENT, Command, Event
 from robot_client.insertion.state import Plan
 from service.contract.frames import ContractError, first_error
 
@@ -76,9 +76,9 @@ def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
             if "plan" in line:
                 plan = Plan.model_validate_json(json.dumps(line["plan"]))
             elif "event" in line:
-                entries.append(parse_event(line["event"]))
+                entries.append(EVENT.validate_python(line["event"], strict=False))
             elif "command" in line:
-                entries.append(parse_command(line["command"]))
+                entries.append(COMMAND.validate_python(line["command"], strict=False))
             elif isinstance(line.get("end", {}), dict):
                 end = line.get("end", end)
             else:

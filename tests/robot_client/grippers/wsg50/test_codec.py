@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_client.grippers.wsg50 import codec
-from robot_client.grippers.wsg50.codec import Command, Frame, MoveFlag, Status, StreamParser, WsgError
+from robot_client.grippers.wsg50.codec import Frame, StreamParser, WsgError
+from robot_client.grippers.wsg50.codes import Command, MoveFlag, Status
 
 LIMITS = (10.0, 100.0, 400.0, 1.0, 10.0, 11.0, 30.0, 40.0)
 REQUESTS = [

@@ -4,7 +4,7 @@ import pytest
 
 from robot_client.grippers.wsg50 import binary, codec, gripper, text
 from robot_client.grippers.wsg50.binary import BinaryWsg50
-from robot_client.grippers.wsg50.codec import Command, GraspingState, Status
+from robot_client.grippers.wsg50.codes import Command, GraspingState, Status
 from robot_client.grippers.wsg50.settings import Settings
 from robot_client.grippers.wsg50.text import TextWsg50
 from tests.robot_client.clock import stopped_clock
