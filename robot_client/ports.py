@@ -17,7 +17,7 @@ HomingDirection = Literal["default", "outward", "inward"]
 
 
 class DriverError(ValueError):
-    """A device could not be made ready; the text says which, what was expected and what to do."""
+    """A device could not be made ready; the text names it, what was expected and what to do."""
 
 
 class DeviceSettings(Contract):

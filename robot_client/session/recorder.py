@@ -21,8 +21,8 @@ LOG_VERSION = 1
 class Recorder:
     """Writes one episode; a line is on its way to the disk before the next event is handled.
 
-    A log that cannot be begun raises ContractError. One that can be written no further (a full disk) ends there and
-    ``lost`` says why: an error among the events would kill the task that listens for slip.
+    A log that cannot be created raises ContractError. A log that cannot be continued (a full disk) ends there, and
+    ``lost`` holds the reason: an exception here would end the task that listens for slip.
     """
 
     def __init__(self, path: Path | None, plan: Plan) -> None:
