@@ -26,6 +26,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[0] == "--version":
         print(f"tactile-insertion {_version()}")
         return DONE
+    if words[0] == "--print-completion":
+        return _print_completion(words[1:])
     name, *rest = words
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, n=1)
@@ -40,7 +42,8 @@ def usage() -> str:
     for title, commands in GROUPS.items():
         lines += [f"{title}:", *(f"  {name:<16} {command.help}" for name, command in commands.items()), ""]
     lines += [
-        "`tactile-insertion COMMAND --help` tells the options; `--version` the version.",
+        "`tactile-insertion COMMAND --help` tells the options; `--version` the version;",
+        "`--print-completion bash|zsh|fish` prints a completion script for your shell.",
         "exit codes: 0 done, 1 not done, 2 wrong input",
     ]
     return "\n".join(lines)
@@ -63,6 +66,20 @@ def _run(name: str, command: Command, rest: list[str]) -> int:
         if os.environ.get("TACTILE_TRACEBACK"):
             raise
         return _refuse(f"{name}: {' '.join(str(error).split())}")
+
+
+def _print_completion(shell: list[str]) -> int:
+    """A script for the shell that completes the commands, and files after them."""
+    names = " ".join(COMMANDS)
+    scripts = {
+        "bash": f'complete -o default -W "{names}" tactile-insertion',
+        "zsh": f"#compdef tactile-insertion\n_arguments '1:command:({names})' '*:file:_files'",
+        "fish": f"complete -c tactile-insertion -n __fish_use_subcommand -f -a '{names}'",
+    }
+    if len(shell) != 1 or shell[0] not in scripts:
+        return _refuse(f"--print-completion {' '.join(shell)}: expected one of {', '.join(scripts)}")
+    print(scripts[shell[0]])
+    return DONE
 
 
 def _refuse(sentence: str) -> int:

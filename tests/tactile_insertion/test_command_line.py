@@ -59,3 +59,19 @@ def test_wrong_input_is_one_line_and_exit_code_2(words, capsys):
     error = capsys.readouterr().err
     assert error.strip()
     assert "Traceback" not in error
+
+
+def test_bash_completes_the_commands():
+    script = subprocess.run(
+        [sys.executable, "-m", "tactile_insertion", "--print-completion", "bash"],
+        capture_output=True, text=True, check=True, timeout=60,
+    ).stdout  # fmt: skip
+    words = "$(complete -p tactile-insertion | cut -d\\' -f2)"
+    ask = f'{script}\ncompgen -W "{words}" eval'
+    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.split() == ["evaluate"]
+
+
+def test_an_unknown_shell_is_refused(capsys):
+    assert main(["--print-completion", "tcsh"]) == 2
+    assert "bash, zsh, fish" in capsys.readouterr().err
