@@ -51,7 +51,7 @@ def cost(scene: Scene, key: str) -> str:
     return f"{with_it - without:+.2f} of {with_it:.2f} ms a {unit}"
 
 
-def main(arguments: list[str]) -> int:
+def explain(arguments: list[str]) -> int:
     """Print each effect of a scene: on or off, why, and what it costs here."""
     parser = argparse.ArgumentParser(prog="tactile-insertion explain", description=__doc__)
     parser.add_argument("scene", help="a built-in name (rectangle, circle, ...) or a TOML file")

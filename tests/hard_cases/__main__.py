@@ -1,6 +1,6 @@
 """`python -m tests.hard_cases`: every hard case on three seeds as one table, on screen, in docs/ and as JSON.
 
-`python -m tests.hard_cases mutate` takes guards away, one at a time, in a copy, and shows that a case fails for each.
+`python -m tests.hard_cases mutate` takes guards away, one at a time, and shows that a case fails for each.
 """
 
 import argparse
@@ -37,8 +37,8 @@ def main() -> int:
             return mutate(pool, options.out)
         began = time.perf_counter()
         names = sorted(CASES, key=lambda name: (CASES[name].quick, name))  # the long ones first
-        told = track(pool.imap_unordered(by_name, names), description="hard cases", total=len(names))
-        results = [Result(CASES[name], *rest) for name, *rest in told]
+        measured = track(pool.imap_unordered(by_name, names), description="hard cases", total=len(names))
+        results = [Result(CASES[name], *rest) for name, *rest in measured]
     order = list(CASES)
     results.sort(key=lambda result: order.index(result.case.name))
     seconds = time.perf_counter() - began
@@ -61,16 +61,16 @@ def show(results: list[Result], seconds: float) -> None:
 
 
 def write(results: list[Result], seconds: float, out: Path) -> None:
-    """docs/hard_cases.md and .json; what the last `mutate` found is kept."""
+    """docs/hard_cases.md and .json; the rows of the last `mutate` are kept."""
     path = out / FILE
-    told = json.loads(path.read_text()) if path.exists() else {}
+    before = json.loads(path.read_text()) if path.exists() else {}
     rows = [
         {
             "case": r.case.name,
             "room": r.case.room,
             "why": r.case.why,
             "holds": r.case.holds,
-            "guard": f"{r.case.guard.file}:{r.case.guard.line}",
+            "guard": r.case.guard.symbol,
             "worst": r.worst if r.worst == r.worst else None,
             "limit": r.case.limit,
             "note": r.note,
@@ -80,19 +80,19 @@ def write(results: list[Result], seconds: float, out: Path) -> None:
         }
         for r in results
     ]
-    report = {"seeds": SEEDS, "seconds": round(seconds), "cases": rows, "mutants": told.get("mutants", [])}
+    report = {"seeds": SEEDS, "seconds": round(seconds), "cases": rows, "mutants": before.get("mutants", [])}
     path.write_text(json.dumps(report, indent=1) + "\n")
     (out / PAGE).write_text(page(report))
 
 
 def page(report: dict) -> str:
     """The Markdown page of a report."""
-    failed = sum(not row["passed"] for row in report["cases"])
+    counted = f"{len(report['cases'])} cases, {sum(not row['passed'] for row in report['cases'])} failed"
     lines = ["# Hard cases", ""]
-    lines.append(
-        "Written by `make hard-cases`: what is nasty, what must hold, how close it came (worst of seeds"
-        f" {', '.join(map(str, SEEDS))}), and which line answers it. {len(report['cases'])} cases, {failed} failed, {report['seconds']} s."
-    )
+    lines += [
+        "Written by `make hard-cases`: what is nasty, what must hold, how close it came (worst of seeds",
+        f"{', '.join(map(str, SEEDS))}), and what answers it. {counted}, {report['seconds']} s.",
+    ]
     for room in dict.fromkeys(row["room"] for row in report["cases"]):
         lines += [
             "",
@@ -120,16 +120,11 @@ def page(report: dict) -> str:
         "",
         "## Does the suite bite?",
         "",
-        "`python -m tests.hard_cases mutate` takes a guard away in a copy; its case must fail.",
+        "`python -m tests.hard_cases mutate` takes a guard away in a fresh process; its case must fail.",
     ]
-    lines += ["", "| guard | replaced by | case that fails | |", "|---|---|---|---|"]
+    lines += ["", "| guard | without it | case that fails | |", "|---|---|---|---|"]
     for row in report["mutants"]:
-        cells = [
-            f"`{row['guard']}` `{row['text']}`",
-            f"`{row['mutant']}`",
-            row["case"],
-            "caught" if row["caught"] else "**MISSED**",
-        ]
+        cells = [f"`{row['guard']}`", row["without"], row["case"], "caught" if row["caught"] else "**MISSED**"]
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -139,9 +134,8 @@ def mutate(pool: multiprocessing.pool.Pool, out: Path) -> int:
     rows = []
     for name, caught in zip(MUTANTS, track(pool.imap(bitten, MUTANTS), "mutants", len(MUTANTS)), strict=True):
         guard = CASES[name].guard
-        where = f"{guard.file}:{guard.line}"
-        rows.append({"case": name, "guard": where, "text": guard.text, "mutant": guard.mutant, "caught": caught})
-        print(f"{'caught' if caught else 'MISSED'}  {name}: {where}")
+        rows.append({"case": name, "guard": guard.symbol, "without": guard.without, "caught": caught})
+        print(f"{'caught' if caught else 'MISSED'}  {name}: {guard.symbol}")
     path = out / FILE
     report = json.loads(path.read_text()) if path.exists() else {"seeds": SEEDS, "seconds": 0, "cases": []}
     report["mutants"] = rows

@@ -10,17 +10,14 @@ from export.onnx.golden import hard_input
 from export.onnx.model import Model, open_model
 from export.onnx.verify import decide
 from tests.hard_cases.networks import LARGEST, PICTURES, golden, largest_of, released
-from tests.hard_cases.registry import ROOT, case
+from tests.hard_cases.registry import ROOT, Guard, case
 
 
 @case(
     "networks",
     why="float32 keeps seven digits; a network that loses three of them is ill-conditioned",
     holds="the released architecture, with fresh weights, decides in float32 as in float64: relative gap",
-    guard=(
-        "training/networks/decider.py",
-        "self.cell = nn.GRUCell(features + TOLD, settings.state_size)",
-    ),
+    guard="training.networks.decider:Trunk.advance",
     limit=1e-4,
     quick=False,
 )
@@ -61,7 +58,7 @@ def _small(name: str) -> Model:
     "networks",
     why="without VNNI, products of u8 and s8 saturate in 16 bits and say nothing",
     holds="where this processor's products saturate, two of the largest fit 16 bits: their sum",
-    guard=("export/trunk.py", "reach = CAREFUL_REACH if saturates() else REACH", "reach = REACH"),
+    guard=Guard("export.trunk:CAREFUL_REACH", "no bit is kept in reserve", 127),
     limit=2**15 - 1,
 )
 def int8_with_a_bit_in_reserve(seed: int) -> float:
@@ -79,7 +76,7 @@ def int8_with_a_bit_in_reserve(seed: int) -> float:
     "networks",
     why="extreme inputs drive every quantised activation to the ends of its 256 steps",
     holds="the int8 twins stay finite and bounded on every hard input: largest",
-    guard=("export/quantise/quantise.py", "_self_test(model, open_model(out), decisions[:2])"),
+    guard="export.quantise.quantise:_self_test",
     limit=LARGEST,
     quick=False,
 )
@@ -95,8 +92,8 @@ def int8_at_its_extremes(_seed: int) -> float:
 @case(
     "networks",
     why="a weight of eight bits is off by a 250th of the largest beside it, and a state carries that on",
-    holds="the int8 twins stay near fp32 on golden frames that they were not rounded for: mean gap relative to the output",
-    guard=("export/quantise/quantise.py", "if not gap < FAR_OFF:"),
+    holds="the int8 twins stay near fp32 on golden frames they were not rounded for: mean gap relative to the output",
+    guard="export.quantise.quantise:FAR_OFF",
     limit=0.02,
     quick=False,
 )
