@@ -10,7 +10,6 @@ from typing import Any
 from service.contract import ContractError
 
 Z95 = 1.959963984540054
-TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 Table = dict[str, list["Point"]]
 
 
@@ -127,9 +126,9 @@ def closed_loop_trials(
     rows = [
         row
         for row in _read(path, "summaries")
-        if row["who"] == controller
+        if row["controller"] == controller
         and not row["condition"]
-        and row["scene"] in TRAINING_OBJECTS
+        and row["training"]
         and row["mean_trials_standard_error"] is not None
     ]
     count = sum(row["insertions"] for row in rows)
