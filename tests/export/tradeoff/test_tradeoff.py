@@ -155,9 +155,9 @@ def test_a_point_without_a_number_is_refused():
 
 
 def test_mean_trials_of_a_closed_loop_are_pooled_by_insertions(tmp_path):
-    row = {"who": "belief", "scene": "circle", "condition": "", "eyes": "pictures", "mean_trials_standard_error": 0.1}
+    row = {"controller": "belief", "training": True, "condition": "", "mean_trials_standard_error": 0.1}
     rows = [row | {"mean_trials": 2.0, "insertions": 30}, row | {"mean_trials": 4.0, "insertions": 10}]
-    rows.append(row | {"mean_trials": 16.0, "insertions": 90, "scene": "mustard"})
+    rows.append(row | {"mean_trials": 16.0, "insertions": 90, "training": False})
     path = tmp_path / "closed_loop.json"
     path.write_text(json.dumps({"summaries": rows, "setup": {"belief/a.onnx": hashlib.sha256(b"a").hexdigest()}}))
     mean, low, high = closed_loop_trials(path, "belief")
@@ -173,7 +173,7 @@ def test_mean_trials_of_a_closed_loop_are_pooled_by_insertions(tmp_path):
 def test_mean_trials_belong_to_the_very_files_that_played_wherever_they_lie(models, tmp_path):
     (pair,) = find_candidates([models])
     together = Candidate(pair.name, "shared", models / "pair", pair.models[:1])
-    row = {"who": "paper", "scene": "circle", "condition": "", "mean_trials": 2.0, "insertions": 30}
+    row = {"controller": "paper", "training": True, "condition": "", "mean_trials": 2.0, "insertions": 30}
     setup = {f"paper/{model.file.name}": hashlib.sha256(model.file.read_bytes()).hexdigest() for model in pair.models}
     report = {"summaries": [row | {"mean_trials_standard_error": 0.1}], "setup": setup}
     (tmp_path / "closed_loop.json").write_text(json.dumps(report))
