@@ -98,35 +98,34 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
 def main() -> int:
     from tests.benchmarks.serving_report import page
 
-    told = arguments()
+    options = arguments()
     parts: dict[str, Callable[[], dict[str, Any]]] = {
-        "peers": lambda: peers(told.models / "pictures", told.peers_python, told.seconds),
-        "peers markers": lambda: peers(told.models, told.peers_python, told.seconds),
-        "websocket": lambda: decisions(told.models, told.trials),
-        "first": lambda: first_decision(told.models, starts=9, steady=5),
-        "cameras 60": lambda: flood(told.models, 60.0, told.seconds),
-        "cameras 90": lambda: flood(told.models, 90.0, told.seconds),
-        "health": lambda: healthz_ms(told.models, told.seconds),
-        "overload": lambda: overload(told.models),
+        "peers": lambda: peers(options.models, options.peers_python, options.seconds),
+        "websocket": lambda: decisions(options.models, options.trials),
+        "first": lambda: first_decision(options.models, starts=9, steady=5),
+        "cameras 60": lambda: flood(options.models, 60.0, options.seconds),
+        "cameras 90": lambda: flood(options.models, 90.0, options.seconds),
+        "health": lambda: healthz_ms(options.models, options.seconds),
+        "overload": lambda: overload(options.models),
     }
-    out = told.docs / "serving.json"
-    facts: dict[str, Any] = json.loads(out.read_text()) if out.is_file() and told.only else {}
+    out = options.docs / "serving.json"
+    facts: dict[str, Any] = json.loads(out.read_text()) if out.is_file() and options.only else {}
     for name, measure in parts.items():
-        if told.only and name not in told.only:
+        if options.only and name not in options.only:
             continue
         print(f"{name} ...", flush=True)
         started = time.monotonic()
         try:
-            found = measure()
+            measured = measure()
         except (RuntimeError, OSError, httpx.HTTPError, subprocess.SubprocessError) as error:
-            found = {"failed": f"{type(error).__name__}: {error}"[:500]}
-        facts[name] = found | {"load": round(os.getloadavg()[0], 1), "took_s": round(time.monotonic() - started)}
+            measured = {"failed": f"{type(error).__name__}: {error}"[:500]}
+        facts[name] = measured | {"load": round(os.getloadavg()[0], 1), "took_s": round(time.monotonic() - started)}
         print(json.dumps(facts[name]), flush=True)
         facts["machine"] = machine()
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps(facts, indent=1) + "\n")
-    (told.docs / "serving.md").write_text(page(facts))
-    print((told.docs / "serving.md").read_text())
+    (options.docs / "serving.md").write_text(page(facts))
+    print((options.docs / "serving.md").read_text())
     return 0
 
 

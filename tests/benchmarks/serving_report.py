@@ -20,14 +20,15 @@ def page(facts: dict[str, Any]) -> str:
         "| what | found | at least | reached | load |",
         "|---|---|---|---|---|",
         *(
-            f"| {what} | {found} | {target} | {VERDICT[ok]} | {load} |"
+            f"| {what} | {found} | {target} | {REACHED[ok]} | {load} |"
             for what, found, target, ok, load in _loaded(facts)
         ),
         "",
         "**Missed here:** " + ("; ".join(missed) + "." if missed else "nothing."),
         "",
         *(["**Not measured:** " + "; ".join(unmeasured) + ".", ""] if unmeasured else []),
-        *_notes(),
+        *NOTES.splitlines(),
+        *(f"- {name}: {facts[name]['note']}" for name in ROWS if "note" in facts.get(name, {})),
         "",
     ]
     return "\n".join(lines)
@@ -42,7 +43,7 @@ def where(machine: dict[str, Any]) -> str:
     )
 
 
-VERDICT = {True: "yes", False: "**no**", None: "not measured"}
+REACHED = {True: "yes", False: "**no**", None: "not measured"}
 
 
 def _loaded(facts: dict[str, Any]) -> list[tuple[str, str, str, bool | None, Any]]:
@@ -117,7 +118,6 @@ def _overload(found: dict[str, Any]) -> list[Row]:
 
 ROWS = {
     "peers": _peers,
-    "peers markers": _peers,
     "websocket": _websocket,
     "first": _first,
     "cameras 60": _cameras,
@@ -140,10 +140,6 @@ NOTES = """How it was measured:
   rate. Age is counted from capture to the slip judgement, a step is what perceiving the two frames of a pair took just
   then. Of the calm results the kernel let the perceiving thread wait for a core for at most 0.2 ms of their life.
 - CPU is the process's own time from the kernel: it does not grow with what others use, though caches do suffer."""
-
-
-def _notes() -> list[str]:
-    return NOTES.splitlines()
 
 
 if __name__ == "__main__":
