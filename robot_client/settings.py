@@ -56,7 +56,7 @@ class Task(Contract):
 
     @property
     def grasp_height_mm(self) -> float | None:
-        """The TCP's height when the object touches the blocks' tops; None where the approach is too low to tell."""
+        """The TCP's height when the object touches the blocks' tops; None where the approach is too low for it."""
         height_mm = self.approach_z_mm - self.approach_clearance_mm
         return height_mm if height_mm > 0 else None
 

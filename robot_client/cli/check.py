@@ -1,4 +1,4 @@
-"""`check`: reads every device that an insertion needs and moves nothing; a line for each finding, bad ones say why."""
+"""`check`: reads every device that an insertion needs and moves nothing; one line a finding."""
 
 import asyncio
 import contextlib

@@ -63,7 +63,7 @@ def check_ramps(limits: Limits, ramps: Ramps) -> None:
 
 
 class MotionGuide:
-    """Holds the target, walks it along the commanded line and tells when the arm has settled on it."""
+    """Holds the target, walks it along the commanded line and reports when the arm has settled on it."""
 
     def __init__(self, limits: Limits, ramps: Ramps, start: WorkPose) -> None:
         self.limits = limits
@@ -127,7 +127,7 @@ class MotionGuide:
         return self.target
 
     def observe(self, measured: WorkPose, now_s: float) -> Settled | None:
-        """What the arm has come to, once for each command: "arrived" on its end or "standstill" after a hold."""
+        """How the arm has settled, once for each command: "arrived" on its end or "standstill" after a hold."""
         if self._waiting is None or self.moving:
             return None
         near = self._still is not None and (

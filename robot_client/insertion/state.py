@@ -1,4 +1,4 @@
-"""What an insertion is told to do (Plan) and what it remembers (State)."""
+"""What an insertion has to do (Plan) and what it remembers (State)."""
 
 import math
 from dataclasses import dataclass
@@ -98,7 +98,7 @@ class State:
 
     @property
     def done(self) -> bool:
-        """True once nothing more will be ordered."""
+        """True once no command follows any more."""
         return self.phase in TERMINAL
 
     @property

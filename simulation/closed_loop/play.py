@@ -26,7 +26,7 @@ from robot_client.insertion.events import (
     Grasped,
     Hold,
     Move,
-    Say,
+    Send,
     Standstill,
 )
 from robot_client.insertion.events import Tick as ClientTick
@@ -220,7 +220,7 @@ class Insertion:
 
     def _carry_out(self, command: Command) -> None:
         match command:
-            case Say():
+            case Send():
                 self._hear(self.session.handle(command.message, self.world.now_ns))
             case Grasp():
                 self._events.append(Grasped(at_s=self.world.now_s, width_mm=80.0))

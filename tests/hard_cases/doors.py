@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_client.grippers.wsg50.codec import Command, encode_request
+from robot_client.grippers.wsg50.codec import encode_request
+from robot_client.grippers.wsg50.codes import Command
 from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, rotate, yaw_quaternion
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import MotionGuide, Ramps

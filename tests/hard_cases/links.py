@@ -6,7 +6,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from robot_client.grippers.wsg50.codec import Command, StreamParser, WsgError, encode_frame, encode_request
+from robot_client.grippers.wsg50.codec import StreamParser, WsgError, encode_frame, encode_request
+from robot_client.grippers.wsg50.codes import Command
 from robot_client.insertion.events import Arrived, Begin, FromService, Grasped, Move, Standstill, Tick
 from robot_client.insertion.geometry import Pose
 from robot_client.insertion.machine import Phase, Plan, Result, State, step

@@ -8,8 +8,9 @@ import contextlib
 import time
 from dataclasses import dataclass, field
 
-from robot_client.grippers.wsg50 import codec
-from robot_client.grippers.wsg50.codec import Command, Reply, Status, SystemState, UpdateFlag, Value
+from robot_client.grippers.wsg50 import codec, codes
+from robot_client.grippers.wsg50.codec import Reply, Value
+from robot_client.grippers.wsg50.codes import FAULT_BITS, Command, Status, SystemState, UpdateFlag
 from robot_client.grippers.wsg50.gripper import GripperError, Wsg50
 from robot_client.ports import Finding, HomingDirection
 from service.contract.frames import Contract
@@ -83,7 +84,7 @@ class BinaryWsg50(Wsg50):
     def findings(self) -> list[Finding]:
         """Faults, homing, and the force limit against the gripper's own."""
         assert self.limits is not None
-        faults, force_n = self.system & codec.FAULT_BITS, self.settings.force_limit_n
+        faults, force_n = self.system & FAULT_BITS, self.settings.force_limit_n
         low_n, high_n = self.limits.force_n
         homed = SystemState.REFERENCED in self.system
         return [
@@ -112,14 +113,14 @@ class BinaryWsg50(Wsg50):
         return reply
 
     def _fault(self) -> str:
-        faults = self.system & codec.FAULT_BITS
+        faults = self.system & FAULT_BITS
         return f"fault {faults.name}" if faults else ""
 
     async def _subscribe(self) -> None:
         await self.request(Command.GRASPING_STATE, UpdateFlag.PERIODIC, self.settings.update_period_ms)
 
     async def _home(self, direction: HomingDirection) -> None:
-        await self.request(Command.HOMING, int(codec.HomingDirection[direction.upper()]))
+        await self.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
 
     async def _close_fingers(self) -> None:
         settings, limits = self.settings, self.limits

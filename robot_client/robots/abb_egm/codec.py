@@ -18,7 +18,7 @@ MAX_DATAGRAM_BYTES = 4096
 
 
 class EgmError(ValueError):
-    """A datagram or a target that does not belong on the wire; the text says why."""
+    """A datagram or a target that does not belong on the wire; the text gives the reason."""
 
 
 McState = Literal["undefined", "error", "stopped", "running"]

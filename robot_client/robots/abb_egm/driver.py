@@ -1,6 +1,6 @@
 """The arm over EGM position guidance: it answers every datagram of the robot with the next target.
 
-The robot sends first, to our UDP port, 250 times a second; only the newest datagram is answered. Targets advance on the
+The robot sends first, 250 times a second; only the newest datagram is answered. Targets advance on the
 robot's own clock, so a stalled link stalls the motion and never makes it leap. All trouble ends in a latched hold:
 the target stays frozen, datagrams are still answered with it, and no move is taken any more.
 """
@@ -250,7 +250,7 @@ class EgmArm:
             self._fail(fault.code, fault.detail)
 
     def _fail(self, code: str, detail: str) -> None:
-        """Freeze first, tell afterwards; once."""
+        """Freeze first, report afterwards; only once."""
         if self._failed or self._closing:
             return
         self._failed = f"{code}: {detail}"

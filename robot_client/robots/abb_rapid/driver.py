@@ -70,7 +70,7 @@ class SocketArm:
         deadline_s = time.monotonic() + self.settings.connect_timeout_s
         while self._here is None:
             if time.monotonic() > deadline_s:
-                raise DriverError("robot: the guard does not say where the arm is; is TactileGuard.mod running?")
+                raise DriverError("robot: the guard does not report where the arm is; is TactileGuard.mod running?")
             await asyncio.sleep(0.01)
         self._post = post
         return self._here
@@ -86,12 +86,12 @@ class SocketArm:
             raise LimitError(f"{motion} speed mm/s = {speed:g}, allowed up to {top:g}")
         self._move = self._next()
         self._pending, self._waiting, self._still = (self._move, target, speed), "arrived", None
-        self._say("R", self._move)
+        self._ask_guard("R", self._move)
 
     def hold(self, reason: str, *, stop: bool) -> None:
         """Raise the guard's stop flag now; a move that still waits for its release is dropped."""
         self._pending, self._waiting, self._still = None, "standstill", None
-        self._say("S", self._next())
+        self._ask_guard("S", self._next())
         if stop:
             self._latched = self._latched or reason
             self._stop_program()
@@ -99,7 +99,7 @@ class SocketArm:
     async def close(self) -> str:
         """Stop, end the program, disconnect."""
         self._post, self._latched = None, self._latched or "closed"
-        self._say("S", self._next())
+        self._ask_guard("S", self._next())
         self._stop_program()
         outcome = await self._stopping if self._stopping else "guard stopped the arm; no program was started"
         for task in self._tasks:
@@ -148,7 +148,7 @@ class SocketArm:
         self._number = self._number % codec.MAX_NUMBER + 1
         return self._number
 
-    def _say(self, kind: Literal["H", "R", "S"], number: int) -> None:
+    def _ask_guard(self, kind: Literal["H", "R", "S"], number: int) -> None:
         if self._guard is not None and not self._guard.is_closing():
             self._guard.write(codec.encode_guard(kind, number))
 
@@ -156,7 +156,7 @@ class SocketArm:
         """Ask where the arm is; the guard's dead man lives on these, our watchdog on their answers."""
         while True:
             await asyncio.sleep(self.settings.poll_s)
-            self._say("H", self._next())
+            self._ask_guard("H", self._next())
             silent_s = self._silence.over(time.monotonic())
             if silent_s is not None:
                 self._fail("silent", f"the guard has not answered for {silent_s * 1e3:.0f} ms")
@@ -216,13 +216,13 @@ class SocketArm:
                 self._fail("guard", "the guard stopped the arm without being asked")
             else:  # where it is now is the next question's answer, not the last one's
                 self._waiting, self._asked = "fresh position", self._next()
-                self._say("H", self._asked)
+                self._ask_guard("H", self._asked)
 
     def _settle(self, here: WorkPose, state: GuardState) -> None:
         now_s = time.monotonic()
         if self._waiting == "fresh position" and state.number == self._asked:
             self._waiting = None
-            self._tell(Arrived(at_s=now_s, pose=here))
+            self._report(Arrived(at_s=now_s, pose=here))
         # A move that is still on its way would begin with the release of the next one: it is waited for.
         if self._waiting != "standstill" or not state.stopped or self._sent is not None:
             return
@@ -232,9 +232,9 @@ class SocketArm:
             self._still, self._still_since_s = here, now_s
         elif now_s - self._still_since_s >= _STILL_S:
             self._waiting = None
-            self._tell(Standstill(at_s=now_s, pose=here))
+            self._report(Standstill(at_s=now_s, pose=here))
 
-    def _tell(self, event: Arrived | Standstill) -> None:
+    def _report(self, event: Arrived | Standstill) -> None:
         if self._post is not None and not self._latched:
             self._post(event)
 
@@ -243,7 +243,7 @@ class SocketArm:
             return
         self._latched = f"{code}: {detail}"
         self._pending = None
-        self._say("S", self._next())
+        self._ask_guard("S", self._next())
         self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
 
     def _stop_program(self) -> None:

@@ -237,7 +237,7 @@ def test_jog_fails_safe_when_the_robot_stops(capsys):
         asyncio.run(story())
 
 
-def test_home_refuses_to_drop_a_part_and_acknowledges_only_when_told(capsys):
+def test_home_refuses_to_drop_a_part_and_acknowledges_only_on_request(capsys):
     async def story():
         async with bench(holding=True) as cell:
             with pytest.raises(GripperError, match="would drop"):

@@ -181,12 +181,12 @@ def test_a_yaw_correction_turns_about_the_vertical_of_the_work_object_through_th
 def test_arrival_is_reported_once_after_settling():
     guide = MotionGuide(Limits(), Ramps(), pose())
     guide.move(pose(x=1), "travel")
-    now, told = 0.0, []
+    now, settled = 0.0, []
     for _ in range(2000):
         now += CYCLE_S
         measured = guide.advance(CYCLE_S)
-        told.append(guide.observe(measured, now))
-    assert [t for t in told if t] == ["arrived"]
+        settled.append(guide.observe(measured, now))
+    assert [t for t in settled if t] == ["arrived"]
 
 
 def test_standstill_waits_for_the_lagging_arm():
