@@ -122,7 +122,7 @@ tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physi
 	$(BIN)/python -m export tradeoff --data $(PROBES) $(FOLDERS)
 
 bench: $(VENV)/bench ## what a decision of each released network costs on this machine, beside peers: docs/benchmark.md, .json, .png
-	$(BIN)/python -m export benchmark --docs docs --compare torch,torch.compile,openvino --alexnet $(ALEXNET) \
+	$(BIN)/python -m export benchmark --docs docs --compare torch,openvino --alexnet $(ALEXNET) \
 	  $(if $(wildcard $(PROBES)/manifest.json),--data $(PROBES))
 
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
@@ -132,11 +132,11 @@ soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models a
 	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)
 
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
-	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)
+	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --perception $(PERCEPTION)
 
-EYES ?= pictures
+PERCEPTION ?= pictures
 robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time, on both tiers of the gel: docs/robustness.md
-	$(RUN) -m simulation robustness --out runs/robustness --docs docs --eyes $(EYES)
+	$(RUN) -m simulation robustness --out runs/robustness --docs docs --perception $(PERCEPTION)
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.

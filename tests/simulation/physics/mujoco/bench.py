@@ -16,7 +16,7 @@ from reporting.files import write_durably, write_json
 from reporting.page import page
 from reporting.table import Table, table
 from simulation.data.probe import QuasiStaticCell
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from tests.simulation.physics.mujoco.model import Effort
 from tests.simulation.physics.mujoco.press import Press, Pressed
 from tests.simulation.physics.mujoco.scenes import DEEP, SETTINGS, SHALLOW, Poke
