@@ -19,9 +19,9 @@ from service.contract.shipped import released_models
 from simulation.cell import run_report
 from simulation.cell.children import Child
 from simulation.cell.run_report import Result
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene, training_objects
 
-TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 CELL_READY_S = 300.0  # the first start on a machine compiles the physics
 SERVICE_READY_S = 90.0
 FRAME_AGE_MS = 500.0  # the simulated cell computes its frames on the same cores and may pause; a real camera must not
@@ -36,7 +36,7 @@ class RunOptions:
     """Insert an object in the simulated cell, in real time, through the real protocols."""
 
     object: str = "rectangle"
-    """Scene: a built-in name, a TOML file, or "all" for the four training objects."""
+    """A name, a TOML file, or "all" for the training objects."""
     x_mm: float | None = None
     """Position error at the start; drawn from the seed if left out."""
     theta_deg: float | None = None
@@ -90,7 +90,7 @@ def starts(options: RunOptions) -> list[Start]:
     if not options.models.is_dir():
         raise RunError(f"--models {options.models}: no such folder; it holds the .onnx files of the service")
     planned = []
-    for name in TRAINING_OBJECTS if options.object == "all" else (options.object,):
+    for name in training_objects() if options.object == "all" else (options.object,):
         scene = load_scene(name)
         for seed in range(options.seed, options.seed + options.repeat):
             x_mm, theta_deg = draw_start(scene, seed)

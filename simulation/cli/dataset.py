@@ -12,12 +12,12 @@ import numpy as np
 import tyro
 
 from simulation.data import lerobot, mcap, workers
-from simulation.data.collect import TRAINING_OBJECTS, Plan, scene_sha256
+from simulation.data.collect import Plan, scene_sha256
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, Trial, slice_of
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
 from simulation.optics import attempt_picture
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene, training_objects
 
 DECISION_FRAMES = 8
 
@@ -30,7 +30,7 @@ class CollectOptions:
     """Folder of the dataset; created if absent, continued if it holds the same collection."""
     trials_per_object: int = 7500
     """Collisions to keep of each object; rounded up to whole shards."""
-    objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = TRAINING_OBJECTS
+    objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = training_objects()
     """Scene names or TOML files."""
     seed: int = 0
     """Same seed, same data, bit for bit, whatever the number of workers."""

@@ -14,8 +14,9 @@ from reporting.page import publish
 from reporting.table import table
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
+from simulation.scene.worlds import training_objects
 from simulation.studies import hard_probes as probes
-from simulation.studies.accuracy import PAST_TOUCHDOWN_MM, SCENES, SETTINGS, THETA_DEG, X_MM, measure, probe_times
+from simulation.studies.accuracy import PAST_TOUCHDOWN_MM, SETTINGS, THETA_DEG, X_MM, measure, probe_times
 from simulation.studies.accuracy_report import accuracy_page, draw
 from simulation.studies.theory import theory_page
 
@@ -35,7 +36,7 @@ def accuracy(arguments: list[str]) -> int:
     options = tyro.cli(AccuracyOptions, args=arguments, prog="tactile-insertion accuracy")
     if options.repeats < 1 or not options.out.is_dir():
         raise ValueError(f"expected --repeats >= 1 and an existing folder, got {options.repeats} and {options.out}")
-    with progress("pokes", len(SCENES) * len(SETTINGS)) as show:
+    with progress("pokes", len(training_objects()) * len(SETTINGS)) as show:
         costs = [asdict(cost) for cost in measure(options.repeats, show)]
     poke = {"x_mm": X_MM, "theta_deg": THETA_DEG, "past_touchdown_mm": PAST_TOUCHDOWN_MM}
     data = {"poke": poke, "costs": costs, "probe_ms": probe_times(options.repeats)}

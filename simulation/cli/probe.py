@@ -15,7 +15,8 @@ from simulation.cell.options import CellOptions
 from simulation.data.probe import Probe, run_probe
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
 from simulation.studies import imprint as study
 
 
@@ -50,7 +51,7 @@ def save(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
 def probe(arguments: list[str]) -> int:
     """Run one descent and print what happened, frame by frame."""
     parser = argparse.ArgumentParser(prog="tactile-insertion probe", description=probe.__doc__)
-    parser.add_argument("scene", help="a built-in name (rectangle, circle, ...) or a TOML file")
+    parser.add_argument("scene", help="name of an object (rectangle, circle, ...) or a TOML file")
     parser.add_argument("--x-mm", type=float, default=8.0, help="position error across the gap (default 8)")
     parser.add_argument("--theta-deg", type=float, default=5.0, help="yaw error (default 5)")
     parser.add_argument("--seed", type=int, default=0, help="of grasp, optics and noise (default 0)")

@@ -23,9 +23,10 @@ from simulation.data.dataset import DatasetError, ShardEntry, Trial, encode_shar
 from simulation.data.manifest import shard_file_name
 from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
 from simulation.optics.appearance import Appearance
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.randomisation import randomised
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
 
-TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 POKES_PER_FIXTURE = 5
 MAX_STOP_DELAY_FRAMES = 2
 MAX_OVERTRAVEL_MM = 0.15
@@ -80,7 +81,7 @@ def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.rand
     group = plan.group_id(number)
     rng = np.random.Generator(np.random.PCG64([plan.seed, group]))
     held_out = bool(rng.random() < plan.held_out_share)
-    scene = base.randomised(rng, held_out=held_out)
+    scene = randomised(base, rng, held_out=held_out)
     look_seed, cell_seed = (int(n) for n in rng.integers(2**31, size=2))
     left, right = (Appearance.draw(scene, finger, look_seed) for finger in FINGERS)
     return Fixture(scene, group, held_out, (left, right), cell_seed), rng

@@ -1,47 +1,53 @@
-"""What a refused scene is told: the key, what is allowed there, and what was given."""
+"""What the refusal of a scene says: the key, what is allowed there, and what was given."""
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, cast
 
 from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
 
 SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 
 
-def _field(model: type[BaseModel], path: Iterable[int | str]) -> FieldInfo | None:
-    """The field at a path of keys below a model, or None where there is none."""
-    found: FieldInfo | None = None
-    current: Any = model
+def nearest(name: str, allowed_names: Iterable[str]) -> str:
+    """A hint at the allowed name that is most alike; empty where none is."""
+    near = difflib.get_close_matches(name, list(allowed_names), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _table(model: type[BaseModel], path: Iterable[int | str]) -> type[BaseModel] | None:
+    """The table at a path of keys below a model, or None where there is none."""
+    table: Any = model
     for key in path:
-        if not (isinstance(current, type) and issubclass(current, BaseModel)):
+        field = table.model_fields.get(str(key))
+        table = None if field is None else field.annotation
+        if not (isinstance(table, type) and issubclass(table, BaseModel)):
             return None
-        found = current.model_fields.get(str(key))
-        if found is None:
-            return None
-        current = found.annotation
-    return found
+    return cast("type[BaseModel]", table)
 
 
-def allowed(model: type[BaseModel], path: Iterable[int | str]) -> str:
+def allowed(table: type[BaseModel] | None, key: str) -> str:
     """The range of a number, e.g. ">= 0.005 and <= 5.0"; empty where the key has none."""
-    field = _field(model, path)
-    bounds = field.metadata if field is not None else []
+    field = table.model_fields.get(key) if table else None
+    bounds = field.metadata if field else []
     return " and ".join(
         f"{sign} {getattr(bound, name)}" for name, sign in SIGNS for bound in bounds if hasattr(bound, name)
     )
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """One line on the first thing wrong: key, what is expected, what was given."""
-    first = error.errors()[0]
+    """One line on the first thing wrong, an unknown key before all: key, what is expected, what was given."""
+    wrong = error.errors()
+    first = next((one for one in wrong if one["type"] == "extra_forbidden"), wrong[0])
     key = ".".join(str(part) for part in first["loc"])
+    *parents, last = first["loc"] or ("",)
+    table = _table(model, parents)
     if first["type"] == "extra_forbidden":
-        what = "unknown key"
+        what = f"unknown key{nearest(str(last), table.model_fields if table else ())}"
     else:
-        bounds = allowed(model, first["loc"])
+        bounds = allowed(table, str(last))
         what = f"expected a number {bounds}" if bounds else first["msg"]
     given = "" if first["type"] in {"value_error", "missing"} else f" (given: {first['input']!r})"
     return f"{key + ': ' if key else ''}{what}{given}"

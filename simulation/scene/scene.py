@@ -1,29 +1,30 @@
-"""Scene: everything about one simulated cell that is not motion, read from TOML and refused when impossible.
+"""Scene: a world with an object in it, everything about one simulated cell that is not motion.
 
-Units are in the names. Frames: see `shapes` (object) and the work-object frame (origin at the gap's centre
-at the height of the block tops, x across the gap, y along it, z up).
+`simulation.scene.worlds` reads it from files. Units are in the names. Frames: see `shapes` (object) and the
+work-object frame (origin at the gap's centre at the height of the block tops, x across the gap, y along it, z up).
 """
 
 from __future__ import annotations
 
-import difflib
-import math
+import zlib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from service.contract import ContractError
-from service.contract.toml import read_toml
 from simulation.scene import shapes
 from simulation.scene.errors import describe
 
-OBJECTS = Path(__file__).parents[1] / "objects"
-BUILT_IN = ("rectangle", "circle", "ellipse", "hexagon", "white_box", "vitamin", "can", "mustard")
-YOUNGER_KEYS = (("camera", "readout_ms"), ("effects", "inertia"), ("effects", "rolling_shutter"))
+YOUNGER_KEYS = (
+    ("camera", "readout_ms"),
+    ("effects", "inertia"),
+    ("effects", "rolling_shutter"),
+    ("object", "texture_period_mm"),
+    ("object", "texture_gain"),
+)
+RECORD = ("training", "order", "paper", "target")  # keys that change nothing of the cell
 Switch = Literal["auto", "on", "off"]
 
 
@@ -38,7 +39,10 @@ class Part(BaseModel):
 
 
 class HeldObject(Part):
-    """The object: footprint at its flat bottom, section where it is held (the same unless given), weight."""
+    """The object: footprint at its flat bottom, section where it is held (the same unless given), weight.
+
+    The texture's period and gain (contrast of its relief, 0..1) follow from its name unless given.
+    """
 
     shape: shapes.Shape
     size_x_mm: float = Field(gt=5.0, le=200.0)
@@ -50,7 +54,9 @@ class HeldObject(Part):
     held_corner_radius_mm: float = Field(default=0.0, ge=0.0, le=50.0)
     mass_kg: float = Field(default=0.08, gt=0.0, le=5.0)
     centre_of_mass_height_mm: float = Field(default=30.0, ge=0.0, le=300.0)
-    texture: Literal["smooth", "paper", "ribbed", "label"] = "smooth"
+    texture: Literal["smooth", "paper", "ribbed", "label", "layers"] = "smooth"
+    texture_period_mm: float | None = Field(default=None, ge=0.1, le=10.0)
+    texture_gain: float | None = Field(default=None, ge=0.0, le=0.5)
 
     @property
     def footprint_mm(self) -> NDArray[np.float64]:
@@ -153,10 +159,26 @@ class Effects(Part):
     dropped_frames: Switch = "auto"
 
 
+class Figures(Part):
+    """Success, 0..1, and mean and largest number of trials of one object; a failure counts as 16 trials."""
+
+    success: float = Field(ge=0.0, le=1.0)
+    mean_trials: float = Field(ge=1.0, le=16.0)
+    max_trials: int | None = Field(default=None, ge=1, le=16)
+
+
 class Scene(Part):
-    """One simulated cell. Frozen; make variants with `varied` or `randomised`."""
+    """One simulated cell. Frozen; make variants with `varied` or `randomisation.randomised`.
+
+    ``training``: the released networks were trained on this object. ``order``: its place in tables, which seeds follow.
+    ``paper``: what the paper measured on the real robot. ``target``: what this project set out to reach.
+    """
 
     name: str = Field(min_length=1)
+    training: bool = False
+    order: int | None = Field(default=None, ge=0)
+    paper: Figures | None = None
+    target: Figures | None = None
     object: HeldObject
     blocks: Blocks
     gel: Gel = Gel()
@@ -198,15 +220,21 @@ class Scene(Part):
         return self.camera.marker_pitch_px * self.camera.mm_per_px
 
     def identity_json(self) -> str:
-        """Everything the scene says, as one line of JSON: what data sets know it by.
+        """Everything about the cell, as one line of JSON: what data sets know it by.
 
         A key younger than the first data sets counts only where it is set, so that they keep their scenes.
         """
-        unset: dict[str, set[str]] = {}
+        left_out: dict[str, Any] = dict.fromkeys(RECORD, True)
         for part, key in YOUNGER_KEYS:
-            if getattr(getattr(self, part), key) == getattr(type(getattr(self, part))(), key):
-                unset.setdefault(part, set()).add(key)
-        return self.model_dump_json(exclude=unset)
+            values = getattr(self, part)
+            if getattr(values, key) == type(values).model_fields[key].default:
+                left_out.setdefault(part, set()).add(key)
+        return self.model_dump_json(exclude=left_out)
+
+    @property
+    def number(self) -> int:
+        """What the seeds of this object's draws start from: its order or, without one, a number of its contents."""
+        return zlib.crc32(self.identity_json().encode()) if self.order is None else self.order
 
     def fits(self, x_mm: float, theta_deg: float) -> bool:
         """Whether a vertical descent from this error inserts without touching (paper_facts' criterion)."""
@@ -216,74 +244,12 @@ class Scene(Part):
         """A copy with dotted keys replaced, e.g. {"gel.friction": 0.5}. Raises SceneError."""
         data = self.model_dump()
         for key, value in changes.items():
-            _set(data, key, value)
-        return _parse(data, self.name)
-
-    def randomised(self, rng: np.random.Generator, *, held_out: bool = False) -> Scene:
-        """A domain-randomised copy: what an installation meets that no scene file can know.
-
-        How high above its bottom the object is held, its weight, grip and clearance are drawn from all that the cell
-        can do. Sizes, frictions, stiffness, crown, grip, noise and light of held-out draws come from ranges that no
-        training draw can reach. What a large scene scales past the limits of a scene stays at the limit.
-        """
-
-        def draw(low: float, high: float, margin: float) -> float:
-            if not held_out:
-                return float(rng.uniform(low, high))
-            outer = (low - margin, low) if rng.random() < 0.5 else (high, high + margin)
-            return float(rng.uniform(*outer))
-
-        scale = draw(0.9, 1.2, 0.05)
-        size_x = min(200.0, self.object.size_x_mm * scale)
-        height = float(rng.uniform(25.0, 95.0))
-        changes = {
-            "object.size_x_mm": size_x,
-            "object.size_y_mm": min(110.0, self.object.size_y_mm * scale * draw(0.96, 1.04, 0.04)),
-            "object.corner_radius_mm": min(50.0, self.object.corner_radius_mm * scale),
-            "object.mass_kg": math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))),
-            "object.centre_of_mass_height_mm": height * float(rng.uniform(0.4, 0.95)),
-            "blocks.gap_mm": min(250.0, size_x + 2.0 * self.clearance_mm / 2.5 * float(rng.uniform(1.5, 3.0))),
-            "blocks.friction": draw(0.15, 0.35, 0.1),
-            "gel.friction": draw(0.65, 0.95, 0.15),
-            "gel.shear_modulus_n_per_mm2": 0.1 * math.exp(draw(-0.2, 0.2, 0.15)),
-            "gel.crown_mm": draw(0.06, 0.18, 0.06),
-            "grasp.force_n": draw(16.0, 38.0, 4.0),
-            "grasp.height_mm": height,
-            "camera.noise_grey": min(30.0, self.camera.noise_grey * draw(0.5, 1.5, 0.4)),
-            "camera.light": draw(0.85, 1.15, 0.15),
-            "gel.wear": draw(0.1, 0.4, 0.1),
-            "x_range_mm": min(60.0, self.x_range_mm * scale),
-        }
-        body = self.object
-        if body.shape == "hexagon" or (body.shape == "ellipse" and body.size_x_mm == body.size_y_mm):
-            changes["object.size_y_mm"] = size_x  # what is regular or round stays so
-        return self.varied(changes)
+            put(data, key, value)
+        return parsed(data, self.name)
 
 
-def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
-    """A scene by built-in name or TOML path. Overrides use `__` for the dot: gel__friction=0.5.
-
-    Raises:
-        SceneError: unknown name, unreadable file, unknown key, value out of range or impossible geometry.
-    """
-    path = Path(name_or_path)
-    if str(name_or_path) in BUILT_IN:
-        path = OBJECTS / f"{name_or_path}.toml"
-    elif not path.is_file():
-        near = difflib.get_close_matches(str(name_or_path), BUILT_IN, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise SceneError(f"no scene {str(name_or_path)!r}: expected a TOML file or one of {', '.join(BUILT_IN)}{hint}")
-    try:
-        data = read_toml(path)
-    except (OSError, ContractError) as error:
-        raise SceneError(str(error)) from error
-    data.setdefault("name", path.stem)
-    for key, value in overrides.items():
-        _set(data, key.replace("__", "."), value)
-    return _parse(data, str(path))
-
-
-def _set(data: dict[str, Any], dotted: str, value: Any) -> None:
+def put(data: dict[str, Any], dotted: str, value: Any) -> None:
+    """Set a dotted key of nested tables. Raises SceneError."""
     *parents, last = dotted.split(".")
     for parent in parents:
         data = data.setdefault(parent, {})
@@ -292,7 +258,8 @@ def _set(data: dict[str, Any], dotted: str, value: Any) -> None:
     data[last] = value
 
 
-def _parse(data: Mapping[str, Any], source: str) -> Scene:
+def parsed(data: Mapping[str, Any], source: str) -> Scene:
+    """The scene that tables read from ``source`` describe. Raises SceneError."""
     try:
         return Scene.model_validate(data)
     except ValidationError as error:

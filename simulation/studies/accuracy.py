@@ -23,12 +23,12 @@ from simulation.data.probe import run_probe
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.physics.quasistatic import CellState, QuasiStaticCell
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene, training_objects
 
 Tier = Literal["bristle", "layer"]
 Changes = dict[str, Any]
 
-SCENES = ("rectangle", "circle", "ellipse", "hexagon")
 X_MM, THETA_DEG, PAST_TOUCHDOWN_MM = 8.0, 5.0, 1.5
 CLEAN: Changes = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 FINE, FINER = {"gel__node_rows": 40, "gel__node_columns": 42}, {"gel__node_rows": 60, "gel__node_columns": 63}
@@ -127,7 +127,7 @@ def error_of(end: End, reference: End) -> Error:
 def measure(repeats: int, show: Callable[[int], None]) -> list[Cost]:
     """Every setting on every scene."""
     out: list[Cost] = []
-    for scene in SCENES:
+    for scene in training_objects():
         references = {tier: poke(scene, tier, changes, 1) for tier, changes in REFERENCES.items()}
         for setting in SETTINGS:
             end = poke(scene, setting.tier, setting.changes, repeats)
@@ -142,7 +142,7 @@ def probe_times(repeats: int) -> dict[str, dict[str, float]]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        return {name: _probe_times(load_scene(name), repeats) for name in SCENES}
+        return {name: _probe_times(load_scene(name), repeats) for name in training_objects()}
     finally:
         cv2.setNumThreads(threads)
 

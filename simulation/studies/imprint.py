@@ -12,7 +12,7 @@ from reporting.figure import drawing
 from simulation.data.probe import run_probe
 from simulation.optics import attempt_picture
 from simulation.optics.renderer import Appearance, Renderer
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 COLUMNS = ("raw, held", "raw, after the collision", "rectified, after", "difference", "motion of the dots")
 
@@ -49,7 +49,7 @@ def _row(axes: Sequence[Any], name: str, options: Options) -> None:
     for panel in axes:
         panel.set_xticks([])
         panel.set_yticks([])
-    axes[0].set_ylabel(name)
+    axes[0].set_ylabel(scene.name)
 
 
 def draw(options: Options) -> None:

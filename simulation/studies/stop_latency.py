@@ -39,7 +39,7 @@ class StopOptions:
     repeat: int = 4
     """Starts for each way, seeds counting up."""
     object: str = "rectangle"
-    """Scene: a built-in name or a TOML file."""
+    """Object by name or TOML file."""
     fps: int = 30
     """Camera rate: 30, 60 or 90."""
     models: Path = field(default_factory=released_models)

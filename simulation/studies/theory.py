@@ -19,7 +19,7 @@ from reporting.table import table
 from simulation.physics import elastic_layer
 from simulation.physics.kernels import bristles
 from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 Floats = NDArray[np.float64]
 WIDTH_MM, CROWN_MM, FRICTION = 21.0, 0.5, 0.8

@@ -24,7 +24,7 @@ from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.rigid import fit_motion, moving_patch
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from tests.hard_cases.decision import LIMITS, _cards, evidence_for
 from tests.hard_cases.instead import blind
 from tests.hard_cases.motion import pose

@@ -14,7 +14,8 @@ from service.contract.model_card import CARD_KEY
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
 from service.recordings.reader import Recording, RecordingError
 from service.tools.replay import ReplayError, ReplayOptions, read_clip
-from simulation.scene.scene import Gel, Scene, SceneError, load_scene
+from simulation.scene.scene import Gel, Scene, SceneError
+from simulation.scene.worlds import load_scene
 from tests.hard_cases.instead import with_globals
 from tests.hard_cases.registry import ROOT, Guard, case, not_refused
 from training.fit.checkpoint import Checkpoint

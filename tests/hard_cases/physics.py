@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
-from simulation.scene.scene import SceneError, load_scene
+from simulation.scene.scene import SceneError
+from simulation.scene.worlds import load_scene
 from tests.hard_cases.registry import case, non_finite, not_refused
 
 EXACT = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}

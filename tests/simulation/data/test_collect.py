@@ -16,7 +16,7 @@ from simulation.cli.dataset import CollectOptions, asked_manifest
 from simulation.data.collect import POKES_PER_FIXTURE, Plan, make_shard, pokes, shard_of
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.data.manifest import read_manifest
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from tests.simulation.strategies import made_up_manifest
 
 COLLECT = [sys.executable, "-m", "simulation", "collect", "--objects", "circle", "--trials-per-shard", "3"]

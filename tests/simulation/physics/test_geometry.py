@@ -7,8 +7,8 @@ import pytest
 
 from simulation.__main__ import main
 from simulation.data.probe import QuasiStaticCell
-from simulation.scene.scene import load_scene
 from simulation.scene.shapes import half_width_mm
+from simulation.scene.worlds import load_scene
 from simulation.studies.theory import INSERTS, inserting
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from simulation.__main__ import main
+from simulation.scene.worlds import training_objects
 from simulation.studies import accuracy, accuracy_report
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -13,7 +14,7 @@ DOCS = Path(__file__).parents[3] / "docs"
 
 def test_the_published_table_has_enough_settings_and_scenes_and_both_tiers() -> None:
     costs = json.loads((DOCS / "accuracy.json").read_text())["costs"]
-    assert {row["scene"] for row in costs} == set(accuracy.SCENES)
+    assert {row["scene"] for row in costs} == set(training_objects())
     assert {row["setting"] for row in costs} == {setting.name for setting in accuracy.SETTINGS}
     assert {row["family"] for row in costs} == {"load step", "nodes", "effects", "layer"}
     for row in costs:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from simulation.data.probe import QuasiStaticCell
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from tests.simulation.physics.mujoco.model import Effort
 from tests.simulation.physics.mujoco.press import Press, Pressed
 from tests.simulation.physics.mujoco.scenes import DEEP, SETTINGS, SHALLOW, Poke
