@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from robot_client import devices
 from robot_client.devices import GRIPPERS, ROBOTS, nearest
-from robot_client.insertion.geometry import IDENTITY, TOOL_DOWN, CellFrame, Quaternion, Vector, normalised
+from robot_client.insertion.geometry import CellFrame
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
@@ -28,18 +28,6 @@ Table = TypeVar("Table", bound=BaseModel)
 
 class SettingsError(ContractError):
     """The configuration is wrong; the text names file, key and what was expected."""
-
-
-class WorkObject(Contract):
-    """The gap's frame in the frame of the controller's poses, and the tool at yaw 0; quaternions w, x, y, z."""
-
-    origin_mm: Vector = (0.0, 0.0, 0.0)
-    rotation: Quaternion = IDENTITY
-    tool: Quaternion = TOOL_DOWN
-
-    def frame(self) -> CellFrame:
-        """The conversion that the driver uses; raises ValueError for a quaternion without direction."""
-        return CellFrame(self.origin_mm, normalised(self.rotation), normalised(self.tool))
 
 
 class Task(Contract):
@@ -67,7 +55,7 @@ class Settings(Contract):
     robot: DeviceSettings = Field(default_factory=lambda: _device("robot", {}))
     gripper: DeviceSettings = Field(default_factory=lambda: _device("gripper", {}))
     service: ServiceSettings = ServiceSettings()
-    work_object: WorkObject = WorkObject()
+    work_object: CellFrame = CellFrame()
     limits: Limits = Limits()
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
@@ -75,7 +63,7 @@ class Settings(Contract):
 
     def make_arm(self) -> Arm:
         """The arm behind its port; nothing is connected yet."""
-        return devices.make_arm(self.robot, self.limits, self.ramps, self.work_object.frame())
+        return devices.make_arm(self.robot, self.limits, self.ramps, self.work_object)
 
     def make_gripper(self) -> Gripper:
         """The gripper behind its port; nothing is connected yet."""
@@ -102,12 +90,7 @@ def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) ->
         if ours and name not in known:
             raise SettingsError(f"environment: {name} is not used; {nearest(name, known)}")
     names = {key: {"device": device.device} for key, device in chosen.items()}
-    settings = _table(Settings, {**data, **names}, source).model_copy(update=chosen)
-    try:
-        settings.work_object.frame()
-    except ValueError as error:
-        raise SettingsError(f"{source}: work_object: {error}") from None
-    return settings
+    return _table(Settings, {**data, **names}, source).model_copy(update=chosen)
 
 
 def _merged(data: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:

@@ -22,6 +22,8 @@ import httpx
 import numpy as np
 
 from reporting.machine import machine
+from reporting.page import publish
+from reporting.statistics import percentiles
 from service.decision.models import load_models
 from tests.benchmarks.cell import SteppedCell, in_process_ms
 from tests.benchmarks.load import flood, healthz_ms, overload
@@ -30,8 +32,8 @@ from tests.service.process import service_process
 
 
 def quantiles(values: list[float]) -> dict[str, float]:
-    p50, p99 = np.percentile(values, (50, 99))
-    return {"p50_ms": round(float(p50), 2), "p99_ms": round(float(p99), 2), "n": len(values)}
+    p50, p99 = percentiles(values, 50, 99)
+    return {"p50_ms": round(p50, 2), "p99_ms": round(p99, 2), "n": len(values)}
 
 
 @contextlib.contextmanager
@@ -96,7 +98,7 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
 
 
 def main() -> int:
-    from tests.benchmarks.serving_report import page
+    from tests.benchmarks.serving_report import serving_page
 
     options = arguments()
     parts: dict[str, Callable[[], dict[str, Any]]] = {
@@ -116,16 +118,14 @@ def main() -> int:
         print(f"{name} ...", flush=True)
         started = time.monotonic()
         try:
-            measured = measure()
+            found = measure()
         except (RuntimeError, OSError, httpx.HTTPError, subprocess.SubprocessError) as error:
-            measured = {"failed": f"{type(error).__name__}: {error}"[:500]}
-        facts[name] = measured | {"load": round(os.getloadavg()[0], 1), "took_s": round(time.monotonic() - started)}
+            found = {"failed": f"{type(error).__name__}: {error}"[:500]}
+        facts[name] = found | {"load": round(os.getloadavg()[0], 1), "took_s": round(time.monotonic() - started)}
         print(json.dumps(facts[name]), flush=True)
         facts["machine"] = machine()
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(json.dumps(facts, indent=1) + "\n")
-    (options.docs / "serving.md").write_text(page(facts))
-    print((options.docs / "serving.md").read_text())
+        publish(options.docs, "serving", serving_page(facts), facts)
+    print(serving_page(facts))
     return 0
 
 
