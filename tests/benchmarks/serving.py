@@ -102,8 +102,7 @@ def main() -> int:
 
     options = arguments()
     parts: dict[str, Callable[[], dict[str, Any]]] = {
-        "peers": lambda: peers(options.models / "pictures", options.peers_python, options.seconds),
-        "peers markers": lambda: peers(options.models, options.peers_python, options.seconds),
+        "peers": lambda: peers(options.models, options.peers_python, options.seconds),
         "websocket": lambda: decisions(options.models, options.trials),
         "first": lambda: first_decision(options.models, starts=9, steady=5),
         "cameras 60": lambda: flood(options.models, 60.0, options.seconds),

@@ -44,6 +44,7 @@ def serving_page(facts: dict[str, Any]) -> str:
         f"**Missed here:** {'; '.join(missed) or 'nothing'}.",
         f"**Not measured:** {'; '.join(unmeasured)}." if unmeasured else "",
         NOTES,
+        "\n".join(f"- {name}: {facts[name]['note']}" for name in ROWS if "note" in facts.get(name, {})),
     )
 
 
@@ -114,7 +115,6 @@ def _overload(found: dict[str, Any]) -> list[Row]:
 
 ROWS = {
     "peers": _peers,
-    "peers markers": _peers,
     "websocket": _websocket,
     "first": _first,
     "cameras 60": _cameras,
