@@ -133,12 +133,8 @@ class EgmArm:
         return {**robot, "guidance": self._check_port}
 
     async def _check_port(self) -> list[Finding]:
+        _listen(self.settings).close()  # its refusal is the finding
         where = f"UDP {self.settings.bind}:{self.settings.port}"
-        with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-            try:
-                probe.bind((self.settings.bind, self.settings.port))
-            except OSError as error:
-                return [Finding(False, f"{where} cannot be listened on: {error}")]
         return [Finding(True, f"{where} is free; the controller's UCdevice must send to it")]
 
     # ---- wire -----------------------------------------------------------------------------------------------------
