@@ -122,7 +122,7 @@ tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physi
 	$(BIN)/python -m export tradeoff --data $(PROBES) $(FOLDERS)
 
 bench: $(VENV)/bench ## what a decision of each released network costs on this machine, beside peers: docs/benchmark.md, .json, .png
-	$(BIN)/python -m export benchmark --docs docs --compare torch,torch.compile,openvino --alexnet $(ALEXNET) \
+	$(BIN)/python -m export benchmark --docs docs --compare torch,openvino --alexnet $(ALEXNET) \
 	  $(if $(wildcard $(PROBES)/manifest.json),--data $(PROBES))
 
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json

@@ -16,7 +16,7 @@ from torch import nn
 from export.onnx.golden import golden_frames, golden_markers
 from export.onnx.model import open_model
 from export.onnx.runtime import session
-from export.onnx.verify import verify_forms
+from export.onnx.verify import OPSET, verify_forms
 from reporting.machine import cpu_name
 from service.contract import Calibration, ContractError, FrameSpec, MarkerSpec, ModelCard
 from service.contract.self_test import make_self_test
@@ -28,7 +28,6 @@ from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import Role, SequenceForm, StepForm
 from training.networks.preprocessing import BLOCK_PX, CHANNELS, COLS, HEIGHT_PX, ROWS, WIDTH_PX, selector
 
-OPSET = 20
 PICTURES = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX, colour="bgr", rectified=True)
 MARKERS = MarkerSpec(rows=LATTICE.rows, columns=LATTICE.columns, pitch_px=LATTICE.pitch_px, first_px=LATTICE.first_px)
 TOLERANCE = 1e-5

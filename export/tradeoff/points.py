@@ -33,7 +33,7 @@ class Point:
     about: dict[str, Any]
 
     def __post_init__(self) -> None:
-        """Raise ContractError on a number that is none: it would win or lose every comparison silently."""
+        """Raise ContractError on a figure that is not finite: it would win or lose every comparison silently."""
         if not all(map(math.isfinite, (self.better, self.low, self.high, self.cost_ms))) or self.cost_ms <= 0:
             raise ContractError(f"the point {self.name} has a figure that is not finite or a cost that is not positive")
 
@@ -112,15 +112,15 @@ def closed_loop_trials(
 ) -> tuple[float, float, float] | None:
     """Mean trials on the training objects with a 95 % interval of one controller of the closed-loop report.
 
-    None if it was not run, or, with ``files``, if it was played with other networks than these. All controllers played
-    these objects, some others not.
+    None if it was not run, or, with ``files``, if it ran with other networks than these. All controllers ran with
+    these objects, only some with others.
     """
     if not path.is_file():
         return None
     if files is not None:
-        played = _read(path, "setup")
+        setup = _read(path, "setup")
         if any(
-            played.get(f"{controller}/{file.name}") != hashlib.sha256(file.read_bytes()).hexdigest() for file in files
+            setup.get(f"{controller}/{file.name}") != hashlib.sha256(file.read_bytes()).hexdigest() for file in files
         ):
             return None
     rows = [

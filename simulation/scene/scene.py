@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from service.contract.refusals import describe
 from simulation.scene import shapes
-from simulation.scene.errors import describe
 
 YOUNGER_KEYS = {
     "object": ("vertices_mm", "texture_period_mm", "texture_gain"),

@@ -17,8 +17,8 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from service.contract import ContractError
+from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
-from simulation.scene.errors import describe, nearest
 from simulation.scene.scene import Blocks, Camera, Gel, Grasp, HeldObject, Part, Scene, SceneError, parsed, put
 
 OBJECTS = Path(__file__).parents[1] / "objects"
@@ -145,9 +145,8 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
     if str(name_or_path) in object_names():
         path = OBJECTS / f"{name_or_path}.toml"
     elif not path.is_file():
-        names = object_names()
-        hint = nearest(str(name_or_path), names)
-        raise SceneError(f"no object {str(name_or_path)!r}: expected a TOML file or one of {', '.join(names)}{hint}")
+        hint = nearest(str(name_or_path), object_names())
+        raise SceneError(f"no object {str(name_or_path)!r}: expected a TOML file or the name of an object{hint}")
     data = _read(path)
     data.setdefault("name", path.stem)
     for key, value in overrides.items():

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.onnx.golden import golden_input, hard_input
-from export.onnx.model import Arrays, Model, open_model, told
+from export.onnx.model import Arrays, Model, geometry_inputs, open_model
 from export.onnx.verify import decide, run_steps
 from service.contract import ContractError
 from service.decision.evidence import DecisionRun, Refusal
@@ -111,7 +111,7 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
     state, worst = np.zeros((1, model.card.state_size), np.float32), 0.0
     for step in range(10_000):
         fed: Arrays = {"frame": frames[:, step % 8], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | told(model.card, 1))
+        outputs = model(fed | geometry_inputs(model.card, 1))
         state = outputs["next_state"]
         worst = max(worst, largest_of(outputs))
     return worst
@@ -130,7 +130,7 @@ def states_of_ten_thousand(seed: int) -> float:
         frames, model = golden(seed, name)[None], released(name)
         state = (rng.choice([-1.0, 1.0], (1, model.card.state_size)) * 1e4).astype(np.float32)
         fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
-        worst = max(worst, largest_of(model(fed | told(model.card, 1))))
+        worst = max(worst, largest_of(model(fed | geometry_inputs(model.card, 1))))
     return worst
 
 
@@ -148,7 +148,7 @@ def states_that_are_no_numbers(seed: int) -> float:
             state = np.zeros((1, model.card.state_size), np.float32)
             state[0, seed] = value
             fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
-            outputs = model(fed | told(model.card, 1))
+            outputs = model(fed | geometry_inputs(model.card, 1))
             decided += any(np.isfinite(output).all() for output in outputs.values())
     return float(decided)
 
@@ -168,7 +168,7 @@ def states_of_denormals(seed: int) -> float:
         for value in (0.0, 1e-40, -1e-44):
             state = np.full((1, model.card.state_size), value, np.float32)
             fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
-            outputs.append(model(fed | told(model.card, 1)))
+            outputs.append(model(fed | geometry_inputs(model.card, 1)))
         worst = max(worst, _gap(outputs[1], outputs[0]), _gap(outputs[2], outputs[0]))
     return worst
 
@@ -185,7 +185,10 @@ def gap_widths_far_from_training(seed: int) -> float:
     for name in NAMES:
         frames, model = golden(seed, name)[None], released(name, "sequence")
         for gap_mm in (5.0, 250.0):
-            worst = max(worst, largest_of(model({"frames": frames} | told(model.card, 1, gap_mm, min(gap_mm, 500.0)))))
+            worst = max(
+                worst,
+                largest_of(model({"frames": frames} | geometry_inputs(model.card, 1, gap_mm, min(gap_mm, 500.0)))),
+            )
     return worst
 
 

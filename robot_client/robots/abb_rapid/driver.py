@@ -8,6 +8,7 @@ the guard stops the arm by itself. Slower to stop than EGM: the figure to expect
 import asyncio
 import contextlib
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -65,7 +66,8 @@ class SocketArm:
         motion_reader, self._motion = await self._connect(self.settings.motion_port, "motion server")
         guard_reader, self._guard = await self._connect(self.settings.guard_port, "guard")
         self._silence.heard(time.monotonic())
-        for work in (self._read_motion(motion_reader), self._read_guard(guard_reader), self._beat()):
+        motion = self._read(motion_reader, self._on_motion, "motion server")
+        for work in (motion, self._read(guard_reader, self._on_guard, "guard"), self._beat()):
             self._tasks.append(asyncio.get_running_loop().create_task(work))
         deadline_s = time.monotonic() + self.settings.connect_timeout_s
         while self._here is None:
@@ -161,21 +163,13 @@ class SocketArm:
             if silent_s is not None:
                 self._fail("silent", f"the guard has not answered for {silent_s * 1e3:.0f} ms")
 
-    async def _read_guard(self, reader: asyncio.StreamReader) -> None:
+    async def _read(self, reader: asyncio.StreamReader, on_text: Callable[[str], None], name: str) -> None:
         parser = TextParser()
         with contextlib.suppress(OSError):
             while data := await reader.read(4096):
                 for text in parser.feed(data):
-                    self._on_guard(text)
-        self._fail("link", "the guard closed the connection")
-
-    async def _read_motion(self, reader: asyncio.StreamReader) -> None:
-        parser = TextParser()
-        with contextlib.suppress(OSError):
-            while data := await reader.read(4096):
-                for text in parser.feed(data):
-                    self._on_motion(text)
-        self._fail("link", "the motion server closed the connection")
+                    on_text(text)
+        self._fail("link", f"the {name} closed the connection")
 
     def _on_guard(self, text: str) -> None:
         try:
