@@ -24,6 +24,7 @@ from training.metrics.figures import (
     rescaled,
     wilson,
 )
+from training.networks import reads
 from training.report.oracle import oracle_figures
 from training.report.stress import STRESS_FILE
 
@@ -65,7 +66,7 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
     checkpoint = Checkpoint.load(run / "checkpoint.pt")
     beside = recipe_section(recipe, checkpoint.training_data_sha256)  # a wrong folder is refused before all the scoring
     torch.set_num_threads(config.threads)
-    trials = load_trials(config.data, source, config.network.reads)
+    trials = load_trials(config.data, source, reads(config.network.kind))
     trainer = Trainer(config, trials, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
     held = trials.of("validation", rendered=True)[:MOST_SCORED]
     if not len(held):
@@ -123,7 +124,7 @@ never cross splits. `validation` chose the epoch at which each stage ended and i
 
 ## The information limit
 
-{TRUE_FIELDS[checkpoint.network.reads]}
+{TRUE_FIELDS[reads(checkpoint.network.kind)]}
 The oracle is a network of the same size that sees the object's true motion in the hand, which is all that a gel can
 tell; what it gets wrong, no tactile network is to be blamed for.
 
