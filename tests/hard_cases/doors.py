@@ -75,7 +75,7 @@ def doors_of_the_decision(_seed: int) -> float:
     "motion",
     why="a target is a dozen multiplications away from the number that spoilt it",
     holds="every function of the robot client that takes numbers refuses those that are none: doors open",
-    guard=Guard("robot_client.insertion.geometry:CellFrame.__post_init__", "every number counts as finite", blind),
+    guard=Guard("robot_client.insertion.geometry:yaw_quaternion", "every number counts as finite", blind),
 )
 def doors_of_the_robot_client(_seed: int) -> float:
     def advance(value: float) -> object:

@@ -8,6 +8,7 @@ the guard stops the arm by itself. Slower to stop than EGM: the figure to expect
 import asyncio
 import contextlib
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -65,7 +66,8 @@ class SocketArm:
         motion_reader, self._motion = await self._connect(self.settings.motion_port, "motion server")
         guard_reader, self._guard = await self._connect(self.settings.guard_port, "guard")
         self._silence.heard(time.monotonic())
-        for work in (self._read_motion(motion_reader), self._read_guard(guard_reader), self._beat()):
+        motion = self._read(motion_reader, self._on_motion, "motion server")
+        for work in (motion, self._read(guard_reader, self._on_guard, "guard"), self._beat()):
             self._tasks.append(asyncio.get_running_loop().create_task(work))
         deadline_s = time.monotonic() + self.settings.connect_timeout_s
         while self._here is None:
@@ -153,7 +155,7 @@ class SocketArm:
             self._guard.write(codec.encode_guard(kind, number))
 
     async def _beat(self) -> None:
-        """Ask where the arm is; the guard's dead man lives on these, our watchdog on their answers."""
+        """Ask where the arm is: requests keep the guard's dead man alive, answers our watchdog."""
         while True:
             await asyncio.sleep(self.settings.poll_s)
             self._ask_guard("H", self._next())
@@ -161,21 +163,13 @@ class SocketArm:
             if silent_s is not None:
                 self._fail("silent", f"the guard has not answered for {silent_s * 1e3:.0f} ms")
 
-    async def _read_guard(self, reader: asyncio.StreamReader) -> None:
+    async def _read(self, reader: asyncio.StreamReader, on_text: Callable[[str], None], name: str) -> None:
         parser = TextParser()
         with contextlib.suppress(OSError):
             while data := await reader.read(4096):
                 for text in parser.feed(data):
-                    self._on_guard(text)
-        self._fail("link", "the guard closed the connection")
-
-    async def _read_motion(self, reader: asyncio.StreamReader) -> None:
-        parser = TextParser()
-        with contextlib.suppress(OSError):
-            while data := await reader.read(4096):
-                for text in parser.feed(data):
-                    self._on_motion(text)
-        self._fail("link", "the motion server closed the connection")
+                    on_text(text)
+        self._fail("link", f"the {name} closed the connection")
 
     def _on_guard(self, text: str) -> None:
         try:
@@ -214,7 +208,7 @@ class SocketArm:
         elif answer.number == self._move and self._waiting == "arrived":
             if answer.result == "stopped":
                 self._fail("guard", "the guard stopped the arm without being asked")
-            else:  # where it is now is the next question's answer, not the last one's
+            else:  # the position after the move comes with the next answer
                 self._waiting, self._asked = "fresh position", self._next()
                 self._ask_guard("H", self._asked)
 
@@ -223,7 +217,7 @@ class SocketArm:
         if self._waiting == "fresh position" and state.number == self._asked:
             self._waiting = None
             self._report(Arrived(at_s=now_s, pose=here))
-        # A move that is still on its way would begin with the release of the next one: it is waited for.
+        # Wait for the answer to a move that is still on its way: the next release would start it.
         if self._waiting != "standstill" or not state.stopped or self._sent is not None:
             return
         if self._still is None or (
