@@ -30,7 +30,6 @@ NOT_YET = {
     "camera": {"latency_ms"},
     "world": {"tcp_offset_mm", "frame_yaw_deg", "camera_scale", "camera_roll_deg", "blocks_up_mm", "swapped_fingers"}
     | {"mirrored", "x_sign", "yaw_sign"},
-    "object": {"vertices_mm"},
 }
 
 
@@ -117,7 +116,9 @@ def load_world(path: str | Path) -> World:
 
 
 def _checked(path: Path, table: str, model: type[Part], values: Mapping[str, Any]) -> Part:
-    _refuse_not_yet(path, table, values)
+    for key in values:
+        if key in NOT_YET.get(table, ()):
+            raise SceneError(f"{path}: {table}.{key}: not supported yet")
     if model is Blocks:
         if "gap_mm" in values:
             raise SceneError(f"{path}: blocks.gap_mm: the gap stands in the object's file, not in the world's")
@@ -130,12 +131,6 @@ def _validated(path: Path, table: str, model: type[Part], values: Mapping[str, A
         return model.model_validate(values)
     except ValidationError as error:
         raise SceneError(f"{path}: {table}.{describe(error, model)}") from error
-
-
-def _refuse_not_yet(path: Path, table: str, values: Mapping[str, Any]) -> None:
-    for key in values:
-        if key in NOT_YET.get(table, ()):
-            raise SceneError(f"{path}: {table}.{key}: not supported yet")
 
 
 def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
@@ -156,7 +151,6 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
     data.setdefault("name", path.stem)
     for key, value in overrides.items():
         put(data, key.replace("__", "."), value)
-    _refuse_not_yet(path, "object", _table(data, "object"))
     if "start" in data:
         start = _validated(path, "start", Start, data.pop("start"))
         data |= start.model_dump(include=start.model_fields_set)
