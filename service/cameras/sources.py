@@ -69,7 +69,7 @@ class MjpegSource:
                 continue
             header = bytes(buffer[:header_end])
             arrived_ns = stamp_ns
-            stamp_ns = told_stamp_ns(header, arrived_ns, same_clock=same_clock)
+            stamp_ns = header_stamp_ns(header, arrived_ns, same_clock=same_clock)
             same_clock = same_clock or stamp_ns != arrived_ns
             del buffer[: header_end + 4]
             length = _LENGTH.search(header)
@@ -101,15 +101,15 @@ class MjpegSource:
         return bool(data)
 
 
-def told_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
+def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
     """The capture stamp a part's header tells, if it can be of this machine's monotonic clock; else its arrival.
 
     ``same_clock``: earlier stamps of this stream were, so that an old one is old.
     """
-    told = _STAMP.search(header.replace(b"\r\n", b"\n"))
-    if told is None:
+    stamp = _STAMP.search(header.replace(b"\r\n", b"\n"))
+    if stamp is None:
         return arrived_ns
-    stamp_ns = int(told[1]) * 1_000_000_000 + int(told[2].ljust(9, b"0"))
+    stamp_ns = int(stamp[1]) * 1_000_000_000 + int(stamp[2].ljust(9, b"0"))
     age_ns = arrived_ns - stamp_ns
     return stamp_ns if age_ns >= 0 and (same_clock or age_ns <= _SAME_CLOCK_NS) else arrived_ns
 
