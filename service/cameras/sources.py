@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import CameraError, Capture, Source, now_ns
 from service.contract import TactileFrame
+from service.contract.refusals import nearest
 
 CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a camera that returns is found within 1 s
 READ_TIMEOUT_S = 1.0
@@ -22,6 +23,7 @@ MAX_JPEG_BYTES = 4 << 20
 _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
 _STAMP = re.compile(rb"(?im)^x-timestamp:\s*(\d+)\.(\d{1,9})\s*$")
 _SAME_CLOCK_NS = 1_000_000_000
+SCHEMES = ("http:", "v4l2:", "file:", "push:")
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 
 
@@ -234,4 +236,5 @@ def open_source(url: str, *, frame_rate_hz: float = 30.0) -> Source:
     path = Path(url.removeprefix("file:"))
     if url.startswith("file:") or (url and path.exists()):
         return RecordingSource(path)
-    raise CameraError(f"camera {url!r}: expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:")
+    hint = nearest(url.split(":", maxsplit=1)[0] + ":", SCHEMES)
+    raise CameraError(f"camera {url!r}: expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:{hint}")

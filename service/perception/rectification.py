@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from service.contract import FINGERS, ContractError, Finger, FrameSpec
+from service.contract.refusals import nearest
 from service.contract.toml import read_toml
 
 RAW = FrameSpec(height_px=320, width_px=427, rectified=False)
 RECTIFIED = FrameSpec(height_px=320, width_px=327)
 SCHEMA_VERSION = 1
+CAMERA_KEYS = ("raw_px", "rectified_px", "homography")
 _MIN_AREA_SHARE = 0.02  # of the raw frame, seen by the rectified one
 
 
@@ -92,7 +94,7 @@ class Calibration:
             )
         unknown = set(table) - {"schema_version", *FINGERS}
         if unknown:
-            raise CalibrationError(f"{path} has unknown entries {sorted(unknown)}, expected tables {list(FINGERS)}")
+            raise CalibrationError(f"{path}: {min(unknown)} is not used{nearest(min(unknown), FINGERS)}")
         return cls(*(_camera(table, finger, path) for finger in FINGERS))
 
     def save(self, path: str | Path) -> None:
@@ -114,9 +116,9 @@ def _camera(table: dict[str, Any], finger: Finger, path: str | Path) -> CameraCa
     entry = table.get(finger)
     if not isinstance(entry, dict):
         raise CalibrationError(f"{path} lacks the table [{finger}]")
-    unknown = set(entry) - {"raw_px", "rectified_px", "homography"}
+    unknown = set(entry) - {*CAMERA_KEYS}
     if unknown:
-        raise CalibrationError(f"{path} [{finger}] has unknown entries {sorted(unknown)}")
+        raise CalibrationError(f"{path} [{finger}]: {min(unknown)} is not used{nearest(min(unknown), CAMERA_KEYS)}")
     try:
         raw, rectified = _spec(entry["raw_px"], rectified=False), _spec(entry["rectified_px"], rectified=True)
         rows = [[float(value) for value in row] for row in entry["homography"]]
