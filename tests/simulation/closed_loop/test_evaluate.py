@@ -50,7 +50,7 @@ def test_an_object_that_slid_up_in_the_hand_without_a_slip_message_is_not_claime
     """Yawed above the gap's middle it stands on both blocks: the whole patch slides straight up at once."""
     slides = job(x_mm=0.0, theta_deg=8.0, controller="heuristic", perception="fields", changes=changes)
     by_depth, by_look = stage(slides, models), stage(slides, models)
-    by_depth.session.looks = False
+    by_depth.session.checks_full_depth = False
     blind = by_depth.run()
     assert blind.claimed, "this start no longer shows it: look for another one"
     assert not blind.inserted
