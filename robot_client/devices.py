@@ -7,14 +7,13 @@ its port without connecting it:
 - a gripper: ``make(settings) -> Gripper``.
 """
 
-import difflib
-from collections.abc import Iterable
 from importlib import import_module
 
 from robot_client.insertion.geometry import CellFrame
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.ports import Arm, DeviceSettings, Gripper
+from service.contract.refusals import nearest
 
 ROBOTS = {
     "abb_egm": "robot_client.robots.abb_egm.driver",
@@ -27,17 +26,10 @@ GRIPPERS = {
 }
 
 
-def nearest(name: str, allowed: Iterable[str]) -> str:
-    """The end of a refusal of ``name``: the nearest allowed name, or all of them where none is near."""
-    allowed = sorted(allowed)
-    near = difflib.get_close_matches(name, allowed, 1)
-    return f"nearest allowed: {near[0]}" if near else f"allowed: {', '.join(allowed)}"
-
-
 def settings_of(registry: dict[str, str], name: object) -> type[DeviceSettings]:
     """The settings of a registered device; raises ValueError for an unknown name."""
     if not isinstance(name, str) or name not in registry:
-        raise ValueError(f"device: {name!r} is unknown; {nearest(str(name), registry)}")
+        raise ValueError(f"device: {name!r} is unknown{nearest(str(name), registry)}")
     settings: type[DeviceSettings] = import_module(registry[name]).Settings
     return settings
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, Field, ValidationError
 
 from robot_client import devices
-from robot_client.devices import GRIPPERS, ROBOTS, nearest
+from robot_client.devices import GRIPPERS, ROBOTS
 from robot_client.insertion.geometry import CellFrame
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
@@ -17,6 +17,7 @@ from robot_client.insertion.state import Timeouts
 from robot_client.ports import Arm, DeviceSettings, Gripper
 from robot_client.session.service_link import ServiceSettings
 from service.contract.frames import Contract, ContractError
+from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
 
 REGISTRIES = {"robot": ROBOTS, "gripper": GRIPPERS}
@@ -33,7 +34,7 @@ class SettingsError(ContractError):
 class Task(Contract):
     """The insertion itself. Heights are those of the TCP in the work-object frame."""
 
-    approach_z_mm: float = 35.0  # held 30 mm above its bottom, which is approach_clearance_mm above the blocks
+    approach_z_mm: float = 35.0  # 30 mm above the object's bottom, which is approach_clearance_mm above the blocks
     approach_clearance_mm: Positive = 5.0
     approach_y_mm: float = 0.0
     gap_width_mm: float = Field(default=56.0, gt=0, le=1000)
@@ -88,13 +89,13 @@ def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) ->
     for name in os.environ:
         ours = name.startswith(VARIABLES) or difflib.get_close_matches(name, known, 1, 0.8)
         if ours and name not in known:
-            raise SettingsError(f"environment: {name} is not used; {nearest(name, known)}")
+            raise SettingsError(f"environment: {name} is not used{nearest(name, known)}")
     names = {key: {"device": device.device} for key, device in chosen.items()}
     return _table(Settings, {**data, **names}, source).model_copy(update=chosen)
 
 
 def _merged(data: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
-    """``data`` under the values that are not None; what should be a table and is none stays, to be refused."""
+    """``data`` with the overrides that are not None; a value that should be a table is left for the validation."""
     merged = dict(data)
     for key, value in overrides.items():
         if isinstance(value, dict):
@@ -121,19 +122,11 @@ def _device(key: str, data: Any, source: str = "") -> DeviceSettings:
     return _table(model, data, source, key)
 
 
-def _table(model: type[Table], data: Any, source: str, *above: str) -> Table:
+def _table(model: type[Table], data: Any, source: str, key: str = "") -> Table:
     """``data`` as ``model``; raises SettingsError with file and key, and for an unknown key the nearest one."""
     try:
         return model.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        first = error.errors()[0]
-        *way, last = [*first["loc"]] or [""]
-        problem, table = first["msg"], model
-        if first["type"] == "extra_forbidden":
-            for part in way:
-                table = table.model_fields[str(part)].annotation  # type: ignore[assignment]
-            problem = f"unknown key; {nearest(str(last), table.model_fields)}"
-        where = ".".join(str(part) for part in (*above, *first["loc"])) or "file"
-        raise SettingsError(f"{source}: {where}: {problem}") from None
+        raise SettingsError(f"{source}: {describe(error, model, key, secret=True)}") from None
     except (ValueError, TypeError) as error:
         raise SettingsError(f"{source}: {error}") from None

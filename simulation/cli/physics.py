@@ -11,13 +11,13 @@ import tyro
 
 from reporting.files import write_json
 from reporting.page import publish
-from reporting.table import table
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
 from simulation.scene.worlds import training_objects
 from simulation.studies import hard_probes as probes
 from simulation.studies.accuracy import PAST_TOUCHDOWN_MM, SETTINGS, THETA_DEG, X_MM, measure, probe_times
 from simulation.studies.accuracy_report import accuracy_page, draw
+from simulation.studies.hard_probes_report import hard_probes_page
 from simulation.studies.theory import theory_page
 
 
@@ -77,7 +77,7 @@ class HardProbeOptions:
 
     Prints how they ended and the worst residual and friction cone of those solved; ends with status 2 where one that
     calls itself solved is not finite, not balanced or outside a cone. The same seed gives the same probes. With --out
-    a run that was interrupted goes on where it stopped, if the physics is still the same.
+    the page is written, and an interrupted run goes on where it stopped if the physics is still the same.
     """
 
     count: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 10_000
@@ -89,11 +89,11 @@ class HardProbeOptions:
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
     """processes; 0 takes every core"""
     out: Path | None = None
-    """folder for hard_probes.TIER.json; none: print only"""
+    """folder for hard_probes.TIER.json and hard_probes.md; none: print only"""
 
 
 def hard_probes(arguments: list[str]) -> int:
-    """Run what an earlier call left to do, and print how the probes ended."""
+    """Run what an earlier call left to do, and write how the probes ended."""
     options = tyro.cli(HardProbeOptions, args=arguments, prog="tactile-insertion hard-probes")
     if options.count < 1 or options.workers < 0:
         raise ValueError(f"expected --count >= 1 and --workers >= 0, got {options.count} and {options.workers}")
@@ -112,7 +112,8 @@ def hard_probes(arguments: list[str]) -> int:
                     write_json(path, {**setup, **tally.as_dict()})
     except probes.ImpossibleStateError as error:
         raise ValueError(f"a promise is broken: {error}") from error
-    print(_as_text(options, tally.as_dict()))
+    text = hard_probes_page({**setup, **tally.as_dict()})
+    print(text if options.out is None else publish(options.out, "hard_probes", text))
     return 0
 
 
@@ -126,16 +127,3 @@ def _begun(path: Path | None, setup: dict[str, Any], count: int) -> probes.Tally
         return probes.Tally.from_dict(kept) if same and kept["probes"] <= count else probes.Tally()
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} is not what an earlier run left ({error!r}); remove it") from error
-
-
-def _as_text(options: HardProbeOptions, tally: dict[str, Any]) -> str:
-    """What a person reads."""
-    total = tally["probes"]
-    ended = table(
-        tally["ended"].items(), ("ended", 0), ("probes", 1, ",d"), ("share", lambda row: row[1] / total, ".2%")
-    )
-    return f"""{total} hard probes, tier {options.tier}, seed {options.seed}:
-{ended.text()}
-worst residual {tally["worst_residual_n"]:.1e} N (limit {probes.RESIDUAL_N:.0e}), worst cone violation \
-{tally["worst_cone_violation_n_per_mm2"]:.1e} N/mm2 (limit {probes.CONE_N_PER_MM2:.0e}), \
-{tally["cpu_ms_per_probe"]:.0f} ms CPU a probe"""

@@ -12,16 +12,15 @@ import sys
 import time
 from pathlib import Path
 
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
+from reporting.page import page, publish
+from reporting.table import Table, table
 from tests.hard_cases.mutants import MUTANTS, bitten
 from tests.hard_cases.registry import ROOT, SEEDS, Result
 from tests.hard_cases.suite import CASES, by_name
 
-PAGE, FILE = "hard_cases.md", "hard_cases.json"
-COLUMNS = ("case", "room", "what must hold", "worst", "limit", "")
+NAME = "hard_cases"
 
 
 def main() -> int:
@@ -49,21 +48,21 @@ def main() -> int:
 
 def show(results: list[Result], seconds: float) -> None:
     """The table on screen."""
-    table = Table(*COLUMNS, title=f"hard cases, seeds {SEEDS}", row_styles=["", "dim"])
-    for result in results:
-        verdict = "[green]pass" if result.passed else f"[red]FAIL {result.error}"
-        case = result.case
-        table.add_row(case.name, case.room, case.holds, f"{result.worst:.2g}", f"{case.limit:g}", verdict)
-    console = Console()
-    console.print(table)
+    cases = table(
+        results,
+        ("case", "case.name"),
+        ("room", "case.room"),
+        ("worst", "worst", ".2g"),
+        ("limit", "case.limit", "g"),
+        ("", lambda result: "pass" if result.passed else f"FAIL {result.error}"),
+        ("what must hold", "case.holds"),
+    )
     failed = sum(not result.passed for result in results)
-    console.print(f"{len(results)} cases, {failed} failed, {seconds:.0f} s")
+    print(f"{cases.text()}\n{len(results)} cases, seeds {SEEDS}, {failed} failed, {seconds:.0f} s")
 
 
 def write(results: list[Result], seconds: float, out: Path) -> None:
     """docs/hard_cases.md and .json; the rows of the last `mutate` are kept."""
-    path = out / FILE
-    before = json.loads(path.read_text()) if path.exists() else {}
     rows = [
         {
             "case": r.case.name,
@@ -80,53 +79,51 @@ def write(results: list[Result], seconds: float, out: Path) -> None:
         }
         for r in results
     ]
-    report = {"seeds": SEEDS, "seconds": round(seconds), "cases": rows, "mutants": before.get("mutants", [])}
-    path.write_text(json.dumps(report, indent=1) + "\n")
-    (out / PAGE).write_text(page(report))
+    report = {"seeds": SEEDS, "seconds": round(seconds), "cases": rows, "mutants": load(out)["mutants"]}
+    publish(out, NAME, hard_cases_page(report), report)
 
 
-def page(report: dict) -> str:
+def hard_cases_page(report: dict) -> str:
     """The Markdown page of a report."""
-    counted = f"{len(report['cases'])} cases, {sum(not row['passed'] for row in report['cases'])} failed"
-    lines = ["# Hard cases", ""]
-    lines += [
-        "Written by `make hard-cases`: what is nasty, what must hold, how close it came (worst of seeds",
-        f"{', '.join(map(str, SEEDS))}), and what answers it. {counted}, {report['seconds']} s.",
+    cases, mutants = report["cases"], report["mutants"]
+    parts: list[str | Table] = [
+        f"""
+        # Hard cases
+
+        Written by `make hard-cases`: what is nasty, what must hold, how close it came (worst of seeds
+        {", ".join(map(str, report["seeds"]))}), and what answers it. {len(cases)} cases,
+        {sum(not row["passed"] for row in cases)} failed, {report["seconds"]} s.
+        """
     ]
-    for room in dict.fromkeys(row["room"] for row in report["cases"]):
-        lines += [
-            "",
-            f"## {room.capitalize()}",
-            "",
-            "| case | why it is hard | what must hold | worst | limit | guard | |",
-        ]
-        lines += ["|---|---|---|---|---|---|---|"]
-        for row in report["cases"]:
-            if row["room"] == room:
-                worst = "-" if row["worst"] is None else f"{row['worst']:.2g}"
-                verdict = "pass" if row["passed"] else f"**FAIL** {row['error']}"
-                note = f" ({row['note']})" if row["note"] else ""
-                cells = [
-                    row["case"],
-                    row["why"],
-                    row["holds"] + note,
-                    worst,
-                    f"{row['limit']:g}",
-                    f"`{row['guard']}`",
-                    verdict,
-                ]
-                lines.append("| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |")
-    lines += [
-        "",
-        "## Does the suite bite?",
-        "",
-        "`python -m tests.hard_cases mutate` takes a guard away in a fresh process; its case must fail.",
-    ]
-    lines += ["", "| guard | without it | case that fails | |", "|---|---|---|---|"]
-    for row in report["mutants"]:
-        cells = [f"`{row['guard']}`", row["without"], row["case"], "caught" if row["caught"] else "**MISSED**"]
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(lines) + "\n"
+    for room in dict.fromkeys(row["room"] for row in cases):
+        parts += [f"## {room.capitalize()}", _cases([row for row in cases if row["room"] == room])]
+    bite = """
+        ## Does the suite bite?
+
+        `python -m tests.hard_cases mutate` takes a guard away in a fresh process; its case must fail.
+        """
+    columns = ("case that fails", "case"), ("", lambda row: "caught" if row["caught"] else "**MISSED**")
+    guards = table(mutants, ("guard", lambda row: f"`{row['guard']}`"), ("without it", "without"), *columns)
+    return page(*parts, bite, guards)
+
+
+def _cases(rows: list[dict]) -> Table:
+    return table(
+        rows,
+        ("case", "case"),
+        ("why it is hard", "why"),
+        ("what must hold", lambda row: row["holds"] + (f" ({row['note']})" if row["note"] else "")),
+        ("worst", "worst", ".2g"),
+        ("limit", "limit", "g"),
+        ("guard", lambda row: f"`{row['guard']}`"),
+        ("", lambda row: "pass" if row["passed"] else f"**FAIL** {row['error']}"),
+    )
+
+
+def load(out: Path) -> dict:
+    """The report of the last run, or an empty one."""
+    path = out / f"{NAME}.json"
+    return json.loads(path.read_text()) if path.exists() else {"seeds": SEEDS, "seconds": 0, "cases": [], "mutants": []}
 
 
 def mutate(pool: multiprocessing.pool.Pool, out: Path) -> int:
@@ -136,11 +133,8 @@ def mutate(pool: multiprocessing.pool.Pool, out: Path) -> int:
         guard = CASES[name].guard
         rows.append({"case": name, "guard": guard.symbol, "without": guard.without, "caught": caught})
         print(f"{'caught' if caught else 'MISSED'}  {name}: {guard.symbol}")
-    path = out / FILE
-    report = json.loads(path.read_text()) if path.exists() else {"seeds": SEEDS, "seconds": 0, "cases": []}
-    report["mutants"] = rows
-    path.write_text(json.dumps(report, indent=1) + "\n")
-    (out / PAGE).write_text(page(report))
+    report = load(out) | {"mutants": rows}
+    publish(out, NAME, hard_cases_page(report), report)
     return 0 if all(row["caught"] for row in rows) else 1
 
 

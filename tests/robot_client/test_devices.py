@@ -168,14 +168,14 @@ def test_the_commands_check_and_home_reach_a_new_device(config, capsys):
 @pytest.mark.parametrize(
     ("toml", "expect"),
     [
-        ('[robot]\ndevice = "abb_egn"', "robot.device: 'abb_egn' is unknown; nearest allowed: abb_egm"),
-        ('[gripper]\ndevice = "wsg5"', "gripper.device: 'wsg5' is unknown; nearest allowed: wsg50"),
+        ('[robot]\ndevice = "abb_egn"', "robot.device: 'abb_egn' is unknown; did you mean 'abb_egm'?"),
+        ('[gripper]\ndevice = "wsg5"', "gripper.device: 'wsg5' is unknown; did you mean 'wsg50'?"),
         ("[gripper]\ndevice = 3", "gripper.device: 3 is unknown; allowed: dry_run, wsg50"),
-        ("[gripper]\nforce_limit = 3", "gripper.force_limit: unknown key; nearest allowed: force_limit_n"),
-        ("[robot.rws]\nurls = 3", "robot.rws.urls: unknown key; nearest allowed: url"),
+        ("[gripper]\nforce_limit = 3", "gripper.force_limit: unknown key; did you mean 'force_limit_n'?"),
+        ("[robot.rws]\nurls = 3", "robot.rws.urls: unknown key; did you mean 'url'?"),
         ('[robot]\ndevice = "abb_rapid"\nbind = "x"', "robot.bind: unknown key; allowed: connect_timeout_s"),
         ("gripper = 3", "gripper: Input should be an object"),
-        ("[griper]\nport = 3", "griper: unknown key; nearest allowed: gripper"),
+        ("[griper]\nport = 3", "griper: unknown key; did you mean 'gripper'?"),
     ],
 )
 def test_an_unknown_device_or_key_is_refused_with_file_key_and_nearest(tmp_path, capsys, toml, expect):

@@ -82,7 +82,7 @@ def test_a_file_that_is_no_log_is_refused_in_one_line(text, tmp_path):
 @pytest.mark.parametrize(
     ("toml", "expect"),
     [
-        ("[limits]\nmax_dx = 3", "limits.max_dx: unknown key; nearest allowed: max_dx_mm"),
+        ("[limits]\nmax_dx = 3", "limits.max_dx: unknown key; did you mean 'max_dx_mm'?"),
         ("[limits]\nx_mm = [1]", "limits.x_mm"),
         ("[limits]\nmax_dx_mm = nan", "limits.max_dx_mm"),
         ("[robot\n", "cannot read configuration"),
