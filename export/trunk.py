@@ -19,14 +19,15 @@ import onnxruntime
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from service.contract import ContractError
-from training.networks.alexnet import FEATURES, IMAGENET_SPREAD, INPUT_PX, MARGIN_PX
-from training.networks.preprocessing import HEIGHT_PX
+from service.contract import ContractError, Sensor
+from training.networks.alexnet import FEATURES, IMAGENET_SPREAD, INPUT_PX
 
 MICROSOFT = "com.microsoft"
 FIRST_WEIGHT = "alexnet.features.0.weight"
 GIVEN_PX, MADE_PX = 10, 7
 """320 px become 224: ten become seven, with no pixel shared between groups."""
+HEIGHT_PX = Sensor.load().height_px
+MARGIN_PX = (Sensor.load().width_px - HEIGHT_PX) // 2
 CELLS = HEIGHT_PX // GIVEN_PX
 WEIGHT_ZERO = 1
 MIDDLE = 128

@@ -17,8 +17,6 @@ from pydantic import ValidationError
 from service.contract import FINGERS, ContractError, Finger, FrameSpec
 from service.contract.toml import read_toml
 
-RAW = FrameSpec(height_px=320, width_px=427, rectified=False)
-RECTIFIED = FrameSpec(height_px=320, width_px=327)
 SCHEMA_VERSION = 1
 _MIN_AREA_SHARE = 0.02  # of the raw frame, seen by the rectified one
 
@@ -36,8 +34,8 @@ class CameraCalibration:
     """
 
     homography: NDArray[np.float64]
-    raw: FrameSpec = RAW
-    rectified: FrameSpec = RECTIFIED
+    raw: FrameSpec
+    rectified: FrameSpec
 
     def __post_init__(self) -> None:
         matrix = np.asarray(self.homography, np.float64)

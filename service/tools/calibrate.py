@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Sequence
 from itertools import islice
+from math import ceil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,12 +18,12 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import CameraError
 from service.cameras.sources import open_source
-from service.contract import FINGERS, Finger, FrameSpec
-from service.perception.markers.lattice import Lattice, find_lattice, rectifying_homography
-from service.perception.rectification import RECTIFIED, Calibration, CalibrationError, CameraCalibration, Rectifier
+from service.contract import FINGERS, ContractError, Finger, FrameSpec, Sensor
+from service.contract.sensor import DEFAULT_SENSOR
+from service.perception.markers.lattice import Lattice, find_lattice, rectifying_homography, resting_px
+from service.perception.rectification import Calibration, CalibrationError, CameraCalibration, Rectifier
 
-PITCH_PX = 15.0  # of the rectified grid; what the published slip thresholds and the released networks go by
-MIN_MARKERS = (15, 15)
+MIN_SIDE = 0.71  # of the rows and of the columns
 MIN_FOUND = 0.9
 MAX_RESIDUAL_PX = 1.0
 WAIT_S = 10.0
@@ -39,10 +40,14 @@ class Fit(NamedTuple):
 def main(arguments: Sequence[str]) -> int:
     """Fit both fingers and write the file; raises CalibrationError or CameraError naming the finger."""
     options = _parse(arguments)
+    try:
+        sensor = Sensor.load(options.sensor)
+    except ContractError as error:
+        raise CalibrationError(f"--sensor: {error}") from error
     fits: dict[Finger, Fit] = {}
     for finger in FINGERS:
         image = still_image(getattr(options, f"camera_{finger}"), options.frames)
-        fits[finger] = fit = fit_camera(image, finger)
+        fits[finger] = fit = fit_camera(image, finger, sensor)
         rows, cols = fit.lattice.found.shape
         print(
             f"{finger:<6} {cols} x {rows} markers, {fit.lattice.found.mean():.1%} of them seen,"
@@ -62,6 +67,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     for finger in FINGERS:
         help_text = f"camera of the {finger} finger, as for run: v4l2:N, http://HOST:PORT/PATH or file:PATH"
         parser.add_argument(f"--camera-{finger}", required=True, metavar="URL", help=help_text)
+    parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="its name or its TOML profile (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("calibration.toml"), help="file to write (calibration.toml)")
     parser.add_argument("--frames", type=int, default=15, help="frames a camera; their median is used (15)")
     parser.add_argument("--pictures", type=Path, help="folder for the rectified pictures, to look at")
@@ -87,33 +93,32 @@ def still_image(url: str, frames: int) -> NDArray[np.uint8]:
     return np.asarray(np.median(np.stack(seen), axis=0), np.uint8)
 
 
-def fit_camera(image: NDArray[np.uint8], finger: Finger) -> Fit:
+def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor) -> Fit:
     """The calibration of one camera from a still raw frame; raises CalibrationError if the grid is not fully seen."""
     lattice = find_lattice(image)
     if lattice is None:
         raise CalibrationError(f"{finger}: no marker grid in the frame; is it the right camera, lit and in focus?")
     rows, cols = lattice.found.shape
-    if rows < MIN_MARKERS[0] or cols < MIN_MARKERS[1] or lattice.found.mean() < MIN_FOUND:
+    least_rows, least_cols = (ceil(MIN_SIDE * count) for count in (sensor.marker_rows, sensor.marker_columns))
+    if rows < least_rows or cols < least_cols or lattice.found.mean() < MIN_FOUND:
         raise CalibrationError(
             f"{finger}: saw {cols} x {rows} markers, {lattice.found.mean():.0%} of them;"
-            f" expected at least {MIN_MARKERS[1]} x {MIN_MARKERS[0]} and {MIN_FOUND:.0%}: clean the gel, touch nothing"
+            f" expected at least {least_cols} x {least_rows} and {MIN_FOUND:.0%}: clean the gel, touch nothing"
         )
-    matrix = rectifying_homography(lattice, RECTIFIED.width_px, RECTIFIED.height_px, PITCH_PX)
+    rest_px = resting_px(lattice, sensor)
+    matrix = rectifying_homography(lattice, rest_px)
     if matrix is None:
         raise CalibrationError(f"{finger}: the markers do not determine a homography")
-    residual_px = _residual_px(lattice, matrix)
+    residual_px = _residual_px(lattice, matrix, rest_px)
     if not residual_px <= MAX_RESIDUAL_PX:
         raise CalibrationError(
             f"{finger}: markers lie {residual_px:.2f} px RMS off a regular grid, allowed {MAX_RESIDUAL_PX:g};"
             " something touches the gel, or the lens distorts"
         )
     raw = FrameSpec(height_px=image.shape[0], width_px=image.shape[1], rectified=False)
-    return Fit(CameraCalibration(matrix, raw, RECTIFIED), lattice, residual_px)
+    return Fit(CameraCalibration(matrix, raw, sensor.rectified), lattice, residual_px)
 
 
-def _residual_px(lattice: Lattice, matrix: NDArray[np.float64]) -> float:
-    rows, cols = lattice.found.shape
+def _residual_px(lattice: Lattice, matrix: NDArray[np.float64], rest_px: NDArray[np.float64]) -> float:
     mapped = cv2.perspectiveTransform(lattice.xy_px.astype(np.float64), matrix)
-    ideal = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1) * PITCH_PX
-    ideal += np.array([(RECTIFIED.width_px - 1) / 2, (RECTIFIED.height_px - 1) / 2])
-    return float(np.sqrt(np.square(mapped - ideal)[lattice.found].sum(-1).mean()))
+    return float(np.sqrt(np.square(mapped - rest_px)[lattice.found].sum(-1).mean()))

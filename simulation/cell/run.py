@@ -53,8 +53,8 @@ class RunOptions:
     """Where runs are kept."""
     repeat: int = 1
     """This many starts an object, seeds counting up."""
-    fps: int = 30
-    """Camera rate: 30, 60 or 90."""
+    fps: int | None = None
+    """Camera rate: 30, 60 or 90; the sensor's if left out."""
     egm_lag_ms: float = 20.0
     """Lag of the emulated arm."""
     link: Literal["egm", "socket"] = "egm"
@@ -109,8 +109,9 @@ def _say(text: str) -> None:
 def _start_cell(start: Start, options: RunOptions, folder: Path) -> Child:
     arguments = [
         *("--object", start.object, "--x-mm", str(start.x_mm), "--theta-deg", str(start.theta_deg)),
-        *("--seed", str(start.seed), "--fps", str(options.fps), "--egm-lag-ms", str(options.egm_lag_ms)),
+        *("--seed", str(start.seed), "--egm-lag-ms", str(options.egm_lag_ms)),
         *("--out", str(folder / "cell")),
+        *(("--fps", str(options.fps)) if options.fps else ()),
     ]
     return Child("cell", "simulation", ["cell", *arguments], folder / "cell.log")
 
@@ -120,7 +121,7 @@ def _start_service(told: dict[str, Any], options: RunOptions, folder: Path) -> C
         *("--models", str(options.models), "--calibration", told["calibration"], "--port", "0"),
         *("--camera-left", told["cameras"]["left"], "--camera-right", told["cameras"]["right"]),
         *("--recordings", str(folder / "recordings"), "--controller", options.controller),
-        *("--frame-rate-hz", str(options.fps), "--max-frame-age-ms", str(FRAME_AGE_MS)),
+        *("--frame-rate-hz", str(told["fps"]), "--max-frame-age-ms", str(FRAME_AGE_MS)),
     ]
     return Child("service", "service", ["run", *arguments], folder / "service.log")
 

@@ -42,7 +42,6 @@ from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
-from service.perception.rectification import CameraCalibration
 from service.session.state_machine import InsertionSession
 from simulation.closed_loop.baselines import CONTENDERS, Chooser, Contender, View
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, Course, GraspEndError, LockstepCell, hash_seed
@@ -246,8 +245,7 @@ class Insertion:
 def _finger(models: ModelSet, world: LockstepCell, index: int, eyes: Eyes) -> FingerWatch:
     if eyes == "gel":
         return GelFinger(world, FINGERS[index])
-    calibration = CameraCalibration(world.renderers[index].homography)
-    return TactileFinger(FINGERS[index], models.card.frame, calibration)
+    return TactileFinger(FINGERS[index], models.card.frame, world.renderers[index].calibration)
 
 
 def _empty_correction(refused: NoDecision) -> Correction:

@@ -20,7 +20,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from service.contract import FINGERS
+from service.contract import FINGERS, ContractError, Sensor
 from simulation.data.dataset import DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, encode_shard, split_of
 from simulation.data.manifest import shard_file_name, write_durably
 from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
@@ -50,6 +50,7 @@ class Plan:
     seed: int
     held_out_share: float
     slip_truth: bool = False
+    sensor: Sensor | None = None
 
     @property
     def file_name(self) -> str:
@@ -71,6 +72,11 @@ class Fixture:
     held_out: bool
     appearances: tuple[Appearance, Appearance]
     cell_seed: int
+
+
+def scene_of(name: str, sensor: Sensor | None) -> Scene:
+    """The scene to collect from, with another sensor than its own if one is given."""
+    return load_scene(name, **({"camera__sensor": sensor} if sensor else {}))
 
 
 def scene_sha256(scene: Scene) -> str:
@@ -193,7 +199,7 @@ def make_shard(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> Shard
 
 def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[ShardEntry, bytes]:
     """As :func:`make_shard`, but the bytes are handed back: for workers on other machines."""
-    base = load_scene(plan.scene_name)
+    base = scene_of(plan.scene_name, plan.sensor)
     kept: list[Trial] = []
     outcomes: Counter[str] = Counter()
     for fixture, poke, seed, probe in pokes(plan, base):
@@ -222,6 +228,8 @@ class Options:
     """Collisions to keep of each object; rounded up to whole shards."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = TRAINING_OBJECTS
     """Scene names or TOML files."""
+    sensor: str = ""
+    """Name or TOML file of the fingers' sensor, where it is not the scenes' own."""
     seed: int = 0
     """Same seed, same data, bit for bit, whatever the number of workers."""
     workers: int = 0
@@ -247,13 +255,22 @@ def asked_manifest(options: Options) -> Manifest:
     if not names or max(names.values()) > 1:
         given = ", ".join(options.objects) or "none"
         raise DatasetError(f"--objects {given}: expected at least one, no two of the same name: a shard is named by it")
+    try:
+        sensor = Sensor.load(options.sensor) if options.sensor else None
+    except ContractError as error:
+        raise DatasetError(f"--sensor: {error}") from error
+    scenes = {name: scene_of(name, sensor) for name in options.objects}
+    sensors = {scene.sensor for scene in scenes.values()}
+    if len(sensors) > 1:
+        raise DatasetError(f"the scenes have sensors {', '.join(sorted(map(str, sensors)))}: a dataset has one")
     return Manifest(
         made_by="simulation collect",
         seed=options.seed,
         trials_per_object=options.trials_per_object,
         trials_per_shard=options.trials_per_shard,
         held_out_share=options.held_out_share,
-        scenes={name: scene_sha256(load_scene(name)) for name in options.objects},
+        scenes={name: scene_sha256(scene) for name, scene in scenes.items()},
+        sensor=sensors.pop(),
         physics=sources_sha256("simulation.data.probe"),
     )
 
@@ -269,7 +286,7 @@ def main(arguments: Sequence[str]) -> int:
         manifest = writer.manifest
         size, seed, share = manifest.trials_per_shard, manifest.seed, manifest.held_out_share
         plans = [
-            Plan(options.out, scene, shard, size, seed, share, options.slip_truth)
+            Plan(options.out, scene, shard, size, seed, share, options.slip_truth, manifest.sensor)
             for scene, shard in manifest.missing_shards()
         ]
         if options.ray:

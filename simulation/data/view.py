@@ -36,12 +36,11 @@ def chosen_trials(options: Options) -> tuple[Dataset, list[int]]:
     return dataset, slice_of(numbers, options.first, options.count, options.source)
 
 
-def true_motion_px(trial: Trial, start: int, stop: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Float32 [2, 20, 21, 2]: true motion of the dots in rectified px from frame ``start`` to frame ``stop``."""
-    pitch = np.asarray([look.mm_per_px for look in trial.appearances], np.float32)[:, None, None, None]
+def true_motion(trial: Trial, start: int, stop: int) -> attempt_picture.Motion:
+    """Where the dots rest and their true motion from frame ``start`` to frame ``stop``, rectified px."""
     gel = trial.gel[..., :2].astype(np.float32)
-    motion: np.ndarray[tuple[int, ...], np.dtype[np.float32]] = (gel[stop] - gel[start]) / pitch
-    return motion
+    motion = (gel[stop] - gel[start]) / np.float32(trial.sensor.mm_per_px)
+    return np.broadcast_to(trial.sensor.marker_rest_px(), motion.shape), motion
 
 
 def describe(trial: Trial, number: int) -> attempt_picture.Decision:
@@ -65,7 +64,7 @@ def main(arguments: Sequence[str]) -> int:
     dataset, numbers = chosen_trials(options)
     for number in numbers:
         trial = dataset.trial(number)
-        motion = true_motion_px(trial, trial.onset_frame, trial.onset_frame + DECISION_FRAMES - 1)
+        motion = true_motion(trial, trial.onset_frame, trial.onset_frame + DECISION_FRAMES - 1)
         path = options.out / f"trial-{number:06d}.png"
         print(attempt_picture.save(path, dataset.frames(number), describe(trial, number), motion))
     return 0

@@ -14,9 +14,10 @@ from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import to_json
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from service.contract.toml import read_toml
 from simulation.scene import shapes
 from simulation.scene.errors import describe
@@ -24,6 +25,10 @@ from simulation.scene.errors import describe
 OBJECTS = Path(__file__).parents[1] / "objects"
 BUILT_IN = ("rectangle", "circle", "ellipse", "hexagon", "white_box", "vitamin", "can", "mustard")
 YOUNGER_KEYS = (("camera", "readout_ms"), ("effects", "inertia"), ("effects", "rolling_shutter"))
+FIRST_SENSOR_KEYS = (
+    *("mm_per_px", "raw_width_px", "raw_height_px", "width_px", "height_px"),
+    *("marker_columns", "marker_rows", "marker_pitch_px", "marker_diameter_px"),
+)
 Switch = Literal["auto", "on", "off"]
 
 
@@ -109,24 +114,26 @@ class Grasp(Part):
 
 
 class Camera(Part):
-    """Geometry and noise of the finger cameras; images themselves are made by the renderer."""
+    """The finger cameras: the sensor's profile, and how they are run. ``fps`` is the sensor's own unless given.
 
-    fps: Literal[30, 60, 90] = 30
-    mm_per_px: float = Field(default=0.07, ge=0.02, le=0.3)
-    raw_width_px: Literal[427] = 427
-    raw_height_px: Literal[320] = 320
-    width_px: Literal[327] = 327
-    height_px: Literal[320] = 320
-    marker_columns: Literal[21] = 21
-    marker_rows: Literal[20] = 20
-    marker_pitch_px: float = Field(default=15.0, ge=8.0, le=30.0)
-    marker_diameter_px: float = Field(default=5.0, ge=2.0, le=12.0)
+    ``sensor`` is a name or a TOML file; keys of it below a scene's `[camera.sensor]` replace those of the default one.
+    """
+
+    sensor: Sensor = Field(default_factory=Sensor.load)
+    fps: int | None = Field(default=None, ge=10, le=120)
     noise_grey: float = Field(default=2.0, ge=0.0, le=30.0)
     exposure: float = Field(default=1.0, ge=0.3, le=3.0)
     exposure_ms: float = Field(default=8.0, ge=0.1, le=33.0)
     readout_ms: float = Field(default=0.0, ge=0.0, le=33.0)
     light: float = Field(default=1.0, ge=0.2, le=3.0)
     dropped_share: float = Field(default=0.0, ge=0.0, le=0.5)
+
+    @field_validator("sensor", mode="before")
+    @classmethod
+    def _profile(cls, given: Any) -> Any:
+        if isinstance(given, dict):
+            return Sensor.load().model_dump() | given
+        return Sensor.load(given) if isinstance(given, str | Path) else given
 
 
 class Numerics(Part):
@@ -193,20 +200,31 @@ class Scene(Part):
         return 0.5 * (self.blocks.gap_mm - self.object.size_x_mm)
 
     @property
-    def marker_pitch_mm(self) -> float:
-        """Distance of neighbouring markers on the gel, mm."""
-        return self.camera.marker_pitch_px * self.camera.mm_per_px
+    def sensor(self) -> Sensor:
+        """The profile of both fingers."""
+        return self.camera.sensor
+
+    @property
+    def fps(self) -> int:
+        """Frames a second."""
+        return self.camera.fps or self.sensor.fps
 
     def identity_json(self) -> str:
         """Everything the scene says, as one line of JSON: what data sets know it by.
 
-        A key younger than the first data sets counts only where it is set, so that they keep their scenes.
+        A key younger than the first data sets counts only where it is set, so that they keep their scenes. The sensor's
+        numbers stand where they stood then, among the camera's; its name does not count.
         """
-        unset: dict[str, set[str]] = {}
+        left_out: dict[str, set[str]] = {"camera": {"sensor", "fps"}}
         for part, key in YOUNGER_KEYS:
             if getattr(getattr(self, part), key) == getattr(type(getattr(self, part))(), key):
-                unset.setdefault(part, set()).add(key)
-        return self.model_dump_json(exclude=unset)
+                left_out.setdefault(part, set()).add(key)
+        data = self.model_dump(exclude=left_out)
+        sensor, usual = self.sensor.model_dump(exclude={"name", "fps"}), Sensor.load().model_dump()
+        first = {key: sensor.pop(key) for key in FIRST_SENSOR_KEYS}
+        younger = {key: value for key, value in sensor.items() if value != usual[key]}
+        data["camera"] = {"fps": self.fps, **first, **data["camera"], **({"sensor": younger} if younger else {})}
+        return to_json(data).decode()
 
     def fits(self, x_mm: float, theta_deg: float) -> bool:
         """Whether a vertical descent from this error inserts without touching (paper_facts' criterion)."""

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from export.onnx.model import open_model
-from service.contract import ContractError, ModelCard
+from service.contract import ContractError, ModelCard, Sensor
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
 from service.recordings.reader import Recording, RecordingError
 from service.tools.replay import ReplayError, ReplayOptions, read_clip
 from simulation.scene.scene import SceneError, load_scene
 from tests.hard_cases.registry import ROOT, case, not_refused
 from training.fit.checkpoint import Checkpoint
+
+SENSOR = Sensor.load()
 
 
 def _with_card(change: Callable[[dict[str, object]], object] | None) -> Callable[[], object]:
@@ -96,7 +98,7 @@ def calibrations_that_show_nothing(_seed: int) -> float:
     horizon = np.linalg.inv(horizon)
     nan[1, 1] = np.nan
     bad = [np.zeros((3, 3)), nan, far, beside, horizon, np.ones((3, 3)), np.eye(2), np.diag([1.0, 1.0, 1e-14])]
-    return not_refused([lambda m=m: CameraCalibration(m) for m in bad], CalibrationError)
+    return not_refused([lambda m=m: CameraCalibration(m, SENSOR.raw, SENSOR.rectified) for m in bad], CalibrationError)
 
 
 @case(
@@ -108,7 +110,7 @@ def calibrations_that_show_nothing(_seed: int) -> float:
 def calibration_files_edited_by_hand(_seed: int) -> float:
     with tempfile.TemporaryDirectory() as scratch:
         good = Path(scratch) / "good.toml"
-        Calibration(CameraCalibration(np.eye(3)), CameraCalibration(np.eye(3))).save(good)
+        Calibration(*2 * [CameraCalibration(np.eye(3), SENSOR.raw, SENSOR.rectified)]).save(good)
         text = good.read_text()
         edits = [
             "",
@@ -146,7 +148,7 @@ def scenes_that_cannot_be(_seed: int) -> float:
     changes += [
         {"grasp__force_n": 0.0},
         {"object__mass_kg": -1.0},
-        {"camera__fps": 31},
+        {"camera__fps": 9},
         {"numerics__load_step_mm": 0.0},
     ]
     missed = not_refused([lambda c=c: load_scene("rectangle", **c) for c in changes], SceneError)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from service.contract import Sensor
 from service.perception.markers.field import MarkerField
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import CameraCalibration, Rectifier
@@ -11,6 +12,8 @@ from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.rigid import fit_motion
 from tests.hard_cases.registry import case, non_finite, not_refused
 from tests.service.perception.synthetic import FRAME_NS, draw, grid, patch_fields, rigid, twist
+
+SENSOR = Sensor.load()
 
 RIGID, MARKERS, SLIP = (
     "service/perception/slip/rigid.py",
@@ -285,7 +288,11 @@ def exposures_that_jump(seed: int) -> float:
     guard=("service/perception/rectification.py", "self.camera.raw.check(raw)", "pass"),
 )
 def raw_frames_of_another_size(seed: int) -> float:
-    rectifier = Rectifier(CameraCalibration(np.array([[1.0, 0.05, -40.0], [0.02, 1.0, 5.0], [1e-4, 1e-5, 1.0]])))
+    rectifier = Rectifier(
+        CameraCalibration(
+            np.array([[1.0, 0.05, -40.0], [0.02, 1.0, 5.0], [1e-4, 1e-5, 1.0]]), SENSOR.raw, SENSOR.rectified
+        )
+    )
     rng = np.random.default_rng(seed)
     shapes = [(320, 426, 3), (321, 427, 3), (320, 427), (0, 0, 3)]
     missed = not_refused(

@@ -11,6 +11,7 @@ from pydantic import Field, JsonValue, ValidationError
 from rich.progress import track
 from torch import Tensor
 
+from service.contract import Sensor
 from service.contract.frames import Contract, ContractError, first_error
 from service.contract.toml import read_toml
 from training.config import FRAMES_PER_DECISION, JITTER, StageConfig
@@ -72,6 +73,7 @@ class Rows:
     objects: NDArray[np.str_]
     groups: NDArray[np.str_]
     convolved: NDArray[np.float16]
+    sensor: Sensor
 
     def of(self, split: str) -> NDArray[np.int64]:
         """Rows of one split; doubled ones exist in training only."""
@@ -85,7 +87,7 @@ def chosen_trials(table: dict[str, NDArray[Any]], split: str, count: int) -> NDA
 
 
 def decision_frames(source: Source, table: dict[str, NDArray[Any]], trial: int) -> Tensor:
-    """The decision's frames of one trial, uint8 [8, 2, 320, 327, 3]."""
+    """The decision's frames of one trial, uint8 [8, 2, H, W, 3]."""
     start = int(table["start"][trial]) + JITTER
     return torch.from_numpy(source.frames(int(table["index"][trial]), start, FRAMES_PER_DECISION))
 
@@ -106,6 +108,7 @@ def load_rows(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any
         table["objects"][every],
         table["groups"][every],
         _convolved(config, source, table, network, every, crop),
+        source.manifest.sensor,
     )
 
 

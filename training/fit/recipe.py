@@ -25,8 +25,6 @@ from training.fit.loop import Log, Stage, fit
 from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 
-FIELD_SIZE = 3 * 20 * 21
-
 
 def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoint:
     """Run the recipe, or go on where it stopped; raises ContractError on data or weights that do not fit."""
@@ -63,10 +61,10 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
 class _FieldReader(nn.Module):
     """Convolutions with a linear read-out of the marker field: what they are pretrained with."""
 
-    def __init__(self, network: AlexNetLstm) -> None:
+    def __init__(self, network: AlexNetLstm, size: int) -> None:
         super().__init__()
         self.features = network.alexnet.features
-        self.read_out = nn.Linear(FEATURES, FIELD_SIZE)
+        self.read_out = nn.Linear(FEATURES, size)
 
     def forward(self, images: Tensor) -> Tensor:
         field: Tensor = self.read_out(self.features(images).flatten(1))
@@ -77,7 +75,7 @@ def _pretrain(
     config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair, log: Log
 ) -> None:
     """Difference frame -> change of the marker field, on training trials; both networks then start from the result."""
-    reader = _FieldReader(pair.direction)
+    reader = _FieldReader(pair.direction, int(np.prod(table["fields"].shape[3:])))
     chosen = chosen_trials(table, "train", config.pretraining_trials)
     held = chosen_trials(table, "validation", max(8, config.pretraining_trials // 10))
     fields = table["fields"][chosen].astype(np.float32)
@@ -176,6 +174,7 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         training_data_sha256=digest,
         git_commit=git_commit(),
         run=config.settings(),
+        sensor=rows.sensor,
     )
     checkpoint.save(config.folder / "checkpoint.pt")
     (config.folder / "figures.json").write_text(json.dumps(tables, indent=1))
