@@ -100,7 +100,7 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 	$(BIN)/python -m simulation theory --out docs
 	$(BIN)/python -m simulation accuracy
 
-slip-report: $(RUN_VENV)/ready ## how well slip is seen and what seeing costs: docs/slip_report.md (REAL=folder judges recordings too)
+slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md (REAL=folder adds recordings)
 	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
 
 tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png (FOLDERS= names others than models/)

@@ -8,10 +8,12 @@ RUN python -m venv --without-pip /opt/venv \
  && python -m pip --python /opt/venv/bin/python install --no-cache-dir --only-binary :all: --require-hashes --no-deps \
     -r requirements.txt
 COPY simulation /opt/app/simulation
+COPY reporting /opt/app/reporting
 COPY service/__init__.py /opt/app/service/__init__.py
 COPY service/contract /opt/app/service/contract
 COPY service/perception /opt/app/service/perception
 COPY robot_client/__init__.py /opt/app/robot_client/__init__.py
+COPY robot_client/insertion /opt/app/robot_client/insertion
 COPY robot_client/robots /opt/app/robot_client/robots
 COPY robot_client/grippers /opt/app/robot_client/grippers
 COPY docker/healthcheck.py /opt/app/healthcheck.py

@@ -1,6 +1,8 @@
 """``python -m export COMMAND``."""
 
+import sys
+
 from export.cli.commands import main
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

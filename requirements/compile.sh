@@ -7,14 +7,24 @@ pin() {
   out=$1
   shift
   uv pip compile -q ${UPGRADE---upgrade} --python-version 3.11 --universal --generate-hashes --no-emit-index-url \
-    --no-annotate --custom-compile-command "make requirements" -o "requirements/$out.txt" pyproject.toml "$@"
+    --no-annotate --custom-compile-command "make requirements" -o "requirements/$out.txt" "$@"
 }
-pin service --extra service
-pin robot --extra robot
-pin simulation --extra simulation
-pin run --extra service --extra robot --extra simulation
-pin test --extra service --extra robot --extra simulation --extra training --extra dev \
+# A role's own requirements: the project's base ones would bring every role's.
+extra() {
+  python3 - "$@" > "/tmp/$1.in" <<'EOF'
+import sys, tomllib
+project = tomllib.load(open("pyproject.toml", "rb"))["project"]
+own = [line for line in project["dependencies"] if not line.startswith(project["name"])]
+print("\n".join(own + [line for name in sys.argv[1:] for line in project["optional-dependencies"][name]]))
+EOF
+  echo "/tmp/$1.in"
+}
+pin service "$(extra service)"
+pin robot "$(extra robot)"
+pin simulation "$(extra simulation)"
+pin run "$(extra service robot simulation)"
+pin test "$(extra service robot simulation training dev)" \
   --override requirements/no-torch.txt requirements/torch.in --no-emit-package torch
-pin ops --extra ops
-pin bench --extra bench -c requirements/test.txt
-pin docs --extra docs
+pin ops "$(extra ops)"
+pin bench "$(extra bench)" -c requirements/test.txt
+pin docs "$(extra docs)"

@@ -1,21 +1,49 @@
-"""What the runner needs of the world. Orders return at once; what comes of them arrives as events through ``post``.
+"""What an insertion needs of its devices. Orders return at once; their results arrive as events through ``post``.
 
 Each driver reports its own trouble as a Failure event; nothing it does in the background may end silently.
 """
 
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Awaitable, Callable
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 from robot_client.insertion.events import Event
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Motion
+from service.contract.frames import Contract
 from service.contract.wire import ClientMessage
 
 Post = Callable[[Event], None]
+HomingDirection = Literal["default", "outward", "inward"]
 
 
 class DriverError(ValueError):
     """A device could not be made ready; the text says which, what was expected and what to do."""
+
+
+class DeviceSettings(Contract):
+    """The table of a device in the configuration; ``device`` names its line in :mod:`robot_client.devices`.
+
+    ``variables``: environment variables that stand in for keys of the table, each with the way to its key.
+    """
+
+    variables: ClassVar[dict[str, tuple[str, ...]]] = {}
+    device: str
+
+    @property
+    def address(self) -> str:
+        """Where the device is, for people."""
+        return self.device
+
+
+class Finding(NamedTuple):
+    """One result of a check; ``good`` is False for what stands in the way of an insertion."""
+
+    good: bool
+    text: str
+
+
+Check = Callable[[], Awaitable[list[Finding]]]
+"""Reads a device and moves nothing; raises ValueError or TimeoutError where it cannot be read."""
 
 
 class Arm(Protocol):
@@ -31,13 +59,19 @@ class Arm(Protocol):
         """Freeze the target before returning; Standstill follows. ``stop``: end the controller's program too."""
 
     async def close(self) -> str:
-        """Stop the program, wait until the controller confirms, release everything; says how it ended."""
+        """Stop the program, wait until the controller confirms, release everything; returns how it ended.
+
+        Allowed before :meth:`start`, where nothing is to be stopped.
+        """
 
     def position(self) -> WorkPose | None:
-        """Where the arm was last measured."""
+        """The last measured pose."""
 
     def statistics(self) -> dict[str, Any]:
         """Figures of the link for the report (cycles, gaps, stop latency)."""
+
+    def checks(self) -> dict[str, Check]:
+        """The checks of an arm that was not started, by the name under which their findings are printed."""
 
 
 class Gripper(Protocol):
@@ -51,6 +85,18 @@ class Gripper(Protocol):
 
     async def close(self) -> None:
         """Leave the fingers as they are and release the connection."""
+
+    def checks(self) -> dict[str, Check]:
+        """The checks of a gripper that was not started, by the name under which their findings are printed."""
+
+    async def connect(self) -> None:
+        """Connect for an operator's command, moving nothing; raises DriverError."""
+
+    async def acknowledge(self) -> None:
+        """Clear a latched fault: only ever on an operator's deliberate command; raises DriverError."""
+
+    async def home(self, direction: HomingDirection) -> float:
+        """Reference the axis and return the width in mm; raises DriverError, also while something is held."""
 
 
 class DecisionService(Protocol):

@@ -1,26 +1,29 @@
-"""The client's configuration: one TOML file, every key checked, unknown keys refused with their name."""
+"""The client's configuration: one TOML file, every key checked, an unknown one refused with the nearest allowed."""
 
+import difflib
 import json
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, TypeVar
 
-from pydantic import Field, SecretStr, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
-from robot_client.grippers.wsg50.driver import WsgSettings
+from robot_client import devices
+from robot_client.devices import GRIPPERS, ROBOTS, nearest
 from robot_client.insertion.geometry import IDENTITY, TOOL_DOWN, CellFrame, Quaternion, Vector, normalised
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
-from robot_client.robots.abb_egm.driver import EgmSettings
-from robot_client.robots.abb_rapid.driver import SocketSettings
-from robot_client.robots.abb_rws.client import RwsSettings
+from robot_client.ports import Arm, DeviceSettings, Gripper
 from robot_client.session.service_link import ServiceSettings
-from service.contract.frames import Contract, ContractError, first_error
+from service.contract.frames import Contract, ContractError
 from service.contract.toml import read_toml
 
-PASSWORD_VARIABLE = "TACTILE_INSERTION_RWS_PASSWORD"  # noqa: S105 the variable's name, not a password
+REGISTRIES = {"robot": ROBOTS, "gripper": GRIPPERS}
+DEFAULT_DEVICES = {"robot": "abb_egm", "gripper": "wsg50"}
+VARIABLES = "TACTILE_INSERTION_"
 Positive = Annotated[float, Field(gt=0)]
+Table = TypeVar("Table", bound=BaseModel)
 
 
 class SettingsError(ContractError):
@@ -58,52 +61,96 @@ class Task(Contract):
         return height_mm if height_mm > 0 else None
 
 
-class Robot(Contract):
-    """Which way the arm is driven: over EGM, or by our RAPID socket modules on a controller without that option."""
-
-    link: Literal["egm", "socket"] = "egm"
-
-
 class Settings(Contract):
-    """Everything; each section has the defaults of its module."""
+    """Everything. ``robot`` and ``gripper`` hold the settings of the devices that they name."""
 
-    robot: Robot = Robot()
-    socket: SocketSettings = SocketSettings()
+    robot: DeviceSettings = Field(default_factory=lambda: _device("robot", {}))
+    gripper: DeviceSettings = Field(default_factory=lambda: _device("gripper", {}))
     service: ServiceSettings = ServiceSettings()
-    rws: RwsSettings = RwsSettings()
-    egm: EgmSettings = EgmSettings()
-    gripper: WsgSettings = WsgSettings()
     work_object: WorkObject = WorkObject()
     limits: Limits = Limits()
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
     task: Task = Task()
 
+    def make_arm(self) -> Arm:
+        """The arm behind its port; nothing is connected yet."""
+        return devices.make_arm(self.robot, self.limits, self.ramps, self.work_object.frame())
 
-def load_settings(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Settings:
-    """Settings of a TOML file (None: defaults) with ``overrides`` by section on top; raises SettingsError.
+    def make_gripper(self) -> Gripper:
+        """The gripper behind its port; nothing is connected yet."""
+        return devices.make_gripper(self.gripper)
 
-    The RWS password may come from the environment instead of the file.
+
+def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) -> Settings:
+    """Settings of a TOML file (None: defaults) with the tables of ``overrides`` on top; raises SettingsError.
+
+    A variable of the environment that stands in for a key of a device (the RWS password) wins over the file.
     """
+    source = str(path or "configuration")
     data: dict[str, Any] = {}
     if path is not None:
         try:
             data = read_toml(path)
         except (OSError, ContractError) as error:
             raise SettingsError(f"cannot read configuration {path}: {error}") from None
-    for section, values in (overrides or {}).items():
-        given = {key: value for key, value in values.items() if value is not None}
-        if given and isinstance(data.get(section, {}), dict):  # what is no table is refused below
-            data[section] = {**data.get(section, {}), **given}
+    data = _merged(data, overrides or {})
+    chosen = {key: _device(key, data.pop(key, {}), source) for key in REGISTRIES}
+    known = [name for device in chosen.values() for name in device.variables]
+    for name in os.environ:
+        ours = name.startswith(VARIABLES) or difflib.get_close_matches(name, known, 1, 0.8)
+        if ours and name not in known:
+            raise SettingsError(f"environment: {name} is not used; {nearest(name, known)}")
+    names = {key: {"device": device.device} for key, device in chosen.items()}
+    settings = _table(Settings, {**data, **names}, source).model_copy(update=chosen)
     try:
-        settings = Settings.model_validate_json(json.dumps(data))
         settings.work_object.frame()
-    except ValidationError as error:
-        raise SettingsError(f"{path or 'configuration'}: {first_error(error, 'file')}") from None
-    except (ValueError, TypeError) as error:
-        raise SettingsError(f"{path or 'configuration'}: {error}") from None
-    password = os.environ.get(PASSWORD_VARIABLE)
-    if password:
-        rws = settings.rws.model_copy(update={"password": SecretStr(password)})
-        settings = settings.model_copy(update={"rws": rws})
+    except ValueError as error:
+        raise SettingsError(f"{source}: work_object: {error}") from None
     return settings
+
+
+def _merged(data: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+    """``data`` under the values that are not None; what should be a table and is none stays, to be refused."""
+    merged = dict(data)
+    for key, value in overrides.items():
+        if isinstance(value, dict):
+            below = data.get(key, {})
+            value = (_merged(below, value) or None) if isinstance(below, dict) else below  # noqa: PLW2901
+        if value is not None:
+            merged[key] = value
+    return merged
+
+
+def _device(key: str, data: Any, source: str = "") -> DeviceSettings:
+    """The table of one device, with the variables that stand in for keys of it."""
+    name = data.get("device", DEFAULT_DEVICES[key]) if isinstance(data, dict) else DEFAULT_DEVICES[key]
+    try:
+        model = devices.settings_of(REGISTRIES[key], name)
+    except ValueError as error:
+        raise SettingsError(f"{source}: {key}.{error}") from None
+    for variable, way in model.variables.items():
+        value: Any = os.environ.get(variable)
+        if value and isinstance(data, dict):
+            for part in reversed(way):
+                value = {part: value}
+            data = _merged(data, value)
+    return _table(model, data, source, key)
+
+
+def _table(model: type[Table], data: Any, source: str, *above: str) -> Table:
+    """``data`` as ``model``; raises SettingsError with file and key, and for an unknown key the nearest one."""
+    try:
+        return model.model_validate_json(json.dumps(data))
+    except ValidationError as error:
+        first = error.errors()[0]
+        *way, last = [*first["loc"]] or [""]
+        problem, table = first["msg"], model
+        if first["type"] == "extra_forbidden":
+            for part in way:
+                table = table.model_fields[str(part)].annotation  # type: ignore[assignment]
+            problem = f"unknown key; {nearest(str(last), table.model_fields)}"
+        where = ".".join(str(part) for part in (*above, *first["loc"])) or "file"
+        raise SettingsError(f"{source}: {where}: {problem}") from None
+    except (ValueError, TypeError) as error:
+        raise SettingsError(f"{source}: {error}") from None

@@ -18,6 +18,7 @@ from pydantic_settings import (
 from pydantic_settings import SettingsError as CliError
 
 from service.contract import ContractError
+from service.contract.shipped import released_models
 from service.contract.toml import read_toml
 from service.contract.wire import ControllerName, Limits
 
@@ -57,7 +58,7 @@ class Settings(BaseSettings):
         cli_exit_on_error=False,
     )
 
-    models: Path = Field(Path("models"), description="folder with the ONNX files and their cards")
+    models: Path = Field(default_factory=released_models, description="folder with the ONNX files and their cards")
     camera_left: str = Field(description="left finger: http://HOST:PORT/PATH (MJPEG), v4l2:N, file:PATH or push:")
     camera_right: str = Field(description="right finger, same forms")
     calibration: Path | None = Field(None, description="rectification TOML; leave out for rectified cameras")
@@ -128,7 +129,7 @@ def read_settings(arguments: Sequence[str]) -> Settings:
     rest, defaults = _take_config(list(arguments))
     kind = _with_defaults(defaults)
     try:
-        source: CliSettingsSource[Settings] = CliSettingsSource(kind, cli_prog_name="python -m service run")
+        source: CliSettingsSource[Settings] = CliSettingsSource(kind, cli_prog_name="tactile-insertion serve")
         return CliApp.run(kind, cli_args=rest, cli_settings_source=source)
     except CliError as error:
         raise SettingsError(f"{error} (python -m service run --help)") from error

@@ -19,7 +19,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),
     "collect": ("simulation.data.collect:main", "poke on all cores and keep the collisions as a dataset"),
     "view": ("simulation.data.view:main", "trials of a dataset as pictures"),
-    "plate": ("simulation.studies.imprint:main", "what the simulated sensor sees, object by object, as one picture"),
+    "imprint": ("simulation.studies.imprint:main", "what the simulated sensor sees, object by object, as one picture"),
     "export-dataset": ("simulation.data.export:main", "trials as a LeRobot v3.0 dataset or as MCAP files"),
     "slip-report": (
         "simulation.studies.slip.detection:main",
@@ -56,11 +56,12 @@ def _refuse_negative_seed(words: list[str]) -> None:
             raise ValueError(f"--seed {seed}: expected 0 or more")
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Run one command. Exit status 2 with one line when the input was wrong."""
+    arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in {"-h", "--help"}:
         print(usage())
-        return 0
+        return 0 if arguments else 2
     name, rest = arguments[0], arguments[1:]
     if name not in COMMANDS:
         print(f"no command {name!r}: expected one of {', '.join(COMMANDS)}", file=sys.stderr)
@@ -76,4 +77,4 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

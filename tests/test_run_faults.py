@@ -57,7 +57,7 @@ def truth(admin_url):
 
 def wait_for_descent(loop):
     end = time.monotonic() + 60.0
-    while truth(loop.told["admin_url"])["tcp"]["position_mm"][2] > 34.0:
+    while truth(loop.facts["admin_url"])["tcp"]["position_mm"][2] > 34.0:
         loop.client.check()
         assert time.monotonic() < end, loop.client.tail()
         time.sleep(0.02)
@@ -67,11 +67,11 @@ def wait_for_descent(loop):
 def test_a_fault_during_the_descent_ends_in_a_hold(loop, name):
     fault, bound_s = FAULTS[name]
     wait_for_descent(loop)
-    httpx.post(f"{loop.told['admin_url']}/faults", json=fault).raise_for_status()
+    httpx.post(f"{loop.facts['admin_url']}/faults", json=fault).raise_for_status()
     time.sleep(bound_s)
-    held = truth(loop.told["admin_url"])
+    held = truth(loop.facts["admin_url"])
     list(loop.client.lines((), 60.0))
-    after = truth(loop.told["admin_url"])
+    after = truth(loop.facts["admin_url"])
     assert loop.client.code == 1, loop.client.tail()
     assert "HOLD" in loop.client.log.read_text()
     assert not after["moving"]

@@ -1,6 +1,8 @@
 """``python -m training COMMAND``."""
 
+import sys
+
 from training.cli.commands import main
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

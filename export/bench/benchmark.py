@@ -14,8 +14,9 @@ from export.bench.report import line, write
 from export.limits import Peaks, Work, probe, work_of
 from export.onnx.decisions import Decision, decided_class
 from export.onnx.model import Arrays, Model, open_model
-from export.onnx.runtime import cpu_name, session
+from export.onnx.runtime import session
 from export.yardstick import ratios
+from reporting.machine import cpu_name
 from training.data.labels import class_of
 
 BATCH = 16

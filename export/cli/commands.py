@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -183,8 +183,8 @@ def choose(budget_ms: float, report: Path = Path("docs/tradeoff.json"), seconds:
     print(pick(budget_ms, report, seconds))
 
 
-def main() -> None:
-    """Command line entry."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; wrong input is one line on standard error and exit code 2."""
     try:
         commands: dict[str, Callable[..., None]] = {
             "onnx": onnx,
@@ -194,7 +194,8 @@ def main() -> None:
             "tradeoff": tradeoff,
             "choose": choose,
         }
-        tyro.extras.subcommand_cli_from_dict(commands, prog="python -m export")
+        tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion")
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        return 2
+    return 0

@@ -1,6 +1,5 @@
-"""ONNX Runtime sessions as the service opens them, and what machine this is."""
+"""ONNX Runtime sessions as the service opens them."""
 
-import platform
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -26,13 +25,3 @@ def session(file: Path, threads: int = 1, *, spinning: bool = False, profile: bo
         return onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises its own pybind types for every kind of bad file
         raise ContractError(f"{file} is not a model this runtime can open: {str(error).splitlines()[0]}") from error
-
-
-def cpu_name() -> str:
-    """Model name of this machine's processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or "unknown"
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else "unknown"

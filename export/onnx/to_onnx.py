@@ -15,8 +15,9 @@ from torch import nn
 
 from export.onnx.golden import golden_frames, golden_markers
 from export.onnx.model import open_model
-from export.onnx.runtime import cpu_name, session
+from export.onnx.runtime import session
 from export.onnx.verify import verify_forms
+from reporting.machine import cpu_name
 from service.contract import Calibration, ContractError, ModelCard, Sensor
 from service.contract.self_test import make_self_test
 from training.config import FRAMES_PER_DECISION

@@ -9,7 +9,6 @@ from rich.progress import track
 
 from export.bench.measure import Timing
 from export.onnx.decisions import FRAME_COUNTS, PAIR, Decision
-from export.onnx.runtime import cpu_name
 from export.tradeoff.candidates import Candidate, find_candidates
 from export.tradeoff.points import (
     Point,
@@ -24,6 +23,7 @@ from export.tradeoff.points import (
 )
 from export.tradeoff.report import NAME, draw, write
 from export.tradeoff.scores import Score, Scores, score
+from reporting.machine import cpu_name
 from service.contract import ContractError, ModelCard
 
 PLAYERS = ("belief", "joint", "paper")

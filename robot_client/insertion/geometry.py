@@ -1,4 +1,4 @@
-"""Poses in the work-object frame and their way to and from the quaternions that the controller speaks.
+"""Poses in the work-object frame, and their conversion to and from the quaternions that robot controllers use.
 
 Work-object frame: origin at the gap's centre at the height of the blocks' top faces, x across the gap, y along it,
 z up; mm and deg. Quaternions are (w, x, y, z) of unit norm. Half-angle formulas hold at any angle.
@@ -10,7 +10,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-from robot_client.robots.abb_egm.codec import Pose
 from service.contract.frames import Contract
 
 Vector = tuple[float, float, float]
@@ -21,6 +20,35 @@ Reach = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 TOOL_DOWN: Quaternion = (0.0, 1.0, 0.0, 0.0)
+QUATERNION_TOLERANCE = 1e-2  # a real controller rounds; more than this is no rotation
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Position in mm and unit quaternion (w, x, y, z) of the tool in the work object active on the controller."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    qw: float = 1.0
+    qx: float = 0.0
+    qy: float = 0.0
+    qz: float = 0.0
+
+    @property
+    def quaternion(self) -> Quaternion:
+        """(w, x, y, z)."""
+        return (self.qw, self.qx, self.qy, self.qz)
+
+    def check(self, name: str = "pose") -> "Pose":
+        """This pose if it is finite and its quaternion has unit norm; raises ValueError otherwise."""
+        values = (self.x_mm, self.y_mm, self.z_mm, *self.quaternion)
+        if not all(map(math.isfinite, values)):
+            raise ValueError(f"{name} is {values}, expected finite numbers")
+        norm = math.hypot(*self.quaternion)
+        if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+            raise ValueError(f"{name} has a quaternion of norm {norm:.4f}, expected 1")
+        return self
 
 
 class WorkPose(Contract):
@@ -116,7 +144,7 @@ class CellFrame:
         normalised(self.tool)
 
     def to_controller(self, pose: WorkPose) -> Pose:
-        """The controller's pose of the TCP; raises EgmError if it is not finite."""
+        """The controller's pose of the TCP; raises ValueError if it is not finite."""
         x, y, z = rotate(self.rotation, (pose.x_mm, pose.y_mm, pose.z_mm))
         orientation = multiply(multiply(self.rotation, yaw_quaternion(pose.yaw_deg)), self.tool)
         ox, oy, oz = self.origin_mm

@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m service calibrate", description=(__doc__ or "").split(": ", 1)[1])
+    parser = argparse.ArgumentParser(prog="tactile-insertion calibrate", description=(__doc__ or "").split(": ", 1)[1])
     for finger in FINGERS:
         help_text = f"camera of the {finger} finger, as for run: v4l2:N, http://HOST:PORT/PATH or file:PATH"
         parser.add_argument(f"--camera-{finger}", required=True, metavar="URL", help=help_text)

@@ -6,13 +6,14 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
+from service.contract.shipped import released_models
 from service.decision.models import LoadedModel, load_models
 
 
 def main(arguments: Sequence[str]) -> int:
     """Print every card; raises ModelError, and so ends with 2, wherever the service would refuse to start."""
-    parser = argparse.ArgumentParser(prog="python -m service models", description="check a folder, print its cards")
-    parser.add_argument("folder", nargs="?", type=Path, default=Path("models"), help="folder of *.onnx files (models)")
+    parser = argparse.ArgumentParser(prog="tactile-insertion models", description="check a folder, print its cards")
+    parser.add_argument("folder", nargs="?", type=Path, default=released_models(), help="folder of *.onnx files")
     models = load_models(parser.parse_args(arguments).folder)
     deciding = {step.model.path for step in models.steps}
     for model in models.models:

@@ -46,7 +46,7 @@ class ReplayOptions:
 def parse(arguments: Sequence[str]) -> ReplayOptions:
     """The options of ``python -m service replay``."""
     parser = argparse.ArgumentParser(
-        prog="python -m service replay",
+        prog="tactile-insertion replay",
         description="Run marker tracking and slip detection over a recording, print what happened when, and draw it.",
         epilog="example: python -m service replay clip.avi --fps 30 --plot --out runs/replay. "
         "A recorded insertion (.mcap) is decided again instead: python -m service replay x.mcap --help",

@@ -1,6 +1,7 @@
 """The cell's own HTTP port: truth and faults. No device has this; tests and the report do."""
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
@@ -8,14 +9,7 @@ from fastapi.responses import JSONResponse
 from simulation.cell.emulators.faults import FaultBoard, FaultError, Faults
 
 
-class Teller(Protocol):
-    """Who knows the truth."""
-
-    def truth(self) -> dict[str, Any]:
-        """Plain data."""
-
-
-def create_admin(teller: Teller, board: FaultBoard) -> FastAPI:
+def create_admin(read_truth: Callable[[], dict[str, Any]], board: FaultBoard) -> FastAPI:
     """``GET /truth``, ``GET|POST|DELETE /faults``, ``GET /faults/schema``, ``GET /healthz``."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
@@ -25,7 +19,7 @@ def create_admin(teller: Teller, board: FaultBoard) -> FastAPI:
 
     @app.get("/truth")
     async def truth() -> dict[str, Any]:
-        return teller.truth()
+        return read_truth()
 
     @app.get("/faults")
     async def faults() -> dict[str, Any]:

@@ -75,7 +75,7 @@ class Child:
     def tail(self) -> str:
         """The last lines of its log, indented."""
         lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return "\n".join(f"  | {line}" for line in lines[-_TAIL_LINES:]) or "  | (it said nothing)"
+        return "\n".join(f"  | {line}" for line in lines[-_TAIL_LINES:]) or "  | (no output)"
 
     def check(self) -> None:
         """Raise ChildError with its last lines if it ended."""

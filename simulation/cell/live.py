@@ -43,7 +43,7 @@ INSERTION_MM = 20.0  # how deep its bottom is in the gap when it counts as inser
 
 
 class Plant(NamedTuple):
-    """What stands behind the devices: physics, optics, and the numbers that a client is told."""
+    """What stands behind the devices: physics, optics, and the numbers that a client needs."""
 
     mechanics: Mechanics
     regrasp: Callable[[float], None]
@@ -119,7 +119,7 @@ class LiveCell:
         self.gripper = Gripper(self.part, self.board, holding=held)
         self.wsg = Wsg50Emulator(self.gripper, self.board)
         self.cameras = {finger: CameraEmulator(finger, self.board, plant.dropped_share) for finger in FINGERS}
-        self.admin = HttpServer(create_admin(self, self.board), self.sockets.admin)
+        self.admin = HttpServer(create_admin(self.truth, self.board), self.sockets.admin)
         self.feeds: list[CameraFeed] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._started_s = time.monotonic()
@@ -183,7 +183,7 @@ class LiveCell:
             await asyncio.sleep(0.2)
         raise RuntimeError(f"the cell's physics or optics failed: {error}") from error
 
-    # ---- what others are told ---------------------------------------------------------------------------------
+    # ---- what others are given --------------------------------------------------------------------------------
 
     def description(self, calibration: Path) -> dict[str, Any]:
         """Contents of cell.json: addresses, calibration, and what a client may know of the task."""

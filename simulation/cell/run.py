@@ -10,7 +10,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 from urllib.request import urlopen
@@ -18,6 +18,7 @@ from urllib.request import urlopen
 import numpy as np
 import tyro
 
+from service.contract.shipped import released_models
 from simulation.cell import run_report
 from simulation.cell.children import Child, ChildError, terminate_as_interrupt
 from simulation.cell.run_report import Result
@@ -47,7 +48,7 @@ class RunOptions:
     """Seed of start, grasp, optics and noise."""
     controller: Literal["belief", "heuristic"] = "belief"
     """How corrections are chosen."""
-    models: Path = Path("models")
+    models: Path = field(default_factory=released_models)
     """Folder with the networks."""
     out: Path = Path("runs")
     """Where runs are kept."""
@@ -91,15 +92,15 @@ def starts(options: RunOptions) -> list[Start]:
         raise RunError(f"--timeout-s {options.timeout_s}: expected more than 0")
     if not options.models.is_dir():
         raise RunError(f"--models {options.models}: no such folder; it holds the .onnx files of the service")
-    found = []
+    planned = []
     for name in TRAINING_OBJECTS if options.object == "all" else (options.object,):
         scene = load_scene(name)
         for seed in range(options.seed, options.seed + options.repeat):
             x_mm, theta_deg = draw_start(scene, seed)
             x_mm = x_mm if options.x_mm is None else options.x_mm
             theta_deg = theta_deg if options.theta_deg is None else options.theta_deg
-            found.append(Start(name, x_mm, theta_deg, seed))
-    return found
+            planned.append(Start(name, x_mm, theta_deg, seed))
+    return planned
 
 
 def _say(text: str) -> None:
@@ -116,20 +117,24 @@ def _start_cell(start: Start, options: RunOptions, folder: Path) -> Child:
     return Child("cell", "simulation", ["cell", *arguments], folder / "cell.log")
 
 
-def _start_service(told: dict[str, Any], options: RunOptions, folder: Path) -> Child:
+def _start_service(facts: dict[str, Any], options: RunOptions, folder: Path) -> Child:
     arguments = [
-        *("--models", str(options.models), "--calibration", told["calibration"], "--port", "0"),
-        *("--camera-left", told["cameras"]["left"], "--camera-right", told["cameras"]["right"]),
+        *("--models", str(options.models), "--calibration", facts["calibration"], "--port", "0"),
+        *("--camera-left", facts["cameras"]["left"], "--camera-right", facts["cameras"]["right"]),
         *("--recordings", str(folder / "recordings"), "--controller", options.controller),
-        *("--frame-rate-hz", str(told["fps"]), "--max-frame-age-ms", str(FRAME_AGE_MS)),
+        *("--frame-rate-hz", str(facts["fps"]), "--max-frame-age-ms", str(FRAME_AGE_MS)),
     ]
     return Child("service", "service", ["run", *arguments], folder / "service.log")
 
 
-def _start_client(told: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
-    approach, config = told["approach"], folder / "client.toml"
-    lines = [f'robot = {{ link = "{options.link}" }}', "[socket]"]
-    config.write_text("\n".join([*lines, *(f"{key} = {json.dumps(value)}" for key, value in told["rapid"].items())]))
+def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
+    approach, config = facts["approach"], folder / "client.toml"
+    robot = {
+        "egm": {"device": "abb_egm", "port": facts["egm_guide_port"]},
+        "socket": {"device": "abb_rapid", **facts["rapid"]},
+    }[options.link]
+    keys = {**robot, "rws.url": facts["rws_url"]}.items()
+    config.write_text("\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys)]))
     arguments = [
         *(
             "--live",
@@ -138,22 +143,22 @@ def _start_client(told: dict[str, Any], url: str, options: RunOptions, folder: P
             "--service",
             url.replace("http://", "ws://").rstrip("/") + "/v1/insertion",
         ),
-        *("--egm-port", str(told["egm_guide_port"]), "--rws-url", told["rws_url"], "--gripper", told["gripper"]),
+        *("--gripper", facts["gripper"]),
         *(f"--x-mm={approach['x_mm']:.4f}", f"--theta-deg={approach['yaw_deg']:.4f}"),
-        *("--approach-z-mm", f"{approach['z_mm']:.4f}", "--gap-width-mm", f"{told['gap_width_mm']:.3f}"),
-        *("--expected-depth-mm", f"{told['expected_depth_mm']:.3f}", "--log", str(folder / "episode.jsonl")),
-        *("--creep-allowance-mm", f"{told['creep_allowance_mm']:g}"),
+        *("--approach-z-mm", f"{approach['z_mm']:.4f}", "--gap-width-mm", f"{facts['gap_width_mm']:.3f}"),
+        *("--expected-depth-mm", f"{facts['expected_depth_mm']:.3f}", "--log", str(folder / "episode.jsonl")),
+        *("--creep-allowance-mm", f"{facts['creep_allowance_mm']:g}"),
     ]
     return Child("robot client", "robot_client", ["insert", *arguments], folder / "client.log")
 
 
 class Loop(NamedTuple):
-    """The three processes of one insertion and what the cell told of itself."""
+    """The three processes of one insertion and what the cell says of itself."""
 
     cell: Child
     service: Child
     client: Child
-    told: dict[str, Any]
+    facts: dict[str, Any]
     episode: Path
 
 
@@ -164,11 +169,11 @@ def loop(start: Start, options: RunOptions, folder: Path) -> Iterator[Loop]:
     with ExitStack() as children:
         cell = children.enter_context(_start_cell(start, options, folder))
         cell.until("cell: ready", CELL_READY_S)
-        told = json.loads((folder / "cell" / "cell.json").read_text())
-        service = children.enter_context(_start_service(told, options, folder))
+        facts = json.loads((folder / "cell" / "cell.json").read_text())
+        service = children.enter_context(_start_service(facts, options, folder))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        client = children.enter_context(_start_client(told, url, options, folder))
-        yield Loop(cell, service, client, told, folder / "episode.jsonl")
+        client = children.enter_context(_start_client(facts, url, options, folder))
+        yield Loop(cell, service, client, facts, folder / "episode.jsonl")
 
 
 def insert(start: Start, options: RunOptions, folder: Path) -> Result:
@@ -184,7 +189,7 @@ def insert(start: Start, options: RunOptions, folder: Path) -> Result:
             running.client.check()
         seconds = time.monotonic() - began
         cores = [(child.cpu_s() - before) / seconds for child, before in zip(watched, used, strict=True)]
-        with urlopen(f"{running.told['admin_url']}/truth", timeout=5.0) as answer:  # noqa: S310 our own child on loopback
+        with urlopen(f"{running.facts['admin_url']}/truth", timeout=5.0) as answer:  # noqa: S310 our own child on loopback
             truth = json.load(answer)
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
     return run_report.collect(
@@ -229,7 +234,7 @@ def _table(results: Sequence[Result]) -> None:
 
 def main(arguments: list[str]) -> int:
     """Run; see the module's docstring for the exit code."""
-    options = tyro.cli(RunOptions, args=arguments, prog="python -m simulation run", description=__doc__)
+    options = tyro.cli(RunOptions, args=arguments, prog="tactile-insertion run", description=__doc__)
     todo = starts(options)
     terminate_as_interrupt()
     results = []

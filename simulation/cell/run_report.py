@@ -45,23 +45,23 @@ def _events(log: Path) -> list[dict[str, Any]]:
     if not log.is_file():
         return []
     lines = log.read_text(encoding="utf-8").splitlines()
-    found = []
+    entries = []
     for line in lines:
         try:
-            found.append(json.loads(line))
+            entries.append(json.loads(line))
         except json.JSONDecodeError:  # the client died while it wrote this line
             break
-    return found
+    return entries
 
 
 def _slips(events: list[dict[str, Any]]) -> list[int]:
     """Capture stamps (steady clock, ns) of the frames that showed slip, one an attempt."""
-    found: dict[int, int] = {}
+    first: dict[int, int] = {}
     for entry in events:
         message = entry.get("event", {}).get("message", {})
         if message.get("type") == "slip":
-            found.setdefault(int(message["attempt"]), int(message["captured_ns"]))
-    return list(found.values())
+            first.setdefault(int(message["attempt"]), int(message["captured_ns"]))
+    return list(first.values())
 
 
 def collect(
@@ -153,8 +153,7 @@ def screen(result: Result, recording: Path | None, drawn: Path | None, folder: P
 
 def newest_recording(folder: Path) -> Path | None:
     """The insertion's folder of the service."""
-    found = sorted(path for path in folder.glob("*") if path.is_dir())
-    return found[-1] if found else None
+    return max((path for path in folder.glob("*") if path.is_dir()), default=None)
 
 
 def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | None:
@@ -163,19 +162,19 @@ def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | Non
     if not attempts:
         return None
     with np.load(attempts[-1], allow_pickle=False) as data:
-        said = json.loads(str(data["decision"]))
+        answer = json.loads(str(data["decision"]))
         frames, valid = data["frames"], data["valid"]
         motion = data["rest_px"], data["displacement_px"]
     number = int(attempts[-1].stem.split("_")[1])
     decision: attempt_picture.Decision = {
         "title": f"{result.object_name}: attempt {number} of {result.attempts}, simulated",
-        "notes": textwrap.wrap(f"{said.get('reason', '')} {said.get('detail', '')}", 40),
+        "notes": textwrap.wrap(f"{answer.get('reason', '')} {answer.get('detail', '')}", 40),
     }
-    estimate = said.get("estimate")
+    estimate = answer.get("estimate")
     if estimate is not None:
         decision["estimate"] = (estimate["dx_mm"], estimate["dtheta_deg"])
-        decision["correction"] = (said["dx_mm"], said["dtheta_deg"])
-        decision["class_probabilities"] = said["class_probabilities"]
+        decision["correction"] = (answer["dx_mm"], answer["dtheta_deg"])
+        decision["class_probabilities"] = answer["class_probabilities"]
         if estimate.get("interval_x_mm") and estimate.get("interval_theta_deg"):
             decision["interval"] = (tuple(estimate["interval_x_mm"]), tuple(estimate["interval_theta_deg"]))
     return attempt_picture.save(path, frames, decision, motion, valid)

@@ -16,58 +16,15 @@ from numpy.typing import NDArray
 
 from service.contract import Sensor
 from simulation.cell.emulators.abb.motion import Pose
+from simulation.physics.state import CellState
 
 Gel = NDArray[np.floating[Any]]
-
-
-class CellStateLike(Protocol):
-    """What the world reads of the mechanics' state (``simulation.physics.state.CellState``)."""
-
-    @property
-    def gel(self) -> Gel:
-        """Float [2, rows, columns, 3]."""
-
-    @property
-    def slipping_share(self) -> Any:
-        """Share of slipping nodes a finger, [2]."""
-
-    @property
-    def wrench_n_nmm(self) -> Any:
-        """Wrench at the TCP, [6]."""
-
-    @property
-    def object_error(self) -> tuple[float, float]:
-        """True (x_mm, theta_deg)."""
-
-    @property
-    def in_hand(self) -> Any:
-        """Pose of the object in the hand, [6], mm and rad."""
-
-    @property
-    def bottom_z_mm(self) -> float:
-        """Height of the object's bottom."""
-
-    @property
-    def block_motion(self) -> Any:
-        """[2, 4] dx, dy mm, yaw, tilt deg."""
-
-    @property
-    def in_contact(self) -> bool:
-        """The object touches a block."""
-
-    @property
-    def inserted(self) -> bool:
-        """Its bottom is below the block tops with the footprint inside the gap."""
-
-    @property
-    def grasp_lost(self) -> bool:
-        """It left the fingers."""
 
 
 class Mechanics(Protocol):
     """The simulated cell as the world uses it (``QuasiStaticCell``)."""
 
-    def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellStateLike:
+    def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
         """Advance the TCP and return the new state."""
 
 
@@ -111,7 +68,7 @@ class World:
     ) -> None:
         self.fps = fps
         self.course = Course()
-        self.state: CellStateLike | None = None
+        self.state: CellState | None = None
         self.error: BaseException | None = None
         self.held = held
         self.on_unsolved: Callable[[str], None] = lambda _why: None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from service.contract.shipped import released_models
 from simulation.closed_loop import campaign, statistics
 from simulation.closed_loop.baselines import CONTENDERS
 from simulation.closed_loop.campaign import Task
@@ -28,7 +29,7 @@ class Options:
     """folder for results"""
     docs: Path = Path("runs/evaluation")
     """folder for the report"""
-    models: Path = Path("models")
+    models: Path = field(default_factory=released_models)
     """folder with the ONNX files to judge; its folder `joint` holds the joint density, if there is one"""
     paper_models: Path = Path("models/paper")
     """folder with the paper's recipe (AlexNet + LSTM); its row is left out while there is none"""
@@ -98,7 +99,7 @@ def tasks(options: Options, names: tuple[str, ...]) -> list[Task]:
 
 def main(arguments: list[str]) -> int:
     """Run, print the table, write the files; 0 also when insertions failed: the table says so."""
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation evaluate")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion evaluate")
     names = entered(options)
     setup = campaign.fingerprint({who: folder_of(options, who) for who in names})
     campaign.claim(options.out, setup)

@@ -54,7 +54,7 @@ def cost(scene: Scene, key: str) -> str:
 
 def main(arguments: list[str]) -> int:
     """Print each effect of a scene: on or off, why, and what it costs here."""
-    parser = argparse.ArgumentParser(prog="python -m simulation explain", description=__doc__)
+    parser = argparse.ArgumentParser(prog="tactile-insertion explain", description=__doc__)
     parser.add_argument("scene", help="a built-in name (rectangle, circle, ...) or a TOML file")
     scene = load_scene(parser.parse_args(arguments).scene)
     gap = f"gap {scene.blocks.gap_mm} mm, clearance {scene.clearance_mm:.2f} mm a side"

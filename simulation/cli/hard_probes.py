@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from simulation.data.manifest import write_durably
+from reporting.files import write_durably
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
 from simulation.studies import hard_probes
@@ -37,16 +37,16 @@ class Options:
     """folder for hard_probes.TIER.json; none: print only"""
 
 
-def as_text(options: Options, found: dict[str, Any]) -> str:
+def as_text(options: Options, result: dict[str, Any]) -> str:
     """What a person reads."""
-    lines = [f"{found['probes']} hard probes, tier {options.tier}, seed {options.seed}:"]
+    lines = [f"{result['probes']} hard probes, tier {options.tier}, seed {options.seed}:"]
     lines += [
-        f"  {count:6d}  {100.0 * count / found['probes']:6.2f} %  {ended}" for ended, count in found["ended"].items()
+        f"  {count:6d}  {100.0 * count / result['probes']:6.2f} %  {ended}" for ended, count in result["ended"].items()
     ]
     lines.append(
-        f"worst residual {found['worst_residual_n']:.1e} N (limit {hard_probes.RESIDUAL_N:.0e}), worst cone violation "
-        f"{found['worst_cone_violation_n_per_mm2']:.1e} N/mm2 (limit {hard_probes.CONE_N_PER_MM2:.0e}), "
-        f"{found['cpu_ms_per_probe']:.0f} ms CPU a probe"
+        f"worst residual {result['worst_residual_n']:.1e} N (limit {hard_probes.RESIDUAL_N:.0e}), worst cone violation "
+        f"{result['worst_cone_violation_n_per_mm2']:.1e} N/mm2 (limit {hard_probes.CONE_N_PER_MM2:.0e}), "
+        f"{result['cpu_ms_per_probe']:.0f} ms CPU a probe"
     )
     return "\n".join(lines)
 
@@ -56,16 +56,16 @@ def _begun(path: Path | None, asked: dict[str, Any], count: int) -> hard_probes.
     if path is None or not path.is_file():
         return hard_probes.Tally()
     try:
-        found = json.loads(path.read_text())
-        same = all(found.get(name) == value for name, value in asked.items())
-        return hard_probes.Tally.from_dict(found) if same and found["probes"] <= count else hard_probes.Tally()
+        result = json.loads(path.read_text())
+        same = all(result.get(name) == value for name, value in asked.items())
+        return hard_probes.Tally.from_dict(result) if same and result["probes"] <= count else hard_probes.Tally()
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} is not what an earlier run left ({error!r}); remove it") from error
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command line."""
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation hard-probes")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion hard-probes")
     if options.count < 1 or options.workers < 0:
         raise ValueError(f"expected --count >= 1 and --workers >= 0, got {options.count} and {options.workers}")
     if options.out is not None and not options.out.is_dir():
@@ -80,8 +80,8 @@ def main(arguments: Sequence[str]) -> int:
                 tally.add(part)
                 show(tally.ended.total())
                 if path is not None:
-                    found = {**asked, **tally.as_dict()}
-                    write_durably(path, (json.dumps(found, indent=1) + "\n").encode())
+                    result = {**asked, **tally.as_dict()}
+                    write_durably(path, (json.dumps(result, indent=1) + "\n").encode())
     except hard_probes.ImpossibleStateError as error:
         raise ValueError(f"a promise is broken: {error}") from error
     print(as_text(options, tally.as_dict()))

@@ -47,7 +47,7 @@ def save(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
 
 def main(arguments: list[str]) -> int:
     """Run one descent and print what happened, frame by frame."""
-    parser = argparse.ArgumentParser(prog="python -m simulation probe", description=__doc__)
+    parser = argparse.ArgumentParser(prog="tactile-insertion probe", description=__doc__)
     parser.add_argument("scene", help="a built-in name (rectangle, circle, ...) or a TOML file")
     parser.add_argument("--x-mm", type=float, default=8.0, help="position error across the gap (default 8)")
     parser.add_argument("--theta-deg", type=float, default=5.0, help="yaw error (default 5)")

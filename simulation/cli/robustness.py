@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from service.contract.shipped import released_models
 from simulation.closed_loop import campaign, robustness, statistics
 from simulation.closed_loop.baselines import CONTENDERS
 from simulation.closed_loop.campaign import Task
@@ -27,7 +28,7 @@ class Options:
     """folder for results"""
     docs: Path = Path("runs/robustness")
     """folder for the report"""
-    models: Path = Path("models")
+    models: Path = field(default_factory=released_models)
     """folder with the ONNX files"""
     objects: tuple[str, ...] = ("rectangle", "hexagon", "white_box")
     """scene names"""
@@ -78,7 +79,7 @@ def _eyes(options: Options, disturbed: Condition) -> str:
 
 def main(arguments: list[str]) -> int:
     """Run, print the table, write the files."""
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation robustness")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion robustness")
     for given, known, flag in (
         (options.objects, BUILT_IN, "objects"),
         (options.only, CONDITIONS, "only"),

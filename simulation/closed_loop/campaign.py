@@ -17,7 +17,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
-from simulation.data.manifest import write_durably
+from reporting.files import write_durably
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
 

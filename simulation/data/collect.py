@@ -20,9 +20,10 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from reporting.files import write_durably
 from service.contract import FINGERS, ContractError, Sensor
 from simulation.data.dataset import DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, encode_shard, split_of
-from simulation.data.manifest import shard_file_name, write_durably
+from simulation.data.manifest import shard_file_name
 from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
 from simulation.data.sources import sources_sha256
 from simulation.optics.appearance import Appearance
@@ -279,7 +280,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command line; 0 when the dataset is complete."""
     from simulation.data.workers import collect, collect_on_ray
 
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation collect")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion collect")
     asked = asked_manifest(options)
     with DatasetWriter(options.out, asked) as writer:
         writer.extend(asked)

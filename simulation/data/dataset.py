@@ -16,8 +16,9 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from reporting.files import write_durably
 from service.contract import Sensor
-from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest, write_durably
+from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest
 from simulation.data.trial import (
     LABELS,
     SCALARS,
@@ -193,9 +194,9 @@ class Dataset:
         where: list[tuple[int, int]] = []
         for shard, entry in enumerate(self.manifest.shards):
             entry.must_be_whole(self.path, verify=verify)
-            found = self._label_columns(shard)
+            own = self._label_columns(shard)
             for name in SCALARS:
-                columns[name] += found[name]
+                columns[name] += own[name]
             where += [(shard, row) for row in range(entry.trials)]
         keep = [i for i, split in enumerate(columns["split"]) if split in wanted]
         self._where = [where[i] for i in keep]
@@ -245,24 +246,26 @@ class Dataset:
                 self._files[shard] = pq.ParquetFile(path, memory_map=True)
             except (pa.ArrowException, OSError) as error:
                 raise DatasetError(f"{path}: not a Parquet shard: {error}") from error
-            found = self._files[shard].schema_arrow
+            schema = self._files[shard].schema_arrow
             version, sensor = self.manifest.schema_version, self.manifest.sensor
             known = [parquet_schema(sensor, slip_truth=slip, schema_version=version) for slip in (False, True)]
-            if not any(found.equals(schema) for schema in known):
+            if not any(schema.equals(other) for other in known):
                 raise DatasetError(f"{path}: its columns are not those of schema {version} and sensor {sensor}")
         return self._files[shard]
 
     def _label_columns(self, shard: int) -> dict[str, list[Any]]:
-        found: dict[str, list[Any]] = self._file(shard).read(columns=scalars(self.manifest.schema_version)).to_pydict()
-        found.setdefault("grasp_height_mm", [0.0] * len(found["x_mm"]))
+        columns: dict[str, list[Any]] = (
+            self._file(shard).read(columns=scalars(self.manifest.schema_version)).to_pydict()
+        )
+        columns.setdefault("grasp_height_mm", [0.0] * len(columns["x_mm"]))
         name = self.path / self.manifest.shards[shard].name
         for label in LABELS:
-            if not np.isfinite(np.asarray(found[label], float)).all():
+            if not np.isfinite(np.asarray(columns[label], float)).all():
                 raise DatasetError(f"{name}: label {label} holds a number that is not finite")
-        if len(found["x_mm"]) != self.manifest.shards[shard].trials:
+        if len(columns["x_mm"]) != self.manifest.shards[shard].trials:
             stated = self.manifest.shards[shard].trials
-            raise DatasetError(f"{name}: {len(found['x_mm'])} trials, the manifest says {stated}")
-        return found
+            raise DatasetError(f"{name}: {len(columns['x_mm'])} trials, the manifest says {stated}")
+        return columns
 
     def _row_group(self, shard: int, group: int) -> list[dict[str, Any]]:
         key = (shard, group)

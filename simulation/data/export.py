@@ -29,7 +29,7 @@ class Options:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command line."""
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation export-dataset")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion export-dataset")
     dataset = Dataset(options.source)
     numbers = slice_of(range(len(dataset)), options.first, options.count, options.source)
     if options.out.exists() and any(options.out.iterdir()):

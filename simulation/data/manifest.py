@@ -1,7 +1,6 @@
-"""The manifest of a dataset and the durable writing behind it: temp file, fsync, rename, fsync of the folder."""
+"""The manifest of a dataset."""
 
 import hashlib
-import os
 from pathlib import Path
 from typing import Final, Literal, Self
 
@@ -114,21 +113,6 @@ def read_manifest(folder: Path) -> Manifest:
         if key == "schema_version":
             raise DatasetError(f"{path}: schema version {first['input']!r}, expected {SCHEMA_VERSION}") from error
         raise DatasetError(f"{path}: {key or 'contents'}: {first['msg']}") from error
-
-
-def write_durably(path: Path, data: bytes) -> None:
-    """Replace ``path`` by ``data`` so that a kill or power cut leaves either the old or the new file, whole."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def file_sha256(path: Path) -> str:

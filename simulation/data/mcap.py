@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from reporting.files import write_durably
 from service.contract import FINGERS
 from simulation.data.dataset import Dataset
-from simulation.data.manifest import write_durably
 from simulation.data.trial import FRAMES, SCALARS, Trial
 
 _OBJECT = b'{"type":"object"}'

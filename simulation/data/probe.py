@@ -25,8 +25,8 @@ class Probe:
     """Result of one descent; frames are those kept, frame indices count within them, -1 is "never".
 
     gel: float16 [frames, 2, rows, columns, 3] = du mm, dv mm (finger frame), pressure N/mm2. depth_mm [frames]: the
-    approach's z minus z. slipping: bool [frames, 2, rows, columns], where the gel slid on the object at each marker. wrench:
-    [frames, 6] N, N mm on the object at the TCP, hand frame. in_hand: [frames, 6] mm, rad.
+    approach's z minus z. slipping: bool [frames, 2, rows, columns], where the gel slid on the object at each
+    marker. wrench: [frames, 6] N, N mm on the object at the TCP, hand frame. in_hand: [frames, 6] mm, rad.
     error_before: (x mm, theta deg) of the object when the descent began.
     """
 

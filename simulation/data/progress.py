@@ -15,16 +15,16 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     on_terminal = sys.stderr.isatty()
-    began = said = time.monotonic()
+    began = printed = time.monotonic()
     with Progress(*columns, disable=not on_terminal) as bar:
         task = bar.add_task(what, total=total)
 
         def show(done: int) -> None:
-            nonlocal said
+            nonlocal printed
             bar.update(task, completed=done)
             now = time.monotonic()
-            if not on_terminal and done and now - said >= _LINE_EVERY_S:
-                said = now
+            if not on_terminal and done and now - printed >= _LINE_EVERY_S:
+                printed = now
                 rate = done / (now - began)
                 left_min = (total - done) / rate / 60
                 print(f"{done}/{total} {what}, {rate:.1f}/s, about {left_min:.1f} min left", flush=True)

@@ -60,7 +60,7 @@ def describe(trial: Trial, number: int) -> attempt_picture.Decision:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command line."""
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation view")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion view")
     dataset, numbers = chosen_trials(options)
     for number in numbers:
         trial = dataset.trial(number)

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from typing import Any
 
+from reporting.files import write_durably
 from simulation.data.collect import Plan, make_shard, shard_of
 from simulation.data.dataset import DatasetError, DatasetWriter, ShardEntry
-from simulation.data.manifest import write_durably
 from simulation.data.progress import progress
 
 _counter: Any = None

@@ -190,7 +190,7 @@ class Options:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command line."""
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation accuracy")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion accuracy")
     if options.repeats < 1 or not options.out.is_dir():
         raise ValueError(f"expected --repeats >= 1 and an existing folder, got {options.repeats} and {options.out}")
     rows = _kept(options.out / "accuracy.json") if options.probes_only else _measured(options.repeats)

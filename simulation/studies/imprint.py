@@ -1,4 +1,4 @@
-"""`python -m simulation plate`: what the simulated sensor sees, object by object, to lay beside a real one."""
+"""`python -m simulation imprint`: what the simulated sensor sees, object by object, to lay beside a real one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    options = tyro.cli(Options, args=arguments, prog="python -m simulation plate")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion imprint")
     figure = Figure(figsize=(16, 2.9 * len(options.objects)), dpi=60, layout="constrained")
     grid = figure.subplots(len(options.objects), len(COLUMNS), squeeze=False)
     for axes, name in zip(grid, options.objects, strict=True):

@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple
 
 import tyro
 
+from service.contract.shipped import released_models
 from simulation.cell.children import ChildError, terminate_as_interrupt
 from simulation.cell.emulators.abb.rapid import REACTION_S
 from simulation.cell.run import RunOptions, insert, starts
@@ -42,7 +43,7 @@ class StopOptions:
     """Scene: a built-in name or a TOML file."""
     fps: int = 30
     """Camera rate: 30, 60 or 90."""
-    models: Path = Path("models")
+    models: Path = field(default_factory=released_models)
     """Folder with the networks."""
     out: Path = Path("docs/robot_stop.md")
     """Table to write."""
@@ -132,7 +133,7 @@ def measure(options: StopOptions, base: RunOptions) -> list[str]:
 
 def main(arguments: list[str]) -> int:
     """Run every way, print the table and write it; raises ValueError on wrong input."""
-    options = tyro.cli(StopOptions, args=arguments, prog="python -m simulation stop-report", description=__doc__)
+    options = tyro.cli(StopOptions, args=arguments, prog="tactile-insertion stop-report", description=__doc__)
     terminate_as_interrupt()
     base = RunOptions(object=options.object, repeat=options.repeat, fps=options.fps, models=options.models)
     try:

@@ -138,7 +138,7 @@ def report(grids: tuple[int, ...], draws: int) -> str:
 
 def main(arguments: list[str]) -> int:
     """Print the page, and write it where asked."""
-    parser = argparse.ArgumentParser(prog="python -m simulation theory", description=__doc__)
+    parser = argparse.ArgumentParser(prog="tactile-insertion theory", description=__doc__)
     parser.add_argument("--grids", type=int, nargs="+", default=[32, 64], help="nodes a side of a pad (default 32 64)")
     parser.add_argument("--draws", type=int, default=20_000, help="errors drawn for the geometry table (%(default)s)")
     parser.add_argument("--out", type=Path, help="folder for theory.md; without it the page is only printed")

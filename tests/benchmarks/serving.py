@@ -21,12 +21,12 @@ from typing import Any
 import httpx
 import numpy as np
 
+from reporting.machine import machine
 from service.decision.models import load_models
 from tests.benchmarks.cell import SteppedCell, in_process_ms
 from tests.benchmarks.load import flood, healthz_ms, overload
 from tests.benchmarks.peers_run import peers
 from tests.service.process import service_process
-from tests.service.trouble import machine
 
 
 def quantiles(values: list[float]) -> dict[str, float]:

@@ -18,7 +18,7 @@ MAY_COPY = {
     "robot_client": {"robot_client", "service/__init__.py", "service/contract"},
     "simulation": {
         *("simulation", "service/__init__.py", "service/contract", "service/perception"),
-        *("robot_client/__init__.py", "robot_client/robots", "robot_client/grippers"),
+        *("robot_client/__init__.py", "robot_client/insertion", "robot_client/robots", "robot_client/grippers"),
     },
 }
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from robot_client.grippers.wsg50.codec import Command, encode_request
-from robot_client.insertion.geometry import CellFrame, WorkPose, multiply, normalised, rotate, yaw_quaternion
+from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, rotate, yaw_quaternion
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import MotionGuide, Ramps
 from robot_client.insertion.profile import plan_profile
-from robot_client.robots.abb_egm.codec import Guidance, Pose, RobotState, encode_guidance, encode_robot
+from robot_client.robots.abb_egm.codec import Guidance, RobotState, encode_guidance, encode_robot
 from service.contract import Sensor, wire
 from service.decision.belief import BeliefGrid
 from service.decision.controllers import axis_command, make_controller

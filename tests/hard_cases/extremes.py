@@ -5,9 +5,8 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
-from robot_client.insertion.geometry import CellFrame, WorkPose, multiply, normalised, rotate, yaw_quaternion
+from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, rotate, yaw_quaternion
 from robot_client.insertion.profile import plan_profile
-from robot_client.robots.abb_egm.codec import Pose
 from service.decision.belief import BeliefGrid
 from service.decision.controllers import axis_command, make_controller
 from service.decision.evidence import from_joint, from_pair, softmax

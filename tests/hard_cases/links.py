@@ -7,11 +7,11 @@ import numpy as np
 
 from robot_client.grippers.wsg50.codec import Command, StreamParser, WsgError, encode_frame, encode_request
 from robot_client.insertion.events import Arrived, Begin, FromService, Grasped, Move, Standstill, Tick
+from robot_client.insertion.geometry import Pose
 from robot_client.insertion.machine import Phase, Plan, State, step
 from robot_client.robots.abb_egm.codec import (
     EgmError,
     Guidance,
-    Pose,
     RobotState,
     decode_guidance,
     decode_robot,
@@ -20,7 +20,7 @@ from robot_client.robots.abb_egm.codec import (
 from robot_client.robots.abb_egm.watch import EgmWatch
 from robot_client.silence import Silence
 from service.contract import wire
-from tests.hard_cases.motion import BAD, EGM, WATCH, WSG, pose
+from tests.hard_cases.motion import BAD, GEOMETRY, WATCH, WSG, pose
 from tests.hard_cases.registry import case, non_finite, not_refused
 
 
@@ -47,7 +47,7 @@ def counters_wrapping_round(_seed: int) -> float:
     "motion",
     why="a datagram is whatever somebody sent to the port",
     holds="random bytes decode or are refused by name, and nothing non-finite comes out: other endings",
-    guard=(EGM, 'raise EgmError(f"{name} has a quaternion of norm {norm:.4f}, expected 1")', "pass"),
+    guard=(GEOMETRY, 'raise ValueError(f"{name} has a quaternion of norm {norm:.4f}, expected 1")', "pass"),
 )
 def datagrams_of_random_bytes(seed: int) -> float:
     rng = np.random.default_rng(seed)

@@ -5,11 +5,10 @@ import math
 
 import numpy as np
 
-from robot_client.insertion.geometry import CellFrame, WorkPose, multiply, normalised, yaw_quaternion
+from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, yaw_quaternion
 from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_correction, check_pose
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
 from robot_client.insertion.profile import plan_profile
-from robot_client.robots.abb_egm.codec import Pose
 from service.contract import wire
 from tests.hard_cases.registry import case, not_refused
 

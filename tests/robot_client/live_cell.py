@@ -16,7 +16,7 @@ from robot_client.cli.insert import live_ports, make_plan
 from robot_client.session.recorder import Recorder
 from robot_client.session.report import Report
 from robot_client.session.runner import Runner
-from robot_client.settings import Settings, load_settings
+from robot_client.settings import Settings, _merged, load_settings
 from service.contract import wire
 from simulation.cell.emulators.abb.cabinet import Cabinet, Delays
 from simulation.cell.emulators.abb.egm import EgmEmulator
@@ -183,7 +183,7 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def bench(*, lag_ms=20.0, holding=True, overrides=None, link="egm"):
+async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm"):
     board = FaultBoard()
     start = Pose((5.0, 0.0, 40.0), tool_down(0.0))
     delays = Delays(motors_s=0.02, program_start_s=0.02, program_stop_s=0.05)
@@ -201,25 +201,26 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, link="egm"):
     wsg_port = port_of(wsg_socket)
     rapid = RapidServers(cabinet, silence_s=2.0)
     await rapid.start(bind_tcp(0, "motion"), bind_tcp(0, "guard"))
-    if link == "socket":
+    if device == "abb_rapid":
         egm.on_cycle.append(rapid.cycle)
     await egm.start(bind_udp(0, "EGM"))
     await wsg.start(wsg_socket)
     await rws.start()
     server = await serve(service.handle, "127.0.0.1", 0, compression=None)
     service_port = server.sockets[0].getsockname()[1]
+    own = {
+        "abb_egm": {"port": guide_port, "bind": "127.0.0.1", "ready_timeout_s": 20.0, "max_age_s": 2.0},
+        "abb_rapid": {"host": "127.0.0.1", "motion_port": rapid.motion_port, "guard_port": rapid.guard_port},
+    }
+    rws_table = {"url": f"http://127.0.0.1:{rws.port}", "poll_s": 0.01, **dict.fromkeys(_RWS_TIMES, 20.0)}
     sections = {
-        "robot": {"link": link},
-        "socket": {"host": "127.0.0.1", "motion_port": rapid.motion_port, "guard_port": rapid.guard_port},
+        "robot": {"device": device, **own[device], "rws": rws_table},
         "service": {"url": f"ws://127.0.0.1:{service_port}", "connect_timeout_s": 20.0},
-        "rws": {"url": f"http://127.0.0.1:{rws.port}", "poll_s": 0.01, **dict.fromkeys(_RWS_TIMES, 20.0)},
-        "egm": {"port": guide_port, "bind": "127.0.0.1", "ready_timeout_s": 20.0, "max_age_s": 2.0},
         "gripper": {"host": "127.0.0.1", "port": wsg_port, "grasp_speed_mm_s": 150.0, "reply_timeout_s": 20.0},
         "task": {"expected_depth_mm": 12.0, "depth_tolerance_mm": 0.5},
     }
-    for section, values in (overrides or {}).items():
-        sections[section] = {**sections.get(section, {}), **values}
-    cell = Bench(board, cabinet, egm, gripper, wsg, service, load_settings(None, sections), rapid)
+    settings = load_settings(None, _merged(sections, overrides or {}))
+    cell = Bench(board, cabinet, egm, gripper, wsg, service, settings, rapid)
     egm.on_cycle.append(lambda: cell.trace.append((time.monotonic(), cabinet.arm.target, cabinet.arm.pose)))
     try:
         yield cell

@@ -202,7 +202,10 @@ class Injector:
 
 async def break_it(name, phase, folder):
     fault = FAULTS[name]
-    overrides = {"timeouts": {"arming_s": 1.0, "deciding_s": 1.5, "motion_s": 3.0}, "rws": {"stop_timeout_s": 0.5}}
+    overrides = {
+        "timeouts": {"arming_s": 1.0, "deciding_s": 1.5, "motion_s": 3.0},
+        "robot": {"rws": {"stop_timeout_s": 0.5}},
+    }
     overrides["egm"] = {"max_age_s": 0.25}
     log = folder / f"{name}-{phase}.jsonl".replace(" ", "_")
     async with bench(overrides=overrides) as cell:

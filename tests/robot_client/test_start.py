@@ -11,8 +11,10 @@ from service.contract import wire
 from service.web.routes.insertion import HELLO_TIMEOUT_S
 from tests.robot_client.live_cell import bench
 
-MUTE_RWS = {"rws": {"request_timeout_s": 0.3, "stop_timeout_s": 0.3}}  # only what never answers is given up soon
-MUTE_EGM = {"egm": {"ready_timeout_s": 0.3}}
+MUTE_RWS = {
+    "robot": {"rws": {"request_timeout_s": 0.3, "stop_timeout_s": 0.3}}
+}  # only what never answers is given up soon
+MUTE_EGM = {"robot": {"ready_timeout_s": 0.3}}
 MUTE_GRIPPER = {"gripper": {"reply_timeout_s": 0.3}}
 
 
@@ -50,8 +52,8 @@ CASES = {
     "emergency stop": (board(robot={"emergency_stop": True}), {}, "emergencystop"),
     "motors refused": (board(robot={"motors_off": True}), {}, "contactor"),
     "program runs already": (_running, {}, "runs already"),
-    "rws down": (None, {"rws": {"url": "http://127.0.0.1:9", "stop_timeout_s": 0.3}}, "ConnectError"),
-    "rws wrong password": (None, {"rws": {"password": "guess"}}, "HTTP 401"),
+    "rws down": (None, {"robot": {"rws": {"url": "http://127.0.0.1:9", "stop_timeout_s": 0.3}}}, "ConnectError"),
+    "rws wrong password": (None, {"robot": {"rws": {"password": "guess"}}}, "HTTP 401"),
     "rws late": (board(rws={"delay_ms": 3000.0}), MUTE_RWS, "Timeout"),
     "rws garbage": (board(rws={"garbage_next": 50}), {}, "answer without"),
     "rws refuses": (board(rws={"refuse_next": 50}), {}, "HTTP 503"),
@@ -109,8 +111,8 @@ def test_an_insertion_that_cannot_begin_says_why_and_moves_nothing(name):
 
 def test_a_stop_that_the_controller_ignores_is_reported_as_not_confirmed():
     async def story():
-        async with bench(overrides={"rws": {"stop_timeout_s": 0.3}}) as cell:
-            client = RwsClient(cell.settings.rws)
+        async with bench(overrides={"robot": {"rws": {"stop_timeout_s": 0.3}}}) as cell:
+            client = RwsClient(cell.settings.robot.rws)
             cell.board.update({"rws": {"stop_ignored": True}})
             await client.start_program()
             said = await client.stop_program()
@@ -123,7 +125,7 @@ def test_a_stop_that_the_controller_ignores_is_reported_as_not_confirmed():
 def test_a_stop_survives_refusals_and_cut_connections():
     async def story():
         async with bench() as cell:
-            client = RwsClient(cell.settings.rws)
+            client = RwsClient(cell.settings.robot.rws)
             await client.start_program()
             cell.board.update({"rws": {"refuse_next": 2, "reset_next": 1, "garbage_next": 1}})
             said = await client.stop_program()
@@ -137,12 +139,12 @@ def test_a_stop_survives_refusals_and_cut_connections():
 @pytest.mark.parametrize("url", ["ftp://x", "no url", "http://"])
 def test_an_rws_url_that_is_none_is_refused(url):
     with pytest.raises(SettingsError, match=r"rws\.url"):
-        load_settings(None, {"rws": {"url": url}})
+        load_settings(None, {"robot": {"rws": {"url": url}}})
 
 
 def test_a_foreign_host_is_not_guided():
     async def story():
-        async with bench(overrides={"egm": {"robot_host": "127.0.0.9", "ready_timeout_s": 0.3}}) as cell:
+        async with bench(overrides={"robot": {"robot_host": "127.0.0.9", "ready_timeout_s": 0.3}}) as cell:
             with pytest.raises(DriverError, match=r"datagrams came, none from 127\.0\.0\.9"):
                 await cell.insert()
             assert cell.egm.counters.received == 0
@@ -158,5 +160,5 @@ def test_an_rws_error_is_a_driver_error():
 def test_the_service_waits_for_a_hello_as_long_as_an_arm_may_take_to_be_guided():
     settings = load_settings(None)
     gripper_s = settings.gripper.reply_timeout_s * 5  # the connection, three questions, the first update
-    motors_s = settings.rws.motors_timeout_s + settings.rws.start_timeout_s
-    assert gripper_s + motors_s + settings.egm.ready_timeout_s < HELLO_TIMEOUT_S
+    motors_s = settings.robot.rws.motors_timeout_s + settings.robot.rws.start_timeout_s
+    assert gripper_s + motors_s + settings.robot.ready_timeout_s < HELLO_TIMEOUT_S

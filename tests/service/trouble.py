@@ -1,7 +1,6 @@
 """What goes wrong in a cell's network and on its disk, made on purpose for the soak; bounded, on loopback."""
 
 import contextlib
-import json
 import os
 import random
 import shutil
@@ -140,9 +139,3 @@ def server_errors(service: ServiceProcess) -> list[str]:
     """Lines of the service's log that tell of an exception it did not expect."""
     log = service.log
     return ["".join(log[i : i + 60]) for i, line in enumerate(log) if "Traceback" in line or '"level": "error"' in line]
-
-
-def machine() -> dict[str, object]:
-    """Where this ran."""
-    cpu = next(ln.split(":")[1].strip() for ln in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in ln)
-    return {"cpu": cpu, "cores": os.cpu_count(), "load": json.loads(json.dumps(os.getloadavg()))}

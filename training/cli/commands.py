@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -114,8 +115,8 @@ def print_table(figures: dict[str, dict[str, float]]) -> None:
         print(f"{row:24}" + "".join(f"{values[name]:14.3f}" for name in columns))
 
 
-def main() -> None:
-    """Command line entry."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; wrong input is one line on standard error and exit code 2."""
     try:
         tyro.extras.subcommand_cli_from_dict(
             {
@@ -126,8 +127,10 @@ def main() -> None:
                 "stress": stress,
                 "report": report,
             },
-            prog="python -m training",
+            args=arguments,
+            prog="tactile-insertion",
         )
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        return 2
+    return 0

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import subprocess
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -98,14 +97,3 @@ class Checkpoint:
                 f"checkpoint {self.name} holds another architecture than {self.network.kind}"
             ) from error
         return network.eval()
-
-
-def git_commit() -> str:
-    """Commit of the working tree, with ``+dirty`` if it has changes; ``unknown`` outside a repository."""
-    try:
-        commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
-        status = ["git", "status", "--porcelain", "--untracked-files=no"]
-        dirty = subprocess.run(status, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return commit + ("+dirty" if dirty else "")

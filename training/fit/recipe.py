@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from reporting.machine import commit
 from training.config import FRAMES_PER_DECISION, JITTER, NetworkConfig, StageConfig, pin, refuse_another
 from training.data.dataset import SPLITS, Source, data_sha256, load_table, open_source
 from training.data.labels import CLASSES, class_of
 from training.data.recipe_data import RecipeConfig, Rows, chosen_trials, decision_frames, load_rows
-from training.fit.checkpoint import Checkpoint, git_commit
+from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Log, Stage, fit
 from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
@@ -172,7 +173,7 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         joint_scales=scales,
         figures=tables,
         training_data_sha256=digest,
-        git_commit=git_commit(),
+        git_commit=commit(),
         run=config.settings(),
         sensor=rows.sensor,
     )

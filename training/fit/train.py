@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from reporting.machine import commit
 from service.contract import ContractError, Sensor
 from training.config import RunConfig, pin, refuse_another
 from training.data.batches import Batch, decisions, epoch, frame_pairs
 from training.data.dataset import SPLITS, Source, Trials, load_trials
 from training.data.labels import CLASSES, class_of
 from training.fit import parallel
-from training.fit.checkpoint import Checkpoint, git_commit
+from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Log, Stage, fit
 from training.metrics.figures import Predictions, Scales, by_object, calibrate, cross_calibrated, figures, rescaled
 from training.metrics.joint import calibrate_density, calibrated_density, cross_calibrated_density
@@ -251,7 +252,7 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
         joint_scales=joint_scales,
         figures=tables | {f"joint/{name}": row for name, row in joint_tables.items()},
         training_data_sha256=trainer.trials.sha256,
-        git_commit=git_commit(),
+        git_commit=commit(),
         run=trainer.config.settings(),
         sensor=trainer.trials.sensor,
     )

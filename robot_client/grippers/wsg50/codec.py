@@ -26,7 +26,6 @@ __all__ = [
     "FAULT_BITS",
     "MAX_PAYLOAD_BYTES",
     "STATE_QUERIES",
-    "TCP_PORT",
     "TWO_STAGE",
     "Command",
     "Frame",
@@ -52,7 +51,6 @@ __all__ = [
 PREAMBLE = b"\xaa\xaa\xaa"
 MAX_PAYLOAD_BYTES = 1024
 ACKNOWLEDGE_WORD = b"ack"
-TCP_PORT = 1000
 _HEADER = struct.Struct("<3sBH")
 _TRAILER = struct.Struct("<H")
 

@@ -11,41 +11,14 @@ from typing import Literal, get_args
 
 from google.protobuf.message import DecodeError, EncodeError
 
+from robot_client.insertion.geometry import Pose
 from robot_client.robots.abb_egm import tactile_insertion_egm_pb2 as pb
 
-UDP_PORT = 6510
 MAX_DATAGRAM_BYTES = 4096
-QUATERNION_TOLERANCE = 1e-2  # a real controller rounds; more than this is no rotation
 
 
 class EgmError(ValueError):
     """A datagram or a target that does not belong on the wire; the text says why."""
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """Position in mm and unit quaternion (w, x, y, z) of the tool in the work object active on the controller."""
-
-    x_mm: float
-    y_mm: float
-    z_mm: float
-    qw: float = 1.0
-    qx: float = 0.0
-    qy: float = 0.0
-    qz: float = 0.0
-
-    @property
-    def quaternion(self) -> tuple[float, float, float, float]:
-        """(w, x, y, z)."""
-        return (self.qw, self.qx, self.qy, self.qz)
-
-    def check(self, name: str = "pose") -> "Pose":
-        """This pose if finite and of unit quaternion; raises EgmError otherwise."""
-        _check_finite(name, (self.x_mm, self.y_mm, self.z_mm, *self.quaternion))
-        norm = math.hypot(*self.quaternion)
-        if abs(norm - 1.0) > QUATERNION_TOLERANCE:
-            raise EgmError(f"{name} has a quaternion of norm {norm:.4f}, expected 1")
-        return self
 
 
 McState = Literal["undefined", "error", "stopped", "running"]
@@ -95,6 +68,13 @@ def _check_finite(name: str, values: Iterable[float]) -> None:
         raise EgmError(f"{name} is {values}, expected finite numbers")
 
 
+def _checked(name: str, pose: Pose) -> Pose:
+    try:
+        return pose.check(name)
+    except ValueError as error:
+        raise EgmError(str(error)) from None
+
+
 def _put_pose(target: pb.EgmPose, pose: Pose) -> None:
     target.pos.x, target.pos.y, target.pos.z = pose.x_mm, pose.y_mm, pose.z_mm
     target.orient.u0, target.orient.u1, target.orient.u2, target.orient.u3 = pose.quaternion
@@ -119,11 +99,11 @@ def _get_pose(source: pb.EgmPose, name: str) -> Pose:
     if source.HasField("euler"):  # Euler wins if both are sent
         angles = (source.euler.x, source.euler.y, source.euler.z)
         _check_finite(name, angles)
-        return Pose(*position, *_euler_quaternion(*angles)).check(name)
+        return _checked(name, Pose(*position, *_euler_quaternion(*angles)))
     if not source.HasField("orient"):
         raise EgmError(f"{name} has no orientation")
     orient = source.orient
-    return Pose(*position, orient.u0, orient.u1, orient.u2, orient.u3).check(name)
+    return _checked(name, Pose(*position, orient.u0, orient.u1, orient.u2, orient.u3))
 
 
 def encode_guidance(guidance: Guidance) -> bytes:
@@ -133,7 +113,7 @@ def encode_guidance(guidance: Guidance) -> bytes:
     message.header.tm = guidance.time_ms & 0xFFFFFFFF
     message.header.mtype = pb.EgmHeader.MSGTYPE_CORRECTION
     if guidance.pose is not None:
-        _put_pose(message.planned.cartesian, guidance.pose.check("target pose"))
+        _put_pose(message.planned.cartesian, _checked("target pose", guidance.pose))
     if guidance.joints_deg:
         _check_finite("target joints", guidance.joints_deg)
         message.planned.joints.joints.extend(guidance.joints_deg)
@@ -164,7 +144,7 @@ def encode_robot(state: RobotState) -> bytes:
     _check_finite("joints", state.joints_deg)
     for block, pose in ((message.feedBack, state.feedback), (message.planned, state.planned)):
         if pose is not None:
-            _put_pose(block.cartesian, pose.check())
+            _put_pose(block.cartesian, _checked("pose", pose))
             block.joints.joints.extend(state.joints_deg)
             block.time.sec, block.time.usec = state.time_ms // 1000, state.time_ms % 1000 * 1000
     message.motorState.state = pb.EgmMotorState.MOTORS_ON if state.motors_on else pb.EgmMotorState.MOTORS_OFF

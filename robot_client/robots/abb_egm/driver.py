@@ -11,39 +11,27 @@ import socket
 import time
 from dataclasses import dataclass, field
 from typing import Any
-
-from pydantic import Field
+from urllib.parse import urlsplit
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.limits import LimitError, Limits, Motion
 from robot_client.insertion.motion import MotionGuide, Ramps
-from robot_client.ports import DriverError, Post
+from robot_client.ports import Arm, Check, DriverError, Finding, Post
 from robot_client.robots.abb_egm import codec
+from robot_client.robots.abb_egm.settings import Settings
 from robot_client.robots.abb_egm.watch import EgmWatch, StreamFault
 from robot_client.robots.abb_rws.client import RwsClient, RwsError
 from robot_client.silence import Silence
-from service.contract.frames import Contract
 
 _DRAIN = 64
-
-
-class EgmSettings(Contract):
-    """Where we listen, who may guide us, and how long the stream may be silent or late."""
-
-    bind: str = "0.0.0.0"  # noqa: S104 the controller is another host; robot_host narrows who is heard
-    port: int = Field(default=codec.UDP_PORT, ge=0, le=65535)
-    robot_host: str | None = None
-    ready_timeout_s: float = Field(default=8.0, gt=0)
-    silence_s: float = Field(default=0.25, gt=0)  # harmless in position mode: targets stop with the stream
-    max_age_s: float = Field(default=0.25, gt=0)
 
 
 @dataclass(slots=True)
 class EgmArm:
     """Arm port over EGM, with RWS to start and stop the program (None: started by hand, stopped by silence)."""
 
-    settings: EgmSettings
+    settings: Settings
     limits: Limits
     ramps: Ramps
     frame: CellFrame = field(default_factory=CellFrame)
@@ -85,7 +73,7 @@ class EgmArm:
             where = f"UDP port {self._socket.getsockname()[1]}"
             why = self._watch.not_ready or "no datagram came: check UCdevice address and port, and that EGM runs"
             if self._foreign and not self._watch.datagrams:
-                why = f"{self._foreign} datagrams came, none from {self.settings.robot_host} (egm.robot_host)"
+                why = f"{self._foreign} datagrams came, none from {self.settings.robot_host} (robot.robot_host)"
             raise DriverError(
                 f"robot: EGM not ready on {where} in {self.settings.ready_timeout_s:g} s: {why}"
             ) from None
@@ -138,6 +126,20 @@ class EgmArm:
             "worst_reply_us": round(self._worst_reply_us),
             "worst_hold_us": round(max(self._holds_us, default=0.0)),
         }
+
+    def checks(self) -> dict[str, Check]:
+        """The controller's state, and the port that we listen on."""
+        robot = {} if self.rws is None else {"robot": self.rws.findings}
+        return {**robot, "guidance": self._check_port}
+
+    async def _check_port(self) -> list[Finding]:
+        where = f"UDP {self.settings.bind}:{self.settings.port}"
+        with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
+            try:
+                probe.bind((self.settings.bind, self.settings.port))
+            except OSError as error:
+                return [Finding(False, f"{where} cannot be listened on: {error}")]
+        return [Finding(True, f"{where} is free; the controller's UCdevice must send to it")]
 
     # ---- wire -----------------------------------------------------------------------------------------------------
 
@@ -262,7 +264,7 @@ class EgmArm:
             self._stopping = asyncio.get_running_loop().create_task(self.rws.stop_program())
 
 
-def _listen(settings: EgmSettings) -> socket.socket:
+def _listen(settings: Settings) -> socket.socket:
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     listener.setblocking(False)
     try:
@@ -271,3 +273,18 @@ def _listen(settings: EgmSettings) -> socket.socket:
         listener.close()
         raise DriverError(f"robot: cannot listen on UDP {settings.bind}:{settings.port}: {error}") from None
     return listener
+
+
+def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
+    """The arm with RWS; unless the settings name a host, only the one that RWS names is given guidance."""
+    if settings.robot_host is None:
+        settings = settings.model_copy(update={"robot_host": _address_of(settings.rws.url)})
+    return EgmArm(settings, limits, ramps, frame, RwsClient(settings.rws))
+
+
+def _address_of(url: str) -> str | None:
+    """The address of a URL's host, as datagrams carry it; None where it has none: then RWS finds no robot either."""
+    try:
+        return socket.gethostbyname(urlsplit(url).hostname or "")
+    except OSError:
+        return None

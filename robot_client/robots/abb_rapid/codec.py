@@ -9,9 +9,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from robot_client.robots.abb_egm.codec import Pose
+from robot_client.insertion.geometry import Pose
 
-MOTION_PORT, GUARD_PORT = 5010, 5011
 MAX_TEXT = 80
 MAX_NUMBER = 99_999
 
@@ -46,7 +45,7 @@ def _pose_fields(pose: Pose) -> list[str]:
 
 
 def encode_move(number: int, pose: Pose, speed_mm_s: float) -> bytes:
-    """A move; raises EgmError for a pose that is none, RapidTextError for speed or length out of bounds."""
+    """A move; raises ValueError for a bad pose, RapidTextError for a speed or a length out of bounds."""
     if not (math.isfinite(speed_mm_s) and 0.0 < speed_mm_s <= 999.0):
         raise RapidTextError(f"speed {speed_mm_s} mm/s, expected above 0 and at most 999")
     text = " ".join(["M", str(number), *_pose_fields(pose), f"{speed_mm_s:.1f}"]) + "#"
@@ -71,10 +70,10 @@ def _number(text: str) -> float:
 
 
 def decode_guard(text: str) -> GuardState:
-    """Read the guard's answer (without ``#``); raises RapidTextError or EgmError."""
+    """Read the guard's answer (without ``#``); raises ValueError."""
     fields = text.split()
     if len(fields) != 11 or fields[0] != "P" or not set(fields[9:]) <= {"0", "1"}:
-        raise RapidTextError(f"guard said {text[:MAX_TEXT]!r}, expected P with ten fields")
+        raise RapidTextError(f"the guard answered {text[:MAX_TEXT]!r}, expected P with ten fields")
     values = [_number(part) for part in fields[1:9]]
     pose = Pose(*values[1:4], *values[4:8]).check("guard pose")
     return GuardState(int(values[0]), pose, fields[9] == "1", fields[10] == "1")
@@ -87,7 +86,7 @@ def decode_motion(text: str) -> MotionAnswer:
         return MotionAnswer(int(_number(fields[1])), "done" if fields[0] == "D" else "stopped")
     if len(fields) == 3 and fields[0] == "E":
         return MotionAnswer(int(_number(fields[1])), "refused", fields[2])
-    raise RapidTextError(f"motion server said {text[:MAX_TEXT]!r}, expected D, S or E")
+    raise RapidTextError(f"the motion server answered {text[:MAX_TEXT]!r}, expected D, S or E")
 
 
 @dataclass(slots=True)

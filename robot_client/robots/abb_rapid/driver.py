@@ -11,38 +11,25 @@ import time
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from pydantic import Field
-
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.limits import LimitError, Limits, Motion, check_pose
 from robot_client.insertion.motion import Ramps
-from robot_client.ports import DriverError, Post
+from robot_client.ports import Arm, Check, DriverError, Finding, Post
 from robot_client.robots.abb_rapid import codec
 from robot_client.robots.abb_rapid.codec import GuardState, MotionAnswer, TextParser
+from robot_client.robots.abb_rapid.settings import Settings
 from robot_client.robots.abb_rws.client import RwsClient
 from robot_client.silence import Silence
-from service.contract.frames import Contract
 
 _STILL_MM, _STILL_DEG, _STILL_S = 0.03, 0.05, 0.15  # the guard answers with 0.01 mm
-
-
-class SocketSettings(Contract):
-    """Where TactileMotion.mod and TactileGuard.mod listen."""
-
-    host: str = "192.168.125.1"
-    motion_port: int = Field(default=codec.MOTION_PORT, ge=0, le=65535)
-    guard_port: int = Field(default=codec.GUARD_PORT, ge=0, le=65535)
-    connect_timeout_s: float = Field(default=5.0, gt=0)
-    poll_s: float = Field(default=0.05, gt=0)
-    silence_s: float = Field(default=0.5, gt=0)
 
 
 @dataclass(slots=True)
 class SocketArm:
     """Arm port over the two RAPID sockets, with RWS to start and stop the program."""
 
-    settings: SocketSettings
+    settings: Settings
     limits: Limits
     ramps: Ramps
     frame: CellFrame = field(default_factory=CellFrame)
@@ -132,6 +119,15 @@ class SocketArm:
     def statistics(self) -> dict[str, Any]:
         """Answers of the guard."""
         return {"guard_answers": self._answers}
+
+    def checks(self) -> dict[str, Check]:
+        """The controller's state; the sockets are only named, since connecting to them is the program's start."""
+        robot = {} if self.rws is None else {"robot": self.rws.findings}
+        return {**robot, "guidance": self._check_sockets}
+
+    async def _check_sockets(self) -> list[Finding]:
+        where = f"{self.settings.host}:{self.settings.motion_port} and :{self.settings.guard_port}"
+        return [Finding(True, f"RAPID sockets at {where}, not opened: opening them is the program's start")]
 
     # ---- wire -----------------------------------------------------------------------------------------------------
 
@@ -253,3 +249,8 @@ class SocketArm:
     def _stop_program(self) -> None:
         if self.rws is not None and self.rws.started and self._stopping is None:
             self._stopping = asyncio.get_running_loop().create_task(self.rws.stop_program())
+
+
+def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
+    """The arm with RWS, whose RAPID task restarts itself after a lost connection."""
+    return SocketArm(settings, limits, ramps, frame, RwsClient(settings.rws.model_copy(update={"cycle": "forever"})))

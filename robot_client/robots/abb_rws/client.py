@@ -1,20 +1,19 @@
 """Robot Web Services 1.0 of an IRC5 (RobotWare 6): state, motors, program start, and the backup stop.
 
 Digest access, one session (cookie ABBCX kept), every request bounded in time. A 204 for stop does not mean stopped:
-the execution state is polled until the controller says so, and the answer names what it said last.
+the execution state is polled until the controller reports it, and the answer names the last report.
 """
 
 import asyncio
 import contextlib
 import time
 from collections.abc import Mapping
-from typing import Any, Literal
-from urllib.parse import urlsplit
+from typing import Any
 
 import httpx
-from pydantic import Field, SecretStr, field_validator
 
-from robot_client.ports import DriverError
+from robot_client.ports import DriverError, Finding
+from robot_client.robots.abb_rws.settings import RwsSettings
 from service.contract.frames import Contract
 
 _JSON = {"json": "1"}
@@ -28,36 +27,11 @@ _START = {
 
 
 class RwsError(DriverError):
-    """The controller did not answer, or not as hoped; the text names request and reason."""
-
-
-class RwsSettings(Contract):
-    """Where the controller is and how long it may take. User and password are ABB's factory defaults."""
-
-    url: str = Field(default="http://192.168.125.1", pattern=r"^https?://[^/\s]+/?$")
-    user: str = "Default User"
-    password: SecretStr = SecretStr("robotics")
-    request_timeout_s: float = Field(default=1.0, gt=0)
-    motors_timeout_s: float = Field(default=5.0, gt=0)
-    start_timeout_s: float = Field(default=5.0, gt=0)
-    stop_timeout_s: float = Field(default=3.0, gt=0)
-    poll_s: float = Field(default=0.05, gt=0)
-    switch_motors_on: bool = True
-    cycle: Literal["asis", "once", "forever"] = "asis"
-
-    @field_validator("url")
-    @classmethod
-    def _reachable(cls, url: str) -> str:
-        """An address that cannot be one is refused here: asked for later it is no error that anybody expects."""
-        try:
-            httpx.URL(url).copy_with(port=urlsplit(url).port)
-        except (ValueError, httpx.InvalidURL) as error:
-            raise ValueError(f"{url!r} is no address: {error}") from None
-        return url
+    """The controller did not answer or refused; the text names request and reason."""
 
 
 class ControllerStatus(Contract):
-    """What the controller says of itself."""
+    """State of the controller."""
 
     operating_mode: str
     controller: str
@@ -93,6 +67,17 @@ class RwsClient:
             speed_ratio=await self._state("/rw/panel/speedratio", "speedratio"),
         )
 
+    async def findings(self) -> list[Finding]:
+        """Whether the controller would let us start its program; raises RwsError. Moves nothing."""
+        status = await self.status()
+        motors = status.controller == "motoron" or (status.controller == "motoroff" and self.settings.switch_motors_on)
+        return [
+            Finding(status.operating_mode == "AUTO", f"operating mode {status.operating_mode} (expected AUTO)"),
+            Finding(motors, f"controller {status.controller}"),
+            Finding(status.execution == "stopped", f"RAPID {status.execution} (expected stopped)"),
+            Finding(True, f"speed ratio {status.speed_ratio} %"),
+        ]
+
     async def execution(self) -> str:
         """``running`` or ``stopped``."""
         return await self._state("/rw/rapid/execution", "ctrlexecstate")
@@ -114,7 +99,7 @@ class RwsClient:
         await self._until("/rw/rapid/execution", "ctrlexecstate", "running", self.settings.start_timeout_s)
 
     async def stop_program(self) -> str:
-        """Ask for a stop and poll until the controller says stopped; never raises, says in words how it ended."""
+        """Ask for a stop and poll until the controller reports it; never raises, returns in words how it ended."""
         deadline_s = time.monotonic() + self.settings.stop_timeout_s
         asked, last = False, "no answer"
         while time.monotonic() < deadline_s:

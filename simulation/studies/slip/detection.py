@@ -189,7 +189,7 @@ def evaluate(count: int, seed: int, fps: int, watch: Callable[[], None]) -> dict
 
 def main(arguments: list[str]) -> int:
     """Evaluate, then write the JSON, the picture and the table."""
-    parser = argparse.ArgumentParser(prog="python -m simulation slip-report", description=__doc__)
+    parser = argparse.ArgumentParser(prog="tactile-insertion slip-report", description=__doc__)
     parser.add_argument("--trials", type=int, default=320, help="trials in all (%(default)s)")
     parser.add_argument("--tradeoff", type=int, default=80, help="trials seen by every tracker (%(default)s)")
     parser.add_argument("--seed", type=int, default=1)

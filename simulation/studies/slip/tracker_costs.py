@@ -120,7 +120,7 @@ def compare(count: int, seed: int, fps: int, watch: Callable[[], None]) -> dict[
 
 def main(arguments: list[str]) -> int:
     """Compare the trackers and renew their part of the slip report."""
-    parser = argparse.ArgumentParser(prog="python -m simulation trackers", description=__doc__)
+    parser = argparse.ArgumentParser(prog="tactile-insertion trackers", description=__doc__)
     parser.add_argument("--trials", type=int, default=80, help="trials seen by every tracker (%(default)s)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--fps", type=int, choices=(30, 60, 90), default=30)

@@ -8,8 +8,7 @@ import sys
 
 import pytest
 
-from robot_client.cli import insert as insert_command
-from robot_client.cli import jog
+from robot_client.cli import jog, terminal
 from robot_client.insertion.events import Failure
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
@@ -114,7 +113,7 @@ def test_a_jog_that_is_interrupted_stops_the_arm_and_says_so_in_one_line(monkeyp
     async def story():
         arm = Port("arm", [])
         arm.start = lambda _post: asyncio.Event().wait()
-        monkeypatch.setattr(jog, "live_arm", lambda _settings: arm)
+        monkeypatch.setattr(Settings, "make_arm", lambda _settings: arm)
         task = asyncio.ensure_future(jog._jog(Settings(), PLAN.approach))
         for _ in range(3):
             await asyncio.sleep(0)
@@ -138,7 +137,7 @@ def test_an_insertion_ends_as_it_would_have_where_nobody_reads_its_lines(tmp_pat
 @pytest.mark.parametrize("ignored", [False, True])
 def test_a_terminal_that_hangs_up_ends_the_insertion_in_order_but_under_nohup(ignored):
     async def wait():
-        insert_command.stop_on_signals()
+        terminal.stop_on_signals()
         os.kill(os.getpid(), signal.SIGHUP)
         await asyncio.sleep(0.05)
         return "went on"

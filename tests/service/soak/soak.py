@@ -25,13 +25,14 @@ import httpx
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
+from reporting.machine import machine
 from service.contract import wire
 from service.recordings.reader import Recording, RecordingError
 from tests.service import drawn
 from tests.service.mjpeg import FakeFinger
 from tests.service.process import ServiceProcess, service_process
 from tests.service.soak.memory import Slope, slope
-from tests.service.trouble import Cuts, Garbage, Reloads, Trouble, machine, server_errors
+from tests.service.trouble import Cuts, Garbage, Reloads, Trouble, server_errors
 
 ANSWER_S = 60.0  # the machine may be busy with other things
 SAMPLE_S = 5.0

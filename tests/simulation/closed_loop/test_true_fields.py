@@ -13,7 +13,7 @@ def test_the_cheap_eyes_see_a_moving_gel_where_the_tracker_does() -> None:
     finger, tracker = GelFinger(world, "left"), MarkerTracker()
     rest = finger.observe(world.next_pair().left)
     first = tracker.update(np.asarray(rest.image), 0)
-    px_per_mm, gel_at_rest = first.pitch_px / world.scene.marker_pitch_mm, world.state.gel[0]
+    px_per_mm, gel_at_rest = first.pitch_px / world.scene.sensor.marker_pitch_mm, world.state.gel[0]
     world.descend(-25.0)
     off_px, late_px = [], []
     for step in range(24):

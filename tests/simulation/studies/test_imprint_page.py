@@ -12,10 +12,10 @@ DOCS = Path(__file__).parents[3] / "docs"
 
 def test_the_published_imprints_are_drawn_by_the_command(tmp_path: Path) -> None:
     path = tmp_path / "imprint.png"
-    assert main(["plate", "--out", str(path)]) == 0
+    assert main(["imprint", "--out", str(path)]) == 0
     drawn, published = cv2.imread(str(path)), cv2.imread(str(DOCS / "imprint.png"))
     assert drawn.shape == published.shape
     assert np.abs(drawn.astype(float) - published).mean() < 2.0
     text = (DOCS / "imprint.md").read_text()
     assert "imprint.png" in text
-    assert "python -m simulation plate" in text
+    assert "python -m simulation imprint" in text

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from robot_client.insertion.geometry import Pose as WirePose
 from robot_client.robots.abb_egm.codec import EgmError, Guidance, RobotState, decode_guidance, encode_robot
-from robot_client.robots.abb_egm.codec import Pose as WirePose
 from simulation.cell.emulators.abb.cabinet import Cabinet
 from simulation.cell.emulators.abb.frames import CellFrames
 from simulation.cell.emulators.abb.irb1600 import ReachError

@@ -32,11 +32,11 @@ def _wants_json(request: Request) -> bool:
     return request.query_params.get("json") == "1"
 
 
-def _answer(request: Request, found: list[State]) -> Response:
+def _answer(request: Request, states: list[State]) -> Response:
     base = f"http://{request.headers.get('host', '')}{request.url.path}"
     if _wants_json(request):
-        return Response(as_json(base, found), media_type=JSON_TYPE)
-    return Response(as_xhtml(base, found), media_type=XHTML_TYPE)
+        return Response(as_json(base, states), media_type=JSON_TYPE)
+    return Response(as_xhtml(base, states), media_type=XHTML_TYPE)
 
 
 def _refusal(request: Request, status: int, code: int, text: str) -> Response:
@@ -73,7 +73,7 @@ class Gate:
     def session(self, cookie: str | None) -> str | None:
         """The caller's session, a new one if it has none; None if the controller has too many."""
         now_s = time.monotonic()
-        self._sessions = {key: seen for key, seen in self._sessions.items() if now_s - seen < _SESSION_IDLE_S}
+        self._sessions = {key: last_s for key, last_s in self._sessions.items() if now_s - last_s < _SESSION_IDLE_S}
         if cookie not in self._sessions or cookie is None:
             if len(self._sessions) >= MAX_SESSIONS:
                 return None

@@ -82,20 +82,20 @@ class Subscriptions:
         await socket.accept(subprotocol=PROTOCOL)
         leaving = asyncio.create_task(socket.receive())
         try:
-            await self._tell(socket, resources, leaving)
+            await self._notify(socket, resources, leaving)
         except WebSocketDisconnect:
             pass
         finally:
             leaving.cancel()
             self._open.pop(number, None)
 
-    async def _tell(self, socket: WebSocket, resources: list[Watched], leaving: asyncio.Task[object]) -> None:
-        told = [resource.read() for resource in resources]
+    async def _notify(self, socket: WebSocket, resources: list[Watched], leaving: asyncio.Task[object]) -> None:
+        sent = [resource.read() for resource in resources]
         while not leaving.done():
             for index, resource in enumerate(resources):
                 value = resource.read()
-                if value != told[index]:
-                    told[index] = value
+                if value != sent[index]:
+                    sent[index] = value
                     body = f'<html><body><div class="state"><ul>{resource.message(value)}</ul></div></body></html>'
                     await socket.send_text('<?xml version="1.0" encoding="UTF-8"?>' + body)
             await asyncio.wait({leaving}, timeout=_PERIOD_S)

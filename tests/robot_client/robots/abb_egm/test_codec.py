@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_client.insertion.geometry import Pose
 from robot_client.robots.abb_egm import codec
 from robot_client.robots.abb_egm import tactile_insertion_egm_pb2 as pb
-from robot_client.robots.abb_egm.codec import EgmError, Guidance, Pose, RobotState
+from robot_client.robots.abb_egm.codec import EgmError, Guidance, RobotState
 
 MM = st.floats(-5000, 5000)
 

@@ -5,13 +5,13 @@ import math
 
 import pytest
 
-from robot_client.cli.insert import live_arm
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.ports import DriverError
 from robot_client.robots.abb_egm import codec
-from robot_client.robots.abb_egm.driver import EgmArm, EgmSettings
+from robot_client.robots.abb_egm.driver import EgmArm
+from robot_client.robots.abb_egm.settings import Settings
 from robot_client.settings import load_settings
 
 
@@ -29,7 +29,7 @@ def answers_to(tilt_deg):
     """What is answered to ten datagrams of an arm that stands still, its tool tilted; and what is said of it."""
     half = math.radians(180.0 - tilt_deg) / 2.0
     measured = codec.Pose(5.0, 0.0, 60.0, math.cos(half), math.sin(half), 0.0, 0.0)
-    arm, wire = EgmArm(EgmSettings(), Limits(), Ramps()), Wire()
+    arm, wire = EgmArm(Settings(), Limits(), Ramps()), Wire()
     arm._socket, arm._robot = wire, ("127.0.0.1", 6510)
     for number in range(10):
         datagram = codec.encode_robot(codec.RobotState(number, 4 * number, measured))
@@ -54,8 +54,8 @@ def test_a_tilted_arm_is_never_answered_since_every_target_would_turn_it_upright
 @pytest.mark.parametrize("url", ["http://127.0.0.1:8", "http://localhost:8"])
 def test_only_the_robot_whose_program_is_started_is_guided(url):
     async def story():
-        settings = load_settings(None, {"rws": {"url": url}})
-        arm = live_arm(settings)
+        settings = load_settings(None, {"robot": {"rws": {"url": url}}})
+        arm = settings.make_arm()
         assert not arm._is_robot(("192.0.2.7", 6510)), "another robot that sends to the same port"
         assert arm._is_robot(("127.0.0.1", 6510))
         await arm.rws._client.aclose()
@@ -66,7 +66,7 @@ def test_only_the_robot_whose_program_is_started_is_guided(url):
 def test_datagrams_of_another_host_are_named_as_such():
     async def story():
         arm = EgmArm(
-            EgmSettings(bind="127.0.0.1", port=0, robot_host="192.0.2.7", ready_timeout_s=0.05), Limits(), Ramps()
+            Settings(bind="127.0.0.1", port=0, robot_host="192.0.2.7", ready_timeout_s=0.05), Limits(), Ramps()
         )
         arm._foreign = 3
         with pytest.raises(DriverError, match=r"3 datagrams came, none from 192\.0\.2\.7"):

@@ -35,7 +35,7 @@ def test_abb_robot_client_starts_guides_and_stops_the_emulated_robot():
 
     async def story():
         async with bench() as cell:
-            url, port = cell.settings.rws.url, cell.settings.egm.port
+            url, port = cell.settings.robot.rws.url, cell.settings.robot.port
             before = cell.cabinet.arm.pose.position_mm[2]
             out = await _finish(await _start("peer_abb_robot_client.py", url, port))
             assert cell.cabinet.arm.pose.position_mm[2] - before == pytest.approx(2.0, abs=0.05)
@@ -52,9 +52,9 @@ def test_abbrobotegm_guides_what_our_rws_client_started():
     async def story():
         async with bench() as cell:
             before = cell.cabinet.arm.pose.position_mm[2]
-            process = await _start("peer_abb_robot_egm.py", cell.settings.egm.port)
+            process = await _start("peer_abb_robot_egm.py", cell.settings.robot.port)
             await asyncio.wait_for(process.stdout.readline(), 60.0)
-            client = RwsClient(cell.settings.rws)
+            client = RwsClient(cell.settings.robot.rws)
             await client.start_program()
             out = await _finish(process)
             assert "confirms" in await client.stop_program()

@@ -2,7 +2,8 @@
 
 import pytest
 
-from robot_client.robots.abb_egm.codec import Pose, RobotState
+from robot_client.insertion.geometry import Pose
+from robot_client.robots.abb_egm.codec import RobotState
 from robot_client.robots.abb_egm.watch import EgmWatch, StreamFault
 from robot_client.silence import Silence
 

@@ -9,15 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
+from robot_client.insertion.geometry import Pose as WirePose
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Phase
-from robot_client.robots.abb_egm.codec import EgmError
-from robot_client.robots.abb_egm.codec import Pose as WirePose
 from robot_client.robots.abb_rapid import codec
 from robot_client.robots.abb_rapid.codec import RapidTextError, TextParser
-from robot_client.robots.abb_rapid.driver import SocketArm, SocketSettings
+from robot_client.robots.abb_rapid.driver import SocketArm
+from robot_client.robots.abb_rapid.settings import Settings
 from simulation.cell.emulators.abb.cabinet import Cabinet, Delays
 from simulation.cell.emulators.abb.motion import Follower, Pose, tool_down
 from simulation.cell.emulators.abb.rapid import REACTION_S, RapidServers
@@ -41,7 +41,7 @@ async def connected(**options):
     while not cabinet.running:  # noqa: ASYNC110 set by the clock
         await asyncio.sleep(0.01)
     ports = {"motion_port": peer.motion_port, "guard_port": peer.guard_port}
-    settings = SocketSettings(host="127.0.0.1", poll_s=0.02, **ports)
+    settings = Settings(host="127.0.0.1", poll_s=0.02, **ports)
     arm, events = SocketArm(settings, Limits(), Ramps()), asyncio.Queue()
     assert (await arm.start(events.put_nowait)).x_mm == pytest.approx(5.0)
     try:
@@ -187,7 +187,7 @@ def test_what_the_modules_refuse_is_refused_by_their_emulation():
 
 def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop(tmp_path):
     async def story():
-        async with bench(link="socket") as cell:
+        async with bench(device="abb_rapid") as cell:
             state = await cell.insert(log=tmp_path / "log.jsonl")
             assert state.phase is Phase.INSERTED, state.reason
             assert state.attempt == 2
@@ -211,7 +211,7 @@ def test_bad_numbers_never_become_text(bad):
     with pytest.raises(RapidTextError):
         codec.encode_move(1, WirePose(0, 0, 0), bad)
     if not math.isfinite(bad):
-        with pytest.raises(EgmError):
+        with pytest.raises(ValueError, match="finite"):
             codec.encode_move(1, WirePose(bad, 0, 0), 10.0)
 
 

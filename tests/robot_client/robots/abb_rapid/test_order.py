@@ -7,7 +7,8 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.robots.abb_rapid import driver
-from robot_client.robots.abb_rapid.driver import SocketArm, SocketSettings
+from robot_client.robots.abb_rapid.driver import SocketArm
+from robot_client.robots.abb_rapid.settings import Settings
 from tests.robot_client.clock import stopped_clock
 
 
@@ -41,7 +42,7 @@ def rests(arm, clock, number):
 
 @pytest.mark.parametrize("answer", ["S 1", "D 1"])
 def test_an_arm_stands_still_only_once_the_motion_server_has_answered_for_the_move(clock, answer):
-    arm, events = SocketArm(SocketSettings(), Limits(), Ramps()), []
+    arm, events = SocketArm(Settings(), Limits(), Ramps()), []
     arm._motion, arm._guard, arm._post = Writer(), Writer(), events.append
     guard_says(arm, 0, stopped=True)
     arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=10.0, yaw_deg=0.0), "descend")
@@ -56,7 +57,7 @@ def test_an_arm_stands_still_only_once_the_motion_server_has_answered_for_the_mo
 
 
 def test_an_arm_that_was_never_sent_off_stands_still_at_once(clock):
-    arm, events = SocketArm(SocketSettings(), Limits(), Ramps()), []
+    arm, events = SocketArm(Settings(), Limits(), Ramps()), []
     arm._motion, arm._guard, arm._post = Writer(), Writer(), events.append
     guard_says(arm, 0, stopped=True)
     arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=10.0, yaw_deg=0.0), "descend")

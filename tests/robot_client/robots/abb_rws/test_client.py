@@ -5,7 +5,8 @@ import asyncio
 import httpx
 import pytest
 
-from robot_client.robots.abb_rws.client import RwsClient, RwsError, RwsSettings
+from robot_client.robots.abb_rws.client import RwsClient, RwsError
+from robot_client.robots.abb_rws.settings import RwsSettings
 
 
 @pytest.mark.parametrize("challenge", ["algorithm=SHA3, qop=auth", "algorithm=MD5, qop=auth-int", "qop=banana"])

@@ -2,16 +2,17 @@
 
 import pytest
 
-from robot_client.grippers.wsg50 import codec, driver, text_driver
+from robot_client.grippers.wsg50 import binary, codec, gripper, text
+from robot_client.grippers.wsg50.binary import BinaryWsg50
 from robot_client.grippers.wsg50.codec import Command, GraspingState, Status
-from robot_client.grippers.wsg50.driver import Wsg50, WsgSettings
-from robot_client.grippers.wsg50.text_driver import GclGripper
+from robot_client.grippers.wsg50.settings import Settings
+from robot_client.grippers.wsg50.text import TextWsg50
 from tests.robot_client.clock import stopped_clock
 
 
 @pytest.fixture
 def clock(monkeypatch):
-    return stopped_clock(monkeypatch, driver, text_driver)
+    return stopped_clock(monkeypatch, binary, gripper, text)
 
 
 def told(gripper, *frame):
@@ -23,7 +24,7 @@ def told(gripper, *frame):
     "frame", [(Command.GRASPING_STATE, Status.NOT_AVAILABLE), (Command.WIDTH, Status.SUCCESS, 50.0)]
 )
 def test_frames_that_tell_no_grasping_state_are_silence(clock, frame):
-    gripper = Wsg50(WsgSettings())
+    gripper = BinaryWsg50(Settings())
     told(gripper, Command.GRASPING_STATE, Status.SUCCESS, int(GraspingState.HOLDING))
     for _ in range(10):
         clock.now_s += 0.1
@@ -33,7 +34,7 @@ def test_frames_that_tell_no_grasping_state_are_silence(clock, frame):
 
 
 def test_a_width_in_text_is_no_grasping_state(clock):
-    gripper = GclGripper(WsgSettings())
+    gripper = TextWsg50(Settings())
     gripper._on_line("@GRIPSTATE=4")
     for _ in range(10):
         clock.now_s += 0.1

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_client.cli.check import _gripper
-from robot_client.cli.jog import _home
-from robot_client.grippers.wsg50.codec import HomingDirection
-from robot_client.grippers.wsg50.driver import GripperError, WsgSettings
-from robot_client.grippers.wsg50.text_driver import GclGripper, LineParser, encode_call
+from robot_client.cli.home import _home
+from robot_client.grippers.wsg50.gripper import GripperError
+from robot_client.grippers.wsg50.settings import Settings
+from robot_client.grippers.wsg50.text import LineParser, TextWsg50, encode_call
 from robot_client.insertion.events import Failure, Grasped, PartLost
 from robot_client.settings import load_settings
 
@@ -54,7 +53,7 @@ async def connected(**options):
     peer = TextGripper(**options)
     server = await asyncio.start_server(peer.handle, "127.0.0.1", 0)
     port = server.sockets[0].getsockname()[1]
-    gripper = GclGripper(WsgSettings(host="127.0.0.1", port=port, silence_s=0.3, reply_timeout_s=20.0))
+    gripper = TextWsg50(Settings(host="127.0.0.1", port=port, silence_s=0.3, reply_timeout_s=20.0))
     events = asyncio.Queue()
     try:
         await gripper.start(events.put_nowait)
@@ -127,13 +126,13 @@ def operate(act, **options):
     return asyncio.run(story())
 
 
-def homing(acknowledge, direction=HomingDirection.DEFAULT):
+def homing(acknowledge, direction="default"):
     return lambda settings: _home(settings, acknowledge=acknowledge, direction=direction)
 
 
 def test_home_references_the_gripper_and_acknowledges_only_when_told(capsys):
-    code, calls = operate(homing(acknowledge=False))
-    assert (code, "HOME()" in calls, "FSACK()" in calls) == (0, True, False)
+    outcome, calls = operate(homing(acknowledge=False))
+    assert (outcome.done, "HOME()" in calls, "FSACK()" in calls) == (True, True, False)
     _, calls = operate(homing(acknowledge=True), state=7)
     assert [call for call in calls if call in ("FSACK()", "HOME()")] == ["FSACK()", "HOME()"]
     assert "homed, width 50.0 mm" in capsys.readouterr().out
@@ -143,14 +142,21 @@ def test_home_refuses_to_drop_a_part_and_what_text_mode_does_not_know():
     with pytest.raises(GripperError, match="would drop"):
         operate(homing(acknowledge=False), state=4)
     with pytest.raises(GripperError, match="one homing direction"):
-        operate(homing(acknowledge=False, direction=HomingDirection.INWARD))
+        operate(homing(acknowledge=False, direction="inward"))
     with pytest.raises(GripperError, match="ERR HOME"):
         operate(homing(acknowledge=False), homes=False)
 
 
+async def checked(settings):
+    gripper = settings.make_gripper()
+    findings = await gripper.checks()["gripper"]()
+    await gripper.close()
+    return findings
+
+
 @pytest.mark.parametrize(("state", "good"), [(4, True), (7, False)])
 def test_check_reads_a_gripper_in_text_mode_and_moves_nothing(state, good):
-    findings, calls = operate(_gripper, state=state)
+    findings, calls = operate(checked, state=state)
     assert all(ready for ready, _ in findings) == good
     assert any("width 50.0 mm" in text for _, text in findings)
     assert {call.split("(")[0] for call in calls} == {"AUTOSEND", "BYE"}
@@ -164,7 +170,7 @@ def test_non_finite_numbers_are_never_sent(bad):
 
 @given(st.lists(st.binary(max_size=300), max_size=10))
 def test_random_bytes_do_no_harm(chunks):
-    parser, gripper = LineParser(), GclGripper(WsgSettings())
+    parser, gripper = LineParser(), TextWsg50(Settings())
     for chunk in chunks:
         for line in parser.feed(chunk):
             gripper._on_line(line)

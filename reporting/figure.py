@@ -1,0 +1,78 @@
+"""Figures of one style: colours that colour-blind readers tell apart, labels at the data, honest axes, same bytes."""
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reporting.files import write_durably
+
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+PALETTE = (BLUE, ORANGE, GREEN, RED, "#CC79A7", "#56B4E9", "#F0E442", "#000000")
+"""Okabe and Ito 2008."""
+GREY = "#777777"
+STYLE: dict[str, Any] = {
+    "axes.grid": True,
+    "axes.prop_cycle": f"cycler('color', {list(PALETTE)})",
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 10,
+    "font.size": 9,
+    "grid.alpha": 0.3,
+    "legend.fontsize": 8,
+}
+
+
+@contextmanager
+def drawing(
+    path: Path, rows: int = 1, columns: int = 1, *, size: tuple[float, float] = (11, 4.5), dpi: int = 90, **panels: Any
+) -> Iterator[NDArray[Any]]:
+    """Yield panels [rows, columns]; on leaving, write them as PNG, durably and without date or version.
+
+    ``size`` is in inches, ``panels`` goes to matplotlib's ``subplots``. A linear axis that does not begin at zero says
+    so, and so does a logarithmic one.
+    """
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        figure = Figure(figsize=size, dpi=dpi, layout="constrained")
+        axes: NDArray[Any] = figure.subplots(rows, columns, squeeze=False, **panels)
+        yield axes
+        for panel in axes.flat:
+            for axis in (panel.xaxis, panel.yaxis):
+                _tell_scale(axis)
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", metadata={"Software": None})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_durably(path, stream.getvalue())
+
+
+def _tell_scale(axis: Any) -> None:
+    text = axis.get_label_text()
+    if text and axis.get_scale() == "log":
+        axis.set_label_text(f"{text} (log)")
+    elif text and min(axis.get_view_interval()) > 0:
+        axis.set_label_text(f"{text} (not from 0)")
+
+
+def label(panel: Any, point: tuple[float, float], text: str, *, colour: str = "black", dy: float = 4.0) -> None:
+    """Write a name beside its point, ``dy`` points above it."""
+    panel.annotate(text, point, color=colour, fontsize=7, xytext=(4, dy), textcoords="offset points")
+
+
+def confusion(panel: Any, counts: NDArray[np.int64], names: Sequence[str], title: str, chosen: str) -> None:
+    """Counts [true, chosen], shaded by the share of each true class."""
+    shares = counts / np.maximum(counts.sum(1, keepdims=True), 1)
+    panel.imshow(shares, cmap="Blues", vmin=0, vmax=1)
+    panel.grid(visible=False)
+    for row, column in zip(*np.nonzero(counts), strict=True):
+        colour = "white" if shares[row, column] > 0.5 else "black"
+        panel.text(column, row, str(counts[row, column]), ha="center", va="center", color=colour, fontsize=8)
+    panel.set_xticks(range(len(names)), names)
+    panel.set_yticks(range(len(names)), names)
+    panel.set(title=title, xlabel=chosen, ylabel="true class")

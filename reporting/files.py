@@ -1,0 +1,36 @@
+"""Files that survive a kill: temporary file, fsync, rename, fsync of the folder; and JSON on top of them."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+
+def write_durably(path: Path, data: bytes) -> None:
+    """Replace ``path`` by ``data`` so that a kill or power cut leaves either the old or the new file, whole."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write plain data, indented, durably."""
+    write_durably(path, (json.dumps(data, indent=1) + "\n").encode())
+
+
+def read_json(path: Path, made_by: str) -> Any:
+    """The data of a file; ValueError names the file and the command that makes it."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ValueError(f"{path} is not there; make it with: {made_by}") from error
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged ({error}); make it again with: {made_by}") from error

@@ -1,0 +1,47 @@
+"""Where and with what a report was made, and how long a call takes there."""
+
+import os
+import platform
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+def cpu_name() -> str:
+    """Model name of this machine's processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else "unknown"
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores, and the load averages over 1, 5 and 15 minutes."""
+    return {"cpu": cpu_name(), "cores": os.cpu_count(), "load": list(os.getloadavg())}
+
+
+def commit() -> str:
+    """Commit of the working tree, with ``+dirty`` if it has changes; ``unknown`` outside a repository."""
+    try:
+        head, changes = (
+            subprocess.run(["git", *words], capture_output=True, text=True, check=True).stdout.strip()
+            for words in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return head + ("+dirty" if changes else "")
+
+
+def best_cpu_ms(call: Callable[[], Any], repeats: int) -> float:
+    """Shortest processor time of ``repeats`` calls, ms: what disturbs a call only makes it longer."""
+
+    def once() -> float:
+        begun = time.process_time()
+        call()
+        return 1e3 * (time.process_time() - begun)
+
+    return min(once() for _ in range(repeats))

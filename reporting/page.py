@@ -1,0 +1,48 @@
+"""A page is prose and tables in order. Prose is Markdown; the kit joins its lines and wraps them at 100 columns."""
+
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from reporting.files import write_durably, write_json
+from reporting.table import Table
+
+COLUMNS = 100
+
+
+def page(*parts: str | Table) -> str:
+    """The whole page as Markdown. Blank lines part paragraphs; headings, pictures and comments keep their lines."""
+    blocks = [block for part in parts for block in ([part.markdown()] if isinstance(part, Table) else _blocks(part))]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _blocks(text: str) -> Iterator[str]:
+    for block in textwrap.dedent(text).strip().split("\n\n"):
+        if block.strip():
+            yield _wrapped(block.strip())
+
+
+def _wrapped(block: str) -> str:
+    if block.startswith(("#", "![", "<!--", "|", "```")):
+        return block
+    items: list[list[str]] = []
+    for line in block.splitlines():
+        if line.startswith("- ") or not items:
+            items.append([])
+        items[-1].append(line.strip())
+    return "\n".join(_filled(" ".join(item)) for item in items)
+
+
+def _filled(paragraph: str) -> str:
+    indent = "  " if paragraph.startswith("- ") else ""
+    return textwrap.fill(paragraph, COLUMNS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def publish(folder: Path, name: str, text: str, data: Any = None) -> str:
+    """Write ``name.md`` and, where there are data, ``name.json`` into the folder; returns the text."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if data is not None:
+        write_json(folder / f"{name}.json", data)
+    write_durably(folder / f"{name}.md", text.encode())
+    return text

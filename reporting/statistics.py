@@ -1,0 +1,78 @@
+"""Figures with their 95 % intervals."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+Z95 = 1.959963984540054
+
+
+class Estimate(NamedTuple):
+    """A figure and the ends of its 95 % interval; in JSON a list of three numbers."""
+
+    value: float
+    low: float
+    high: float
+
+    def __format__(self, spec: str) -> str:
+        """Figure and interval in one format: ``f"{estimate:.1%}"`` is ``86.0 % (77.9 .. 91.5)``."""
+        if not spec.endswith("%"):
+            return f"{number(self.value, spec)} ({number(self.low, spec)} .. {number(self.high, spec)})"
+        low, high = (number(end, spec).removesuffix(" %") for end in (self.low, self.high))
+        return f"{number(self.value, spec)} ({low} .. {high})"
+
+
+def number(value: float | None, spec: str = "") -> str:
+    """One number; a space before the per cent sign, and ``-`` for None and NaN."""
+    if value is None or value != value:  # noqa: PLR0124 - only NaN differs from itself
+        return "-"
+    text = format(value, spec)
+    return f"{text[:-1]} %" if spec.endswith("%") else text
+
+
+def wilson(hits: float, count: int) -> Estimate:
+    """A share and its score interval (Wilson 1927), which lies in 0..1; (nan, 0, 1) of nothing."""
+    if count == 0:
+        return Estimate(math.nan, 0.0, 1.0)
+    share, spread = hits / count, Z95**2 / count
+    middle = (share + spread / 2) / (1 + spread)
+    half = Z95 / (1 + spread) * math.sqrt(share * (1 - share) / count + spread / (4 * count))
+    # Rounding may put an end of 0..1 beyond the share.
+    return Estimate(share, max(0.0, min(share, middle - half)), min(1.0, max(share, middle + half)))
+
+
+def normal(value: float, standard_error: float) -> Estimate:
+    """An estimate whose error is normal."""
+    return Estimate(value, value - Z95 * standard_error, value + Z95 * standard_error)
+
+
+def mean(values: Sequence[float]) -> Estimate:
+    """Mean of a sample, with the normal interval of its standard error; a point for a single value."""
+    sample = np.asarray(values, float)
+    error = sample.std(ddof=1) / math.sqrt(len(sample)) if len(sample) > 1 else 0.0
+    return normal(float(sample.mean()), float(error))
+
+
+def bootstrap(value: float, resampled: Sequence[float]) -> Estimate:
+    """An estimate beside its values on resampled data: the percentile interval (Efron 1979)."""
+    low, high = np.percentile(resampled, (2.5, 97.5))
+    return Estimate(value, float(low), float(high))
+
+
+def poisson_upper(count: int) -> float:
+    """One-sided 95 % upper bound of a Poisson mean of which ``count`` events were observed (Garwood 1936)."""
+    low, high = float(count), count + 20.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        tail = sum(math.exp(-middle) * middle**k / math.factorial(k) for k in range(count + 1))
+        low, high = (middle, high) if tail > 0.05 else (low, middle)
+    return high
+
+
+def percentiles(values: ArrayLike, *shares: float) -> list[float]:
+    """Percentiles in 0..100, in the order asked for; NaN of nothing."""
+    sample = np.asarray(values, float)
+    return [float(found) for found in np.percentile(sample, shares)] if sample.size else [math.nan] * len(shares)

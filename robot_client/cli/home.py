@@ -1,0 +1,36 @@
+"""`home`: references the gripper on an operator's command; only shown unless --live is typed."""
+
+import asyncio
+
+from robot_client.cli.terminal import DRY_RUN, NOT_A_SAFETY_FUNCTION, Outcome, stop_on_signals
+from robot_client.ports import DriverError, HomingDirection
+from robot_client.session.runner import to_the_end
+from robot_client.settings import Settings
+
+
+def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, live: bool) -> Outcome:
+    """Reference the gripper, first acknowledging a latched fault if the operator asks for it; raises DriverError."""
+    if not live:
+        steps = (["acknowledge the latched fault"] if acknowledge else []) + [f"home {direction}"]
+        print(DRY_RUN)
+        print(f"would connect to {settings.gripper.address} and " + ", then ".join(steps))
+        return Outcome(True, {"live": False, "steps": steps})
+    print(NOT_A_SAFETY_FUNCTION)
+    return asyncio.run(_home(settings, acknowledge=acknowledge, direction=direction))
+
+
+async def _home(settings: Settings, *, acknowledge: bool, direction: HomingDirection) -> Outcome:
+    gripper = settings.make_gripper()
+    stop_on_signals()
+    try:
+        await gripper.connect()
+        if acknowledge:
+            await gripper.acknowledge()
+            print("gripper: fault acknowledged")
+        width_mm = await gripper.home(direction)
+        print(f"gripper: homed, width {width_mm:.1f} mm")
+    except asyncio.CancelledError:
+        raise DriverError("operator: interrupted, the gripper goes no further") from None
+    finally:
+        await to_the_end(gripper.close())
+    return Outcome(True, {"live": True, "acknowledged": acknowledge, "width_mm": width_mm})

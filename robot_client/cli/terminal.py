@@ -1,0 +1,35 @@
+"""What the commands share: printing, the warning before a motion, and an end in order when they are interrupted."""
+
+import asyncio
+import os
+import signal
+import sys
+from typing import Any, NamedTuple
+
+NOT_A_SAFETY_FUNCTION = "LIVE: this moves a real robot. It is not a safety function; the cell's guards and stops are."
+DRY_RUN = "DRY RUN: nothing is connected, nothing moves (type --live to move)."
+
+
+class Outcome(NamedTuple):
+    """How a command ended: whether it did what it was asked to, and the result that ``--json`` prints."""
+
+    done: bool
+    result: dict[str, Any]
+
+
+def show(text: str) -> None:
+    """Print a line; once the terminal is gone nothing is printed any more, and nothing else changes."""
+    try:
+        print(text, flush=True)
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in its buffer goes there
+
+
+def stop_on_signals() -> None:
+    """Ctrl-C, SIGTERM and a terminal that hangs up (but for `nohup`) hold the arm and end the command in order."""
+    task = asyncio.current_task()
+    assert task is not None
+    loop = asyncio.get_running_loop()
+    hang_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+    for number in (signal.SIGINT, signal.SIGTERM, *hang_up):
+        loop.add_signal_handler(number, task.cancel)

@@ -1,0 +1,1 @@
+"""A gripper that always holds; nothing is connected."""

@@ -1,0 +1,28 @@
+"""The WSG-50's table of the configuration: ``[gripper]``."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from robot_client.ports import DeviceSettings
+
+
+class Settings(DeviceSettings):
+    """Where the gripper is and how it grasps. Ranges are checked against the gripper's own limits (0x53)."""
+
+    device: Literal["wsg50"] = "wsg50"
+    protocol: Literal["binary", "text"] = "binary"
+    host: str = "192.168.1.20"
+    port: int = Field(default=1000, ge=0, le=65535)
+    grasp_width_mm: float = 40.0
+    grasp_speed_mm_s: float = 30.0
+    force_limit_n: float = Field(default=40.0, gt=0)
+    reply_timeout_s: float = Field(default=1.0, gt=0)
+    motion_timeout_s: float = Field(default=10.0, gt=0)
+    update_period_ms: int = Field(default=20, ge=10, le=1000)
+    silence_s: float = Field(default=0.5, gt=0)
+
+    @property
+    def address(self) -> str:
+        """HOST:PORT."""
+        return f"{self.host}:{self.port}"

@@ -1,0 +1,22 @@
+"""The EGM arm's table of the configuration: ``[robot]``."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from robot_client.ports import DeviceSettings
+from robot_client.robots.abb_rws.settings import VARIABLES, RwsSettings
+
+
+class Settings(DeviceSettings):
+    """Where we listen, which robot is answered, and how long the stream may be silent or late."""
+
+    variables: ClassVar = VARIABLES
+    device: Literal["abb_egm"] = "abb_egm"
+    bind: str = "0.0.0.0"  # noqa: S104 the controller is another host; robot_host narrows who is answered
+    port: int = Field(default=6510, ge=0, le=65535)
+    robot_host: str | None = None
+    ready_timeout_s: float = Field(default=8.0, gt=0)
+    silence_s: float = Field(default=0.25, gt=0)  # harmless in position mode: targets stop with the stream
+    max_age_s: float = Field(default=0.25, gt=0)
+    rws: RwsSettings = RwsSettings()

@@ -1,0 +1,94 @@
+"""`tactile-insertion COMMAND [options]`: finds the package of a command and runs it there.
+
+Nothing is imported before a command is known, so that `--help` is instant and a light command stays light.
+Exit codes: 0 done, 1 not done, 2 wrong input or a missing installation, 130 interrupted.
+"""
+
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+from tactile_insertion.commands import COMMANDS, GROUPS, Command
+
+DONE, WRONG_INPUT, INTERRUPTED = 0, 2, 130
+EXTRAS = {"training": "training", "export": "training"}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; wrong input is one line on standard error and exit code 2."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in {"-h", "--help"}:
+        print(usage())
+        return DONE if words else WRONG_INPUT
+    if words[0] == "--version":
+        print(f"tactile-insertion {_version()}")
+        return DONE
+    if words[0] == "--print-completion":
+        return _print_completion(words[1:])
+    name, *rest = words
+    if name not in COMMANDS:
+        near = difflib.get_close_matches(name, COMMANDS, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        return _refuse(f"no command {name!r}; {hint}`tactile-insertion --help` lists them")
+    return _run(name, COMMANDS[name], rest)
+
+
+def usage() -> str:
+    """The help text: one line a command, within 80 columns."""
+    lines = ["usage: tactile-insertion COMMAND [options]", ""]
+    for title, commands in GROUPS.items():
+        lines += [f"{title}:", *(f"  {name:<16} {command.help}" for name, command in commands.items()), ""]
+    lines += [
+        "`tactile-insertion COMMAND --help` tells the options; `--version` the version;",
+        "`--print-completion bash|zsh|fish` prints a completion script for your shell.",
+        "exit codes: 0 done, 1 not done, 2 wrong input",
+    ]
+    return "\n".join(lines)
+
+
+def _run(name: str, command: Command, rest: list[str]) -> int:
+    try:
+        entry: Callable[[list[str]], int] = importlib.import_module(f"{command.package}.__main__").main
+        return int(entry([command.name, *rest]))
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").split(".")[0]
+        if missing in {known.package for known in COMMANDS.values()} or not missing:
+            raise  # a fault of ours, not of the installation
+        extra = EXTRAS.get(command.package)
+        remedy = f"pip install 'tactile-insertion[{extra}]'" if extra else "pip install tactile-insertion"
+        return _refuse(f"{name} needs the package {missing!r}: {remedy}")
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except (ValueError, OSError) as error:
+        if os.environ.get("TACTILE_TRACEBACK"):
+            raise
+        return _refuse(f"{name}: {' '.join(str(error).split())}")
+
+
+def _print_completion(shell: list[str]) -> int:
+    """A script for the shell that completes the commands, and files after them."""
+    names = " ".join(COMMANDS)
+    scripts = {
+        "bash": f'complete -o default -W "{names}" tactile-insertion',
+        "zsh": f"#compdef tactile-insertion\n_arguments '1:command:({names})' '*:file:_files'",
+        "fish": f"complete -c tactile-insertion -n __fish_use_subcommand -f -a '{names}'",
+    }
+    if len(shell) != 1 or shell[0] not in scripts:
+        return _refuse(f"--print-completion {' '.join(shell)}: expected one of {', '.join(scripts)}")
+    print(scripts[shell[0]])
+    return DONE
+
+
+def _refuse(sentence: str) -> int:
+    print(f"tactile-insertion: {sentence}", file=sys.stderr)
+    return WRONG_INPUT
+
+
+def _version() -> str:
+    try:
+        return version("tactile-insertion")
+    except PackageNotFoundError:
+        return "(a checkout, not installed)"

@@ -1,0 +1,61 @@
+"""The table of all commands: which package runs each, under which name there, and what it does."""
+
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """One command: the package that runs it, its name in `python -m PACKAGE NAME`, and its line of help."""
+
+    package: str
+    name: str
+    help: str
+
+
+GROUPS: dict[str, dict[str, Command]] = {
+    "run a cell": {
+        "run": Command("simulation", "run", "insert one object in the simulated cell, live"),
+        "cell": Command("simulation", "cell", "start the simulated cell on loopback sockets"),
+        "serve": Command("service", "run", "start the service: cameras in, corrections out"),
+        "calibrate": Command("service", "calibrate", "fit the rectification of both cameras"),
+        "models": Command("service", "models", "check a folder of networks, print their cards"),
+        "replay": Command("service", "replay", "decide a recorded insertion or clip again"),
+        "check": Command("robot_client", "check", "read every device and move nothing"),
+        "home": Command("robot_client", "home", "reference the empty gripper"),
+        "jog": Command("robot_client", "jog", "move the tool to a pose: up, over, down"),
+        "insert": Command("robot_client", "insert", "insert the held object (rehearses without --live)"),
+        "replay-log": Command("robot_client", "replay", "play an episode log through the client's machine"),
+    },
+    "simulate": {
+        "explain": Command("simulation", "explain", "which effects a scene calls for, and their cost"),
+        "probe": Command("simulation", "probe", "one guarded descent, printed, drawn or filmed"),
+        "imprint": Command("simulation", "imprint", "what the simulated sensor sees, as a picture"),
+        "collect": Command("simulation", "collect", "collect collisions as a dataset, on all cores"),
+        "view": Command("simulation", "view", "draw trials of a dataset"),
+        "export-dataset": Command("simulation", "export-dataset", "write a dataset as LeRobot v3 or MCAP"),
+        "evaluate": Command("simulation", "evaluate", "play the paper's protocol or drawn worlds"),
+        "robustness": Command("simulation", "robustness", "play insertions under disturbances"),
+    },
+    "train and export networks": {
+        "train": Command("training", "train", "train the networks of a configuration"),
+        "recipe": Command("training", "recipe", "train the paper's own recipe, the baseline"),
+        "share-backbone": Command("training", "share-backbone", "put the recipe's networks behind one AlexNet"),
+        "checkpoint": Command("training", "show", "print the figures that a checkpoint carries"),
+        "stress": Command("training", "stress", "score a run under noise and on new objects"),
+        "training-report": Command("training", "report", "write the training report of a run"),
+        "export": Command("export", "onnx", "write a checkpoint as ONNX with its cards"),
+        "verify": Command("export", "verify", "verify every network of a folder"),
+        "quantize": Command("export", "quantize", "write int8 versions of the networks"),
+        "bench": Command("export", "benchmark", "measure networks on this machine, offline"),
+        "tradeoff": Command("export", "tradeoff", "report what accuracy costs in time"),
+        "choose": Command("export", "choose", "name the best network for a time budget"),
+    },
+    "study the simulation": {
+        "accuracy": Command("simulation", "accuracy", "what physics accuracy costs in time"),
+        "theory": Command("simulation", "theory", "errors beside closed-form contact mechanics"),
+        "hard-probes": Command("simulation", "hard-probes", "10,000 random extreme contacts"),
+        "slip-report": Command("simulation", "slip-report", "how well slip is detected, and the cost"),
+        "trackers": Command("simulation", "trackers", "what marker tracking accuracy costs"),
+        "stop-report": Command("simulation", "stop-report", "how soon the arm stops for slip"),
+    },
+}
+COMMANDS: dict[str, Command] = {name: command for group in GROUPS.values() for name, command in group.items()}

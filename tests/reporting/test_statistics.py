@@ -1,0 +1,89 @@
+"""Intervals agree with scipy's, hold their figure, and shrink with the sample."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from reporting.statistics import Estimate, bootstrap, mean, normal, number, percentiles, poisson_upper, wilson
+
+COUNTS = st.integers(1, 10_000).flatmap(lambda count: st.tuples(st.integers(0, count), st.just(count)))
+
+
+@given(COUNTS)
+def test_wilson_is_scipys(counts):
+    hits, count = counts
+    expected = stats.binomtest(hits, count).proportion_ci(method="wilson")
+    assert wilson(hits, count) == pytest.approx((hits / count, expected.low, expected.high), abs=1e-12)
+
+
+@given(COUNTS)
+def test_wilson_holds_its_share_and_stays_within_one(counts):
+    share, low, high = wilson(*counts)
+    assert 0.0 <= low <= share <= high <= 1.0
+
+
+@given(COUNTS)
+def test_wilson_is_symmetric_monotone_and_narrower_with_more_trials(counts):
+    hits, count = counts
+    ours, mirrored, ten = wilson(hits, count), wilson(count - hits, count), wilson(10 * hits, 10 * count)
+    assert (ours.low, ours.high) == pytest.approx((1 - mirrored.high, 1 - mirrored.low), abs=1e-12)
+    assert ten.high - ten.low < ours.high - ours.low
+    if hits:
+        less = wilson(hits - 1, count)
+        assert (less.low, less.high) < (ours.low, ours.high)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.5, 0.9])
+def test_wilson_covers_about_as_often_as_it_says(share):
+    count = 60
+    held = [low <= share <= high for _, low, high in (wilson(hits, count) for hits in range(count + 1))]
+    assert 0.93 <= stats.binom.pmf(range(count + 1), count, share) @ np.array(held) <= 0.98
+
+
+def test_nothing_has_the_widest_interval():
+    value, *ends = wilson(0, 0)
+    assert math.isnan(value)
+    assert ends == [0.0, 1.0]
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=50))
+def test_a_mean_has_the_interval_of_its_standard_error(values):
+    found = mean(values)
+    assert found.value == pytest.approx(np.mean(values), abs=1e-9)
+    assert found.high - found.value == pytest.approx(stats.norm.ppf(0.975) * stats.sem(values), abs=1e-6)
+
+
+def test_one_value_has_no_spread():
+    assert mean([3.0]) == (3.0, 3.0, 3.0)
+    assert normal(2.0, 1.0).low == pytest.approx(2 - stats.norm.ppf(0.975))
+
+
+@given(st.integers(0, 60))
+def test_the_bound_of_rare_events_is_garwoods(count):
+    assert poisson_upper(count) == pytest.approx(stats.chi2.ppf(0.95, 2 * count + 2) / 2, abs=1e-6)
+
+
+def test_a_bootstrap_interval_is_of_percentiles():
+    assert bootstrap(0.5, np.linspace(0.0, 1.0, 1001).tolist()) == pytest.approx((0.5, 0.025, 0.975))
+
+
+def test_percentiles_of_nothing_are_none_of_anything():
+    assert percentiles([1.0, 2.0, 3.0], 50, 0) == [2.0, 1.0]
+    assert all(map(math.isnan, percentiles([], 50, 99)))
+
+
+@pytest.mark.parametrize(
+    ("value", "spec", "text"),
+    [(None, ".1f", "-"), (math.nan, ".1%", "-"), (0.5, ".1%", "50.0 %"), (-0.25, "+.2f", "-0.25"), (7, "", "7")],
+)
+def test_numbers_are_written_in_one_way(value, spec, text):
+    assert number(value, spec) == text
+
+
+def test_an_estimate_shows_its_interval():
+    assert f"{wilson(86, 100):.1%}" == "86.0 % (77.9 .. 91.5)"
+    assert f"{Estimate(2.0, 1.5, 2.5):.2f}" == "2.00 (1.50 .. 2.50)"

@@ -1,0 +1,42 @@
+"""The house stays small: short files, short functions, folders that fit in a head."""
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("simulation", "training", "export", "reporting", "service", "robot_client", "tactile_insertion")
+FILES = [
+    path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")) if not path.stem.endswith("_pb2")
+]
+MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, P90_FUNCTION_LINES = 12, 300, 50, 20
+
+
+def functions(path: Path) -> list[tuple[int, str]]:
+    """Length in lines and place of every function of a file."""
+    return [
+        (node.end_lineno - node.lineno + 1, f"{path.relative_to(ROOT)}:{node.lineno} {node.name}")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_folder_holds_more_than_a_dozen_modules(package):
+    modules = Counter(
+        path.parent for path in FILES if path.name != "__init__.py" and path.is_relative_to(ROOT / package)
+    )
+    assert {str(folder): count for folder, count in modules.items() if count > MOST_MODULES} == {}
+
+
+def test_no_file_is_longer_than_300_lines():
+    lengths = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in FILES}
+    assert {name: length for name, length in lengths.items() if length > MOST_LINES} == {}
+
+
+def test_functions_do_one_thing():
+    lengths = sorted(length for path in FILES for length in functions(path))
+    assert [place for length, place in lengths if length > MOST_FUNCTION_LINES] == []
+    assert lengths[int(0.9 * len(lengths))][0] <= P90_FUNCTION_LINES
