@@ -148,7 +148,8 @@ def _read(path: Path) -> Sensor:
     try:
         return Sensor.model_validate({"name": path.stem, **table})
     except ValidationError as error:
-        raise ContractError(f"{path}: {first_error(error)}") from error
+        text = first_error(error).removeprefix("contents: Value error, ")  # which names its key itself
+        raise ContractError(f"{path}: {text}") from error
 
 
 def _hint(given: str, allowed: Iterable[str]) -> str:

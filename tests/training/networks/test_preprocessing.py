@@ -32,4 +32,4 @@ def test_frames_of_another_shape_are_refused(shape):
 
 def test_float_frames_are_refused():
     with pytest.raises(ValueError, match="expected uint8"):
-        pool_frames(np.zeros((320, 327, 3), np.float32), 5)
+        pool_frames(np.zeros((320, 327, 3), np.float32), SENSOR)
