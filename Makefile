@@ -5,15 +5,17 @@ RUN_VENV ?= .venv-run
 OPS_VENV ?= .venv-ops
 PEERS_VENV ?= .venv-peers
 DOCS_VENV ?= .venv-docs
+LOWEST_VENV ?= .venv-lowest
 MINUTES ?= 30
 TORCH_VERSION = 2.13.0
+TORCH_LOWEST = 2.6.0
 OUT ?= runs
 
 BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run lint test test-all hard-cases accuracy slip-report tradeoff bench bench-serving soak collect train export evaluate robustness requirements docs clean
+.PHONY: help run lint test test-all test-lowest hard-cases accuracy slip-report tradeoff bench bench-serving soak collect train export evaluate robustness requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -69,6 +71,19 @@ test: lint ## lint, types, import rules and the fast tests
 test-all: $(VENV)/ready ## the fast tests and the long ones; properties draw new examples each time
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest --timeout=1800
 
+# Torch comes in its lowest version where an index of CPU wheels is named; PyPI has only CUDA builds of it.
+test-lowest: ## the lowest versions that pyproject.toml allows: every module imports, commands of each room run (needs uv)
+	rm -rf $(LOWEST_VENV)
+	$(PYTHON) -m venv $(LOWEST_VENV)
+	sh requirements/torch.sh $(LOWEST_VENV)/bin/pip $(if $(TORCH_CPU_INDEX),$(TORCH_LOWEST),$(TORCH_VERSION))
+	uv pip install -q --python $(LOWEST_VENV)/bin/python -r requirements/torch.in
+	uv pip install -q --python $(LOWEST_VENV)/bin/python --resolution lowest-direct --override requirements/no-torch.txt \
+	  -r pyproject.toml --extra training
+	$(LOWEST_VENV)/bin/python -m tests.import_everything
+	$(LOWEST_VENV)/bin/python -m simulation probe rectangle --x-mm 8 --theta-deg 5
+	$(LOWEST_VENV)/bin/python -m export verify $(MODELS)
+	$(LOWEST_VENV)/bin/python -m simulation run --out $(OUT)
+
 # ---- from probes to released models -------------------------------------------------------------------------------
 
 PROBES ?= data/probes
@@ -107,7 +122,7 @@ tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physi
 	$(BIN)/python -m export tradeoff --data $(PROBES) $(FOLDERS)
 
 bench: $(VENV)/bench ## what a decision of each released network costs on this machine, beside peers: docs/benchmark.md, .json, .png
-	$(BIN)/python -m export benchmark --docs docs --compare torch,torch.compile,openvino --alexnet $(ALEXNET) \
+	$(BIN)/python -m export benchmark --docs docs --compare torch,openvino --alexnet $(ALEXNET) \
 	  $(if $(wildcard $(PROBES)/manifest.json),--data $(PROBES))
 
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
@@ -117,11 +132,11 @@ soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models a
 	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)
 
 evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
-	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --eyes $(EYES)
+	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --perception $(PERCEPTION)
 
-EYES ?= pictures
+PERCEPTION ?= pictures
 robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time, on both tiers of the gel: docs/robustness.md
-	$(RUN) -m simulation robustness --out runs/robustness --docs docs --eyes $(EYES)
+	$(RUN) -m simulation robustness --out runs/robustness --docs docs --perception $(PERCEPTION)
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.
@@ -172,4 +187,4 @@ requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
 clean: ## remove what the commands above made, but no data and no runs
-	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(DOCS_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

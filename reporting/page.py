@@ -36,7 +36,9 @@ def _wrapped(block: str) -> str:
 
 def _filled(paragraph: str) -> str:
     indent = "  " if paragraph.startswith("- ") else ""
-    return textwrap.fill(paragraph, COLUMNS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    tied = paragraph.replace(" %", "\N{NO-BREAK SPACE}%")
+    text = textwrap.fill(tied, COLUMNS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return text.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def publish(folder: Path, name: str, text: str, data: Any = None) -> str:

@@ -12,8 +12,8 @@ Key = str | int | Callable[[Any], Any]
 class Column(NamedTuple):
     """A title, where a row keeps the value, and the value's format.
 
-    ``key`` is the name of an entry or attribute (dots lead inwards: ``model.force_n``), an index, or a function of the
-    row. A column with a format holds numbers and is set to the right.
+    ``key`` is an index, a function of the row, or the name of an entry or attribute, in which dots lead inwards:
+    ``model.force_n``, ``0.name``. A column with a format holds numbers and is set to the right.
     """
 
     title: str
@@ -40,7 +40,7 @@ def _value(row: Any, key: Key) -> Any:
     if isinstance(key, int):
         return row[key]
     for name in key.split("."):
-        row = row[name] if isinstance(row, Mapping) else getattr(row, name)
+        row = row[name] if isinstance(row, Mapping) else row[int(name)] if name.isdigit() else getattr(row, name)
     return row
 
 

@@ -17,7 +17,7 @@ HomingDirection = Literal["default", "outward", "inward"]
 
 
 class DriverError(ValueError):
-    """A device could not be made ready; the text says which, what was expected and what to do."""
+    """A device could not be made ready; the text names it, what was expected and what to do."""
 
 
 class DeviceSettings(Contract):
@@ -31,7 +31,7 @@ class DeviceSettings(Contract):
 
     @property
     def address(self) -> str:
-        """Where the device is, for people."""
+        """Where the device is reached, for display."""
         return self.device
 
 
@@ -72,6 +72,7 @@ class Arm(Protocol):
 
     def checks(self) -> dict[str, Check]:
         """The checks of an arm that was not started, by the name under which their findings are printed."""
+        return {}
 
 
 class Gripper(Protocol):
@@ -88,15 +89,18 @@ class Gripper(Protocol):
 
     def checks(self) -> dict[str, Check]:
         """The checks of a gripper that was not started, by the name under which their findings are printed."""
+        return {}
 
     async def connect(self) -> None:
         """Connect for an operator's command, moving nothing; raises DriverError."""
 
     async def acknowledge(self) -> None:
         """Clear a latched fault: only ever on an operator's deliberate command; raises DriverError."""
+        raise DriverError("gripper: this device has no fault to acknowledge")
 
-    async def home(self, direction: HomingDirection) -> float:
+    async def home(self, direction: HomingDirection) -> float:  # noqa: ARG002 for devices to use
         """Reference the axis and return the width in mm; raises DriverError, also while something is held."""
+        raise DriverError("gripper: this device has no homing")
 
 
 class DecisionService(Protocol):

@@ -9,14 +9,15 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, Field, ValidationError
 
 from robot_client import devices
-from robot_client.devices import GRIPPERS, ROBOTS, nearest
-from robot_client.insertion.geometry import IDENTITY, TOOL_DOWN, CellFrame, Quaternion, Vector, normalised
+from robot_client.devices import GRIPPERS, ROBOTS
+from robot_client.insertion.geometry import CellFrame
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
 from robot_client.ports import Arm, DeviceSettings, Gripper
 from robot_client.session.service_link import ServiceSettings
 from service.contract.frames import Contract, ContractError
+from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
 
 REGISTRIES = {"robot": ROBOTS, "gripper": GRIPPERS}
@@ -30,22 +31,10 @@ class SettingsError(ContractError):
     """The configuration is wrong; the text names file, key and what was expected."""
 
 
-class WorkObject(Contract):
-    """The gap's frame in the frame of the controller's poses, and the tool at yaw 0; quaternions w, x, y, z."""
-
-    origin_mm: Vector = (0.0, 0.0, 0.0)
-    rotation: Quaternion = IDENTITY
-    tool: Quaternion = TOOL_DOWN
-
-    def frame(self) -> CellFrame:
-        """The conversion that the driver uses; raises ValueError for a quaternion without direction."""
-        return CellFrame(self.origin_mm, normalised(self.rotation), normalised(self.tool))
-
-
 class Task(Contract):
     """The insertion itself. Heights are those of the TCP in the work-object frame."""
 
-    approach_z_mm: float = 35.0  # held 30 mm above its bottom, which is approach_clearance_mm above the blocks
+    approach_z_mm: float = 35.0  # 30 mm above the object's bottom, which is approach_clearance_mm above the blocks
     approach_clearance_mm: Positive = 5.0
     approach_y_mm: float = 0.0
     gap_width_mm: float = Field(default=56.0, gt=0, le=1000)
@@ -56,7 +45,7 @@ class Task(Contract):
 
     @property
     def grasp_height_mm(self) -> float | None:
-        """The TCP's height when the object touches the blocks' tops; None where the approach is too low to tell."""
+        """The TCP's height when the object touches the blocks' tops; None where the approach is too low for it."""
         height_mm = self.approach_z_mm - self.approach_clearance_mm
         return height_mm if height_mm > 0 else None
 
@@ -67,7 +56,7 @@ class Settings(Contract):
     robot: DeviceSettings = Field(default_factory=lambda: _device("robot", {}))
     gripper: DeviceSettings = Field(default_factory=lambda: _device("gripper", {}))
     service: ServiceSettings = ServiceSettings()
-    work_object: WorkObject = WorkObject()
+    work_object: CellFrame = CellFrame()
     limits: Limits = Limits()
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
@@ -75,7 +64,7 @@ class Settings(Contract):
 
     def make_arm(self) -> Arm:
         """The arm behind its port; nothing is connected yet."""
-        return devices.make_arm(self.robot, self.limits, self.ramps, self.work_object.frame())
+        return devices.make_arm(self.robot, self.limits, self.ramps, self.work_object)
 
     def make_gripper(self) -> Gripper:
         """The gripper behind its port; nothing is connected yet."""
@@ -100,18 +89,13 @@ def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) ->
     for name in os.environ:
         ours = name.startswith(VARIABLES) or difflib.get_close_matches(name, known, 1, 0.8)
         if ours and name not in known:
-            raise SettingsError(f"environment: {name} is not used; {nearest(name, known)}")
+            raise SettingsError(f"environment: {name} is not used{nearest(name, known)}")
     names = {key: {"device": device.device} for key, device in chosen.items()}
-    settings = _table(Settings, {**data, **names}, source).model_copy(update=chosen)
-    try:
-        settings.work_object.frame()
-    except ValueError as error:
-        raise SettingsError(f"{source}: work_object: {error}") from None
-    return settings
+    return _table(Settings, {**data, **names}, source).model_copy(update=chosen)
 
 
 def _merged(data: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
-    """``data`` under the values that are not None; what should be a table and is none stays, to be refused."""
+    """``data`` with the overrides that are not None; a value that should be a table is left for the validation."""
     merged = dict(data)
     for key, value in overrides.items():
         if isinstance(value, dict):
@@ -138,19 +122,11 @@ def _device(key: str, data: Any, source: str = "") -> DeviceSettings:
     return _table(model, data, source, key)
 
 
-def _table(model: type[Table], data: Any, source: str, *above: str) -> Table:
+def _table(model: type[Table], data: Any, source: str, key: str = "") -> Table:
     """``data`` as ``model``; raises SettingsError with file and key, and for an unknown key the nearest one."""
     try:
         return model.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        first = error.errors()[0]
-        *way, last = [*first["loc"]] or [""]
-        problem, table = first["msg"], model
-        if first["type"] == "extra_forbidden":
-            for part in way:
-                table = table.model_fields[str(part)].annotation  # type: ignore[assignment]
-            problem = f"unknown key; {nearest(str(last), table.model_fields)}"
-        where = ".".join(str(part) for part in (*above, *first["loc"])) or "file"
-        raise SettingsError(f"{source}: {where}: {problem}") from None
+        raise SettingsError(f"{source}: {describe(error, model, key, secret=True)}") from None
     except (ValueError, TypeError) as error:
         raise SettingsError(f"{source}: {error}") from None

@@ -1,28 +1,15 @@
-"""`python -m service COMMAND`: one lazy table, so that a command loads only what it needs.
-
-Each module exposes ``main(arguments) -> int`` and owns its own ``--help``.
-"""
+"""`python -m service COMMAND`: a command is a module of :mod:`service.cli`, loaded only when it is asked for."""
 
 import importlib
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
-
-
-class Command(NamedTuple):
-    """Where a command lives and what it does."""
-
-    module: str
-    help: str
-
 
 COMMANDS = {
-    "run": Command("service.cli.run", "serve: cameras in, slip and corrections out, dashboard at /"),
-    "replay": Command("service.tools.replay", "run perception over a clip, or re-decide a recorded insertion (.mcap)"),
-    "calibrate": Command("service.tools.calibrate", "fit the rectification of a camera from frames of a resting gel"),
-    "models": Command("service.tools.inspect_models", "check a folder of models and print their cards"),
+    "run": "serve: cameras in, slip and corrections out, dashboard at /",
+    "replay": "run perception over a clip, or re-decide a recorded insertion (.mcap)",
+    "calibrate": "fit the rectification of a camera from frames of a resting gel",
+    "models": "check a folder of models and print their cards",
 }
 EXIT_BAD_INPUT = 2
 
@@ -30,17 +17,10 @@ EXIT_BAD_INPUT = 2
 def usage() -> str:
     """The help text: one line a command."""
     width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {command.help}" for name, command in COMMANDS.items()]
+    lines = [f"  {name:<{width}}  {text}" for name, text in COMMANDS.items()]
     return "\n".join(
         ["usage: python -m service COMMAND [options]", "", *lines, "", "python -m service COMMAND --help tells more."]
     )
-
-
-def module_of(name: str, arguments: Sequence[str]) -> str:
-    """The module that runs a command; ``replay`` of a recorded insertion is a re-decision."""
-    if name == "replay" and any(Path(argument).suffix == ".mcap" for argument in arguments):
-        return "service.tools.redecide"
-    return COMMANDS[name].module
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"service: unknown command {name!r}, expected one of {', '.join(COMMANDS)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     try:
-        return int(importlib.import_module(module_of(name, rest)).main(rest))
+        return int(importlib.import_module(f"service.cli.{name}").main(rest))
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:

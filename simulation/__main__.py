@@ -8,37 +8,21 @@ import sys
 from collections.abc import Callable
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "run": ("simulation.cell.run:main", "the whole loop: cell, service and robot client insert an object in real time"),
-    "cell": ("simulation.cli.cell:main", "the cell in real time on loopback: robot, gripper, cameras, truth"),
-    "evaluate": ("simulation.cli.evaluate:main", "the paper's test protocol in lock step: table, scatter, JSON"),
-    "robustness": (
-        "simulation.cli.robustness:main",
-        "what disturbances cost the closed loop: noise, friction, cameras",
-    ),
-    "explain": ("simulation.cli.explain:main", "which effects a scene calls for, why, and what each costs"),
-    "probe": ("simulation.cli.probe:main", "one descent, printed or saved as a picture or video"),
-    "collect": ("simulation.data.collect:main", "poke on all cores and keep the collisions as a dataset"),
-    "view": ("simulation.data.view:main", "trials of a dataset as pictures"),
-    "imprint": ("simulation.studies.imprint:main", "what the simulated sensor sees, object by object, as one picture"),
-    "export-dataset": ("simulation.data.export:main", "trials as a LeRobot v3.0 dataset or as MCAP files"),
-    "slip-report": (
-        "simulation.studies.slip.detection:main",
-        "how well slip is detected, and the cost: table, JSON, plot",
-    ),
-    "trackers": (
-        "simulation.studies.slip.tracker_costs:main",
-        "accuracy of marker tracking against time: table, JSON, plot",
-    ),
-    "stop-report": (
-        "simulation.studies.stop_latency:main",
-        "how soon the arm stops for slip, through the whole live loop: table",
-    ),
-    "hard-probes": ("simulation.cli.hard_probes:main", "10,000 random nasty contacts: solved, lost or refused by name"),
-    "theory": (
-        "simulation.studies.theory:main",
-        "errors beside Hertz, Mindlin, Winkler and the paper: table",
-    ),
-    "accuracy": ("simulation.studies.accuracy:main", "what physics accuracy costs in time: table, JSON, plot"),
+    "run": ("cell:run", "the whole loop: cell, service and robot client insert an object in real time"),
+    "cell": ("cell:cell", "the cell in real time on loopback: robot, gripper, cameras, truth"),
+    "evaluate": ("evaluate:main", "the paper's test protocol in lock step: table, scatter, JSON"),
+    "robustness": ("robustness:main", "what disturbances cost the closed loop: noise, friction, cameras"),
+    "explain": ("explain:explain", "which effects a scene calls for, why, and what each costs"),
+    "probe": ("probe:probe", "one descent, printed or saved as a picture or video"),
+    "imprint": ("probe:imprint", "what the simulated sensor records, object by object, as one picture"),
+    "collect": ("dataset:collect", "poke on all cores and keep the collisions as a dataset"),
+    "view": ("dataset:view", "trials of a dataset as pictures"),
+    "export-dataset": ("dataset:export_dataset", "trials as a LeRobot v3.0 dataset or as MCAP files"),
+    "slip-report": ("slip:slip_report", "how well slip is detected, and the cost: table, JSON, plot"),
+    "stop-report": ("slip:stop_report", "how soon the arm stops for slip, through the whole live loop: table"),
+    "hard-probes": ("physics:hard_probes", "10,000 random hard contacts: solved, lost or refused by name"),
+    "theory": ("physics:theory", "errors beside Hertz, Mindlin, Winkler and the paper: table"),
+    "accuracy": ("physics:accuracy", "what physics accuracy costs in time: table, JSON, plot"),
 }
 
 
@@ -67,13 +51,16 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"no command {name!r}: expected one of {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     module, function = COMMANDS[name][0].split(":")
-    run: Callable[[list[str]], int] = getattr(importlib.import_module(module), function)
+    run: Callable[[list[str]], int] = getattr(importlib.import_module(f"simulation.cli.{module}"), function)
     try:
         _refuse_negative_seed(rest)
         return run(rest)
     except (ValueError, OSError) as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":

@@ -4,16 +4,21 @@ Nothing is imported before a command is known, so that `--help` is instant and a
 Exit codes: 0 done, 1 not done, 2 wrong input or a missing installation, 130 interrupted.
 """
 
+import contextlib
 import difflib
 import importlib
+import io
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 from tactile_insertion.commands import COMMANDS, GROUPS, Command
 
 DONE, WRONG_INPUT, INTERRUPTED = 0, 2, 130
+WIDTH = 80
 EXTRAS = {"training": "training", "export": "training"}
 
 
@@ -52,6 +57,8 @@ def usage() -> str:
 def _run(name: str, command: Command, rest: list[str]) -> int:
     try:
         entry: Callable[[list[str]], int] = importlib.import_module(f"{command.package}.__main__").main
+        if {"-h", "--help"} & set(rest):
+            return _help(entry, [command.name, *rest])
         return int(entry([command.name, *rest]))
     except ModuleNotFoundError as error:
         missing = (error.name or "").split(".")[0]
@@ -66,6 +73,18 @@ def _run(name: str, command: Command, rest: list[str]) -> int:
         if os.environ.get("TACTILE_TRACEBACK"):
             raise
         return _refuse(f"{name}: {' '.join(str(error).split())}")
+
+
+def _help(entry: Callable[[list[str]], int], words: list[str]) -> int:
+    """A command's own help, with the paragraphs that its option parser leaves long wrapped to the terminal."""
+    written = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(written):
+            return int(entry(words))
+    finally:
+        width = min(WIDTH, shutil.get_terminal_size().columns)
+        for line in written.getvalue().splitlines():
+            print(line if len(line) <= width else textwrap.fill(line, width))
 
 
 def _print_completion(shell: list[str]) -> int:

@@ -54,7 +54,6 @@ GROUPS: dict[str, dict[str, Command]] = {
         "theory": Command("simulation", "theory", "errors beside closed-form contact mechanics"),
         "hard-probes": Command("simulation", "hard-probes", "10,000 random extreme contacts"),
         "slip-report": Command("simulation", "slip-report", "how well slip is detected, and the cost"),
-        "trackers": Command("simulation", "trackers", "what marker tracking accuracy costs"),
         "stop-report": Command("simulation", "stop-report", "how soon the arm stops for slip"),
     },
 }

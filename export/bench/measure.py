@@ -12,22 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.onnx.golden import golden_input
-from export.onnx.model import Arrays, Model, told
+from export.onnx.model import Arrays, Model, geometry_inputs
 
 Clock = Callable[[], int]
 WARM_UP_CALLS = 10
 TAIL_BLOCK = 64
-LEAST_CALLS = 100
-TURN, WARM_TURN = 8, 2
-"""Calls in a turn of their own, and those before them that find the other's data in the caches. Turns are short: what
-disturbs a model's reaches the arithmetic beside it, too."""
 NOISY = 1.5
 """A machine whose wall time exceeds its CPU time by this factor at the median was busy with something else."""
 NOISY_SPREAD = 0.25
 """Spread of a model's wall time against itself, call by call: beyond it, wall times cannot be compared."""
-CALM, FULL_SPEED = 1.25, 10
-"""Slowest arithmetic of a turn in which the machine was left alone, over that at full speed: a percentile of turns. A
-core whose sibling works may run at half speed for seconds; both speeds together are no property of a model."""
 STEADY = 1.5
 """p99 over p50 of the processor time on one thread that a deciding network may have."""
 
@@ -53,7 +46,7 @@ class Timing:
         return cls(len(wall_ms), p50, p90, p99, p999, cpu50, cpu99, p50 / max(cpu50, 1e-6))
 
     @property
-    def judged_p99_ms(self) -> float:
+    def budget_p99_ms(self) -> float:
         """The p99 to hold against a budget: of the wall time, or of the processor's where neighbours stretched it."""
         stretched = self.noisy or self.p99_ms > NOISY * self.cpu_p99_ms
         return self.cpu_p99_ms if stretched else self.p99_ms
@@ -73,10 +66,10 @@ def example_inputs(model: Model, batch: int = 1) -> Arrays:
     card = model.card
     frames = np.repeat(golden_input(card)[None], batch, 0)
     if card.form == "sequence":
-        return {"frames": frames} | told(card, batch)
+        return {"frames": frames} | geometry_inputs(card, batch)
     state = np.zeros((batch, card.state_size), np.float32)
     step: Arrays = {"frame": frames[:, -1], "reference": frames[:, 0], "state": state}
-    return step | told(card, batch)
+    return step | geometry_inputs(card, batch)
 
 
 def time_calls(
@@ -84,46 +77,6 @@ def time_calls(
 ) -> Timing:
     """Call repeatedly for ``seconds``, at least ``least`` times, after a warm-up that is not counted."""
     return time_in_turn({"": call}, seconds=seconds, least=least, clock=clock)[""][0]
-
-
-@dataclass(frozen=True)
-class Steadiness:
-    """p99 over p50 of the processor time of a call on one core: of all calls, which is judged, and in calm turns.
-
-    Calls are made in turns with arithmetic that never changes and takes as long. A turn is calm if that arithmetic ran
-    at the core's full speed just before and just after it, every call at most ``CALM`` times what it takes then: what
-    is slow in the turn is the model's doing, not that of hypervisor and neighbours. Which turns are calm is decided
-    without looking at the model. The ``machine`` ratios are those of the arithmetic itself.
-    """
-
-    tail: float
-    tail_calm: float | None
-    """None where too few turns were calm to tell."""
-    calm_share: float
-    machine_tail: float
-    machine_calm: float | None
-
-    @classmethod
-    def of(cls, ours: NDArray[np.float64], machine: NDArray[np.float64]) -> "Steadiness":
-        """Of the times of a model's calls and of the arithmetic's, each [turns, calls], taken turn by turn."""
-        calm = calm_turns(machine)
-        told = calm.sum() * ours.shape[1] >= LEAST_CALLS
-        quiet = (_tail(ours[calm]), _tail(machine[calm])) if told else (None, None)
-        return cls(_tail(ours), quiet[0], float(calm.mean()), _tail(machine), quiet[1])
-
-    @property
-    def steady(self) -> bool:
-        """Whether the bound holds; every call counts."""
-        return self.tail <= STEADY
-
-
-def calm_turns(machine: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Turns [n] of a model between two calm turns of the arithmetic [n, calls]; the first has one neighbour only."""
-    full_speed_ms = np.percentile(np.median(machine, 1), FULL_SPEED)
-    calm = machine.max(1) <= CALM * full_speed_ms
-    between: NDArray[np.bool_] = calm.copy()
-    between[1:] &= calm[:-1]
-    return between
 
 
 @contextmanager
@@ -140,31 +93,17 @@ def undisturbed() -> Iterator[None]:
             gc.enable()
 
 
-def steadiness(call: Callable[[], Any], *, seconds: float) -> Steadiness:
-    """Call in turns with arithmetic of constant length; up to four times as long if the machine is not calm."""
+def tails(call: Callable[[], Any], *, seconds: float) -> dict[str, float]:
+    """p99 over p50 of the processor time of a call on one core, and of arithmetic of the same length beside it.
+
+    The two are called in turn; every call counts. ``machine_tail``, of arithmetic that never changes, is what the
+    hypervisor and the neighbours do to anything that runs here.
+    """
     with undisturbed():
         length_ms = time_calls(call, seconds=seconds / 10, clock=time.thread_time_ns).cpu_p50_ms
-        work = _constant_work(length_ms)
-        ours, machine = list[list[float]](), list[list[float]]()
-        begun = time.perf_counter()
-        while True:
-            for kept, what in ((ours, call), (machine, work)):
-                kept.append([_spent_ms(what) for _ in range(TURN + WARM_TURN)][WARM_TURN:])
-            found = Steadiness.of(np.array(ours), np.array(machine))
-            passed_s = time.perf_counter() - begun
-            if passed_s >= 2 * seconds and (found.tail_calm is not None or passed_s >= 8 * seconds):
-                return found
-
-
-def _spent_ms(call: Callable[[], Any]) -> float:
-    started = time.thread_time_ns()
-    call()
-    return (time.thread_time_ns() - started) / 1e6
-
-
-def _tail(spent_ms: NDArray[np.float64]) -> float:
-    p50, p99 = np.percentile(spent_ms, (50, 99))
-    return float(p99 / max(p50, 1e-6))
+        calls = {"tail": call, "machine_tail": _constant_work(length_ms)}
+        rows = time_in_turn(calls, seconds=2 * seconds, warm=True, clock=time.thread_time_ns)
+    return {name: timing.cpu_p99_ms / max(timing.cpu_p50_ms, 1e-6) for name, (timing, _) in rows.items()}
 
 
 def _constant_work(length_ms: float) -> Callable[[], None]:

@@ -1,4 +1,4 @@
-"""Peers: the same network under torch, torch.compile and OpenVINO, one thread each, from the same released file.
+"""Peers: the same network under torch and OpenVINO, one thread each, from the same released file.
 
 torch gets the weights out of the ONNX file, so no checkpoint is needed and nothing but the runtime differs.
 """
@@ -15,18 +15,18 @@ from export.onnx.model import Arrays, Model
 from service.contract import ContractError
 
 Peer = Callable[[], Any]
-NAMES = ("torch", "torch.compile", "openvino")
+NAMES = ("torch", "openvino")
 CLOSE = {"none": 1e-3, "fp16": 1e-2, "int8": 0.2}
 """How far a peer's outputs may be, relative to the largest or one: the same network was computed."""
 
 
 class PeerAbsentError(ContractError):
-    """A peer that cannot run here, or not this file; the text says why."""
+    """A peer that cannot run here or cannot run this file; the text says why."""
 
 
-def known(asked: str) -> tuple[str, ...]:
-    """Names of peers separated by commas; raises ContractError on one that there is none of."""
-    names = tuple(name.strip() for name in asked.split(",") if name.strip())
+def known(text: str) -> tuple[str, ...]:
+    """Names of peers separated by commas; raises ContractError on an unknown one."""
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
     for name in names:
         if name not in NAMES:
             raise ContractError(f"no peer {name}, expected some of {', '.join(NAMES)}")
@@ -38,10 +38,9 @@ def peer(name: str, model: Model) -> Peer:
 
     Raises ContractError on an unknown name, PeerAbsentError where the peer cannot run this file.
     """
-    makers = {"torch": _torch, "torch.compile": _compiled, "openvino": _openvino}
     (name,) = known(name)
     inputs = example_inputs(model)
-    call = makers[name](model, inputs)
+    call = {"torch": _torch, "openvino": _openvino}[name](model, inputs)
     _compare(name, model, inputs, call())
     return call
 
@@ -55,31 +54,15 @@ def _compare(name: str, model: Model, inputs: Arrays, got: list[Any]) -> None:
 
 
 def _torch(model: Model, inputs: Arrays) -> Peer:
-    return _torch_call(model, inputs, compiled=False)
-
-
-def _compiled(model: Model, inputs: Arrays) -> Peer:
-    return _torch_call(model, inputs, compiled=True)
-
-
-def _torch_call(model: Model, inputs: Arrays, *, compiled: bool) -> Peer:
     import torch
 
     torch.set_num_threads(1)
     network: Any = rebuild(model)
-    if compiled:
-        try:
-            torch.compiler.reset()  # it compiles one forward at most eight times, and runs it as it is from then on
-            network = torch.compile(network)
-            with torch.inference_mode():  # as it will be called: another mode is compiled anew
-                _ = network(**{name: torch.from_numpy(value) for name, value in inputs.items()})
-        except Exception as error:  # no compiler, or one of inductor's many failures
-            raise PeerAbsentError(f"torch.compile cannot run here: {str(error).splitlines()[0][:120]}") from error
-    given = {name: torch.from_numpy(value) for name, value in inputs.items()}
+    tensors = {name: torch.from_numpy(value) for name, value in inputs.items()}
 
     def call() -> list[Any]:
         with torch.inference_mode():
-            return [output.numpy() for output in network(**given)]
+            return [output.numpy() for output in network(**tensors)]
 
     return call
 

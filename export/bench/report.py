@@ -4,28 +4,22 @@ import json
 from pathlib import Path
 from typing import Any
 
-from export.bench.measure import CALM, NOISY, NOISY_SPREAD, STEADY
-from export.limits_page import limits_section, missed
+from export.bench.measure import NOISY, NOISY_SPREAD, STEADY
 
 NAME = "benchmark"
 LEAST_FOR_P999 = 1000
 """Calls below which the slowest of a thousand was not among them."""
-LOSES = 1.05
+EQUAL = 1.05
 """A ratio of processor times beyond which one runtime is called slower than another."""
 
 
 def line(row: dict[str, Any]) -> str:
     """One model on one line of the terminal."""
     single, fresh = row["single"], row["fresh"]
-    peers = ", ".join(
-        f"{name} {found['cpu_p50_ms']:.2f}" if "absent" not in found else f"{name} absent"
-        for name, found in row["peers"].items()
-    )
     return (
         f"{row['file']}: p50 {single['p50_ms']:.2f} p99 {single['p99_ms']:.2f} p99.9 {single['p999_ms']:.2f} ms,"
         f" CPU p50 {single['cpu_p50_ms']:.2f} p99 {single['cpu_p99_ms']:.2f} ms,"
-        f" limit {row['limit']['limit_ms']:.2f} ms, first {fresh['first_ms']:.1f} ms, peak {fresh['peak_mb']:.0f} MB"
-        + (f"; CPU of {peers}" if peers else "")
+        f" first {fresh['first_ms']:.1f} ms, peak {fresh['peak_mb']:.0f} MB"
     )
 
 
@@ -42,11 +36,12 @@ def write(report: dict[str, Any], docs: Path) -> None:
 
 
 def _page(report: dict[str, Any]) -> list[str]:
-    peaks, rows = report["peaks"], report["models"]
+    rows = report["models"]
     lines = [
         "# What a decision costs",
         "",
         f"Written by `make bench` on {report['cpu']}; one thread, warm-up excluded, golden frames.",
+        f"Measured at commit `{report['commit'][:12]}`.",
         "CPU is processor time, which is what to quote.",
         _noise(rows),
         "",
@@ -54,16 +49,14 @@ def _page(report: dict[str, Any]) -> list[str]:
         "",
         "## One call",
         "",
-        "| model | p50 | p90 | p99 | p99.9 | CPU p50 | p99 | ratio | calm | machine | load | first | peak | MB |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+        "| model | p50 | p90 | p99 | p99.9 | CPU p50 | p99 | ratio | machine | load | first | peak | MB |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
         *map(_single, rows),
         "",
         f"Ratio: p99 over p50 of the calling thread's processor time on one core, at most {STEADY}; every call counts.",
-        "Machine: the same of arithmetic that never changes and takes as long, called in turns: what interrupts,",
-        "hypervisor and neighbours do to anything that runs here. Calm: the model's ratio in the turns (here",
-        f"{_calm(rows)}) just before and just after which that arithmetic ran at the core's full speed, no call",
-        f"slower than {CALM} times what it takes then; the model has no say in which. Times in ms; `first`, `peak`",
-        "(beyond interpreter and libraries) are of a fresh process.",
+        "Machine: the same of arithmetic that never changes and takes as long, called in turn: what the hypervisor",
+        "and the neighbours do to anything that runs here. Times in ms; `first` and `peak` (beyond interpreter and",
+        "libraries) are of a fresh process.",
         "",
         "## Throughput and LoadGen",
         "",
@@ -83,7 +76,7 @@ def _page(report: dict[str, Any]) -> list[str]:
         *map(_sweep, rows),
         "",
     ]
-    return lines + limits_section(peaks, rows, _name) + _peers(rows) + _operators(rows) + _alexnet(report)
+    return lines + _peers(report) + _operators(rows) + _paper(report)
 
 
 def _noise(rows: list[dict[str, Any]]) -> str:
@@ -92,11 +85,6 @@ def _noise(rows: list[dict[str, Any]]) -> str:
     if any(map(noisy, rows)):
         return f"**This machine was too noisy to compare wall times**: {spread}."
     return f"Noise: {spread}."
-
-
-def _calm(rows: list[dict[str, Any]]) -> str:
-    shares = [100 * row["steady"]["calm_share"] for row in rows]
-    return f"{min(shares):.0f} to {max(shares):.0f} %"
 
 
 def _name(row: dict[str, Any]) -> str:
@@ -111,8 +99,7 @@ def _single(row: dict[str, Any]) -> str:
         cells[3] = "too few"
     steady = row["steady"]
     cells += [
-        f"{steady['tail']:.2f}{_tail_verdict(steady)}",
-        "never" if steady["tail_calm"] is None else f"{steady['tail_calm']:.2f}",
+        f"{steady['tail']:.2f}{_over(steady)}",
         f"{steady['machine_tail']:.2f}",
         f"{fresh['load_ms']:.0f}",
         f"{fresh['first_ms']:.1f}",
@@ -120,30 +107,32 @@ def _single(row: dict[str, Any]) -> str:
     return "| " + " | ".join([_name(row), *cells, f"{fresh['peak_mb']:.0f}", f"{row['size_mb']:.2f}"]) + " |"
 
 
-def _tail_verdict(steady: dict[str, Any]) -> str:
-    if steady["holds"]:
+def _over(steady: dict[str, Any]) -> str:
+    if steady["tail"] <= STEADY:
         return ""
     return " (over)" if steady["machine_tail"] <= STEADY else " (over, as is the machine)"
 
 
 def _throughput(row: dict[str, Any]) -> str:
-    found = row.get("loadgen", {})
+    loadgen = row.get("loadgen", {})
 
     def cell(scenario: str, key: str, scale: float) -> str:
-        summary = found.get(scenario)
+        summary = loadgen.get(scenario)
         if summary is None or key not in summary:
             return "not run"
         valid = "" if summary["Result is"] == "VALID" else f" ({summary['Result is'].lower()})"
         return f"{float(summary[key]) * scale:.4g}{valid}"
 
-    accuracy = found.get("accuracy")
+    accuracy = loadgen.get("accuracy")
     right = f"{accuracy['right']} of {accuracy['decisions']}" if accuracy else "no recorded collisions given"
     cells = [
         _name(row),
         f"{row['batch_per_s']:.0f}",
         f"{row['batch_cpu_ms']:.2f}",
         cell("SingleStream", "90.00 percentile latency (ns)", 1e-6),
-        ", ".join(f"{float(found['SingleStream'][f'CPU p{share} (ms)']):.2f}" for share in (50, 99)) if found else "",
+        ", ".join(f"{float(loadgen['SingleStream'][f'CPU p{share} (ms)']):.2f}" for share in (50, 99))
+        if loadgen
+        else "",
         cell("Offline", "Samples per second", 1.0),
         cell("Server", "99.00 percentile latency (ns)", 1e-6),
         right,
@@ -156,44 +145,29 @@ def _sweep(row: dict[str, Any]) -> str:
     return "| " + " | ".join([_name(row), *cells]) + " |"
 
 
-def _peers(rows: list[dict[str, Any]]) -> list[str]:
-    measured = [row for row in rows if row["peers"]]
-    if not measured:
+def _peers(report: dict[str, Any]) -> list[str]:
+    peers = report.get("peers")
+    if not peers:
         return []
     lines = [
         "## Against other runtimes",
         "",
-        "The same weights, one thread, fp32 where the file is; called in turn with ONNX Runtime. Ratio: ours over",
-        "theirs, processor time, median [quartiles]; below 1 ours is faster.",
+        f"`{peers['file']}`, the same weights, one thread; called in turn with ONNX Runtime. Ratio: ours over theirs,",
+        "processor time, median [quartiles]; below 1 ours is faster.",
         "",
-        "| model | runtime | p50 ms: theirs, ours | CPU ms: theirs, ours | ratio | |",
-        "|---|---|---|---|---|---|",
+        "| runtime | p50 ms: theirs, ours | CPU ms: theirs, ours | ratio | ours is |",
+        "|---|---|---|---|---|",
     ]
-    for row in measured:
-        for name, found in row["peers"].items():
-            if "absent" in found:
-                lines.append(f"| {_name(row)} | {name} | | | | {found['absent']} |")
-                continue
-            middle, low, high = found["cpu_ratio"]
-            verdict = "ours loses" if middle > LOSES else "equal" if middle > 1 / LOSES else "ours wins"
-            wall = f"{found['p50_ms']:.2f}, {found['ours_p50_ms']:.2f}"
-            cpu = f"{found['cpu_p50_ms']:.2f}, {found['ours_cpu_p50_ms']:.2f}"
-            lines.append(
-                f"| {_name(row)} | {name} | {wall} | {cpu} | {middle:.2f} [{low:.2f}, {high:.2f}] | {verdict} |"
-            )
-    return [*lines, "", *_where_it_loses(measured), ""]
-
-
-def _where_it_loses(rows: list[dict[str, Any]]) -> list[str]:
-    """For each model that a peer computes faster: its costliest operators, where the difference must lie."""
-    said = []
-    for row in rows:
-        losing = [name for name, found in row["peers"].items() if found.get("cpu_ratio", (0,))[0] > LOSES]
-        if losing:
-            spent = list(row["operators_ms"].items())[:3]
-            costly = ", ".join(f"{name} {ms:.2f} ms" for name, ms in spent)
-            said.append(f"{_name(row)} loses to {' and '.join(losing)}; ONNX Runtime spends most in {costly}.")
-    return said or ["Nowhere does ONNX Runtime lose by more than 5 %."]
+    for name, row in peers["rows"].items():
+        if "absent" in row:
+            lines.append(f"| {name} | | | | {row['absent']} |")
+            continue
+        middle, low, high = row["cpu_ratio"]
+        result = "slower" if middle > EQUAL else "equal" if middle > 1 / EQUAL else "faster"
+        wall = f"{row['p50_ms']:.2f}, {row['ours_p50_ms']:.2f}"
+        cpu = f"{row['cpu_p50_ms']:.2f}, {row['ours_cpu_p50_ms']:.2f}"
+        lines.append(f"| {name} | {wall} | {cpu} | {middle:.2f} [{low:.2f}, {high:.2f}] | {result} |")
+    return [*lines, ""]
 
 
 def _operators(rows: list[dict[str, Any]]) -> list[str]:
@@ -204,15 +178,15 @@ def _operators(rows: list[dict[str, Any]]) -> list[str]:
     return [*lines, ""]
 
 
-def _alexnet(report: dict[str, Any]) -> list[str]:
-    found = report.get("alexnet")
-    if found is None:
+def _paper(report: dict[str, Any]) -> list[str]:
+    paper = report.get("alexnet")
+    if paper is None:
         return []
-    weights = "trained by `python -m training recipe`" if found["trained"] else "of random weights (speed only)"
+    weights = "trained by `python -m training recipe`" if paper["trained"] else "of random weights (speed only)"
     lines = [
         "## Against the paper's networks",
         "",
-        f"Two fp32 AlexNet-LSTM networks, {weights}, over eight frame pairs take {found['passes_cpu_ms']:.0f} ms of",
+        f"Two fp32 AlexNet-LSTM networks, {weights}, over eight frame pairs take {paper['passes_cpu_ms']:.0f} ms of",
         "processor time; what remains after the last frame as a share of that, called in turn on one thread. The",
         "recipe freezes both networks' convolutions alike, so sharing them changes nothing; behind one whole AlexNet",
         "(`python -m training share-backbone`) the second LSTM is trained again.",
@@ -220,49 +194,30 @@ def _alexnet(report: dict[str, Any]) -> list[str]:
         "A network that reads markers is measured from the markers on: they are tracked for slip whatever decides, at",
         "the cost a finger that the [slip report](slip_report.md) has. One that reads pictures starts there.",
         "",
-        "| what remains after the last frame | CPU ms | share of two fp32 passes | bound | peak limit | shape limit |",
-        "|---|---|---|---|---|---|",
+        "| what remains after the last frame | CPU ms | share of two fp32 passes | bound |",
+        "|---|---|---|---|",
     ]
-    for row in found["rows"]:
+    for row in paper["rows"]:
         middle, low, high = row["ratio"]
         claim = row["claim"]
         bound = "" if claim is None else f"1/{1 / claim:.0f}: {'holds' if middle <= claim else 'does not hold'}"
         share = f"1/{1 / middle:.0f} [1/{1 / high:.0f}, 1/{1 / low:.0f}]"
-        hardware = f"{row['limit_ms']:.2f} ms, {row['cpu_p50_ms'] / row['limit_ms']:.2f} times it"
-        hardware += f" | {row['shaped_ms']:.2f} ms, {row['cpu_p50_ms'] / row['shaped_ms']:.2f} times it"
-        cells = f"{row['cpu_p50_ms']:.2f} | {share} | {bound} | {hardware}"
-        lines.append(f"| {row['what']} ({', '.join(row['files'])}) | {cells} |")
-    return [*lines, "", *missed(found), ""]
+        lines.append(f"| {row['what']} ({', '.join(row['files'])}) | {row['cpu_p50_ms']:.2f} | {share} | {bound} |")
+    return [*lines, ""]
 
 
 def draw(report: dict[str, Any], path: Path) -> None:
-    """Processor time of a call: ours, peers and the hardware's limit, one group a model."""
+    """Processor time of a call, a bar a model."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
     rows = report["models"]
-    names = ["onnxruntime", *dict.fromkeys(name for row in rows for name in row["peers"])]
-    figure, axes = plt.subplots(figsize=(11, 1.2 + 0.6 * len(rows)), layout="constrained")
-    height = 0.8 / len(names)
-    for place, name in enumerate(names):
-        values = [_cpu_of(row, name) for row in rows]
-        heights = [index + place * height for index in range(len(rows))]
-        axes.barh(heights, values, height, label=name)
-    for index, row in enumerate(rows):
-        axes.plot([row["limit"]["limit_ms"]] * 2, [index - height, index + 0.8], color="black", linewidth=2)
-    axes.plot([], [], color="black", linewidth=2, label="hardware limit (peak)")
-    axes.set_yticks([index + 0.3 for index in range(len(rows))], [row["file"] for row in rows])
+    figure, axes = plt.subplots(figsize=(11, 1.2 + 0.4 * len(rows)), layout="constrained")
+    axes.barh([row["file"] for row in rows], [row["single"]["cpu_p50_ms"] for row in rows], 0.6)
     axes.invert_yaxis()
     axes.set(xscale="log", xlabel="processor time of a call, ms (p50, one thread)", title=report["cpu"])
     axes.grid(visible=True, which="both", axis="x", alpha=0.2)
-    axes.legend(loc="lower right", fontsize=8)
     figure.savefig(path, dpi=80)
     plt.close(figure)
-
-
-def _cpu_of(row: dict[str, Any], name: str) -> float:
-    if name == "onnxruntime":
-        return float(row["single"]["cpu_p50_ms"])
-    return float(row["peers"].get(name, {}).get("cpu_p50_ms", float("nan")))

@@ -4,16 +4,16 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from service.contract import ContractError
 
 
-def _positive(**given: float) -> None:
-    """Refuse what a measurement cannot last for: ContractError names the option."""
-    for name, value in given.items():
+def _positive(**options: float) -> None:
+    """Raise ContractError, naming the option, where a duration or budget is not a finite number above 0."""
+    for name, value in options.items():
         if not 0 < value < math.inf:
             raise ContractError(f"--{name.replace('_', '-')} {value:g}: expected a finite number above 0")
 
@@ -46,39 +46,37 @@ def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models"), strea
 
 def quantize(
     folder: Annotated[Path, tyro.conf.Positional] = Path("models"),
-    out: Path = Path("runs/int8"),
+    out: Path = Path("runs"),
     data: Path = Path("data/probes"),
     decisions: int = 300,
-    dynamic: bool = False,
+    mode: Literal["static", "dynamic", "blocked"] = "blocked",
 ) -> None:
-    """Make the int8 twins of released step models and say how many robot commands they would change.
-
-    Weights are stored as int8; AlexNet's convolutions and large layers are multiplied in int8, too.
+    """Make int8 builds of released step models and say how many robot commands they would change.
 
     Args:
         folder: folder of released fp32 step models: a pair, a joint density, or both networks in one graph.
-        out: folder of the int8 twins.
-        data: collected dataset; collisions of its training split calibrate, those of its validation split judge.
-        decisions: how many decisions judge.
-        dynamic: multiply fully connected and recurrent layers of middling size in int8, too.
+        out: folder in which int8-MODE is made.
+        data: collected dataset; its training split calibrates, its validation split compares the commands.
+        decisions: how many collisions are compared.
+        mode: ONNX Runtime's static or dynamic int8, or weights in blocks of 16.
     """
     from export.onnx.decisions import read_split
-    from export.quantise.quantise import CALIBRATION_DECISIONS
-    from export.quantise.quantise import quantize as shrink
+    from export.quantise.quantise import CALIBRATION_DECISIONS, quantise
+    from export.tradeoff.builds import CALIBRATION_SPLIT
     from export.tradeoff.candidates import find_candidates
     from export.tradeoff.scores import score
     from export.tradeoff.tradeoff import agreements
-    from export.tradeoff.twins import CALIBRATING_SPLIT
 
-    judging = read_split(str(data), "validation", decisions)
-    calibrating = list(read_split(str(data), CALIBRATING_SPLIT, CALIBRATION_DECISIONS))
+    compared = read_split(str(data), "validation", decisions)
+    calibrating = list(read_split(str(data), CALIBRATION_SPLIT, CALIBRATION_DECISIONS))
     sources = find_candidates([folder])
+    home = out / f"int8-{mode}"
     for model in (model for source in sources for model in source.models):
-        twin = shrink(model.file, out / model.file.name, calibrating, dynamic=dynamic)
-        print(f"{twin}  {twin.stat().st_size / 1e6:.2f} MB of {model.file.stat().st_size / 1e6:.2f}")
-    candidates = [*sources, *find_candidates([out])]
-    for row in agreements(candidates, score(candidates, judging)):
-        print(f"{row['name']}: {row['verdict']}")
+        build = quantise(model.file, home / model.file.name, calibrating, mode)
+        print(f"{build}  {build.stat().st_size / 1e6:.2f} MB of {model.file.stat().st_size / 1e6:.2f}")
+    candidates = [*sources, *find_candidates([home])]
+    for row in agreements(candidates, score(candidates, compared)):
+        print(f"{row['name']}: {row['summary']}")
 
 
 def benchmark(
@@ -91,14 +89,14 @@ def benchmark(
     alexnet: Path | None = None,
     loadgen: bool = True,
 ) -> None:
-    """Measure models on this machine: latency, throughput, memory, threads, peers, hardware limit, LoadGen, accuracy.
+    """Measure models on this machine: latency, throughput, memory, threads, peers, LoadGen, accuracy.
 
     Args:
         models: ONNX files; all of models/ and its folders if none is named.
         seconds: how long each measurement lasts.
         docs: folder of benchmark.md, benchmark.json and benchmark.png.
-        compare: runtimes to measure side by side, of torch, torch.compile and openvino, separated by commas.
-        data: collected dataset whose collisions LoadGen's accuracy mode asks; without one that column stays empty.
+        compare: runtimes to measure beside the first step model, of torch and openvino, separated by commas.
+        data: collected dataset whose collisions LoadGen's accuracy mode decides on; that column is empty without one.
         decisions: how many collisions.
         alexnet: folder of the paper's networks as exported (and, with ``_shared`` after its name, behind one backbone);
             made with random weights if absent. Adds the speed claims.
@@ -113,15 +111,14 @@ def benchmark(
     peers = known(compare)
     if loadgen and not available():
         print("LoadGen is not installed (pip package mlcommons-loadgen): its scenarios are left out", file=sys.stderr)
-    asked = list(read_split(str(data), "validation", decisions)) if data is not None else None
+    recorded = list(read_split(str(data), "validation", decisions)) if data is not None else None
     measure(
         models or sorted(Path("models").rglob("*.onnx")),
         seconds=seconds,
         docs=docs,
         compare=peers,
-        decisions=asked,
+        decisions=recorded,
         alexnet=alexnet,
-        data=str(data) if data is not None else None,
         with_loadgen=loadgen and available(),
     )
     print(f"{docs / 'benchmark.md'}")
@@ -133,39 +130,39 @@ def tradeoff(
     split: str = "validation",
     decisions: int = 300,
     docs: Path = Path("docs"),
-    twins: Path = Path("runs/twins"),
+    builds: Path = Path("runs/builds"),
     seconds: float = 3.0,
-    kept: Path = Path("runs/twins/answers"),
+    answers: Path = Path("runs/builds/answers"),
 ) -> None:
     """Write docs/tradeoff.md, .json and .png: accuracy against time of networks, slip trackers and physics settings.
 
     Args:
         folders: folders of exported fp32 step models (a pair, a joint density or both); models and its own folders if
-            none is named. An ``evaluation.json`` in a folder adds its mean trials of a closed loop.
+            none is named.
         data: collected dataset.
         split: trials on which the networks are scored: validation, or test (held-out ranges).
         decisions: how many collisions of the split.
         docs: where the report goes, and where slip_report.json, accuracy.json and closed_loop.json are read.
-        twins: folder of the int8 and fp16 twins that are made and scored beside each network; what is there and younger
+        builds: folder of the int8 and fp16 builds that are made and scored beside each network; one that is younger
             than its source is taken as it is.
         seconds: how long each network is timed.
-        kept: folder of earlier answers, by dataset and how it is drawn and tracked: a network that did not change is
-            not asked again.
+        answers: folder of earlier answers, by dataset and how it is drawn and tracked: a network that did not change
+            is not run again.
     """
     from export.onnx.decisions import read_split
+    from export.tradeoff.builds import make_builds
     from export.tradeoff.tradeoff import tradeoff as measure
-    from export.tradeoff.twins import make_twins
     from training.data.dataset import data_sha256, open_source, reader_sha256
 
     _positive(seconds=seconds)
-    asked = read_split(str(data), split, decisions)
+    compared = read_split(str(data), split, decisions)
     named = folders or sorted({file.parent for file in Path("models").rglob("*.step.onnx")})
-    every = named + make_twins(named, twins, str(data))
+    made, refused = make_builds(named, builds, str(data))
     source = open_source(str(data))
     digest = data_sha256(source)[:12]
-    seen = reader_sha256(source, "pictures") + reader_sha256(source, "markers")
-    about = {"split": split, "data": digest}
-    measure(every, asked, about, docs, seconds, kept / f"{digest}-{seen}-{split}-{decisions}.json")
+    reader = reader_sha256(source, "pictures") + reader_sha256(source, "markers")
+    about = {"split": split, "data": digest, "refused": refused}
+    measure([*named, *made], compared, about, docs, seconds, answers / f"{digest}-{reader}-{split}-{decisions}.json")
     print(f"{docs / 'tradeoff.md'}")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from export.onnx.model import Arrays, Model, told
+from export.onnx.model import Arrays, Model, geometry_inputs
 from service.contract import ContractError, ModelCard, Sensor
 from service.perception.markers.sequence import track_pairs
 from training.data.dataset import SPLITS, open_source
@@ -18,8 +18,6 @@ FRAME_COUNTS = (2, 4, 8)
 PAIR = ("direction.step.onnx", "magnitude.step.onnx")
 JOINT = ("joint.step.onnx",)
 SHARED = ("pair.step.onnx",)
-DYNAMIC = "int8-dynamic"
-"""Folder of twins whose fully connected and recurrent layers of middling size are multiplied in int8, too."""
 KINDS = {"pair": PAIR, "joint": JOINT, "shared": SHARED}
 """What a folder may hold that decides: two networks, a joint density, or two networks in one graph."""
 GAIN = 0.7
@@ -42,14 +40,14 @@ class Decision:
         """Markers tracked in the frames: float32 [T, 2, rows, columns, 3]."""
         return track_pairs(self.frames, self.sensor.markers, self.sensor.fps)
 
-    def seen_by(self, card: ModelCard) -> NDArray[Any]:
+    def input_of(self, card: ModelCard) -> NDArray[Any]:
         """The decision as a card's graph reads it."""
         return self.markers if card.markers else self.frames
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a candidate says of a decision: class index, error [2] and the command [2] that follows, in (mm, deg)."""
+    """A network's decision: class index, error [2] and the command [2] that follows, in (mm, deg)."""
 
     chosen: int
     error: NDArray[np.float64]
@@ -87,8 +85,8 @@ def most_likely_class(card: ModelCard, outputs: Arrays) -> int:
 def answer(card: ModelCard, outputs: Arrays) -> Answer:
     """Class, estimate and command of all outputs of a candidate; a joint density's command needs no class."""
     error = estimate(card, outputs)
-    ruled = paper_rule(card, outputs["logits"], outputs["error"])[0] if "logits" in outputs else -GAIN * error
-    return Answer(most_likely_class(card, outputs), error, ruled)
+    command = paper_rule(card, outputs["logits"], outputs["error"])[0] if "logits" in outputs else -GAIN * error
+    return Answer(most_likely_class(card, outputs), error, command)
 
 
 def estimate(card: ModelCard, outputs: Arrays) -> NDArray[np.float64]:
@@ -104,19 +102,19 @@ def decided_class(model: Model, decision: Decision) -> int:
     if model.card.form == "step":
         *_, outputs = steps(model, [decision])
     else:
-        outputs = model({"frames": decision.seen_by(model.card)[None]} | _told(model, [decision]))
+        outputs = model({"frames": decision.input_of(model.card)[None]} | _geometry(model, [decision]))
     return most_likely_class(model.card, outputs)
 
 
 def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
-    """``count`` collisions spread over a split of a dataset, drawn one at a time as they are asked for.
+    """``count`` collisions spread over a split of a dataset, drawn one at a time as they are needed.
 
     Raises ContractError at once on an unknown split or a ``count`` below 1, when drawing if the split has no collision.
     """
     if split not in SPLITS:
         raise ContractError(f"no split {split!r}, expected one of {', '.join(SPLITS)}")
     if count < 1:
-        raise ContractError(f"asked for {count} decisions, expected at least 1")
+        raise ContractError(f"{count} decisions wanted, expected at least 1")
     return _drawn(path, split, count)
 
 
@@ -137,17 +135,18 @@ def _collided(trial: object, split: str) -> bool:
     return getattr(trial, "split", "") == split and getattr(trial, "outcome", "") == "blocked"
 
 
-def _told(model: Model, asked: Sequence[Decision]) -> Arrays:
-    rows = [told(model.card, 1, one.gap_width_mm, one.grasp_height_mm) for one in asked]
-    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-
-
-def steps(model: Model, asked: Sequence[Decision]) -> Iterator[Arrays]:
-    state = np.zeros((len(asked), model.card.state_size), np.float32)
-    said = _told(model, asked)
-    frames = np.stack([one.seen_by(model.card) for one in asked])
+def steps(model: Model, decisions: Sequence[Decision]) -> Iterator[Arrays]:
+    """Outputs of a step model after each frame of several decisions made together, one row a decision."""
+    state = np.zeros((len(decisions), model.card.state_size), np.float32)
+    geometry = _geometry(model, decisions)
+    frames = np.stack([decision.input_of(model.card) for decision in decisions])
     for step in range(frames.shape[1]):
-        fed: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | said)
+        inputs: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
+        outputs = model(inputs | geometry)
         state = outputs["next_state"]
         yield outputs
+
+
+def _geometry(model: Model, decisions: Sequence[Decision]) -> Arrays:
+    rows = [geometry_inputs(model.card, 1, row.gap_width_mm, row.grasp_height_mm) for row in decisions]
+    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}

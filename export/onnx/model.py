@@ -57,14 +57,14 @@ def open_model(file: Path, threads: int = 1) -> Model:
     run = session(file, threads)
     card = ModelCard.from_props(run.get_modelmeta().custom_metadata_map, file.name)
     expected = {"frames"} if card.form == "sequence" else {"frame", "reference", "state"}
-    expected |= set(told(card, 1))
+    expected |= set(geometry_inputs(card, 1))
     got = {entry.name for entry in run.get_inputs()}
     if got != expected:
         raise ContractError(f"{file.name} takes {sorted(got)}, its card promises {sorted(expected)}")
     return Model(file, card, run)
 
 
-def told(card: ModelCard, batch: int, gap_width_mm: float = 56.0, grasp_height_mm: float = 30.0) -> Arrays:
+def geometry_inputs(card: ModelCard, batch: int, gap_width_mm: float = 56.0, grasp_height_mm: float = 30.0) -> Arrays:
     """Gap width and grasp height, each if the network asks for it."""
     said = {"gap_width_mm": gap_width_mm} if card.gap_width_input else {}
     said |= {"grasp_height_mm": grasp_height_mm} if card.grasp_height_input else {}

@@ -16,7 +16,7 @@ from torch import nn
 from export.onnx.golden import golden_frames, golden_markers
 from export.onnx.model import open_model
 from export.onnx.runtime import session
-from export.onnx.verify import verify_forms
+from export.onnx.verify import OPSET, verify_forms
 from reporting.machine import cpu_name
 from service.contract import Calibration, ContractError, ModelCard, Sensor
 from service.contract.self_test import make_self_test
@@ -27,7 +27,6 @@ from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import Role, SequenceForm, StepForm
 from training.networks.preprocessing import CHANNELS, selector
 
-OPSET = 20
 TOLERANCE = 1e-5
 FLOAT = onnx.TensorProto.FLOAT
 LARGEST_SHARED = 10**7

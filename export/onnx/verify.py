@@ -9,13 +9,12 @@ import onnx
 from numpy.typing import NDArray
 
 from export.onnx.golden import golden_input, hard_input
-from export.onnx.model import Arrays, Model, open_model, told
+from export.onnx.model import Arrays, Model, geometry_inputs, open_model
 from service.contract import ContractError
 from service.contract.self_test import check_self_test
 
 LARGEST_OUTPUT = 1e4
-OPSETS = (20, 21)
-"""Exported as 20; 21 is what the quantiser needs to store per-channel scales."""
+OPSET = 20
 STREAM_STEPS = 10_000
 CROWD = {"step": 64, "sequence": 8}
 """Batch against which a single decision is compared; 64 whole sequences would take gigabytes."""
@@ -27,7 +26,7 @@ def run_steps(model: Model, frames: NDArray[Any]) -> Arrays:
     outputs: Arrays = {}
     for step in range(frames.shape[1]):
         fed: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | told(model.card, len(frames)))
+        outputs = model(fed | geometry_inputs(model.card, len(frames)))
         state = outputs["next_state"]
     return outputs
 
@@ -37,7 +36,7 @@ def decide(model: Model, frames: NDArray[Any]) -> Arrays:
     if model.card.form == "step":
         outputs = run_steps(model, frames)
         return {name: value for name, value in outputs.items() if name != "next_state"}
-    return model({"frames": frames} | told(model.card, len(frames)))
+    return model({"frames": frames} | geometry_inputs(model.card, len(frames)))
 
 
 def verify(folder: Path, stream_steps: int = STREAM_STEPS) -> list[str]:
@@ -55,8 +54,8 @@ def verify(folder: Path, stream_steps: int = STREAM_STEPS) -> list[str]:
 def _check_file(model: Model) -> str:
     onnx.checker.check_model(str(model.file), full_check=True)
     opset = next(entry.version for entry in onnx.load(str(model.file)).opset_import if not entry.domain)
-    if opset not in OPSETS:
-        raise ContractError(f"{model.file.name} is of opset {opset}, expected one of {list(OPSETS)}; export it again")
+    if opset != OPSET:
+        raise ContractError(f"{model.file.name} is of opset {opset}, expected {OPSET}; export it again")
     check_self_test(model.card, model, model.file.name)
     return f"card valid, graph checked (opset {opset}), self-test {'passed' if model.card.self_test else 'absent'}"
 
@@ -96,9 +95,9 @@ def _batch_gap(model: Model, frames: NDArray[Any], crowd: int) -> float:
         last = np.stack([np.roll(frames[0, -1], row - place, axis=-2) for row in range(crowd)])
         reference = np.repeat(frames[:, 0], crowd, 0)
         state = np.random.default_rng(3).uniform(-1, 1, (crowd, model.card.state_size)).astype(np.float32)
-        among = model({"frame": last, "reference": reference, "state": state} | told(model.card, crowd))
+        among = model({"frame": last, "reference": reference, "state": state} | geometry_inputs(model.card, crowd))
         one: Arrays = {"frame": frames[:, -1], "reference": frames[:, 0], "state": state[place : place + 1]}
-        alone = model(one | told(model.card, 1))
+        alone = model(one | geometry_inputs(model.card, 1))
     return max(_gap(alone[name][0], among[name][place]) for name in alone)
 
 
@@ -109,7 +108,7 @@ def _verify_states(model: Model, frames: NDArray[Any]) -> str:
     for name, value in states.items():
         state = np.full((1, model.card.state_size), value, np.float32)
         fed: Arrays = {"frame": frames[:, -1], "reference": frames[:, 0], "state": state}
-        seen[name] = model(fed | told(model.card, 1))
+        seen[name] = model(fed | geometry_inputs(model.card, 1))
         if not all(np.isfinite(output).all() for output in seen[name].values()):
             raise ContractError(f"{model.file.name}: a state of {name} gives outputs that are not finite")
     gap = _gaps(seen["denormals"], seen["zeros"])
@@ -129,7 +128,7 @@ def stream(model: Model, frames: NDArray[Any], steps: int) -> Iterator[Arrays]:
     state = np.zeros((1, model.card.state_size), np.float32)
     for step in range(steps):
         fed: Arrays = {"frame": frames[:, step % frames.shape[1]], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | told(model.card, 1))
+        outputs = model(fed | geometry_inputs(model.card, 1))
         state = outputs["next_state"]
         yield outputs
 

@@ -1,4 +1,4 @@
-"""The command of the paper's rule, and how two networks' commands on the same decisions compare."""
+"""How the robot commands of two networks on the same decisions compare."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ SAME_MM, SAME_DEG = 0.1, 0.1
 
 @dataclass(frozen=True)
 class Agreement:
-    """How a twin decides against its source on the same decisions."""
+    """How a build decides against its source on the same decisions."""
 
     decisions: int
     same_class: float

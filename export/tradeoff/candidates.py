@@ -1,16 +1,13 @@
-"""Networks that could decide: a folder of released step models, opened together and asked after 2, 4 and 8 frames."""
+"""Networks that could decide: a folder of released step models, opened together and stopped after 2, 4 and 8 frames."""
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
 from export.bench.measure import Timing, example_inputs, time_calls
-from export.onnx.decisions import DYNAMIC, FRAME_COUNTS, KINDS, Answer, Decision, answer, steps
+from export.onnx.decisions import FRAME_COUNTS, KINDS, Answer, Decision, answer, steps
 from export.onnx.model import Arrays, Model, open_model
 from service.contract import ContractError
 
@@ -26,14 +23,13 @@ class Candidate:
 
     @property
     def precision(self) -> str:
-        """How its weights are stored."""
+        """How its weights are stored: fp32, fp16, or int8 with its mode, which is the name of the folder."""
         stored = self.models[0].card.quantisation
-        dynamic = " dynamic" if self.folder.name == DYNAMIC else ""
-        return "fp32" if stored == "none" else stored + dynamic
+        return {"none": "fp32", "int8": self.folder.name.replace("-", " ")}.get(stored, stored)
 
     @property
     def origin(self) -> tuple[str, ...]:
-        """What it shares with its twins of other precision: network, kind and the training it comes from."""
+        """What it shares with its builds of other precision: network, kind and the training it comes from."""
         card = self.models[0].card
         return self.name, self.kind, card.training_data_sha256, card.git_commit
 
@@ -42,48 +38,37 @@ class Candidate:
         """Hash of all its files: an accuracy belongs to these bits and no others."""
         return hashlib.sha256(b"".join(model.file.read_bytes() for model in self.models)).hexdigest()
 
-    def mean_trials(self) -> tuple[float, float, float] | None:
-        """Mean trials and interval of a closed-loop run, if ``evaluation.json`` beside the models holds one."""
-        path = self.folder / "evaluation.json"
-        if not path.is_file():
-            return None
-        try:
-            mean, (low, high) = (json.loads(path.read_text())[key] for key in ("mean_trials", "interval"))
-            found = float(mean), float(low), float(high)
-        except (ValueError, KeyError, TypeError) as error:
-            raise ContractError(f"{path} needs mean_trials and interval [low, high]: {error!r}") from error
-        if not (np.isfinite(found).all() and found[1] <= found[0] <= found[2]):
-            raise ContractError(f"{path}: mean_trials {found[0]} lies outside its interval {found[1:]}")
-        return found
+    def answers(self, decisions: Sequence[Decision]) -> list[dict[int, Answer]]:
+        """Of each decision, class, error and command after 2, 4 and 8 frames, by really stopping there.
 
-    def answers(self, asked: Sequence[Decision], counts: tuple[int, ...] = FRAME_COUNTS) -> list[dict[int, Answer]]:
-        """Of each decision, class, error and command after each number of frames, by really stopping there.
-
-        Decisions are asked together: large weights are then read once for all of them.
+        Decisions are made together, so that large weights are read once for all of them; dynamic int8 makes them one
+        by one, because it takes its scales from the whole batch.
         """
-        outputs: dict[int, Arrays] = {count: {} for count in counts}
+        if self.precision == "int8 dynamic" and len(decisions) > 1:
+            return [self.answers([decision])[0] for decision in decisions]
+        outputs: dict[int, Arrays] = {count: {} for count in FRAME_COUNTS}
         for model in self.models:
-            for seen, stepped in enumerate(steps(model, asked), 1):
-                if seen in counts:
-                    outputs[seen] |= stepped
+            for count, stepped in enumerate(steps(model, decisions), 1):
+                if count in FRAME_COUNTS:
+                    outputs[count] |= stepped
         card = self.models[0].card
         return [
             {
-                seen: answer(card, {name: value[row : row + 1] for name, value in said.items()})
-                for seen, said in outputs.items()
+                count: answer(card, {name: value[row : row + 1] for name, value in values.items()})
+                for count, values in outputs.items()
             }
-            for row in range(len(asked))
+            for row in range(len(decisions))
         ]
 
     def time_step(self, seconds: float) -> Timing:
         """One step of all its models, one after the other, on one thread: what remains after the last frame."""
         inputs = [example_inputs(model) for model in self.models]
-        return time_calls(lambda: [m(fed) for m, fed in zip(self.models, inputs, strict=True)], seconds=seconds)
+        return time_calls(lambda: [model(row) for model, row in zip(self.models, inputs, strict=True)], seconds=seconds)
 
 
 def find_candidates(folders: list[Path]) -> list[Candidate]:
     """Every set of networks that decides together in the folders; ContractError on a folder that holds none."""
-    found = []
+    candidates = []
     for folder in folders:
         kinds = {kind: names for kind, names in KINDS.items() if all((folder / name).is_file() for name in names)}
         if not kinds:
@@ -94,5 +79,5 @@ def find_candidates(folders: list[Path]) -> list[Candidate]:
             if wrong:
                 raise ContractError(f"{folder}: {wrong[0]}")
             name = models[0].card.name.removesuffix(f"-{models[0].card.role}")
-            found.append(Candidate(name, kind, folder, models))
-    return found
+            candidates.append(Candidate(name, kind, folder, models))
+    return candidates

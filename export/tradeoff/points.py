@@ -10,7 +10,6 @@ from typing import Any
 from service.contract import ContractError
 
 Z95 = 1.959963984540054
-TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 Table = dict[str, list["Point"]]
 
 
@@ -34,7 +33,7 @@ class Point:
     about: dict[str, Any]
 
     def __post_init__(self) -> None:
-        """Raise ContractError on a number that is none: it would win or lose every comparison silently."""
+        """Raise ContractError on a figure that is not finite: it would win or lose every comparison silently."""
         if not all(map(math.isfinite, (self.better, self.low, self.high, self.cost_ms))) or self.cost_ms <= 0:
             raise ContractError(f"the point {self.name} has a figure that is not finite or a cost that is not positive")
 
@@ -108,24 +107,28 @@ def physics_points(path: Path) -> list[Point]:
     return points
 
 
-def closed_loop_trials(path: Path, who: str, files: list[Path] | None = None) -> tuple[float, float, float] | None:
-    """Mean trials on the training objects with a 95 % interval of one contender of the closed-loop report.
+def closed_loop_trials(
+    path: Path, controller: str, files: list[Path] | None = None
+) -> tuple[float, float, float] | None:
+    """Mean trials on the training objects with a 95 % interval of one controller of the closed-loop report.
 
-    None if it was not run, or, with ``files``, if it was played with other networks than these. All contenders played
-    these objects, some others not.
+    None if it was not run, or, with ``files``, if it ran with other networks than these. All controllers ran with
+    these objects, only some with others.
     """
     if not path.is_file():
         return None
     if files is not None:
-        played = _read(path, "setup")
-        if any(played.get(f"{who}/{file.name}") != hashlib.sha256(file.read_bytes()).hexdigest() for file in files):
+        setup = _read(path, "setup")
+        if any(
+            setup.get(f"{controller}/{file.name}") != hashlib.sha256(file.read_bytes()).hexdigest() for file in files
+        ):
             return None
     rows = [
         row
         for row in _read(path, "summaries")
-        if row["who"] == who
+        if row["controller"] == controller
         and not row["condition"]
-        and row["scene"] in TRAINING_OBJECTS
+        and row["training"]
         and row["mean_trials_standard_error"] is not None
     ]
     count = sum(row["insertions"] for row in rows)

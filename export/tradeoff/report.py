@@ -1,5 +1,6 @@
 """The trade-off as one page and one figure set: quality against log time, the Pareto front marked."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +9,12 @@ from export.tradeoff.points import Point, Table, pareto
 
 NAME = "tradeoff"
 LEAST_KEPT = 0.99
-"""Share of decisions whose command a twin must keep."""
+"""Share of decisions whose command a build must keep."""
 PAYS = 0.95
-"""Share of fp32's time below which a twin is faster."""
+"""Share of fp32's time below which a build is faster."""
 TITLES = {
     "networks": "networks: right direction, share",
-    "slip": "slip trackers: right verdicts, share",
+    "slip": "slip trackers: right decisions, share",
     "physics": "physics: marker error against the reference, um",
 }
 COSTS = {
@@ -34,8 +35,9 @@ def write(table: Table, about: dict[str, Any], path: Path) -> None:
     lines = [
         "# What accuracy costs in time",
         "",
-        "Written by `make tradeoff`. Every point is a trained network, a tracker or a solver setting that was really",
-        "run. Accuracy and time of networks are measured on rendered frames of the simulator, not of a real gel:",
+        "Written by `make tradeoff`. Every point is a trained network, a tracker or a solver setting that really ran.",
+        f"Measured at commit `{about['commit'][:12]}`. Accuracy and time of networks are those on rendered frames of",
+        "the simulator, not of a real gel:",
         f"{about['decisions']} collisions of the split `{about['split']}` of data `{about['data']}`,",
         f"on {about['cpu']}, one thread; 95 % intervals (Wilson's for shares). Quote processor time: wall times were",
         f"{about['crowding']:.2f} times it{' (noisy machine)' if about['crowding'] > NOISY else ''}.",
@@ -59,7 +61,7 @@ def write(table: Table, about: dict[str, Any], path: Path) -> None:
     lines += [
         "## Slip trackers",
         "",
-        "| tracker | right verdicts | misses | false | CPU ms a frame |",
+        "| tracker | right decisions | misses | false | CPU ms a frame |",
         "|---|---|---|---|---|",
     ]
     front = {id(point) for point in pareto(table["slip"])}
@@ -110,63 +112,63 @@ def _sizes(points: list[Point]) -> list[str]:
 
 
 def _agreements(about: dict[str, Any], points: list[Point]) -> list[str]:
-    """int8 and fp16 judged by the commands they would change, and by what they gain."""
+    """int8 and fp16 by the commands they would change, and by what they gain."""
+    refused = [f"- {line}" for line in about.get("refused", [])]
     return [
         "## Do smaller weights change commands?",
         "",
-        "Each twin against its fp32 source after 8 frames, by the command of the paper's rule, on collisions that no",
-        "twin was rounded for. `int8`: every weight in blocks of int8, rounded so that outputs change least on what a",
-        "layer really reads; layers beyond a million weights and AlexNet's convolutions are multiplied in int8, too,",
-        "their inputs rounded as they come or by one scale each. `int8 dynamic`: so are fully connected and recurrent",
-        "layers from 16,000 weights on; below that, and in the heads, it saves no time and only costs commands.",
-        "`fp16`: every weight in 16 bits, widened on loading.",
+        "Each build against its fp32 source after 8 frames, by the command of the paper's rule, on collisions that",
+        "calibrated no build. ONNX Runtime's quantiser makes them: `int8 static` takes its scales from calibration,",
+        "`int8 dynamic` from every call, `int8 blocked` stores the weights of fully connected and recurrent layers in",
+        "blocks of 16 (MatMulNBits). `fp16`: every weight in 16 bits, widened on loading.",
         "",
-        *(f"- {row['name']}: {row['verdict']}" for row in about["agreement"]),
+        *(f"- {row['name']}: {row['summary']}" for row in about["agreement"]),
         "",
         *gains(about["agreement"], points),
         "",
+        *(
+            []
+            if any("int8" in row["name"] for row in about["agreement"])
+            else ["No int8 build was measured in this run.", ""]
+        ),
+        *(["Refused, because the outputs are far off:", "", *refused, ""] if refused else []),
     ]
 
 
 def gains(rows: list[dict[str, Any]], points: list[Point]) -> list[str]:
-    """What each int8 twin saves, and whether it keeps the commands, in one sentence each."""
+    """What each build saves, and whether it keeps the commands, in one sentence each."""
     whole = [point for point in points if point.about["frames"] == max(p.about["frames"] for p in points)]
-    costs = {_twin_name(point): (point.about["step_cpu_ms"], point.about["size_mb"]) for point in whole}
-    said = []
+    costs = {_build_name(point): (point.about["step_cpu_ms"], point.about["size_mb"]) for point in whole}
+    lines = []
     for row in rows:
-        source = row["name"].split(" int8")[0]
-        exact, small, half = (
-            costs.get(f"{source} {kind}") for kind in ("fp32", row["name"][len(source) + 1 :], "fp16")
-        )
-        if source == row["name"] or exact is None or small is None:
+        source, precision = re.split(" (?=int8|fp16)", row["name"], maxsplit=1)
+        exact, small = costs.get(f"{source} fp32"), costs.get(row["name"])
+        if exact is None or small is None:
             continue
-        kept = row["same_command"] >= LEAST_KEPT
         gain = f"{small[0] / exact[0]:.2f} of fp32's time and {small[1] / exact[1]:.2f} of its size"
-        beside = f" ({small[1] / half[1]:.2f} of fp16's)" if half else ""
-        saved = ["time"] * (small[0] < PAYS * exact[0]) + ["space"] * (small[1] < (half or exact)[1])
-        verdict = f"saves {' and '.join(saved) or 'nothing'}"
+        saved = " and ".join(
+            what for what, new, old in (("time", small[0], PAYS * exact[0]), ("space", small[1], exact[1])) if new < old
+        )
+        kept = row["same_command"] >= LEAST_KEPT
         lost = "" if kept else f", but keeps less than {100 * LEAST_KEPT:.0f} % of the commands: it does not pay"
-        said.append(f"- {row['name']} takes {gain}{beside}: it {verdict}{lost}.")
-    return said
+        lines.append(f"- {source} {precision} takes {gain}: it saves {saved or 'nothing'}{lost}.")
+    return lines
 
 
-def _twin_name(point: Point) -> str:
+def _build_name(point: Point) -> str:
     return f"{point.about['network']} {point.about['kind']} {point.about['precision']}"
 
 
 def _default(points: list[Point]) -> str:
     chosen = default_network(points)
     best = max(points, key=lambda point: point.better)
+    steps = [p.about["step_cpu_ms"] for p in points if p.about["precision"] == "fp32" and p.about["folder"] == "models"]
+    cost = f"{steps[0]:.1f} ms CPU" if steps else "its cost"
     return (
         f"The cheapest that cannot be told from the best ({best.name}) is **{chosen.name}**: its interval still holds"
         f" the best accuracy. The default is the fp32 pair with 8 frames because the controllers' uncertainty was"
-        f" calibrated on 8 frames, and at {_default_cost(points)} a step time does not bind."
+        f" calibrated on 8 frames, and at {cost} a step time does not bind."
     )
-
-
-def _default_cost(points: list[Point]) -> str:
-    steps = [p.about["step_cpu_ms"] for p in points if p.about["precision"] == "fp32" and p.about["folder"] == "models"]
-    return f"{steps[0]:.1f} ms CPU" if steps else "its cost"
 
 
 def _slip_row(point: Point, front: bool) -> str:
@@ -224,8 +226,8 @@ def _points(axes: Any, points: list[Point], sign: int, colour: str, name: str) -
     axes.errorbar(cost, better, spread if sign > 0 else spread[::-1], [[0.0] * len(tail), tail], **style)
     for point in points:
         if point.mean_trials is not None:
-            said, place = f"{point.mean_trials[0]:.2f} trials", (point.cost_ms, sign * point.better)
-            axes.annotate(said, place, fontsize=8, color=colour, xytext=(4, 8), textcoords="offset points")
+            label, place = f"{point.mean_trials[0]:.2f} trials", (point.cost_ms, sign * point.better)
+            axes.annotate(label, place, fontsize=8, color=colour, xytext=(4, 8), textcoords="offset points")
 
 
 def _tail_ms(point: Point) -> float:

@@ -1,4 +1,4 @@
-"""What networks said of recorded collisions, kept between runs: asking a large one again takes minutes."""
+"""What networks decided on recorded collisions, kept between runs: running a large one again takes minutes."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -15,12 +15,12 @@ from export.tradeoff.candidates import Candidate
 from service.contract import ContractError
 from training.data.labels import class_of
 
-ASKED_TOGETHER = 8
+TOGETHER = 8
 
 
 @dataclass
 class Score:
-    """What one candidate said after one number of frames: right directions, errors of the estimates, commands."""
+    """A candidate after one number of frames: right directions, errors of the estimates, commands."""
 
     hits: list[bool] = field(default_factory=list)
     off_mm: list[float] = field(default_factory=list)
@@ -39,34 +39,33 @@ class Score:
 
     def agreement(self, other: "Score") -> Agreement:
         """How another candidate's commands compare with this one's, on the same decisions."""
-        mine, theirs = (np.array(said.commands) for said in (self, other))
         classes = np.array(self.chosen), np.array(other.chosen)
-        return Agreement.of(classes, (mine, theirs))
+        return Agreement.of(classes, (np.array(self.commands), np.array(other.commands)))
 
 
 Scores = dict[str, dict[int, Score]]
 
 
 def score(candidates: list[Candidate], decisions: Iterable[Decision], kept: Path | None = None) -> Scores:
-    """What each candidate (by hash) says after each number of frames.
+    """Scores of each candidate (by hash) after each number of frames.
 
     ``kept`` names a file of earlier answers to the same decisions; it is read, and written again with the new ones.
-    Raises ContractError if there is no decision, or if the file is none of ours.
+    Raises ContractError if there is no decision, or if the file holds anything else.
     """
     known = _read(kept)
     missing = [candidate for candidate in candidates if candidate.sha256 not in known]
     fresh: Scores = {c.sha256: {frames: Score() for frames in FRAME_COUNTS} for c in missing}
-    for asked in _together(track(decisions, description="deciding", transient=True)) if missing else ():
-        labels = [int(label) for label in class_of(np.stack([decision.truth for decision in asked]))]
+    for batch in _together(track(decisions, description="deciding", transient=True)) if missing else ():
+        labels = [int(label) for label in class_of(np.stack([decision.truth for decision in batch]))]
         for candidate in missing:
-            for decision, label, said in zip(asked, labels, candidate.answers(asked), strict=True):
-                for frames, answer in said.items():
+            for decision, label, answers in zip(batch, labels, candidate.answers(batch), strict=True):
+                for frames, answer in answers.items():
                     fresh[candidate.sha256][frames].add(answer, decision, label)
     scores = {c.sha256: (known | fresh)[c.sha256] for c in candidates}
-    if not all(said.hits for by_frames in scores.values() for said in by_frames.values()):
+    if not all(row.hits for by_frames in scores.values() for row in by_frames.values()):
         raise ContractError("there is no decision to score the networks on")
     if kept is not None and fresh:
-        rows = {sha: {str(count): asdict(said) for count, said in by.items()} for sha, by in (known | fresh).items()}
+        rows = {sha: {str(count): asdict(row) for count, row in by.items()} for sha, by in (known | fresh).items()}
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_text(json.dumps(rows))
     return scores
@@ -74,8 +73,8 @@ def score(candidates: list[Candidate], decisions: Iterable[Decision], kept: Path
 
 def _together(decisions: Iterable[Decision]) -> Iterator[list[Decision]]:
     iterator = iter(decisions)
-    while asked := list(islice(iterator, ASKED_TOGETHER)):
-        yield asked
+    while batch := list(islice(iterator, TOGETHER)):
+        yield batch
 
 
 def _read(kept: Path | None) -> Scores:
@@ -83,6 +82,6 @@ def _read(kept: Path | None) -> Scores:
         return {}
     try:
         rows = json.loads(kept.read_text())
-        return {sha: {int(count): Score(**said) for count, said in by.items()} for sha, by in rows.items()}
+        return {sha: {int(count): Score(**row) for count, row in by.items()} for sha, by in rows.items()}
     except (ValueError, TypeError, AttributeError) as error:
         raise ContractError(f"{kept} does not hold earlier answers ({error}); remove it") from error

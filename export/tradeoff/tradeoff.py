@@ -23,11 +23,11 @@ from export.tradeoff.points import (
 )
 from export.tradeoff.report import NAME, draw, write
 from export.tradeoff.scores import Score, Scores, score
-from reporting.machine import cpu_name
+from reporting.machine import commit, cpu_name
 from service.contract import ContractError, ModelCard
 
-PLAYERS = ("belief", "joint", "paper")
-"""Contenders of the closed-loop report that decide with networks: the controllers they were made for."""
+CONTROLLERS = ("belief", "joint", "paper")
+"""Those of the closed-loop report that decide with networks."""
 
 
 def tradeoff(
@@ -40,8 +40,8 @@ def tradeoff(
 ) -> Table:
     """Measure every candidate, add trackers and physics from their reports, write ``tradeoff.*`` into docs.
 
-    ``about`` says what the decisions are (split, dataset) and goes into the report. ``kept`` is a file of answers of
-    earlier runs on the same decisions: a network whose files did not change is not asked again.
+    ``about`` names the decisions (split, dataset) and the refused builds, and goes into the report. ``kept`` is a
+    file of answers of earlier runs on the same decisions: a network whose files did not change is not run again.
     """
     candidates = find_candidates(folders)
     scores = score(candidates, decisions, kept)
@@ -56,7 +56,12 @@ def tradeoff(
         "slip": tracker_points(docs),
         "physics": physics_points(docs / "accuracy.json"),
     }
-    about = about | {"cpu": cpu_name(), "decisions": networks[0].count, "crowding": max(crowding)}
+    about = about | {
+        "cpu": cpu_name(),
+        "commit": commit(),
+        "decisions": networks[0].count,
+        "crowding": max(crowding),
+    }
     about["agreement"] = agreements(candidates, scores)
     save(table, about, docs / f"{NAME}.json")
     draw(table, docs / f"{NAME}.png")
@@ -65,16 +70,16 @@ def tradeoff(
 
 
 def agreements(candidates: list[Candidate], scores: Scores) -> list[dict[str, Any]]:
-    """Each int8 and fp16 twin against its fp32 source, by commands after all frames."""
+    """Each int8 and fp16 build against its fp32 source, by commands after all frames."""
     sources = {c.origin: c for c in candidates if c.precision == "fp32"}
     rows = []
-    for twin in candidates:
-        source = sources.get(twin.origin)
-        if source is None or source is twin:
+    for build in candidates:
+        source = sources.get(build.origin)
+        if source is None or source is build:
             continue
-        found = scores[source.sha256][_longest()].agreement(scores[twin.sha256][_longest()])
-        name = f"{twin.name} {twin.kind} {twin.precision}"
-        rows.append({"name": name, "verdict": str(found), "same_command": found.same_command, **asdict(found)})
+        same = scores[source.sha256][_longest()].agreement(scores[build.sha256][_longest()])
+        name = f"{build.name} {build.kind} {build.precision}"
+        rows.append({"name": name, "summary": str(same), "same_command": same.same_command, **asdict(same)})
     return rows
 
 
@@ -100,16 +105,16 @@ def points_of(candidate: Candidate, timing: Timing, scores: dict[int, Score], do
     return [
         Point(
             f"{candidate.name} {candidate.kind} {candidate.precision}, {frames} frames",
-            *wilson(sum(said.hits), len(said.hits)),
+            *wilson(sum(score.hits), len(score.hits)),
             cost_ms=frames * timing.cpu_p50_ms,
             p50_ms=frames * timing.p50_ms,
             p99_ms=frames * timing.p99_ms,
-            count=len(said.hits),
+            count=len(score.hits),
             mean_trials=trials if frames == max(FRAME_COUNTS) else None,
             about=about
-            | {"frames": frames, "mae_mm": mean_interval(said.off_mm), "mae_deg": mean_interval(said.off_deg)},
+            | {"frames": frames, "mae_mm": mean_interval(score.off_mm), "mae_deg": mean_interval(score.off_deg)},
         )
-        for frames, said in scores.items()
+        for frames, score in scores.items()
     ]
 
 
@@ -120,20 +125,19 @@ def _input(card: ModelCard) -> str:
 
 
 def _trials(candidate: Candidate, docs: Path) -> tuple[float, float, float] | None:
-    """Mean trials of a closed loop that was played with these very files.
+    """Mean trials of a closed loop that ran with these very files.
 
     Two networks in one graph are known by the hashes of the files they were written beside, one folder up.
     """
-    trials = candidate.mean_trials()
-    if trials is not None or candidate.precision != "fp32":
-        return trials
+    if candidate.precision != "fp32":
+        return None
     files = [model.file for model in candidate.models]
     if candidate.kind == "shared":
         files = [candidate.folder.parent / name for name in PAIR]
     if not all(file.is_file() for file in files):
         return None
-    played = (closed_loop_trials(docs / "closed_loop.json", who, files) for who in PLAYERS)
-    return next((found for found in played if found is not None), None)
+    trials = (closed_loop_trials(docs / "closed_loop.json", controller, files) for controller in CONTROLLERS)
+    return next((mean for mean in trials if mean is not None), None)
 
 
 def choose(budget_ms: float, report: Path, seconds: float) -> str:
@@ -150,15 +154,15 @@ def choose(budget_ms: float, report: Path, seconds: float) -> str:
     timed = [(known[c.sha256], c.time_step(seconds)) for c in present if c.sha256 in known]
     if not timed:
         raise ContractError(f"none of the networks in {report} lies where it was measured; run `make tradeoff`")
-    fitting = [(point, timing) for point, timing in timed if timing.judged_p99_ms <= budget_ms]
+    fitting = [(point, timing) for point, timing in timed if timing.budget_p99_ms <= budget_ms]
     if not fitting:
-        point, timing = min(timed, key=lambda entry: entry[1].judged_p99_ms)
+        point, timing = min(timed, key=lambda entry: entry[1].budget_p99_ms)
         raise ContractError(
-            f"no network keeps {budget_ms:g} ms here; the fastest is {point.name}: p99 {timing.judged_p99_ms:.2f} ms"
+            f"no network keeps {budget_ms:g} ms here; the fastest is {point.name}: p99 {timing.budget_p99_ms:.2f} ms"
         )
     point, timing = max(fitting, key=lambda entry: (entry[0].better, -entry[1].cpu_p50_ms))
-    stretched = timing.judged_p99_ms < timing.p99_ms
-    noisy = f" (noisy machine: judged by the processor's p99, {timing.judged_p99_ms:.2f} ms)" if stretched else ""
+    stretched = timing.budget_p99_ms < timing.p99_ms
+    noisy = f" (noisy machine: the processor's p99 counts, {timing.budget_p99_ms:.2f} ms)" if stretched else ""
     return (
         f"{point.name}: right direction {100 * point.better:.1f} % [{100 * point.low:.1f}, {100 * point.high:.1f}], "
         f"step p50 {timing.p50_ms:.2f} ms, p99 {timing.p99_ms:.2f} ms of {budget_ms:g} ms on {cpu_name()}{noisy}\n"

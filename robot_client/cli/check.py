@@ -1,4 +1,4 @@
-"""`check`: reads every device that an insertion needs and moves nothing; a line for each finding, bad ones say why."""
+"""`check`: reads every device that an insertion needs and moves nothing; one line a finding."""
 
 import asyncio
 import contextlib
@@ -52,7 +52,6 @@ async def _plan(settings: Settings) -> list[Finding]:
     check_pose(settings.limits, plan.approach, "approach")
     check_pose(settings.limits, bottom, "full insertion")
     check_ramps(settings.limits, settings.ramps)
-    settings.work_object.frame()
     seconds = settings.ramps.duration_s(plan.approach, bottom, "descend")
     text = f"approach z {plan.approach.z_mm:g} mm, full depth z {bottom.z_mm:g} mm, {seconds:.1f} s down"
     return [Finding(True, text)]

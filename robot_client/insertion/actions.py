@@ -1,9 +1,9 @@
-"""The orders an insertion gives, each with the state that follows it. Pure, like the machine that uses them."""
+"""The commands of an insertion, each with the state that follows it. Pure, like the machine that uses them."""
 
 import math
 from dataclasses import replace
 
-from robot_client.insertion.events import Command, Hold, Move, Say, Source
+from robot_client.insertion.events import Command, Hold, Move, Send, Source
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Motion, check_pose
 from robot_client.insertion.state import Phase, State
@@ -12,8 +12,8 @@ from service.contract import wire
 Result = tuple[State, tuple[Command, ...]]
 
 
-def say(message: wire.ClientMessage) -> Say:
-    return Say(message=message)
+def send(message: wire.ClientMessage) -> Send:
+    return Send(message=message)
 
 
 def fail(state: State, source: Source, code: str, detail: str) -> Result:
@@ -21,7 +21,7 @@ def fail(state: State, source: Source, code: str, detail: str) -> Result:
     stop = source in ("arm", "operator") or state.phase is Phase.STOPPING
     abort = wire.Abort(insertion_id=state.plan.insertion_id, reason=reason)
     held = Hold(reason=reason, stop=stop)
-    return replace(state, phase=Phase.FAILED, deadline_s=math.inf, path=(), reason=reason), (held, say(abort))
+    return replace(state, phase=Phase.FAILED, deadline_s=math.inf, path=(), reason=reason), (held, send(abort))
 
 
 def go(state: State, phase: Phase, path: tuple[WorkPose, ...], motion: Motion, at_s: float) -> Result:
@@ -60,7 +60,7 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
     )
     deadline_s = at_s + plan.timeouts.arming_s
     state = replace(state, phase=Phase.ARMING, attempt=attempt, armed=target, deadline_s=deadline_s)
-    return state, (say(message),)
+    return state, (send(message),)
 
 
 def descend(state: State, at_s: float) -> Result:
@@ -70,8 +70,8 @@ def descend(state: State, at_s: float) -> Result:
     state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s)
     if state.done:
         return state, commands
-    said = wire.Descending(insertion_id=plan.insertion_id, attempt=state.attempt)
-    return state, (say(said), *commands)
+    message = wire.Descending(insertion_id=plan.insertion_id, attempt=state.attempt)
+    return state, (send(message), *commands)
 
 
 def hold(state: State, reason: str, at_s: float) -> Result:

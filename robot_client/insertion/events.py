@@ -1,9 +1,9 @@
-"""What the insertion is told (events) and what it orders (commands): plain records that an episode log holds as JSON.
+"""The input (events) and the output (commands) of an insertion: plain records that an episode log holds as JSON.
 
 ``at_s`` is the client's monotonic clock. Non-finite numbers cannot be put into any of them.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
@@ -61,7 +61,7 @@ class FromService(_Event):
 
 
 class Failure(_Event):
-    """A device, a link, a limit or the operator says no; the insertion holds for good."""
+    """A device, a link, a limit or the operator ends the insertion: it holds for good."""
 
     kind: Literal["failure"] = "failure"
     source: Source
@@ -87,7 +87,7 @@ class Grasp(Contract):
 
 
 class Move(Contract):
-    """Go to ``target`` in a straight line; the driver answers Arrived."""
+    """Go to ``target`` in a straight line; the driver answers with Arrived."""
 
     kind: Literal["move"] = "move"
     target: WorkPose
@@ -95,34 +95,22 @@ class Move(Contract):
 
 
 class Hold(Contract):
-    """Freeze the target at once; the driver answers Standstill. ``stop`` also stops the controller's program."""
+    """Freeze the target at once; the driver answers with Standstill. ``stop`` also stops the controller's program."""
 
     kind: Literal["hold"] = "hold"
     reason: str
     stop: bool = False
 
 
-class Say(Contract):
-    """Send a message to the decision service."""
+class Send(Contract):
+    """Send a message to the decision service; its ``kind`` in a log is "say"."""
 
     kind: Literal["say"] = "say"
     message: ClientMessage
 
 
-Command = Annotated[Grasp | Move | Hold | Say, Field(discriminator="kind")]
+Command = Annotated[Grasp | Move | Hold | Send, Field(discriminator="kind")]
 MOTION_COMMANDS = (Grasp, Move)
 
-_EVENT: TypeAdapter[Any] = TypeAdapter(Event)
-_COMMAND: TypeAdapter[Any] = TypeAdapter(Command)
-
-
-def parse_event(data: object) -> Event:
-    """An event out of its JSON object; raises pydantic's ValidationError (a ValueError)."""
-    event: Event = _EVENT.validate_python(data, strict=False)
-    return event
-
-
-def parse_command(data: object) -> Command:
-    """A command out of its JSON object; raises pydantic's ValidationError (a ValueError)."""
-    command: Command = _COMMAND.validate_python(data, strict=False)
-    return command
+EVENT: TypeAdapter[Event] = TypeAdapter(Event)
+COMMAND: TypeAdapter[Command] = TypeAdapter(Command)

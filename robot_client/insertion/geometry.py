@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from service.contract.frames import Contract
 
@@ -16,7 +16,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 Reach = Annotated[float, Field(ge=-1e6, le=1e6)]
-"""A kilometre, or a million degrees: beyond it lies a mistake, and sums of such numbers overflow."""
+"""A kilometre, or a million degrees: larger values are mistakes, and their sums would overflow."""
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 TOOL_DOWN: Quaternion = (0.0, 1.0, 0.0, 0.0)
@@ -125,9 +125,8 @@ def normalised(q: Quaternion) -> Quaternion:
     return (q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm)
 
 
-@dataclass(frozen=True, slots=True)
-class CellFrame:
-    r"""Where the work object lies in the frame of the controller's poses, and how the tool hangs at yaw 0.
+class CellFrame(Contract):
+    r"""The work object in the frame of the controller's poses, and the tool at yaw 0; quaternions of any length.
 
     With the work object active on the controller (\WObj of EGMActPose) the frame is the identity.
     """
@@ -136,12 +135,10 @@ class CellFrame:
     rotation: Quaternion = IDENTITY
     tool: Quaternion = TOOL_DOWN
 
-    def __post_init__(self) -> None:
-        """Raise ValueError for an origin that is not finite or a rotation that is none."""
-        if not all(map(math.isfinite, self.origin_mm)):
-            raise ValueError(f"origin of the work object {self.origin_mm} mm, expected finite numbers")
-        normalised(self.rotation)
-        normalised(self.tool)
+    @field_validator("rotation", "tool")
+    @classmethod
+    def _unit(cls, quaternion: Quaternion) -> Quaternion:
+        return normalised(quaternion)
 
     def to_controller(self, pose: WorkPose) -> Pose:
         """The controller's pose of the TCP; raises ValueError if it is not finite."""

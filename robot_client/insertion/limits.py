@@ -1,4 +1,4 @@
-"""The last check before the wire: every target passes here, and a refusal says why. Nothing is ever clamped."""
+"""The last check before the wire: every target passes here, and a refusal gives its reason. Nothing is ever clamped."""
 
 import math
 from dataclasses import dataclass

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from robot_client.insertion.actions import Result, approach, arm, descend, fail, go, hold, retract, say
+from robot_client.insertion.actions import Result, approach, arm, descend, fail, go, hold, retract, send
 from robot_client.insertion.events import (
     Arrived,
     Begin,
@@ -75,10 +75,10 @@ def _on_tick(state: State, event: Tick) -> Result:
 
 
 def _unclaimed(state: State) -> str:
-    """What a failure after the last standstill means: depth alone is no insertion, the gels have the last word."""
+    """What a failure after the last standstill means: depth alone is no insertion, the gels decide."""
     if state.phase is not Phase.CLOSING:
         return ""
-    return "; full depth was reached, but the service did not say that the object came along: not claimed"
+    return "; full depth was reached, but the service did not confirm that the object came along: not claimed"
 
 
 _MOVING = frozenset({Phase.APPROACHING, Phase.DESCENDING, Phase.STOPPING, Phase.RETRACTING, Phase.CORRECTING})
@@ -94,7 +94,7 @@ def _on_begin(state: State, event: Begin) -> Result:
         return fail(state, "limits", "plan", str(error))
     hello = wire.ClientHello(insertion_id=plan.insertion_id, client=plan.client, controller=plan.controller)
     deadline_s = event.at_s + plan.timeouts.greeting_s
-    return replace(state, phase=Phase.GREETING, pose=event.pose, deadline_s=deadline_s), (say(hello),)
+    return replace(state, phase=Phase.GREETING, pose=event.pose, deadline_s=deadline_s), (send(hello),)
 
 
 # ---- motion ---------------------------------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ def _on_bottom(state: State, event: Arrived) -> Result:
 
 
 def _on_standstill(state: State, event: Standstill) -> Result:
-    """Report the depth; short of it is blocked, and whether full depth is an insertion is the service's to say."""
+    """Report the depth; short of it is blocked, and whether full depth is an insertion is for the service to decide."""
     assert state.armed is not None
     plan, depth_mm = state.plan, state.armed.z_mm - event.pose.z_mm
     state = replace(state, pose=event.pose, stopped_s=event.at_s)
@@ -120,20 +120,22 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     if outcome == "blocked":
         first_mm = depth_mm if state.first_touch_mm is None else state.first_touch_mm
         state = replace(state, first_touch_mm=first_mm, creep_mm=max(0.0, depth_mm - first_mm))
-    said = say(wire.Stopped(insertion_id=plan.insertion_id, attempt=state.attempt, depth_mm=depth_mm, outcome=outcome))
+    stopped = send(
+        wire.Stopped(insertion_id=plan.insertion_id, attempt=state.attempt, depth_mm=depth_mm, outcome=outcome)
+    )
     if outcome == "dropped":
         state, commands = fail(state, "gripper", "part_lost", f"the object was lost at {depth_mm:.2f} mm")
-        return state, (said, *commands)
+        return state, (stopped, *commands)
     if outcome == "blocked" and state.attempt >= plan.limits.max_attempts:
         state, commands = fail(state, "client", "attempts", f"not inserted after {state.attempt} attempts")
-        return state, (said, *commands)
+        return state, (stopped, *commands)
     phase = Phase.CLOSING if outcome == "inserted" else Phase.DECIDING
     wait_s = plan.timeouts.closing_s if outcome == "inserted" else plan.timeouts.deciding_s
-    return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (said,)
+    return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (stopped,)
 
 
 def _on_part_lost(state: State, event: PartLost) -> Result:
-    if state.phase is Phase.CLOSING:  # it lies in its gap; letting go of it there is no loss
+    if state.phase is Phase.CLOSING:  # it lies in its gap: letting go of it is no loss
         return state, ()
     if state.phase is Phase.DESCENDING:
         return hold(replace(state, dropped=True), "part lost", event.at_s)
@@ -165,7 +167,7 @@ _ON_ARRIVAL: dict[Phase, Callable[[State, Arrived], Result]] = {
 
 def _on_service(state: State, event: FromService) -> Result:
     message, at_s = event.message, event.at_s
-    if isinstance(message, wire.Fault):  # of whatever insertion: one about the connection names none
+    if isinstance(message, wire.Fault):  # of any insertion: a fault of the connection names none
         return fail(state, "service", message.code, message.detail)
     if message.insertion_id != state.plan.insertion_id:
         detail = f"message of insertion {message.insertion_id}, expected {state.plan.insertion_id}"
@@ -212,7 +214,7 @@ def _on_attempt_message(
     if message.attempt > state.attempt:
         detail = f"{message.type} of attempt {message.attempt} during attempt {state.attempt}"
         return fail(state, "service", "protocol", detail)
-    if isinstance(message, wire.Slip) and state.phase is Phase.DESCENDING:  # whatever its attempt: stopping is safe
+    if isinstance(message, wire.Slip) and state.phase is Phase.DESCENDING:  # of any attempt: stopping is safe
         return hold(state, f"slip on finger {message.finger}, frame {message.frame_seq}", at_s)
     result: Result = state, ()
     if message.attempt < state.attempt:
@@ -238,7 +240,7 @@ def _on_correction(state: State, message: wire.Correction, at_s: float) -> Resul
 
 
 def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
-    """Probe the same spot again: the one motion that is no guess. Not for non-finite results, and not for ever."""
+    """Probe the same spot again, the one motion that is no guess; never after non-finite results, and not for ever."""
     count = state.no_decisions + 1
     if message.reason == "non_finite" or count > state.plan.max_no_decisions:
         return fail(state, "service", "no_decision", f"{message.reason}: {message.detail}")

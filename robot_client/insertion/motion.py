@@ -10,7 +10,7 @@ from service.contract.frames import Contract
 
 CYCLE_S = 0.004
 MISSED_CYCLES = 3
-_RESUME_S = 0.05  # after a gap the way is taken up again with this ramp
+_RESUME_S = 0.05  # after a gap the motion resumes with this ramp
 _SETTLE_MM = 0.03
 _SETTLE_DEG = 0.03
 _STILL_MM = 0.015  # within a window this small for _SETTLE_S: standing still
@@ -51,7 +51,7 @@ class Ramps(Contract):
 
 
 def check_ramps(limits: Limits, ramps: Ramps) -> None:
-    """Raise LimitError for a ramp whose motion the limits would break off on its way, at full speed."""
+    """Raise LimitError for a ramp that the limits would break off in mid-motion, at full speed."""
     for motion in get_args(Motion):
         ramp: Ramp = ramps.of(motion)
         top = limits.max_descent_speed_mm_s if motion == "descend" else limits.max_speed_mm_s
@@ -63,7 +63,7 @@ def check_ramps(limits: Limits, ramps: Ramps) -> None:
 
 
 class MotionGuide:
-    """Holds the target, walks it along the commanded line and tells when the arm has settled on it."""
+    """Holds the target, walks it along the commanded line and reports when the arm has settled on it."""
 
     def __init__(self, limits: Limits, ramps: Ramps, start: WorkPose) -> None:
         self.limits = limits
@@ -127,7 +127,7 @@ class MotionGuide:
         return self.target
 
     def observe(self, measured: WorkPose, now_s: float) -> Settled | None:
-        """What the arm has come to, once for each command: "arrived" on its end or "standstill" after a hold."""
+        """How the arm has settled, once for each command: "arrived" on its end or "standstill" after a hold."""
         if self._waiting is None or self.moving:
             return None
         near = self._still is not None and (

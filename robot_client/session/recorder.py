@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from pydantic import ValidationError
 
-from robot_client.insertion.events import Command, Event, parse_command, parse_event
+from robot_client.insertion.events import COMMAND, EVENT, Command, Event
 from robot_client.insertion.state import Plan
 from service.contract.frames import ContractError, first_error
 
@@ -21,8 +21,8 @@ LOG_VERSION = 1
 class Recorder:
     """Writes one episode; a line is on its way to the disk before the next event is handled.
 
-    A log that cannot be begun raises ContractError. One that can be written no further (a full disk) ends there and
-    ``lost`` says why: an error among the events would kill the task that listens for slip.
+    A log that cannot be created raises ContractError. A log that cannot be continued (a full disk) ends there, and
+    ``lost`` holds the reason: an exception here would end the task that listens for slip.
     """
 
     def __init__(self, path: Path | None, plan: Plan) -> None:
@@ -61,7 +61,7 @@ class Recorder:
 
     def _close(self) -> None:
         if self._file is not None:
-            with contextlib.suppress(OSError):  # what it could not write, it tries to write again
+            with contextlib.suppress(OSError):  # closing tries to write the rest again
                 self._file.close()
             self._file = None
 
@@ -76,9 +76,9 @@ def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
             if "plan" in line:
                 plan = Plan.model_validate_json(json.dumps(line["plan"]))
             elif "event" in line:
-                entries.append(parse_event(line["event"]))
+                entries.append(EVENT.validate_python(line["event"], strict=False))
             elif "command" in line:
-                entries.append(parse_command(line["command"]))
+                entries.append(COMMAND.validate_python(line["command"], strict=False))
             elif isinstance(line.get("end", {}), dict):
                 end = line.get("end", end)
             else:

@@ -14,8 +14,7 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.state import Plan
 from robot_client.ports import Arm, DecisionService, Gripper, Post
-from robot_client.robots.dry_run.driver import DryArm
-from robot_client.robots.dry_run.settings import Settings
+from robot_client.robots.dry_run.driver import DryArm, Settings
 from service.contract import wire
 
 _CONTACT_MM = 6.0  # below the approach pose: 5 mm of air and what the pads give

@@ -1,9 +1,9 @@
-"""An episode log told again: the same events through the same machine must give the same commands."""
+"""An episode log played again: the same events through the same machine must give the same commands."""
 
 from pathlib import Path
 from typing import Any
 
-from robot_client.insertion.events import Begin, Command, Event, Grasp, Hold, Move, Say
+from robot_client.insertion.events import Begin, Command, Event, Grasp, Hold, Move, Send
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import State
 from robot_client.session.recorder import read_log
@@ -24,7 +24,7 @@ def replay(path: Path, show: Any = print) -> State:
     expected: list[Command] = []
     start_s: float | None = None
     for number, entry in enumerate(entries, 2):
-        if isinstance(entry, Grasp | Hold | Move | Say):
+        if isinstance(entry, Grasp | Hold | Move | Send):
             if not expected or expected.pop(0) != entry:
                 raise ReplayError(f"{path}, line {number}: logged {entry.kind}, the machine orders something else")
             continue
@@ -34,7 +34,7 @@ def replay(path: Path, show: Any = print) -> State:
             start_s = entry.at_s
         state, commands = step(state, entry)
         expected = list(commands)
-        _tell(show, entry, state, start_s)
+        _print(show, entry, state, start_s)
         report.on_event(state, entry)
     if end and end.get("phase") != str(state.phase):
         raise ReplayError(f"{path}: the log ends {end.get('phase')}, the machine ends {state.phase}")
@@ -44,7 +44,7 @@ def replay(path: Path, show: Any = print) -> State:
     return state
 
 
-def _tell(show: Any, event: Event, state: State, start_s: float | None) -> None:
+def _print(show: Any, event: Event, state: State, start_s: float | None) -> None:
     name: str = event.kind
     message = getattr(event, "message", None)
     if message is not None:

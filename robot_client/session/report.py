@@ -1,4 +1,4 @@
-"""What the operator sees: each attempt as it happens, and one screen at the end. Also the rows for the episode log."""
+"""The operator's report: each attempt as it happens, and one screen at the end. Also the rows of the episode log."""
 
 from collections.abc import Callable
 from typing import Any
@@ -113,7 +113,7 @@ class Report:
         lines = [f"{word} after {state.attempt} attempt{'s' if state.attempt != 1 else ''}"]
         if state.reason:
             lines.append(f"  reason      {state.reason}")
-        lines += _seat(state)
+        lines += _grasp(state)
         over = [row.overtravel_mm for row in self.rows if row.overtravel_mm is not None]
         if over:
             mean_mm = sum(over) / len(over)
@@ -128,15 +128,15 @@ class Report:
         return lines
 
 
-def _seat(state: State) -> list[str]:
-    """What blocked attempts did to an inserted object's place in the hand, where that is worth a line."""
+def _grasp(state: State) -> list[str]:
+    """How far blocked attempts pushed an inserted object up in the hand, where that is worth a line."""
     creep_mm, plan = state.creep_mm, state.plan
     if state.phase is not Phase.INSERTED or creep_mm <= plan.depth_tolerance_mm:
         return []
     assert state.armed is not None
     assert state.pose is not None
     deeper_mm = state.armed.z_mm - state.pose.z_mm - plan.expected_depth_mm
-    pushed = f"  seat        pushed up about {creep_mm:.1f} mm in the hand by blocked attempts; "
+    pushed = f"  grasp       pushed up about {creep_mm:.1f} mm in the hand by blocked attempts; "
     if creep_mm - deeper_mm <= plan.depth_tolerance_mm:
         return [f"{pushed}went {deeper_mm:.1f} mm deeper for it"]
     allowed = f"creep_allowance_mm is {plan.creep_allowance_mm:g}"

@@ -1,4 +1,4 @@
-"""Carries out what the insertion orders: owns the ports, the clock and the log; decides nothing."""
+"""Carries out the commands of an insertion: owns the ports, the clock and the log; decides nothing."""
 
 import asyncio
 import contextlib
@@ -8,7 +8,7 @@ from collections.abc import Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from robot_client.insertion.events import Begin, Command, Event, Failure, Grasp, Hold, Move, Say, Tick
+from robot_client.insertion.events import Begin, Command, Event, Failure, Grasp, Hold, Move, Send, Tick
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import Phase, Plan, State
@@ -19,7 +19,7 @@ _TICK_S = 0.02
 
 
 class Observer(Protocol):
-    """Told of everything that happens, for the terminal."""
+    """Gets every event, for the terminal."""
 
     def on_event(self, state: State, event: Event) -> None:
         """``event`` happened; ``state`` is the one after it."""
@@ -29,7 +29,7 @@ class Observer(Protocol):
 
 
 async def to_the_end(work: Coroutine[Any, Any, None]) -> None:
-    """Carry out ``work`` whole: who interrupts once more must not break off the stop that is under way."""
+    """Carry out ``work`` to its end: a second interrupt must not break off a stop that is under way."""
     task = asyncio.get_running_loop().create_task(work)
     while not task.done():
         with contextlib.suppress(asyncio.CancelledError):
@@ -110,13 +110,13 @@ class Runner:
                     self.arm.move(command.target, command.motion)
                 case Grasp():
                     self.gripper.grasp()
-                case Say():
+                case Send():
                     self.service.send(command.message)
         except LimitError as error:
             self._events.append(Failure(at_s=time.monotonic(), source="limits", code="move", detail=str(error)))
 
     async def _close(self) -> None:
-        """Arm first: whatever else hangs, the program is stopped."""
+        """The arm first: its program is stopped even if another port hangs."""
         with contextlib.suppress(Exception):
             self.farewell = await self.arm.close()
         for port in (self.service, self.gripper):

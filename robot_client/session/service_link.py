@@ -1,7 +1,7 @@
 """The WebSocket to the decision service: one connection is one insertion.
 
 Messages go out in order from a queue; what comes in is parsed strictly and posted as an event. Heartbeats run both
-ways: a service that does not answer them is a lost link, whatever TCP still believes.
+ways: a service that does not answer them is a lost link, even while TCP still holds.
 """
 
 import asyncio

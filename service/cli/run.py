@@ -3,8 +3,6 @@
 import contextlib
 import logging
 import signal
-import socket
-import ssl
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -13,40 +11,17 @@ from typing import TextIO, cast
 import cv2
 import structlog
 import uvicorn
-from fastapi import FastAPI
 
-from service.contract import ContractError
 from service.observability.event_log import log_events
 from service.observability.log_lines import LogLines
 from service.observability.tracing import Spans, make_tracer
 from service.session.memory import stop_searching_what_stays, use_few_arenas
 from service.session.station import open_station
-from service.settings import Settings, SettingsError, read_settings
+from service.settings import Settings, read_settings
 from service.web.app import create_app
-from service.web.patience import PatientWebSocket, http_protocol
+from service.web.server import bind, check_certificate, web_config
 
-MAX_MESSAGE_BYTES = 4 << 20
 SWITCH_S = 0.0005  # a thread that waits for the interpreter waits ten times less than by default
-
-
-class PortError(ContractError):
-    """The port cannot be had."""
-
-
-def bind(host: str, port: int) -> socket.socket:
-    """A listening TCP socket; raise PortError with what to do if the port is busy or the address is not ours."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    sock = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.bind((host, port))
-        sock.listen(128)
-    except OSError as error:
-        sock.close()
-        raise PortError(
-            f"cannot listen on {host}:{port} ({error.strerror}); stop what uses it or pass another --port"
-        ) from error
-    return sock
 
 
 @contextlib.contextmanager
@@ -116,36 +91,3 @@ def main(arguments: Sequence[str]) -> int:
         finally:
             station.stop()
     return 0
-
-
-def check_certificate(settings: Settings) -> None:
-    """Raise SettingsError if the certificate and its key cannot serve: before, not after, the service says ready."""
-    if settings.tls_certificate is None:
-        return
-    try:
-        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.tls_certificate, settings.tls_key)
-    except OSError as error:
-        files = f"--tls-certificate {settings.tls_certificate} --tls-key {settings.tls_key}"
-        raise SettingsError(f"{files}: expected a PEM certificate and its key ({error})") from error
-
-
-def web_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
-    """How the web server runs: bounded in time, size and number; no compression, which costs more than the network."""
-    return uvicorn.Config(
-        app,
-        http=http_protocol(),
-        ws=PatientWebSocket,
-        ws_per_message_deflate=False,
-        ws_max_size=MAX_MESSAGE_BYTES,
-        ws_ping_interval=5.0,
-        ws_ping_timeout=20.0,
-        log_config=None,
-        access_log=False,
-        server_header=False,
-        timeout_keep_alive=30,
-        timeout_graceful_shutdown=3,
-        h11_max_incomplete_event_size=65536,
-        limit_concurrency=256,
-        ssl_certfile=str(settings.tls_certificate) if settings.tls_certificate else None,
-        ssl_keyfile=str(settings.tls_key) if settings.tls_key else None,
-    )

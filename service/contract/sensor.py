@@ -4,8 +4,6 @@ Finger frame: u to the right, v down; pixel centres lie at integers. Pixels are 
 key says raw. Profiles that are known by name lie in `service/sensors`.
 """
 
-import difflib
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Self
@@ -14,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from service.contract.frames import MAX_SIDE_PX, Contract, ContractError, FrameSpec, first_error
+from service.contract.frames import MAX_SIDE_PX, Contract, ContractError, FrameSpec
+from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
 
 SENSORS = Path(__file__).parents[1] / "sensors"
@@ -133,7 +132,7 @@ def _known(name: str) -> Sensor:
     known = sorted(entry.stem for entry in SENSORS.glob("*.toml"))
     if name not in known:
         raise ContractError(
-            f"no sensor {name!r}: expected a TOML file or one of {', '.join(known)}{_hint(name, known)}"
+            f"no sensor {name!r}: expected a TOML file or one of {', '.join(known)}{nearest(name, known)}"
         )
     return _read(SENSORS / f"{name}.toml")
 
@@ -143,15 +142,7 @@ def _read(path: Path) -> Sensor:
         table = read_toml(path)
     except OSError as error:
         raise ContractError(f"cannot read the sensor {path}: {error.strerror}") from error
-    for key in sorted(table.keys() - Sensor.model_fields.keys()):
-        raise ContractError(f"{path}: {key}: unknown key{_hint(key, Sensor.model_fields)}")
     try:
         return Sensor.model_validate({"name": path.stem, **table})
     except ValidationError as error:
-        text = first_error(error).removeprefix("contents: Value error, ")  # which names its key itself
-        raise ContractError(f"{path}: {text}") from error
-
-
-def _hint(given: str, allowed: Iterable[str]) -> str:
-    near = difflib.get_close_matches(given, list(allowed), n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""
+        raise ContractError(f"{path}: {describe(error, Sensor)}") from error

@@ -241,19 +241,13 @@ def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
         raise ContractError(first_error(error, "message")) from error
 
 
-def parse_client(
-    text: str | bytes,
-) -> ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat:
+def parse_client(text: str | bytes) -> ClientMessage:
     """Parse what a client sent; raise ContractError naming the field that is wrong."""
-    message: ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat = _parse(_CLIENT, text)
+    message: ClientMessage = _parse(_CLIENT, text)
     return message
 
 
-def parse_service(
-    text: str | bytes,
-) -> ServiceHello | Armed | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat:
+def parse_service(text: str | bytes) -> ServiceMessage:
     """Parse what the service sent; raise ContractError naming the field that is wrong."""
-    message: ServiceHello | Armed | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat = _parse(
-        _SERVICE, text
-    )
+    message: ServiceMessage = _parse(_SERVICE, text)
     return message

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import decode_jpeg
 from service.contract import ContractError, Finger, TactileFrame
-from service.recordings.protowire import COMPRESSED_IMAGE, RAW_IMAGE
+from service.recordings.schemas import CompressedImage, RawImage
 from service.recordings.writer import RECOVERY
 
 
@@ -99,7 +99,7 @@ class Recording:
 
 
 def _pixels(entry: Entry) -> NDArray[np.uint8]:
-    if entry.schema == COMPRESSED_IMAGE.name:
-        return decode_jpeg(bytes(COMPRESSED_IMAGE.decode(entry.data)["data"]))
-    image = RAW_IMAGE.decode(entry.data)
-    return np.frombuffer(image["data"], np.uint8).reshape(image["height"], image["width"], 3)
+    if entry.schema == CompressedImage.DESCRIPTOR.full_name:
+        return decode_jpeg(CompressedImage.FromString(entry.data).data)
+    image = RawImage.FromString(entry.data)
+    return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, 3)

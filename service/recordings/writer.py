@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 from service.cameras.capture import CameraFrame
 from service.contract import TactileFrame
 from service.perception.observation import Observation
-from service.recordings.protowire import COMPRESSED_IMAGE, MARKERS, RAW_IMAGE, Schema
+from service.recordings.schemas import CompressedImage, Markers, RawImage, descriptor_set, encode
 
 NAME = re.compile(r"[0-9]{8}T[0-9]{6,12}_[A-Za-z0-9_-]{1,64}")  # of a recording's folder
 FLUSH_S = 0.5
@@ -66,9 +66,10 @@ class _Mcap:
         self._writer.start(profile="", library="tactile-insertion")
         self._channels: dict[str, int] = {}
 
-    def protobuf(self, topic: str, schema: Schema, values: Mapping[str, Any], log_ns: int, seq: int) -> None:
-        channel = self._channel(f"{topic}", "protobuf", schema.name, "protobuf", schema.descriptor_set)
-        self._write(channel, log_ns, schema.encode(values), seq)
+    def protobuf(self, topic: str, kind: Any, values: Mapping[str, Any], log_ns: int, seq: int) -> None:
+        name = kind.DESCRIPTOR.full_name
+        channel = self._channel(topic, "protobuf", name, "protobuf", lambda: descriptor_set(kind))
+        self._write(channel, log_ns, encode(kind, values, log_ns), seq)
 
     def json(self, topic: str, value: Mapping[str, Any], log_ns: int) -> None:
         channel = self._channel(topic, "json", f"tactile_insertion{topic}", "jsonschema", lambda: b'{"type":"object"}')
@@ -143,12 +144,12 @@ class Recorder:
 
     def frame(self, frame: CameraFrame) -> None:
         """Record a camera frame as it came."""
-        schema, values = image_message(frame)
-        self._put_bulk(f"/{frame.frame.finger}/image", schema, values, frame.frame)
+        kind, values = image_message(frame)
+        self._put_bulk(f"/{frame.frame.finger}/image", kind, values, frame.frame)
 
     def observation(self, observation: Observation) -> None:
         """Record markers and slip of one frame."""
-        self._put_bulk(f"/{observation.finger}/markers", MARKERS, markers_message(observation), observation)
+        self._put_bulk(f"/{observation.finger}/markers", Markers, markers_message(observation), observation)
 
     def message(self, sender: str, message: Mapping[str, Any], now_ns: int) -> None:
         """Record a wire message; ``sender`` is client or service."""
@@ -177,16 +178,16 @@ class Recorder:
             self._thread.join()
         return self.path
 
-    def _put_bulk(self, topic: str, schema: Schema, values: dict[str, Any], of: TactileFrame | Observation) -> None:
+    def _put_bulk(self, topic: str, kind: Any, values: dict[str, Any], of: TactileFrame | Observation) -> None:
         """Queue what may be left out: nothing of it but the bytes to be written is kept."""
-        size = sum(len(value) for value in values.values() if isinstance(value, bytes | memoryview))
+        size = sum(len(value) if isinstance(value, bytes) else getattr(value, "nbytes", 0) for value in values.values())
         with self._lock:
             room = self._waiting_bytes + size <= MAX_WAITING_BYTES and not self.error
             self._waiting_bytes += size if room else 0
             self.left_out_n += not room
         if room:
             log_ns, seq = of.captured_ns + self._offset_ns, of.seq
-            self._queue.put(lambda: self._write_bulk(topic, schema, values, log_ns, seq, size))
+            self._queue.put(lambda: self._write_bulk(topic, kind, values, log_ns, seq, size))
 
     def _run(self) -> None:
         flushed = time.monotonic()
@@ -214,28 +215,28 @@ class Recorder:
         except OSError as error:
             self.error = self.error or str(error)
 
-    def _write_bulk(self, topic: str, schema: Schema, values: dict[str, Any], log_ns: int, seq: int, size: int) -> None:
+    def _write_bulk(self, topic: str, kind: Any, values: dict[str, Any], log_ns: int, seq: int, size: int) -> None:
         with self._lock:
             self._waiting_bytes -= size
         if self._stream.tell() > self.largest_bytes:
             self.left_out_n += 1
             return
-        self._mcap.protobuf(topic, schema, values | {"timestamp": log_ns}, log_ns, seq)
+        self._mcap.protobuf(topic, kind, values, log_ns, seq)
 
     def _write_summary(self, summary: Mapping[str, Any]) -> None:
         facts = {"insertion_id": self.insertion_id, "left_out_n": self.left_out_n} | dict(summary)
         write_whole(self.folder / "summary.json", json.dumps(facts, indent=1))
 
 
-def image_message(camera_frame: CameraFrame) -> tuple[Schema, dict[str, Any]]:
+def image_message(camera_frame: CameraFrame) -> tuple[Any, dict[str, Any]]:
     """A frame as Foxglove knows it: the camera's own JPEG, or raw pixels; without its time."""
     frame = camera_frame.frame
     if camera_frame.jpeg is not None:
-        return COMPRESSED_IMAGE, {"frame_id": frame.finger, "data": camera_frame.jpeg, "format": "jpeg"}
+        return CompressedImage, {"frame_id": frame.finger, "data": camera_frame.jpeg, "format": "jpeg"}
     height, width = frame.pixels.shape[:2]
     size = {"width": width, "height": height, "encoding": "bgr8", "step": 3 * width}
     data = np.ascontiguousarray(frame.pixels).data.cast("B")  # copied by the recorder's thread, not by the caller
-    return RAW_IMAGE, {"frame_id": frame.finger, "data": data} | size
+    return RawImage, {"frame_id": frame.finger, "data": data} | size
 
 
 def markers_message(observation: Observation) -> dict[str, Any]:
@@ -245,9 +246,9 @@ def markers_message(observation: Observation) -> dict[str, Any]:
         "seq": observation.seq,
         "rows": rows,
         "cols": cols,
-        "rest_px": _floats(observation.field.rest_px),
-        "displacement_px": _floats(observation.field.displacement_px),
-        "residual_px": _floats(observation.slip.residual_px),
+        "rest_px": np.array(observation.field.rest_px, np.float32),
+        "displacement_px": np.array(observation.field.displacement_px, np.float32),
+        "residual_px": np.array(observation.slip.residual_px, np.float32),
         "valid": observation.field.valid.astype(np.uint8).tobytes(),
         "state": observation.slip.state,
         "slip_score": float(observation.slip.score),
@@ -256,10 +257,6 @@ def markers_message(observation: Observation) -> dict[str, Any]:
 
 def _nothing() -> None:
     """Time passed; the flush follows."""
-
-
-def _floats(values: NDArray[Any]) -> bytes:
-    return np.ascontiguousarray(values, "<f4").tobytes()
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -11,6 +11,7 @@ import queue
 import threading
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from service.cameras.capture import Camera, CameraError, CameraFrame, Pairer, no
 from service.cameras.sources import PushSource, open_source
 from service.contract import FINGERS, ContractError, Finger, FramePair, wire
 from service.decision.models import ModelSet, load_models
-from service.decision.worker import ModelsWorker
+from service.decision.work import Work
 from service.observability.hub import Hub
 from service.perception.rectification import Calibration
 from service.recordings.recovery import recover
@@ -65,8 +66,8 @@ class Station:
         self.viewers_n = 0
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._worker = ModelsWorker(lambda result: self.post(lambda: self.desk.result(result)))
-        self.desk = Desk(settings, models, calibration, self.cameras, self.hub, self._worker.submit)
+        self._networks = ThreadPoolExecutor(1, "networks")  # slip detection never waits for a network
+        self.desk = Desk(settings, models, calibration, self.cameras, self.hub, self._submit)
         self._thread = threading.Thread(target=self._run, name="perception", daemon=True)
 
     # ---- life ------------------------------------------------------------------------------------------------------
@@ -107,7 +108,7 @@ class Station:
         self._thread.join(10.0)
         for camera in self.cameras.values():
             camera.stop()
-        self._worker.stop()
+        self._networks.shutdown()
 
     @property
     def models(self) -> ModelSet:
@@ -159,6 +160,14 @@ class Station:
         for camera in self.cameras.values():
             camera.check_stall(now)
         self.desk.tick(now)
+
+    def _submit(self, work: Work) -> None:
+        """Do network work in its own thread, in order; its result comes back through the inbox."""
+        self._networks.submit(self._do, work)
+
+    def _do(self, work: Work) -> None:
+        if (result := work.run()) is not None:
+            self.post(lambda: self.desk.result(result))
 
     # ---- cameras ---------------------------------------------------------------------------------------------------
 

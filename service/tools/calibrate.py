@@ -1,15 +1,12 @@
-"""`python -m service calibrate`: the rectification of both cameras, from a few frames of gels that touch nothing.
+"""The rectification of both cameras, from a few frames of gels that touch nothing.
 
 The marker grid is regular on the gel, so a homography that makes its image regular rectifies the whole frame.
 """
 
-import argparse
 import threading
 import time
-from collections.abc import Sequence
 from itertools import islice
 from math import ceil
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -18,10 +15,9 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import CameraError
 from service.cameras.sources import open_source
-from service.contract import FINGERS, ContractError, Finger, FrameSpec, Sensor
-from service.contract.sensor import DEFAULT_SENSOR
+from service.contract import Finger, FrameSpec, Sensor
 from service.perception.markers.lattice import Lattice, find_lattice, rectifying_homography, resting_px
-from service.perception.rectification import Calibration, CalibrationError, CameraCalibration, Rectifier
+from service.perception.rectification import CalibrationError, CameraCalibration
 
 MIN_SIDE = 0.71  # of the rows and of the columns
 MIN_FOUND = 0.9
@@ -35,43 +31,6 @@ class Fit(NamedTuple):
     camera: CameraCalibration
     lattice: Lattice
     residual_px: float
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Fit both fingers and write the file; raises CalibrationError or CameraError naming the finger."""
-    options = _parse(arguments)
-    try:
-        sensor = Sensor.load(options.sensor)
-    except ContractError as error:
-        raise CalibrationError(f"--sensor: {error}") from error
-    fits: dict[Finger, Fit] = {}
-    for finger in FINGERS:
-        image = still_image(getattr(options, f"camera_{finger}"), options.frames)
-        fits[finger] = fit = fit_camera(image, finger, sensor)
-        rows, cols = fit.lattice.found.shape
-        print(
-            f"{finger:<6} {cols} x {rows} markers, {fit.lattice.found.mean():.1%} of them seen,"
-            f" {fit.residual_px:.2f} px RMS off the regular grid"
-        )
-        if options.pictures is not None:
-            options.pictures.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(options.pictures / f"{finger}.png"), Rectifier(fit.camera).apply(image))
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    Calibration(fits["left"].camera, fits["right"].camera).save(options.out)
-    print(f"wrote {options.out}")
-    return 0
-
-
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="tactile-insertion calibrate", description=(__doc__ or "").split(": ", 1)[1])
-    for finger in FINGERS:
-        help_text = f"camera of the {finger} finger, as for run: v4l2:N, http://HOST:PORT/PATH or file:PATH"
-        parser.add_argument(f"--camera-{finger}", required=True, metavar="URL", help=help_text)
-    parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="its name or its TOML profile (%(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("calibration.toml"), help="file to write (calibration.toml)")
-    parser.add_argument("--frames", type=int, default=15, help="frames a camera; their median is used (15)")
-    parser.add_argument("--pictures", type=Path, help="folder for the rectified pictures, to look at")
-    return parser.parse_args(arguments)
 
 
 def still_image(url: str, frames: int) -> NDArray[np.uint8]:

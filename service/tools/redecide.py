@@ -1,4 +1,4 @@
-"""`python -m service replay FILE.mcap`: decide a recorded insertion again and compare bit for bit.
+"""Decide a recorded insertion again and compare bit for bit.
 
 The recording holds every call the session got, in order, with its time. The same calls on the same frames give the
 same messages; only what measures time (latencies, ages) and where the recording lies may differ.
@@ -7,7 +7,6 @@ same messages; only what measures time (latencies, ages) and where the recording
 import json
 import tempfile
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ class Replay:
     session: InsertionSession
     frames: dict[str, dict[int, TactileFrame]]
     work: deque[Work] = field(default_factory=deque)
-    said: list[dict[str, Any]] = field(default_factory=list)
+    replies: list[dict[str, Any]] = field(default_factory=list)
 
     def run(self) -> None:
         """Make every recorded call."""
@@ -41,7 +40,7 @@ class Replay:
         for entry in self.recording.of("/calls"):
             call = entry.json()
             replies = self._make(call, int(call["now_ns"]))
-            self.said += [r.model_dump(mode="json") for r in replies if r.type != "heartbeat"]
+            self.replies += [r.model_dump(mode="json") for r in replies if r.type != "heartbeat"]
 
     def _make(self, call: dict[str, Any], now_ns: int) -> list[Any]:
         replies: list[Any] = []
@@ -83,12 +82,12 @@ def comparable(message: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in message.items() if key not in _TIMES}
 
 
-def differences(recorded: list[dict[str, Any]], said: list[dict[str, Any]]) -> list[str]:
-    """What a replay said otherwise, as lines; the camera states of a hello are of their time."""
+def differences(recorded: list[dict[str, Any]], replayed: list[dict[str, Any]]) -> list[str]:
+    """Where a replay differs, as lines; camera states in a hello are left out."""
     found = []
-    for index in range(max(len(recorded), len(said))):
+    for index in range(max(len(recorded), len(replayed))):
         then = comparable(recorded[index]) if index < len(recorded) else {"type": "nothing"}
-        now = comparable(said[index]) if index < len(said) else {"type": "nothing"}
+        now = comparable(replayed[index]) if index < len(replayed) else {"type": "nothing"}
         if then["type"] == "hello" == now["type"]:
             continue
         if then != now:
@@ -117,18 +116,13 @@ def open_replay(recording: Recording, models: ModelSet) -> Replay:
     return Replay(recording, session, {finger: recording.frames(finger) for finger in FINGERS})
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Exit code 0 if every message comes out the same, 1 if not."""
-    rest = [argument for argument in arguments if not argument.startswith("-")]
-    if "--help" in arguments or "-h" in arguments or not rest:
-        print("usage: python -m service replay RECORDING.mcap [--models DIR]\n\nDecide it again, compare bit for bit.")
-        return 0
-    folder = arguments[arguments.index("--models") + 1] if "--models" in arguments[:-1] else None
-    recording = Recording(Path(next(argument for argument in rest if argument.endswith(".mcap"))))
-    replay = open_replay(recording, load_models(Path(folder or recording.metadata["models_folder"])))
+def redecide(path: Path, models_folder: Path | None = None) -> int:
+    """Decide a recording again and print what differs; 0 if every message comes out the same, 1 if not."""
+    recording = Recording(path)
+    replay = open_replay(recording, load_models(models_folder or Path(recording.metadata["models_folder"])))
     replay.run()
     recorded = [e.json()["message"] for e in recording.of("/messages") if e.json()["from"] == "service"]
-    said = replay.said[: len(recorded)] if recording.recovered else replay.said
-    found = differences(recorded, said)
+    replayed = replay.replies[: len(recorded)] if recording.recovered else replay.replies
+    found = differences(recorded, replayed)
     print("\n".join(found) or f"{len(recorded)} messages decided again, all the same bit for bit")
     return 1 if found else 0

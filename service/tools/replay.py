@@ -1,12 +1,11 @@
-"""`python -m service replay PATH`: perception over a recorded clip, event by event.
+"""Perception over a recorded clip, event by event.
 
-PATH is a video, a folder of frames (png or jpg, by name), or a folder of videos (one a finger).
+A clip is a video, a folder of frames (png or jpg, by name), or a folder of videos (one a finger).
 """
 
-import argparse
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import FINGERS, Finger
+from service.contract import Finger
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import Calibration, Rectifier
 from service.perception.slip.detector import SlipState
@@ -41,37 +40,6 @@ class ReplayOptions:
     calibration: Path | None = None
     finger: Finger = "left"
     untouched: bool = False
-
-
-def parse(arguments: Sequence[str]) -> ReplayOptions:
-    """The options of ``python -m service replay``."""
-    parser = argparse.ArgumentParser(
-        prog="tactile-insertion replay",
-        description="Run marker tracking and slip detection over a recording, print what happened when, and draw it.",
-        epilog="example: python -m service replay clip.avi --fps 30 --plot --out runs/replay. "
-        "A recorded insertion (.mcap) is decided again instead: python -m service replay x.mcap --help",
-    )
-    parser.add_argument("path", type=Path, help="a video, a folder of frames (png, jpg), or a folder of videos")
-    parser.add_argument("--plot", action="store_true", help="write the annotated video too")
-    parser.add_argument("--out", type=Path, default=Path("runs/replay"), help="folder for the pictures (%(default)s)")
-    parser.add_argument(
-        "--crop", type=int, nargs=4, metavar=("LEFT", "TOP", "WIDTH", "HEIGHT"), help="where the gel is, in pixels"
-    )
-    parser.add_argument("--fps", type=float, help="frames a second at capture, where the file's header is wrong")
-    parser.add_argument("--calibration", type=Path, help="rectify the frames with this file first")
-    parser.add_argument("--untouched", action="store_true", help="nothing touches the gel in the first frame: learn it")
-    parser.add_argument("--finger", choices=FINGERS, default="left", help="whose calibration to use (%(default)s)")
-    given = vars(parser.parse_args(arguments))
-    crop = given.pop("crop")
-    return ReplayOptions(crop=None if crop is None else tuple(crop), **given)
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Replay every clip under the path; raises ReplayError or FileNotFoundError on bad input."""
-    options = parse(arguments)
-    for clip in clips_of(options.path):
-        replay(clip, options)
-    return 0
 
 
 def clips_of(path: Path) -> list[Path]:

@@ -5,16 +5,14 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
-from starlette.types import Receive, Scope, Send
 
 from service import __version__
 from service.contract import ContractError
 from service.session.station import Station
 from service.web.access import Access
-from service.web.gate import Gate
 from service.web.metrics import Metrics
+from service.web.middleware import RequestLimits
 from service.web.routes import api, cameras, health, insertion, live, oip, recordings
-from service.web.shortcut import Shortcut, refusal
 
 
 class Refused(BaseModel):
@@ -23,27 +21,9 @@ class Refused(BaseModel):
     error: str
 
 
-class Application(FastAPI):
-    """FastAPI behind a front door of our own, which the framework's layers would come before."""
-
-    front: Gate
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve a connection."""
-        await self.front(scope, receive, send)
-
-    def answer_now(self, scope: Scope, body: bytes) -> tuple[list[tuple[bytes, bytes]], bytes] | None:
-        """See :meth:`Gate.answer_now`; the web server asks this first where a small request has come whole."""
-        return self.front.answer_now(scope, body)
-
-    async def routed(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Serve it by its route."""
-        await super().__call__(scope, receive, send)
-
-
 def create_app(station: Station) -> FastAPI:
     """The application; the caller starts and stops the station."""
-    app = Application(
+    app = FastAPI(
         title="tactile-insertion",
         version=__version__,
         docs_url="/v1/docs",
@@ -55,13 +35,10 @@ def create_app(station: Station) -> FastAPI:
     app.include_router(health.router(station, Metrics(station)))
     app.include_router(insertion.router(station, access))
     app.include_router(live.router(station, access))
-    for module in (api, cameras, recordings):
+    for module in (api, cameras, oip, recordings):
         app.include_router(module.router(station, access))
-    served = oip.Served(station)
-    app.include_router(oip.router(served, access))
     app.mount("/dashboard", live.static_files())
-    shortcut = Shortcut(app.routed, served, access)
-    app.front = Gate(shortcut, station.settings.requests_per_s, shortcut.answer_now)
+    app.add_middleware(RequestLimits, requests_per_s=station.settings.requests_per_s)
     _refuse_in_one_form(app)
     return app
 
@@ -82,3 +59,10 @@ def _refuse_in_one_form(app: FastAPI) -> None:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         return JSONResponse({"error": f"{where}: {first['msg']}"}, 422)
+
+
+def refusal(error: ContractError | HTTPException) -> JSONResponse:
+    """Every refusal is ``{"error": ...}``, under /v1 as under /v2."""
+    if isinstance(error, HTTPException):
+        return JSONResponse({"error": str(error.detail)}, error.status_code, error.headers)
+    return JSONResponse({"error": str(error)}, 400)

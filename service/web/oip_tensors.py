@@ -29,41 +29,10 @@ DATATYPES: dict[str, Any] = {
 _NAMES = {np.dtype(value): key for key, value in DATATYPES.items()}
 _ORT_NAMES = {"tensor(float)": "FP32", "tensor(uint8)": "UINT8", "tensor(int64)": "INT64", "tensor(double)": "FP64"}
 MAX_ELEMENTS = 1 << 27
-MAX_REMEMBERED = 64  # files whose tensors are remembered, requests whose JSON is, answers whose JSON is
-MAX_HEAD_BYTES = 8 << 10  # of JSON worth remembering
-_described: dict[str, dict[str, Any]] = {}
-_plans: "dict[tuple[str, bytes, int], Plan]" = {}
-_heads: "dict[tuple[Any, ...], bytes]" = {}
 
 
 class TensorError(ContractError):
     """A request is not what the protocol or the model expects."""
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """One input as the JSON describes it: its values, or where in the binary tail they lie (``at``, in bytes)."""
-
-    name: str
-    dtype: Any
-    shape: tuple[int, ...]
-    at: int
-    values: Array | None = None
-
-    def read(self, body: bytes, tail_at: int) -> Array:
-        """The tensor; one out of the tail is a view of the body."""
-        if self.values is not None:
-            return self.values
-        return np.frombuffer(body, self.dtype, math.prod(self.shape), tail_at + self.at).reshape(self.shape)
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What the JSON of a request says; ``binary`` says for each wanted output whether it goes out in binary."""
-
-    id: str | None
-    parts: tuple[Part, ...]
-    binary: dict[str, bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,55 +45,32 @@ class InferRequest:
 
 
 def metadata(model: LoadedModel) -> dict[str, Any]:
-    """Names, types and shapes of a model's inputs and outputs; the batch is -1. Do not change what it returns."""
-    if (known := _described.get(model.sha256)) is not None:
-        return known
+    """Names, types and shapes of a model's inputs and outputs; the batch is -1."""
 
     def tensor(entry: Any) -> dict[str, Any]:
         shape = [size if isinstance(size, int) else -1 for size in entry.shape]
         return {"name": entry.name, "datatype": _ORT_NAMES.get(entry.type, "FP32"), "shape": shape}
 
-    described = {
+    return {
         "inputs": [tensor(entry) for entry in model.inputs],
         "outputs": [tensor(entry) for entry in model.outputs],
     }
-    _remember(_described, model.sha256, described)
-    return described
 
 
 def parse_request(body: bytes, header_length: str | None, model: LoadedModel) -> InferRequest:
-    """Read an infer request; raise TensorError naming what is wrong.
-
-    A client in a loop sends the same JSON again and again, and other tensors behind it: what it said is remembered.
-    """
+    """Read an infer request; raise TensorError naming what is wrong. Binary tensors are views of the body."""
     if header_length is not None and not (header_length.isdigit() and int(header_length) <= len(body)):
         raise TensorError(f"Inference-Header-Content-Length {header_length!r}, expected a length within the body")
     split = len(body) if header_length is None else int(header_length)
-    head = body[:split]
-    key = model.sha256, head, len(body) - split
-    if (plan := _plans.get(key)) is None:
-        plan = _planned(head, len(body) - split, model)
-        if plan.id is None and len(head) <= MAX_HEAD_BYTES and all(part.values is None for part in plan.parts):
-            _remember(_plans, key, plan)
-    return InferRequest(plan.id, {part.name: part.read(body, split) for part in plan.parts}, plan.binary)
-
-
-def _remember(memory: dict[Any, Any], key: Any, value: Any) -> None:
-    while len(memory) >= MAX_REMEMBERED:
-        memory.popitem()
-    memory[key] = value
-
-
-def _planned(head: bytes, tail_bytes: int, model: LoadedModel) -> Plan:
     try:
-        request = json.loads(head)
+        request = json.loads(body[:split])
     except (ValueError, RecursionError) as error:
         raise TensorError(f"request is no JSON: {error}") from error
     if not isinstance(request, dict) or not isinstance(request.get("inputs"), list):
         raise TensorError("request needs a list of inputs")
     known = metadata(model)
-    parts = _inputs(request["inputs"], tail_bytes, {e["name"]: e for e in known["inputs"]})
-    return Plan(_id(request), parts, _wanted(request, [entry["name"] for entry in known["outputs"]]))
+    inputs = _inputs(request["inputs"], memoryview(body)[split:], {entry["name"]: entry for entry in known["inputs"]})
+    return InferRequest(_id(request), inputs, _wanted(request, [entry["name"] for entry in known["outputs"]]))
 
 
 def _id(request: Mapping[str, Any]) -> str | None:
@@ -137,26 +83,44 @@ def _parameters(entry: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _inputs(entries: list[Any], tail_bytes: int, known: Mapping[str, Any]) -> tuple[Part, ...]:
-    found: dict[str, Part] = {}
+def _inputs(entries: list[Any], tail: memoryview, known: Mapping[str, Any]) -> dict[str, Array]:
+    inputs: dict[str, Array] = {}
     at = 0
     for entry in entries:
         name = entry.get("name") if isinstance(entry, dict) else None
-        if not isinstance(name, str) or name not in known or name in found:
+        if not isinstance(name, str) or name not in known or name in inputs:
             raise TensorError(f"input {name!r}, expected each of {sorted(known)} once")
         size = _parameters(entry).get("binary_data_size")
-        if size is not None and (not isinstance(size, int) or size < 0 or at + size > tail_bytes):
-            raise TensorError(f"input {name}: binary_data_size {size}, {tail_bytes - at} bytes are left")
-        found[name] = _part(entry, size, at, known[name])
+        if size is not None and (not isinstance(size, int) or size < 0 or at + size > len(tail)):
+            raise TensorError(f"input {name}: binary_data_size {size}, {len(tail) - at} bytes are left")
+        inputs[name] = _tensor(entry, None if size is None else tail[at : at + size], known[name])
         at += size or 0
-    if set(found) != set(known):
-        raise TensorError(f"inputs {sorted(found)}, expected {sorted(known)}")
-    if at != tail_bytes:
-        raise TensorError(f"{tail_bytes - at} bytes follow the last tensor")
-    return tuple(found.values())
+    if set(inputs) != set(known):
+        raise TensorError(f"inputs {sorted(inputs)}, expected {sorted(known)}")
+    if at != len(tail):
+        raise TensorError(f"{len(tail) - at} bytes follow the last tensor")
+    return inputs
 
 
-def _part(entry: Mapping[str, Any], size: int | None, at: int, known: Mapping[str, Any]) -> Part:
+def _tensor(entry: Mapping[str, Any], data: memoryview | None, known: Mapping[str, Any]) -> Array:
+    """One input: out of its binary ``data``, or out of the JSON where there is none."""
+    name, shape, dtype = entry["name"], _shape(entry, known), np.dtype(DATATYPES[known["datatype"]])
+    count = math.prod(shape)
+    if data is not None:
+        if len(data) != count * dtype.itemsize:
+            raise TensorError(f"input {name} has {len(data)} bytes, expected {count * dtype.itemsize}")
+        return np.frombuffer(data, dtype).reshape(shape)
+    try:
+        values = np.asarray(entry.get("data"), np.float64)
+        if dtype.kind in "iu" and not ((values >= np.iinfo(dtype).min) & (values <= np.iinfo(dtype).max)).all():
+            raise TensorError(f"input {name} has values outside {known['datatype']}")
+        return values.astype(dtype).reshape(shape)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise TensorError(f"input {name}: {error}") from error
+
+
+def _shape(entry: Mapping[str, Any], known: Mapping[str, Any]) -> tuple[int, ...]:
+    """The shape of an input, which is of the model's type and fits it."""
     name, datatype, shape = entry["name"], entry.get("datatype"), entry.get("shape")
     if datatype != known["datatype"]:
         raise TensorError(f"input {name} is {datatype}, expected {known['datatype']}")
@@ -164,21 +128,9 @@ def _part(entry: Mapping[str, Any], size: int | None, at: int, known: Mapping[st
     if not fits or any(n < 1 or (k >= 0 and n != k) for n, k in zip(shape or [], known["shape"], strict=False)):
         raise TensorError(f"input {name} has shape {shape}, expected {known['shape']}")
     assert isinstance(shape, list)
-    count = math.prod(shape)
-    dtype = np.dtype(DATATYPES[known["datatype"]])
-    if count > MAX_ELEMENTS:
-        raise TensorError(f"input {name} has {count} elements, expected at most {MAX_ELEMENTS}")
-    if size is not None:
-        if size != count * dtype.itemsize:
-            raise TensorError(f"input {name} has {size} bytes, expected {count * dtype.itemsize}")
-        return Part(name, dtype, tuple(shape), at)
-    try:
-        values = np.asarray(entry.get("data"), np.float64)
-        if dtype.kind in "iu" and not ((values >= np.iinfo(dtype).min) & (values <= np.iinfo(dtype).max)).all():
-            raise TensorError(f"input {name} has values outside {known['datatype']}")
-        return Part(name, dtype, tuple(shape), at, values.astype(dtype).reshape(shape))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise TensorError(f"input {name}: {error}") from error
+    if math.prod(shape) > MAX_ELEMENTS:
+        raise TensorError(f"input {name} has {math.prod(shape)} elements, expected at most {MAX_ELEMENTS}")
+    return tuple(shape)
 
 
 def _wanted(request: Mapping[str, Any], names: list[str]) -> dict[str, bool]:
@@ -201,13 +153,7 @@ def encode_response(
     """Body and headers of an infer response."""
     values = {name: np.ascontiguousarray(outputs[name]) for name in request.binary}
     tail = [values[name].tobytes() for name, binary in request.binary.items() if binary]
-    if request.id is None and len(tail) == len(values):
-        key = model_name, *((name, array.dtype, array.shape) for name, array in values.items())
-        if (head := _heads.get(key)) is None:
-            head = _described_outputs(model_name, request, values)
-            _remember(_heads, key, head)
-    else:
-        head = _described_outputs(model_name, request, values)
+    head = _described_outputs(model_name, request, values)
     if not tail:
         return head, {"Content-Type": "application/json"}
     headers = {"Content-Type": "application/octet-stream", "Inference-Header-Content-Length": str(len(head))}

@@ -16,7 +16,7 @@ class CellOptions:
     """Options of ``python -m simulation cell``."""
 
     object: str = "rectangle"
-    """Scene: a built-in name or a TOML file."""
+    """A name or a TOML file."""
     x_mm: float = 8.0
     """Position error at the start, across the gap."""
     theta_deg: float = 6.0

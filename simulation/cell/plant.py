@@ -16,7 +16,8 @@ from simulation.cell.world import Gel
 from simulation.data.probe import QuasiStaticCell
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.scene.effects import dropped_share
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
 
 Image = NDArray[np.uint8]
 LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; a solve that polishes to 1e-7 N may miss a camera tick

@@ -1,14 +1,12 @@
-"""`python -m simulation run`: the whole loop. Simulated cell, service and robot client as processes, one insertion.
+"""The whole loop: simulated cell, service and robot client as processes, one insertion at a time.
 
 The cell plays robot, gripper and cameras on loopback; the service and the client are the real ones and cannot tell.
-Exit 0 if every insertion succeeded, 1 if one did not, 2 on wrong input.
 """
 
 import json
-import sys
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,15 +14,14 @@ from typing import Any, Literal, NamedTuple
 from urllib.request import urlopen
 
 import numpy as np
-import tyro
 
 from service.contract.shipped import released_models
 from simulation.cell import run_report
-from simulation.cell.children import Child, ChildError, terminate_as_interrupt
+from simulation.cell.children import Child
 from simulation.cell.run_report import Result
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene, training_objects
 
-TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 CELL_READY_S = 300.0  # the first start on a machine compiles the physics
 SERVICE_READY_S = 90.0
 FRAME_AGE_MS = 500.0  # the simulated cell computes its frames on the same cores and may pause; a real camera must not
@@ -39,7 +36,7 @@ class RunOptions:
     """Insert an object in the simulated cell, in real time, through the real protocols."""
 
     object: str = "rectangle"
-    """Scene: a built-in name, a TOML file, or "all" for the four training objects."""
+    """A name, a TOML file, or "all" for the training objects."""
     x_mm: float | None = None
     """Position error at the start; drawn from the seed if left out."""
     theta_deg: float | None = None
@@ -93,7 +90,7 @@ def starts(options: RunOptions) -> list[Start]:
     if not options.models.is_dir():
         raise RunError(f"--models {options.models}: no such folder; it holds the .onnx files of the service")
     planned = []
-    for name in TRAINING_OBJECTS if options.object == "all" else (options.object,):
+    for name in training_objects() if options.object == "all" else (options.object,):
         scene = load_scene(name)
         for seed in range(options.seed, options.seed + options.repeat):
             x_mm, theta_deg = draw_start(scene, seed)
@@ -202,53 +199,3 @@ def insert(start: Start, options: RunOptions, folder: Path) -> Result:
         seconds=seconds,
         cores=(cores[0], cores[1]),
     )
-
-
-def _report(result: Result, folder: Path) -> None:
-    recording = run_report.newest_recording(folder / "recordings")
-    drawn = run_report.draw_last_attempt(recording, folder / "last_attempt.png", result) if recording else None
-    (folder / "result.json").write_text(result.as_json() + "\n")
-    _say("")
-    for line in run_report.screen(result, recording, drawn, folder):
-        _say(line)
-    _say("")
-
-
-def _folder(options: RunOptions, start: Start) -> Path:
-    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(start.object).stem}-{start.seed}"
-    folder, k = options.out / stem, 1
-    while folder.exists():
-        folder, k = options.out / f"{stem}-{k}", k + 1
-    return folder
-
-
-def _table(results: Sequence[Result]) -> None:
-    _say(f"{'object':<12} {'inserted':>9} {'mean attempts':>14} {'most':>5} {'blocks moved mm':>16}")
-    for name in dict.fromkeys(result.object_name for result in results):
-        rows = [result for result in results if result.object_name == name]
-        attempts = [row.attempts if row.inserted else 16 for row in rows]
-        moved = max(row.blocks_moved_mm for row in rows)
-        inserted = f"{sum(row.inserted for row in rows)}/{len(rows)}"
-        _say(f"{name:<12} {inserted:>9} {np.mean(attempts):>14.2f} {max(attempts):>5} {moved:>16.2f}")
-
-
-def main(arguments: list[str]) -> int:
-    """Run; see the module's docstring for the exit code."""
-    options = tyro.cli(RunOptions, args=arguments, prog="tactile-insertion run", description=__doc__)
-    todo = starts(options)
-    terminate_as_interrupt()
-    results = []
-    try:
-        for start in todo:
-            folder = _folder(options, start)
-            results.append(insert(start, options, folder))
-            _report(results[-1], folder)
-    except ChildError as error:
-        print(f"run: {error}", file=sys.stderr)
-        return 2 if error.code == 2 else 1
-    except KeyboardInterrupt:
-        print("run: interrupted, everything stopped", file=sys.stderr)
-        return 130
-    if len(results) > 1:
-        _table(results)
-    return 0 if all(result.inserted for result in results) else 1

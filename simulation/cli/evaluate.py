@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,12 +11,14 @@ from typing import Annotated, Literal
 
 import tyro
 
+from reporting.files import write_json
 from service.contract.shipped import released_models
-from simulation.closed_loop import campaign, statistics
-from simulation.closed_loop.baselines import CONTENDERS
+from simulation.closed_loop import benchmark, campaign, statistics
+from simulation.closed_loop.baselines import CONTROLLERS
 from simulation.closed_loop.campaign import Task
-from simulation.closed_loop.statistics import OBJECTS, Row
-from simulation.scene.scene import load_scene
+from simulation.closed_loop.statistics import Row
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import World, files_in, load_objects, load_world, object_names
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,9 @@ class Options:
 
     Results go to OUT/insertions.jsonl as they come (a second call goes on where the first stopped, also after a kill),
     then to DOCS/closed_loop.md, .json and pictures. All figures are simulated.
+
+    With --worlds and --json, every world is played with every object instead, by the first of --controllers, from
+    start errors drawn uniformly; JSON gets a list of rows, one for each world and object.
     """
 
     out: Path = Path("runs/evaluation")
@@ -33,16 +40,20 @@ class Options:
     """folder with the ONNX files to judge; its folder `joint` holds the joint density, if there is one"""
     paper_models: Path = Path("models/paper")
     """folder with the paper's recipe (AlexNet + LSTM); its row is left out while there is none"""
-    objects: tuple[str, ...] = OBJECTS
-    """scene names"""
-    who: tuple[str, ...] = tuple(CONTENDERS)
+    objects: tuple[str, ...] = object_names()
+    """names, TOML files or folders of them"""
+    worlds: tuple[str, ...] = ()
+    """TOML files of worlds, or folders of them; needs --json"""
+    json: Path | None = None
+    """file for the rows; results go beside it as they come. Without --worlds: the world that was trained for"""
+    controllers: tuple[str, ...] = tuple(CONTROLLERS)
     """rows of the table: the service's controllers and baselines"""
     count: int = 30
-    """insertions an object for `belief`: the 4 extremes and uniform random errors"""
+    """insertions an object for `belief` (the 4 extremes and uniform random errors), or a world and object"""
     baseline_count: int = 30
     """insertions an object for every other row (not more than --count)"""
-    eyes: Literal["pictures", "gel"] = "pictures"
-    """pictures: every frame is drawn, rectified and tracked. gel: slip from the true markers, five times cheaper"""
+    perception: Literal["pictures", "fields"] = "pictures"
+    """pictures: every frame is drawn, rectified and tracked. fields: the true marker fields, five times cheaper"""
     seed: int = 0
     """of the start errors, grasps and noise"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
@@ -53,58 +64,60 @@ class Options:
     """address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)"""
 
 
-def folder_of(options: Options, who: str) -> Path:
-    """Where a contender's networks are."""
-    if who == "paper":
+def folder_of(options: Options, controller: str) -> Path:
+    """Where a controller's networks are."""
+    if controller == "paper":
         return options.paper_models
-    return options.models / CONTENDERS[who].folder
+    return options.models / CONTROLLERS[controller].folder
 
 
 def entered(options: Options) -> tuple[str, ...]:
-    """The contenders asked for whose networks exist; ValueError if there are none."""
-    unknown = sorted(set(options.objects) - set(OBJECTS))
+    """The controllers asked for whose networks exist; ValueError if there are none."""
+    unknown = sorted(set(options.controllers) - set(CONTROLLERS))
     if unknown:
-        raise ValueError(f"--objects {', '.join(unknown)}: expected some of {', '.join(OBJECTS)}")
-    unknown = sorted(set(options.who) - set(CONTENDERS))
-    if unknown:
-        raise ValueError(f"--who {', '.join(unknown)}: expected some of {', '.join(CONTENDERS)}")
+        raise ValueError(f"--controllers {', '.join(unknown)}: expected some of {', '.join(CONTROLLERS)}")
     if options.count < 1 or options.baseline_count < 1:
         raise ValueError(f"--count {options.count} --baseline-count {options.baseline_count}: expected at least 1")
     if not list(options.models.glob("*.onnx")):
         raise ValueError(f"--models {options.models}: no *.onnx there; expected the folder with the networks")
-    found = tuple(who for who in options.who if list(folder_of(options, who).glob("*.step.onnx")))
-    if not found or not options.objects:
-        looked = ", ".join(dict.fromkeys(str(folder_of(options, who)) for who in options.who))
-        raise ValueError(f"nothing to play: expected some --objects, and --who whose *.step.onnx lie in {looked}")
-    return found
+    names = tuple(name for name in options.controllers if list(folder_of(options, name).glob("*.step.onnx")))
+    if not names or not options.objects:
+        looked = ", ".join(dict.fromkeys(str(folder_of(options, name)) for name in options.controllers))
+        raise ValueError(
+            f"nothing to play: expected some --objects, and --controllers whose *.step.onnx lie in {looked}"
+        )
+    return names
 
 
-def tasks(options: Options, names: tuple[str, ...]) -> list[Task]:
+def tasks(options: Options, names: tuple[str, ...], objects: dict[str, Scene]) -> list[Task]:
     """Everything to play, the n-th insertion of all before the next: a run cut short is still balanced."""
     starts = {}
-    for number, scene in enumerate(OBJECTS):
-        cell = load_scene(scene)
+    for scene, cell in objects.items():
         reach = (cell.x_range_mm, cell.theta_range_deg)
-        starts[scene] = statistics.start_errors(options.count, options.seed + number, reach)
-    found = []
+        starts[scene] = statistics.start_errors(options.count, options.seed + cell.number, reach)
+    todo = []
     for index in range(options.count):
-        playing = names if index < options.baseline_count else tuple(who for who in names if who == "belief")
-        for scene in options.objects:
+        playing = names if index < options.baseline_count else tuple(name for name in names if name == "belief")
+        for scene in objects:
             x, theta = starts[scene][index]
-            job = {"scene": scene, "index": index, "x_mm": x, "theta_deg": theta, "eyes": options.eyes}
+            job = {"scene": scene, "index": index, "x_mm": x, "theta_deg": theta, "perception": options.perception}
             job["seed"] = options.seed * 100_000 + index
-            found += [Task(folder_of(options, who), {**job, "who": who}) for who in playing]
-    return found
+            todo += [Task(folder_of(options, name), {**job, "controller": name}) for name in playing]
+    return todo
 
 
 def main(arguments: list[str]) -> int:
     """Run, print the table, write the files; 0 also when insertions failed: the table says so."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion evaluate")
-    names = entered(options)
-    setup = campaign.fingerprint({who: folder_of(options, who) for who in names})
+    names, objects = entered(options), load_objects(options.objects)
+    setup = campaign.fingerprint({name: folder_of(options, name) for name in names})
+    if options.json is not None:
+        return _play_worlds(options, options.json, names[0], objects)
+    if options.worlds:
+        raise ValueError("--worlds: expected --json, too, the file for the rows")
     campaign.claim(options.out, setup)
     log = options.out / "insertions.jsonl"
-    rows = campaign.run(tasks(options, names), log, workers=options.workers, ray=options.ray)
+    rows = campaign.run(tasks(options, names, objects), log, workers=options.workers, ray=options.ray)
     from simulation.closed_loop.report import write
 
     options.docs.mkdir(parents=True, exist_ok=True)
@@ -114,13 +127,31 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
+def _play_worlds(options: Options, path: Path, controller: str, objects: dict[str, Scene]) -> int:
+    """Rows of every world with every object; results of other code or networks in the log are left alone."""
+    worlds = [load_world(file) for file in files_in(options.worlds)] or [World()]
+    models = folder_of(options, controller)
+    setup = json.dumps(campaign.fingerprint({controller: models}), sort_keys=True)
+    made_by = hashlib.sha256(setup.encode()).hexdigest()[:16]
+    asked = {"controller": controller, "perception": options.perception}
+    todo = benchmark.tasks(worlds, objects, options.count, options.seed, models, made_by, **asked)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    log = path.with_suffix(".insertions.jsonl")
+    rows = benchmark.table(campaign.run(todo, log, workers=options.workers, ray=options.ray))
+    write_json(path, rows)
+    for row in rows:
+        inserted = f"{row['inserted']}/{row['insertions']} inserted, mean trials {row['mean_trials']:.2f}"
+        print(f"{row['world']}, {row['object']}: {inserted} (simulated)")
+    return 0
+
+
 def _film(options: Options, rows: list[Row]) -> None:
     """The filmstrip of the first insertion of three attempts (or two) that the belief made."""
     from simulation.closed_loop.filmstrip import film
-    from simulation.closed_loop.play import Job
+    from simulation.closed_loop.job import Job
 
-    mine = [row for row in rows if row["who"] == "belief" and row["inserted"] and row["attempts"] in {2, 3}]
+    mine = [row for row in rows if row["controller"] == "belief" and row["inserted"] and row["attempts"] in {2, 3}]
     if mine:
-        row = max(mine, key=lambda found: int(found["attempts"]))
-        job = {name: row[name] for name in Job.__dataclass_fields__} | {"eyes": "pictures"}
+        row = max(mine, key=lambda each: int(each["attempts"]))
+        job = {name: row[name] for name in Job.__dataclass_fields__} | {"perception": "pictures"}
         film(Job(**job), options.models, options.docs / "closed_loop_filmstrip.png")

@@ -11,7 +11,8 @@ from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.effects import EFFECTS, decide
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
 
 IN_THE_PHYSICS = ("gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling")
 REPEATS = 7
@@ -52,10 +53,10 @@ def cost(scene: Scene, key: str) -> str:
     return f"{with_it - without:+.2f} of {with_it:.2f} ms a {unit}"
 
 
-def main(arguments: list[str]) -> int:
+def explain(arguments: list[str]) -> int:
     """Print each effect of a scene: on or off, why, and what it costs here."""
     parser = argparse.ArgumentParser(prog="tactile-insertion explain", description=__doc__)
-    parser.add_argument("scene", help="a built-in name (rectangle, circle, ...) or a TOML file")
+    parser.add_argument("scene", help="name of an object (rectangle, circle, ...) or a TOML file")
     scene = load_scene(parser.parse_args(arguments).scene)
     gap = f"gap {scene.blocks.gap_mm} mm, clearance {scene.clearance_mm:.2f} mm a side"
     print(f"{scene.name}: {gap}, tier {scene.gel.tier}")

@@ -1,4 +1,4 @@
-"""`python -m simulation probe SCENE --x-mm X --theta-deg T`."""
+"""Commands that show what one poke of the simulated cell does and what its sensor records."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import tyro
 from numpy.typing import NDArray
 
 from service.contract import FINGERS
@@ -14,16 +15,18 @@ from simulation.cell.options import CellOptions
 from simulation.data.probe import Probe, run_probe
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
+from simulation.studies import imprint as study
 
 
 def pictures(scene: Scene, probe: Probe, seed: int) -> list[NDArray[np.uint8]]:
     """Rectified frames of both fingers side by side, uint8 [H, 2 W, 3] BGR, one a kept frame."""
-    eyes = [Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS]
+    renderers = [Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS]
     out = []
     for i, gel in enumerate(probe.gel.astype(np.float32)):
         previous = probe.gel[max(i - 1, 0)].astype(np.float32)
-        pair = [eye.rectified(gel[k], 2 * i + k, previous[k]) for k, eye in enumerate(eyes)]
+        pair = [one.rectified(gel[k], 2 * i + k, previous[k]) for k, one in enumerate(renderers)]
         out.append(np.concatenate(pair, axis=1))
     return out
 
@@ -45,10 +48,10 @@ def save(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
     video.release()
 
 
-def main(arguments: list[str]) -> int:
+def probe(arguments: list[str]) -> int:
     """Run one descent and print what happened, frame by frame."""
-    parser = argparse.ArgumentParser(prog="tactile-insertion probe", description=__doc__)
-    parser.add_argument("scene", help="a built-in name (rectangle, circle, ...) or a TOML file")
+    parser = argparse.ArgumentParser(prog="tactile-insertion probe", description=probe.__doc__)
+    parser.add_argument("scene", help="name of an object (rectangle, circle, ...) or a TOML file")
     parser.add_argument("--x-mm", type=float, default=8.0, help="position error across the gap (default 8)")
     parser.add_argument("--theta-deg", type=float, default=5.0, help="yaw error (default 5)")
     parser.add_argument("--seed", type=int, default=0, help="of grasp, optics and noise (default 0)")
@@ -59,17 +62,24 @@ def main(arguments: list[str]) -> int:
     if given.seed < 0:
         raise ValueError(f"--seed {given.seed}: expected 0 or more")
     scene = load_scene(given.scene, **({"gel__tier": given.tier} if given.tier else {}))
-    probe = run_probe(scene, given.x_mm, given.theta_deg, seed=given.seed)
+    done = run_probe(scene, given.x_mm, given.theta_deg, seed=given.seed)
     print(
-        f"outcome {probe.outcome}; "
-        f"onset frame {probe.onset_frame}, slip {probe.true_slip_frame}, stop {probe.stop_frame}"
+        f"outcome {done.outcome}; onset frame {done.onset_frame}, slip {done.true_slip_frame}, stop {done.stop_frame}"
     )
     print("frame  depth mm  force N  tilt deg  largest shear mm")
-    for i, depth in enumerate(probe.depth_mm):
-        shear = float(abs(probe.gel[i, ..., :2] - probe.gel[0, ..., :2]).max())
-        tilt = 57.29578 * float((probe.in_hand[i, 3:5] ** 2).sum()) ** 0.5
-        print(f"{i:5d}  {depth:8.2f}  {probe.wrench[i, 2]:7.2f}  {tilt:8.2f}  {shear:8.3f}")
+    for i, depth in enumerate(done.depth_mm):
+        shear = float(abs(done.gel[i, ..., :2] - done.gel[0, ..., :2]).max())
+        tilt = 57.29578 * float((done.in_hand[i, 3:5] ** 2).sum()) ** 0.5
+        print(f"{i:5d}  {depth:8.2f}  {done.wrench[i, 2]:7.2f}  {tilt:8.2f}  {shear:8.3f}")
     if given.save is not None:
-        save(pictures(scene, probe, given.seed), given.save, scene.fps)
+        save(pictures(scene, done, given.seed), given.save, scene.fps)
         print(f"saved {given.save}")
+    return 0
+
+
+def imprint(arguments: list[str]) -> int:
+    """Draw what the simulated sensor records, object by object, as one picture."""
+    options = tyro.cli(study.Options, args=arguments, prog="tactile-insertion imprint")
+    study.draw(options)
+    print(options.out)
     return 0

@@ -10,11 +10,11 @@ from typing import Annotated, Literal
 import tyro
 
 from service.contract.shipped import released_models
-from simulation.closed_loop import campaign, robustness, statistics
-from simulation.closed_loop.baselines import CONTENDERS
+from simulation.closed_loop import benchmark, campaign, robustness
+from simulation.closed_loop.baselines import CONTROLLERS
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.robustness import CONDITIONS, Condition
-from simulation.scene.scene import BUILT_IN, load_scene
+from simulation.scene.worlds import load_objects
 
 
 @dataclass(frozen=True)
@@ -31,17 +31,17 @@ class Options:
     models: Path = field(default_factory=released_models)
     """folder with the ONNX files"""
     objects: tuple[str, ...] = ("rectangle", "hexagon", "white_box")
-    """scene names"""
+    """names, TOML files or folders of them"""
     tiers: tuple[Literal["bristle", "layer"], ...] = ("bristle", "layer")
     """models of the gel; the networks were trained on the bristle tier"""
     only: tuple[str, ...] = ()
     """names of disturbances; all if none is given"""
-    who: str = "belief"
-    """who decides"""
+    controller: str = "belief"
+    """what decides the moves"""
     count: int = 10
     """insertions an object, disturbance and tier"""
-    eyes: Literal["pictures", "gel"] = "pictures"
-    """pictures: every frame is drawn, rectified and tracked. gel: slip from the true markers, five times cheaper"""
+    perception: Literal["pictures", "fields"] = "pictures"
+    """pictures: every frame is drawn, rectified and tracked. fields: the true marker fields, five times cheaper"""
     seed: int = 7
     """of the start errors, grasps and noise"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
@@ -52,38 +52,39 @@ class Options:
 
 def tasks(options: Options) -> list[Task]:
     """Everything to play, the n-th insertion of all before the next: a run cut short is still balanced."""
-    found = []
-    scenes = {name: load_scene(name) for name in options.objects}
-    names = options.only or tuple(CONDITIONS)
+    todo = []
+    scenes = load_objects(options.objects)
+    ranked = [name for name, scene in scenes.items() if scene.order is not None]
+    starts = {}
+    for name, scene in scenes.items():
+        number = scene.number if scene.order is None else ranked.index(name)
+        starts[name] = benchmark.drawn_starts(scene, options.count, options.seed + number)
     for index in range(options.count):
         for tier in options.tiers:
-            for name in names:
-                for number, (scene, cell) in enumerate(scenes.items()):
-                    reach = (cell.x_range_mm, cell.theta_range_deg)
-                    # the extremes would weigh too much in a small count
-                    x, theta = statistics.start_errors(options.count + 4, options.seed + number, reach)[index + 4]
-                    disturbed = CONDITIONS[name]
-                    job = {"scene": scene, "index": index, "x_mm": x, "theta_deg": theta, "who": options.who}
-                    job |= {"seed": options.seed * 100_000 + index, "eyes": _eyes(options, disturbed)}
-                    job |= {"condition": robustness.label(tier, name), "dead": disturbed.dead}
-                    job |= {"changes": disturbed.changes(cell) | {"gel.tier": tier}}
-                    job["gap_error_mm"] = disturbed.gap_error_mm
-                    found.append(Task(options.models / CONTENDERS[options.who].folder, job))
-    return found
+            for disturbance in options.only or tuple(CONDITIONS):
+                condition = CONDITIONS[disturbance]
+                for name, scene in scenes.items():
+                    x, theta = starts[name][index]
+                    job = {"scene": name, "index": index, "x_mm": x, "theta_deg": theta}
+                    job |= {"controller": options.controller, "seed": options.seed * 100_000 + index}
+                    job |= {"condition": robustness.label(tier, disturbance), "dead": condition.dead}
+                    job |= {"changes": condition.changes(scene) | {"gel.tier": tier}}
+                    job |= {"gap_error_mm": condition.gap_error_mm, "perception": _perception(options, condition)}
+                    todo.append(Task(options.models / CONTROLLERS[options.controller].folder, job))
+    return todo
 
 
-def _eyes(options: Options, disturbed: Condition) -> str:
-    """What shows in pictures alone is only noticed by those who look at them."""
-    return "pictures" if disturbed.only_in_pictures else options.eyes
+def _perception(options: Options, condition: Condition) -> str:
+    """A disturbance that shows in pictures alone has to be played with pictures."""
+    return "pictures" if condition.only_in_pictures else options.perception
 
 
 def main(arguments: list[str]) -> int:
     """Run, print the table, write the files."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion robustness")
     for given, known, flag in (
-        (options.objects, BUILT_IN, "objects"),
         (options.only, CONDITIONS, "only"),
-        ((options.who,), CONTENDERS, "who"),
+        ((options.controller,), CONTROLLERS, "controller"),
     ):
         unknown = sorted(set(given) - set(known))
         if unknown:
@@ -94,9 +95,10 @@ def main(arguments: list[str]) -> int:
         raise ValueError("nothing to play: expected some --objects and --tiers")
     if not list(options.models.glob("*.onnx")):
         raise ValueError(f"--models {options.models}: no *.onnx there; expected the folder with the networks")
-    setup = campaign.fingerprint({options.who: options.models / CONTENDERS[options.who].folder})
+    setup = campaign.fingerprint({options.controller: options.models / CONTROLLERS[options.controller].folder})
+    todo = tasks(options)
     campaign.claim(options.out, setup)
     log = options.out / "insertions.jsonl"
-    rows = campaign.run(tasks(options), log, workers=options.workers, ray=options.ray)
+    rows = campaign.run(todo, log, workers=options.workers, ray=options.ray)
     sys.stdout.write(robustness.write(rows, setup, options.docs))
     return 0

@@ -1,7 +1,7 @@
-"""Who decides the next move in a closed-loop evaluation: the service's controllers, and the baselines beside them.
+"""What decides the next move in a closed-loop evaluation: the service's controllers, and baselines beside them.
 
 A baseline is a `Chooser`: it is asked after every blocked attempt and its move replaces the service's. What it may
-look at is in `View`; what it takes from there is said in its docstring.
+look at is in `View`; its docstring states what it takes from there.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class View:
 
     ``error`` is the truth (x mm, theta deg) before the attempt, for the oracle alone. ``wrench`` [6] N and N mm on the
     object at the TCP in the hand frame, of the contact alone: the sensor is tared before each descent, with the object
-    hanging free. ``classes`` and ``estimate`` are the networks', None when pictures are not looked at.
+    hanging free. ``classes`` and ``estimate`` are the networks', None where they are not used.
     """
 
     attempt: int
@@ -181,28 +181,31 @@ Make = Callable[[int, Move], Chooser]
 
 
 @dataclass(frozen=True, slots=True)
-class Contender:
-    """One row of the table. ``folder``: its networks, inside the folder of models; ``sees`` pictures, or the gel."""
+class Controller:
+    """One row of the table: the service's own controller, or a baseline that is made for each insertion.
+
+    ``folder``: its networks, inside the folder of models.
+    """
 
     title: str
-    controller: Literal["belief", "heuristic"] = "belief"
+    service_controller: Literal["belief", "heuristic"] = "belief"
     folder: str = "."
-    sees: bool = True
+    uses_networks: bool = True
     make: Make | None = None
 
 
-CONTENDERS: Mapping[str, Contender] = {
-    "belief": Contender("belief, our networks"),
-    "joint": Contender("belief, joint density", folder="joint"),
-    "heuristic": Contender("the paper's heuristic, our networks", controller="heuristic"),
-    "paper": Contender("the paper's heuristic, the paper's recipe", controller="heuristic", folder="paper"),
-    "direction": Contender("direction only", make=lambda *_: DirectionOnly()),
-    "magnitude": Contender("magnitude only", make=lambda *_: MagnitudeOnly()),
-    "force": Contender(
-        "force/torque only", sees=False, make=lambda seed, _: ForceOnly(np.random.default_rng((seed, 0xF)))
+CONTROLLERS: Mapping[str, Controller] = {
+    "belief": Controller("belief, our networks"),
+    "joint": Controller("belief, joint density", folder="joint"),
+    "heuristic": Controller("the paper's heuristic, our networks", service_controller="heuristic"),
+    "paper": Controller("the paper's heuristic, the paper's recipe", service_controller="heuristic", folder="paper"),
+    "direction": Controller("direction only", make=lambda *_: DirectionOnly()),
+    "magnitude": Controller("magnitude only", make=lambda *_: MagnitudeOnly()),
+    "force": Controller(
+        "force/torque only", uses_networks=False, make=lambda seed, _: ForceOnly(np.random.default_rng((seed, 0xF)))
     ),
-    "oracle": Contender("oracle step", sees=False, make=lambda *_: Oracle()),
-    "grid": Contender("blind grid", sees=False, make=blind_grid),
-    "spiral": Contender("spiral search", sees=False, make=spiral_search),
-    "random": Contender("random search", sees=False, make=random_search),
+    "oracle": Controller("oracle step", uses_networks=False, make=lambda *_: Oracle()),
+    "grid": Controller("blind grid", uses_networks=False, make=blind_grid),
+    "spiral": Controller("spiral search", uses_networks=False, make=spiral_search),
+    "random": Controller("random search", uses_networks=False, make=random_search),
 }

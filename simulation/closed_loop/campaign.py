@@ -10,6 +10,7 @@ import hashlib
 import json
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,15 +28,19 @@ PLAYED_BY = "code of the simulator, the service or the client"
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One insertion to play: the folder of its networks and the fields of its `simulation.closed_loop.play.Job`."""
+    """One insertion to play: the folder of its networks and the fields of its `simulation.closed_loop.job.Job`.
+
+    ``made_by``: fingerprint of code and networks, where a log keeps results of several.
+    """
 
     models: Path
     job: Mapping[str, Any]
+    made_by: str = ""
 
     @property
     def key(self) -> str:
         """What a resumed run recognises its row by."""
-        return key_of(self.job)
+        return key_of({**self.job, "made_by": self.made_by})
 
     def made(self, row: Row) -> bool:
         """Whether a logged row came of this very job, not of one of the same name under another disturbance."""
@@ -44,14 +49,19 @@ class Task:
 
 def key_of(row: Mapping[str, Any]) -> str:
     """Key of a job or of the row that came of it."""
-    return "/".join(str(row.get(name, "")) for name in ("condition", "scene", "who", "eyes", "seed", "index"))
+    return "/".join(
+        str(row.get(name, ""))
+        for name in ("condition", "scene", "controller", "perception", "seed", "index", "made_by")
+    )
 
 
 def play(task: Task) -> Row:
     """In a worker: load the networks once, then play."""
-    from simulation.closed_loop.play import Job, insert, models_of
+    from simulation.closed_loop.job import Job
+    from simulation.closed_loop.play import insert, models_of
 
-    return insert(Job(**task.job), models_of(task.models))
+    row = insert(Job(**task.job), models_of(task.models))
+    return row | {"made_by": task.made_by} if task.made_by else row
 
 
 def read_log(path: Path) -> list[Row]:
@@ -66,12 +76,12 @@ def read_log(path: Path) -> list[Row]:
 
 
 def fingerprint(folders: Mapping[str, Path]) -> dict[str, str]:
-    """SHA-256 of every deciding network, by contender, and of all the code and scenes that play an insertion."""
-    found = {PLAYED_BY: sources_sha256("simulation.closed_loop.play")}
+    """SHA-256 of every deciding network, by controller, and of all the code and scenes that play an insertion."""
+    hashes = {PLAYED_BY: sources_sha256("simulation.closed_loop.play")}
     for name, folder in folders.items():
         for file in sorted(folder.glob("*.step.onnx")):
-            found[f"{name}/{file.name}"] = hashlib.sha256(file.read_bytes()).hexdigest()
-    return found
+            hashes[f"{name}/{file.name}"] = hashlib.sha256(file.read_bytes()).hexdigest()
+    return hashes
 
 
 def claim(out: Path, setup: Mapping[str, str]) -> None:
@@ -79,7 +89,7 @@ def claim(out: Path, setup: Mapping[str, str]) -> None:
     out.mkdir(parents=True, exist_ok=True)
     path = out / "setup.json"
     if path.exists():
-        before = _said(path)
+        before = _setup(path)
         known = before.keys() | {PLAYED_BY}
         changed = sorted(name for name in known & setup.keys() if before.get(name) != setup[name])
         if changed:
@@ -90,7 +100,7 @@ def claim(out: Path, setup: Mapping[str, str]) -> None:
     write_durably(path, (json.dumps(setup, indent=1, sort_keys=True) + "\n").encode())
 
 
-def _said(path: Path) -> dict[str, str]:
+def _setup(path: Path) -> dict[str, str]:
     try:
         before = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError:
@@ -139,7 +149,8 @@ def _results(tasks: Sequence[Task], workers: int, ray: str) -> Iterator[Row]:
 
 
 def _die_with_parent() -> None:
-    """However the parent ends, the worker ends too."""
+    """However the parent ends, the worker ends too; Ctrl-C is the parent's alone to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is None:
         return

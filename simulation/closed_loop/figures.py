@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.closed_loop.baselines import SIGNS
-from simulation.closed_loop.statistics import FAILED_COUNTS_AS, OBJECTS, Row, confusion, trials_of
+from simulation.closed_loop.statistics import (
+    FAILED_COUNTS_AS,
+    Row,
+    confusion,
+    in_order,
+    title_of,
+    trained_on,
+    trials_of,
+)
 
 Image = NDArray[np.uint8]
 
@@ -23,20 +31,24 @@ def _pyplot() -> Any:
     return plt
 
 
-def draw_scatter(rows: list[Row], path: Path, who: str = "belief") -> None:
+def draw_scatter(rows: list[Row], path: Path, controller: str = "belief") -> None:
     """The paper's scatter picture: number of trials over the start error, one panel an object."""
     plt = _pyplot()
-    names = [name for name in OBJECTS if any(row["scene"] == name and row["who"] == who for row in rows)]
-    figure, axes = plt.subplots(2, 4, figsize=(15, 7), sharex=True, sharey=True, squeeze=False, layout="constrained")
+    mine = [row for row in rows if row["controller"] == controller]
+    scenes = in_order(row["scene"] for row in mine)
+    lines = max(2, -(-len(scenes) // 4))
+    figure, axes = plt.subplots(
+        lines, 4, figsize=(15, 3.5 * lines), sharex=True, sharey=True, squeeze=False, layout="constrained"
+    )
     dots = None
-    for axis in axes.flat[len(names) :]:
+    for axis in axes.flat[len(scenes) :]:
         axis.set_visible(False)
-    for axis, name in zip(axes.flat, names, strict=False):
-        mine = [row for row in rows if row["scene"] == name and row["who"] == who]
-        x, theta = [row["x_mm"] for row in mine], [row["theta_deg"] for row in mine]
-        trials = [trials_of(row) for row in mine]
+    for axis, scene in zip(axes.flat, scenes, strict=False):
+        played = [row for row in mine if row["scene"] == scene]
+        x, theta = [row["x_mm"] for row in played], [row["theta_deg"] for row in played]
+        trials = [trials_of(row) for row in played]
         dots = axis.scatter(x, theta, c=trials, vmin=1, vmax=FAILED_COUNTS_AS, cmap="viridis", s=18)
-        axis.set_title(f"{name} (simulated)\nn = {len(mine)}, mean {np.mean(trials):.2f}", fontsize=10)
+        axis.set_title(f"{title_of(scene)} (simulated)\nn = {len(played)}, mean {np.mean(trials):.2f}", fontsize=10)
         axis.set_xlabel("x error, mm")
         axis.set_ylabel("yaw error, deg")
     if dots is not None:
@@ -50,8 +62,9 @@ def draw_confusion(rows: list[Row], path: Path) -> None:
     plt = _pyplot()
     names = list(SIGNS)
     figure, axes = plt.subplots(1, 2, figsize=(12, 5.2))
-    for axis, scenes, title in zip(axes, (OBJECTS[:4], OBJECTS[4:]), ("training objects", "new objects"), strict=True):
-        counts = confusion([row for row in rows if row["scene"] in scenes])
+    training = {scene for scene in in_order(row["scene"] for row in rows) if trained_on(scene)}
+    for axis, new, title in zip(axes, (False, True), ("training objects", "new objects"), strict=True):
+        counts = confusion([row for row in rows if (row["scene"] in training) != new])
         share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
         axis.imshow(share, vmin=0, vmax=1, cmap="Blues")
         for i, j in zip(*np.nonzero(counts), strict=True):

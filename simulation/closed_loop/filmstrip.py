@@ -1,4 +1,4 @@
-"""One insertion as a picture: what both fingers saw in each attempt, and what the controller believed of it."""
+"""One insertion as a picture: the frames of both fingers in each attempt, and the belief of the controller."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from simulation.closed_loop.figures import draw_filmstrip
-from simulation.closed_loop.play import Insertion, Job, models_of, stage
+from simulation.closed_loop.job import Job
+from simulation.closed_loop.play import Insertion, models_of, stage
 
 
 class _Album:
@@ -36,9 +37,9 @@ class _Album:
         ]
         page: dict[str, Any] = {"frames": frames, "belief": None, "error": self._play.before.object_error, "move": None}
         if self._command is not None and not inserted:
-            seen = self._command.belief
+            belief = self._command.belief
             page["move"] = self._command.dx_mm, self._command.dtheta_deg
-            page["belief"] = None if seen is None else (seen.x_mm, seen.theta_deg, seen.probability)
+            page["belief"] = None if belief is None else (belief.x_mm, belief.theta_deg, belief.probability)
         self._command = None
         self.pages.append(page)
 
@@ -50,4 +51,4 @@ def film(job: Job, models: Path, path: Path) -> None:
     outcome = play.run()
     end = f"inserted after {outcome.attempts} attempts" if outcome.inserted else f"not inserted: {outcome.reason}"
     start = f"start error {job.x_mm:+.1f} mm, {job.theta_deg:+.1f} deg"
-    draw_filmstrip(album.pages, f"{job.scene} (simulated), {start}, {end}", path)
+    draw_filmstrip(album.pages, f"{Path(job.scene).stem} (simulated), {start}, {end}", path)

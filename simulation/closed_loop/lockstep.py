@@ -20,6 +20,7 @@ from simulation.scene.effects import dropped_share
 from simulation.scene.scene import Scene
 
 START_NS = 1_000_000_000
+STOP_LAG_S = 0.03  # of the controller, from the order to stop until it takes effect
 CREEP_ALLOWANCE_MM = 4.0  # what a client may go deeper for a part pushed up in the hand: the gap here has no floor
 MAX_UNSOLVED = 6  # moves in a row without an equilibrium: the cell cannot say what happens, the insertion is void
 Image = NDArray[np.uint8]
@@ -77,7 +78,14 @@ class LockstepCell:
 
     @classmethod
     def build(
-        cls, scene: Scene, x_mm: float, theta_deg: float, seed: int, *, stop_lag_s: float = 0.03, draws: bool = True
+        cls,
+        scene: Scene,
+        x_mm: float,
+        theta_deg: float,
+        seed: int,
+        *,
+        stop_lag_s: float = STOP_LAG_S,
+        draws: bool = True,
     ) -> LockstepCell:
         """A cell with the object grasped at the error given, at approach height."""
         cell = QuasiStaticCell(scene, seed)

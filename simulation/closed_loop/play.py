@@ -8,11 +8,10 @@ This is the one module of the simulator that imports them.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from robot_client.insertion.events import (
     Grasped,
     Hold,
     Move,
-    Say,
+    Send,
     Standstill,
 )
 from robot_client.insertion.events import Tick as ClientTick
@@ -43,34 +42,15 @@ from service.decision.work import Work
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
 from service.session.state_machine import InsertionSession
-from simulation.closed_loop.baselines import CONTENDERS, Chooser, Contender, View
-from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, Course, GraspEndError, LockstepCell, hash_seed
-from simulation.closed_loop.true_fields import GelFinger
+from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View
+from simulation.closed_loop.job import Job, Outcome, Perception
+from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
+from simulation.closed_loop.true_fields import TrueFieldFinger
 from simulation.physics.quasistatic import PhysicsError
-from simulation.scene.scene import load_scene
 
 MAX_FRAMES = 4000
-Eyes = Literal["pictures", "gel"]
 # A blind search may jump from one end of the range to the other
 FAR = ClientLimits(max_dx_mm=45.0, max_dtheta_deg=45.0)
-
-
-@dataclass(slots=True)
-class Outcome:
-    """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
-
-    ``inserted`` is the truth, ``claimed`` what the client believes; ``void``: the physics came to its end.
-    """
-
-    inserted: bool
-    claimed: bool
-    attempts: int
-    reason: str
-    void: bool
-    final_error: tuple[float, float]
-    grasp_kept: bool
-    course: Course
-    trials: list[dict[str, Any]] = field(default_factory=list)
 
 
 class Insertion:
@@ -80,25 +60,26 @@ class Insertion:
         self,
         world: LockstepCell,
         models: ModelSet,
-        contender: Contender,
+        controller: Controller,
         *,
         chooser: Chooser | None = None,
-        eyes: Eyes = "pictures",
+        perception: Perception = "pictures",
         gap_error_mm: float = 0.0,
+        height_error_mm: float = 0.0,
     ) -> None:
         self.world = world
         self.models = models
-        self.contender = contender
+        self.controller = controller
         self.chooser = chooser
-        left, right = (_finger(models, world, index, eyes) for index in range(2))
-        self.session = InsertionSession(models, left, right, controller_name=contender.controller)
-        if not contender.sees:
+        left, right = (_finger(models, world, index, perception) for index in range(2))
+        self.session = InsertionSession(models, left, right, controller_name=controller.service_controller)
+        if not controller.uses_networks:
             self.session.submit = self._skip_networks
         plan = Plan(
             insertion_id="simulated",
             approach=self._pose(),
             gap_width_mm=world.scene.blocks.gap_mm + gap_error_mm,
-            grasp_height_mm=world.scene.grasp.height_mm,
+            grasp_height_mm=world.scene.grasp.height_mm + height_error_mm,
             expected_depth_mm=25.0,
             creep_allowance_mm=CREEP_ALLOWANCE_MM,
             limits=FAR if chooser else ClientLimits(),
@@ -177,14 +158,12 @@ class Insertion:
 
     def _hear(self, messages: list[Any]) -> None:
         for message in messages:
-            heard = message
-            if isinstance(message, Correction | NoDecision):
-                heard = self._note(message)
-            self._post(FromService(at_s=self.world.now_s, message=heard))
+            noted = self._note(message) if isinstance(message, Correction | NoDecision) else message
+            self._post(FromService(at_s=self.world.now_s, message=noted))
 
     def _note(self, message: Correction | NoDecision) -> Correction | NoDecision:
         """Log the attempt beside the truth; a baseline puts its own move in the correction's place."""
-        if self.chooser and (isinstance(message, Correction) or not self.contender.sees):
+        if self.chooser and (isinstance(message, Correction) or not self.controller.uses_networks):
             message = self._chosen(self.chooser, message)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
         wrench = [round(float(v), 3) for v in self.world.state.wrench_n_nmm]
@@ -193,7 +172,7 @@ class Insertion:
 
     def _chosen(self, chooser: Chooser, message: Correction | NoDecision) -> Correction:
         scene, estimate, classes = self.world.scene, None, None
-        if isinstance(message, Correction) and self.contender.sees:
+        if isinstance(message, Correction) and self.controller.uses_networks:
             estimate = (message.estimate.dx_mm, message.estimate.dtheta_deg)
             classes = message.class_probabilities
         felt = np.asarray(self.world.state.wrench_n_nmm - self.before.wrench_n_nmm, np.float64)
@@ -202,13 +181,13 @@ class Insertion:
             self.before.object_error,
             felt,
             self.state.plan.gap_width_mm,
-            scene.grasp.height_mm,
+            self.state.plan.grasp_height_mm or scene.grasp.height_mm,
             classes,
             estimate,
         )
         dx, dtheta = chooser.choose(view)
-        said = message if isinstance(message, Correction) else _empty_correction(message)
-        return said.model_copy(update={"dx_mm": dx, "dtheta_deg": dtheta, "reason": self.contender.title})
+        correction = message if isinstance(message, Correction) else _empty_correction(message)
+        return correction.model_copy(update={"dx_mm": dx, "dtheta_deg": dtheta, "reason": self.controller.title})
 
     def _post(self, event: Event) -> None:
         self._events.append(event)
@@ -219,7 +198,7 @@ class Insertion:
 
     def _carry_out(self, command: Command) -> None:
         match command:
-            case Say():
+            case Send():
                 self._hear(self.session.handle(command.message, self.world.now_ns))
             case Grasp():
                 self._events.append(Grasped(at_s=self.world.now_s, width_mm=80.0))
@@ -242,9 +221,9 @@ class Insertion:
         return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
 
 
-def _finger(models: ModelSet, world: LockstepCell, index: int, eyes: Eyes) -> FingerWatch:
-    if eyes == "gel":
-        return GelFinger(world, FINGERS[index])
+def _finger(models: ModelSet, world: LockstepCell, index: int, perception: Perception) -> FingerWatch:
+    if perception == "fields":
+        return TrueFieldFinger(world, FINGERS[index])
     return TactileFinger(FINGERS[index], models.card.frame, world.renderers[index].calibration)
 
 
@@ -263,36 +242,25 @@ def _empty_correction(refused: NoDecision) -> Correction:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
-    """One insertion to play: scene, start error, seed, who decides, by what eyes, under which disturbance.
-
-    ``changes`` are dotted keys of the scene; ``gap_error_mm`` is added to the gap width that the client tells.
-    """
-
-    scene: str
-    index: int
-    x_mm: float
-    theta_deg: float
-    seed: int
-    who: str
-    eyes: Eyes = "pictures"
-    condition: str = ""
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    gap_error_mm: float = 0.0
-    dead: Literal["", "dark", "frozen"] = ""
-
-
 def stage(job: Job, models: ModelSet) -> Insertion:
     """The insertion of a job, ready to run: blocks free, the object in the hand."""
-    scene = load_scene(job.scene, blocks__free=True).varied(job.changes)
-    contender = CONTENDERS[job.who]
-    eyes: Eyes = job.eyes if contender.sees else "gel"
-    world = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, draws=eyes == "pictures")
+    scene = job.cell()
+    controller = CONTROLLERS[job.controller]
+    perception: Perception = job.perception if controller.uses_networks else "fields"
+    draws = perception == "pictures"
+    world = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, stop_lag_s=job.stop_lag_s, draws=draws)
     world.dead = job.dead
     reach = (scene.x_range_mm, scene.theta_range_deg)
-    chooser = contender.make(hash_seed(job.seed, job.index), reach) if contender.make else None
-    return Insertion(world, models, contender, chooser=chooser, eyes=eyes, gap_error_mm=job.gap_error_mm)
+    chooser = controller.make(hash_seed(job.seed, job.index), reach) if controller.make else None
+    return Insertion(
+        world,
+        models,
+        controller,
+        chooser=chooser,
+        perception=perception,
+        gap_error_mm=job.gap_error_mm,
+        height_error_mm=job.height_error_mm,
+    )
 
 
 def insert(job: Job, models: ModelSet) -> dict[str, Any]:

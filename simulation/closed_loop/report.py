@@ -8,9 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from simulation.closed_loop.baselines import CONTENDERS
+from simulation.closed_loop.baselines import CONTROLLERS
 from simulation.closed_loop.figures import draw_confusion, draw_scatter
-from simulation.closed_loop.statistics import OBJECTS, PAPER, TARGETS, Row, estimates, summarise, wilson
+from simulation.closed_loop.statistics import Row, estimates, in_order, summarise, title_of, wilson
+from simulation.scene.parts import Figures
+from simulation.scene.worlds import known_object
 
 NAME = "closed_loop"
 _PAPER_HEAD = (
@@ -35,27 +37,29 @@ def write(rows: list[Row], setup: Mapping[str, str], docs: Path, note: str = "")
     data = {"simulated": True, "setup": dict(setup), "summaries": summaries, "first_estimates": networks}
     (docs / f"{NAME}.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     draw_scatter(rows, docs / f"{NAME}_trials.png")
-    draw_confusion([row for row in rows if row["who"] == "belief"], docs / f"{NAME}_confusion.png")
+    draw_confusion([row for row in rows if row["controller"] == "belief"], docs / f"{NAME}_confusion.png")
     return text
 
 
-def _networks(rows: list[Row], who: str) -> dict[str, Any]:
-    """First estimates by object; heuristic and belief see the same frames in a first attempt."""
-    found = {name: estimates([row for row in rows if row["scene"] == name and row["who"] == who]) for name in OBJECTS}
-    return {name: value for name, value in found.items() if value}
+def _networks(rows: list[Row], controller: str) -> dict[str, Any]:
+    """First estimates by object; heuristic and belief are given the same frames in a first attempt."""
+    mine = [row for row in rows if row["controller"] == controller]
+    scenes = in_order(row["scene"] for row in mine)
+    first = {title_of(scene): estimates([row for row in mine if row["scene"] == scene]) for scene in scenes}
+    return {name: value for name, value in first.items() if value}
 
 
 def report(rows: list[Row], summaries: Sequence[Row], note: str = "") -> str:
     """The report as Markdown."""
     largest = max(row["insertions"] for row in summaries)
-    eyes = sorted({row["eyes"] for row in summaries if CONTENDERS[row["who"]].sees})
+    perception = sorted({row["perception"] for row in summaries if CONTROLLERS[row["controller"]].uses_networks})
     parts = [
         "# The closed loop, simulated",
         "",
         "Written by `make evaluate`. Every figure but the paper's is simulated: free blocks, at most 15 trials, a",
         "failure counts as 16, start errors uniform in the range of each object plus its four extremes, frames through",
         "the service's session and ONNX files, answers through the robot client's state machine.",
-        f"Up to {largest} insertions an object; 95 % Wilson intervals. {_eyes(eyes)}",
+        f"Up to {largest} insertions an object; 95 % Wilson intervals. {_perception(perception)}",
         *(["", note] if note else []),
         "",
         "## Table I beside the paper's",
@@ -81,8 +85,8 @@ def report(rows: list[Row], summaries: Sequence[Row], note: str = "") -> str:
     return "\n".join(parts)
 
 
-def _eyes(eyes: Sequence[str]) -> str:
-    if eyes == ["gel"]:
+def _perception(kinds: Sequence[str]) -> str:
+    if kinds == ["fields"]:
         return (
             "Slip is judged by the service's detectors on the true marker field plus the tracker's measured error;"
             " networks that read markers see the same, and those that read pictures see frames drawn and rectified."
@@ -96,15 +100,27 @@ def paper_table(summaries: Sequence[Row]) -> list[str]:
         _PAPER_HEAD,
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for row in (row for row in summaries if row["who"] == "belief"):
-        paper, target = PAPER[row["scene"]], TARGETS[row["scene"]]
+    for row in (row for row in summaries if row["controller"] == "belief"):
+        known = known_object(row["scene"])
+        target, paper = (_target(known.target), _paper(known.paper)) if known else ("", "")
         lines.append(
-            f"| {row['scene']} | {_share(row)} | {_interval(row['success_interval'])} | {_trials(row)} | {_most(row)} |"
-            f" {target[0]:.0%}, {target[1]:g} | {paper[0]:g} %, {paper[1]:g}, {paper[2]} |"
+            f"| {title_of(row['scene'])} | {_share(row)} | {_interval(row['success_interval'])} | {_trials(row)} |"
+            f" {_most(row['max_trials'])} | {target} | {paper} |"
             f" {row['blocks_under_1_mm']:.1%} | {row['worst_block_tilt_deg']:.2f} deg | {row['grasp_kept']:.1%} |"
             f" {row['worst_slip_in_hand_mm']:.1f} mm |"
         )
     return lines
+
+
+def _target(figures: Figures | None) -> str:
+    return f"{figures.success:.0%}, {figures.mean_trials:g}" if figures else ""
+
+
+def _paper(figures: Figures | None) -> str:
+    if figures is None:
+        return ""
+    most = f", {_most(figures.max_trials)}" if figures.max_trials else ""
+    return f"{100.0 * figures.success:g} %, {figures.mean_trials:g}{most}"
 
 
 def on_shared_starts(rows: list[Row]) -> list[Row]:
@@ -112,25 +128,26 @@ def on_shared_starts(rows: list[Row]) -> list[Row]:
 
     The four extremes come first and never insert at once: a row of few insertions holds a larger share of them.
     """
-    theirs = {(row["scene"], row["index"]) for row in rows if row["who"] != "belief"}
-    mine = [row for row in rows if row["who"] == "belief"]
+    theirs = {(row["scene"], row["index"]) for row in rows if row["controller"] != "belief"}
+    mine = [row for row in rows if row["controller"] == "belief"]
     shared = [row for row in mine if (row["scene"], row["index"]) in theirs]
     return summarise(shared) if len(shared) < len(mine) else []
 
 
 def baseline_table(summaries: Sequence[Row], shared: Sequence[Row] = ()) -> list[str]:
-    """Success and mean trials, who decides by object; ``shared`` is the belief where others played, too."""
-    scenes = [name for name in OBJECTS if any(row["scene"] == name for row in summaries)]
-    head = "| who decides (insertions in all) | " + " | ".join(scenes) + " | all together, 95 % interval |"
+    """Success and mean trials, controller by object; ``shared`` is the belief where others played, too."""
+    scenes = in_order(row["scene"] for row in summaries)
+    names = " | ".join(title_of(scene) for scene in scenes)
+    head = f"| who decides (insertions in all) | {names} | all together, 95 % interval |"
     lines = [head, "|---" * (len(scenes) + 2) + "|"]
-    for who, contender in CONTENDERS.items():
-        lines += _contender_row(contender.title, scenes, [row for row in summaries if row["who"] == who])
-        if who == "belief":
-            lines += _contender_row(f"{contender.title}, on the starts of the rows below", scenes, shared)
+    for name, controller in CONTROLLERS.items():
+        lines += _controller_row(controller.title, scenes, [row for row in summaries if row["controller"] == name])
+        if name == "belief":
+            lines += _controller_row(f"{controller.title}, on the starts of the rows below", scenes, shared)
     return lines
 
 
-def _contender_row(title: str, scenes: Sequence[str], rows: Sequence[Row]) -> list[str]:
+def _controller_row(title: str, scenes: Sequence[str], rows: Sequence[Row]) -> list[str]:
     if not rows:
         return []
     mine = {row["scene"]: row for row in rows}
@@ -149,24 +166,24 @@ def _together(rows: Iterable[Row]) -> str:
 
 def limits(rows: list[Row], summaries: Sequence[Row]) -> list[str]:
     """Where a figure falls short: by how much, and whether the oracle, the networks or the controller limits it."""
-    of = {(row["who"], row["scene"]): row for row in summaries}
+    of = {(row["controller"], row["scene"]): row for row in summaries}
     lines = [
         _LIMIT_HEAD,
         "|---|---|---|---|---|---|---|",
     ]
-    for name in OBJECTS:
-        ours, oracle = of.get(("belief", name)), of.get(("oracle", name))
-        seen = estimates([row for row in rows if row["scene"] == name and row["who"] == "belief"])
-        if ours is None or seen is None:
+    for scene in in_order(row["scene"] for row in summaries):
+        ours, oracle = of.get(("belief", scene)), of.get(("oracle", scene))
+        first = estimates([row for row in rows if row["scene"] == scene and row["controller"] == "belief"])
+        if ours is None or first is None:
             continue
-        error = f"{seen['rmse_x_mm']:.1f} mm, {seen['rmse_theta_deg']:.1f} deg"
+        error = f"{first['rmse_x_mm']:.1f} mm, {first['rmse_theta_deg']:.1f} deg"
         best = f"{_round(oracle['success'])}, {_trials(oracle)}" if oracle else ""
         lines.append(
-            f"| {name} | {_short(ours)} | {best} | {error} | {seen['x_errors_in_sigmas']:.1f} |"
-            f" {seen['wrong_side_x']:.1%} | {_limit(ours, oracle, seen)} |"
+            f"| {title_of(scene)} | {_short(ours)} | {best} | {error} | {first['x_errors_in_sigmas']:.1f} |"
+            f" {first['wrong_side_x']:.1%} | {_limit(ours, oracle, first)} |"
         )
     void = sum(row["void"] for row in summaries)
-    wrong = sum(row["claimed_wrongly"] for row in summaries if row["who"] == "belief")
+    wrong = sum(row["claimed_wrongly"] for row in summaries if row["controller"] == "belief")
     return [
         *lines,
         "",
@@ -176,22 +193,24 @@ def limits(rows: list[Row], summaries: Sequence[Row]) -> list[str]:
 
 
 def _short(row: Row) -> str:
-    success, trials = TARGETS[row["scene"]]
-    gaps = []
-    if row["success"] < success:
-        gaps.append(f"{100 * (success - row['success']):.1f} points of success")
-    if row["mean_trials"] > trials:
-        gaps.append(f"{row['mean_trials'] - trials:.2f} trials")
+    known = known_object(row["scene"])
+    if known is None or known.target is None:
+        return ""
+    target, gaps = known.target, []
+    if row["success"] < target.success:
+        gaps.append(f"{100 * (target.success - row['success']):.1f} points of success")
+    if row["mean_trials"] > target.mean_trials:
+        gaps.append(f"{row['mean_trials'] - target.mean_trials:.2f} trials")
     return ", ".join(gaps) or "nothing"
 
 
-def _limit(ours: Row, oracle: Row | None, seen: Row) -> str:
+def _limit(ours: Row, oracle: Row | None, first: Row) -> str:
     """The first of oracle, perception, controller that alone explains a shortfall."""
-    if _short(ours) == "nothing":
+    if _short(ours) in {"", "nothing"}:
         return ""
     if oracle and _short(oracle) != "nothing":
         return "the protocol itself: the oracle falls short too"
-    if seen["x_errors_in_sigmas"] > 1.5 or seen["rmse_x_mm"] > 2.5:
+    if first["x_errors_in_sigmas"] > 1.5 or first["rmse_x_mm"] > 2.5:
         return "perception: the first estimates are further off than they claim"
     return "controller"
 
@@ -201,7 +220,7 @@ def _share(row: Row) -> str:
 
 
 def _round(share: float) -> str:
-    """Whole per cent; 100 % is said of all alone."""
+    """Whole per cent; 100 % only where all were inserted."""
     return f"{share:.0%}" if share == 1.0 or share < 0.995 else f"{math.floor(1000 * share) / 10:.1f}%"
 
 
@@ -214,5 +233,5 @@ def _trials(row: Row) -> str:
     return f"{row['mean_trials']:.2f}" + (f" +- {error:.2f}" if error is not None else "")
 
 
-def _most(row: Row) -> str:
-    return ">15" if row["max_trials"] > 15 else str(row["max_trials"])
+def _most(trials: int) -> str:
+    return ">15" if trials > 15 else str(trials)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from simulation.closed_loop.statistics import FAILED_COUNTS_AS, Row, summarise, trials_of, wilson
+from simulation.closed_loop.statistics import Row, refused, summarise, title_of, trials_of, wilson
 from simulation.scene.scene import Scene
 
 NAME = "robustness"
@@ -21,7 +21,7 @@ class Condition:
     """One disturbance.
 
     ``factors`` multiply keys of the scene, ``values`` replace them, ``clearance_mm`` sets the gap, ``gap_error_mm`` is
-    added to the gap width that the client tells the service; ``dead`` is what ails the left finger's camera.
+    added to the gap width that the client states; ``dead`` is what ails the left finger's camera.
     """
 
     factors: Mapping[str, float] = field(default_factory=dict)
@@ -38,13 +38,13 @@ class Condition:
     def changes(self, scene: Scene) -> dict[str, Any]:
         """Dotted keys of the scene with their new values."""
         data = scene.model_dump()
-        found = dict(self.values)
+        changes = dict(self.values)
         for key, factor in self.factors.items():
             part, name = key.split(".")
-            found[key] = data[part][name] * factor
+            changes[key] = data[part][name] * factor
         if self.clearance_mm is not None:
-            found["blocks.gap_mm"] = scene.object.size_x_mm + 2.0 * self.clearance_mm
-        return found
+            changes["blocks.gap_mm"] = scene.object.size_x_mm + 2.0 * self.clearance_mm
+        return changes
 
 
 NOISE, MODULUS = "camera.noise_grey", "gel.shear_modulus_n_per_mm2"
@@ -89,7 +89,7 @@ def write(rows: list[Row], setup: Mapping[str, Any], docs: Path) -> str:
 def report(rows: list[Row]) -> str:
     """Success and trials by condition and tier, all objects together, as Markdown."""
     tiers = sorted({tier_of(row) for row in rows})
-    scenes = sorted({str(row["scene"]) for row in rows})
+    scenes = sorted({title_of(row["scene"]) for row in rows})
     heads = [f"{tier} tier: inserted, 95 % interval, mean trials, refused, claimed wrongly, void" for tier in tiers]
     lines = [
         "# Robustness of the closed loop, simulated",
@@ -100,7 +100,7 @@ def report(rows: list[Row]) -> str:
         "service or the client ended the insertion by itself instead of using up its trials. Claimed wrongly: not in,",
         "but the client said so. Void: the physics came to its end (no equilibrium,",
         "or an object pushed 12 mm up in the hand, from where on its grasp is not simulated); it counts as failed.",
-        *_eyes(rows),
+        *_perception(rows),
         "",
         "| disturbance | " + " | ".join(heads) + " |",
         "|---" * (len(tiers) + 1) + "|",
@@ -112,16 +112,16 @@ def report(rows: list[Row]) -> str:
     return "\n".join([*lines, ""])
 
 
-def _eyes(rows: Sequence[Row]) -> list[str]:
+def _perception(rows: Sequence[Row]) -> list[str]:
     """What perception looked at, where it was not every picture everywhere."""
-    drawn = {name_of(row) for row in rows if row["eyes"] == "pictures"}
+    drawn = {name_of(row) for row in rows if row["perception"] == "pictures"}
     if len(drawn) == len({name_of(row) for row in rows}):
         return ["Every frame was drawn, rectified and tracked."]
-    told = (
-        "Slip and markers are judged on the true marker field plus the tracker's measured error, which grows with the"
-    )
     listed = ", ".join(name for name in CONDITIONS if name in drawn) or "none"
-    return [told, f"noise; with every frame drawn: {listed}."]
+    return [
+        "Slip and markers are judged on the true marker field plus the tracker's measured error, which grows with the",
+        f"noise; with every frame drawn: {listed}.",
+    ]
 
 
 def label(tier: str, name: str) -> str:
@@ -147,6 +147,5 @@ def _cell(rows: Sequence[Row]) -> str:
     mean = sum(trials_of(row) for row in rows) / len(rows)
     wrong = sum(row["claimed"] and not row["inserted"] for row in rows)
     void = sum(row["void"] for row in rows)
-    ended = (row for row in rows if not (row["inserted"] or row["claimed"] or row["void"]))
-    refused = sum(row["attempts"] < FAILED_COUNTS_AS - 1 for row in ended)
-    return f"{inserted}/{len(rows)}, {low:.0%} .. {high:.0%}, {mean:.2f}, {refused}, {wrong}, {void}"
+    ended = sum(refused(row) for row in rows)
+    return f"{inserted}/{len(rows)}, {low:.0%} .. {high:.0%}, {mean:.2f}, {ended}, {wrong}, {void}"

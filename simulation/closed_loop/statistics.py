@@ -4,41 +4,20 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.closed_loop.baselines import CONTENDERS, SIGNS
+from simulation.closed_loop.baselines import CONTROLLERS, SIGNS
+from simulation.scene.worlds import known_object
 
 Row = dict[str, Any]
 
-OBJECTS = ("rectangle", "circle", "ellipse", "hexagon", "white_box", "vitamin", "can", "mustard")
-TRAINING_OBJECTS = OBJECTS[:4]
 FAILED_COUNTS_AS = 16
 STILL_MM = 1.0  # blocks that moved by less count as unmoved
-# Table I of the paper, measured on the real robot: success %, mean trials, maximum
-PAPER: dict[str, tuple[float, float, str]] = {
-    "rectangle": (100.0, 4.7, "11"),
-    "circle": (100.0, 2.97, "5"),
-    "ellipse": (100.0, 2.77, "8"),
-    "hexagon": (100.0, 2.4, "6"),
-    "white_box": (93.3, 6.53, ">15"),
-    "vitamin": (96.7, 2.97, ">15"),
-    "can": (93.3, 7.4, ">15"),
-    "mustard": (100.0, 3.6, "9"),
-}
-# What this project set out to reach with the belief controller: success, mean trials
-TARGETS: dict[str, tuple[float, float]] = {
-    "rectangle": (0.99, 3.3),
-    "circle": (0.99, 2.36),
-    "ellipse": (0.99, 2.43),
-    "hexagon": (0.99, 2.35),
-    "white_box": (0.97, 3.8),
-    "vitamin": (0.97, 2.3),
-    "can": (0.97, 3.8),
-    "mustard": (0.97, 2.8),
-}
 
 
 def wilson(successes: int, count: int, z: float = 1.96) -> tuple[float, float]:
@@ -60,21 +39,41 @@ def start_errors(count: int, seed: int, reach: tuple[float, float] = (15.0, 15.0
     return (extremes + randoms)[:count]
 
 
+def title_of(scene: str) -> str:
+    """Name of an object that a row calls by its name or by the path of its file."""
+    return Path(scene).stem
+
+
+def trained_on(scene: str) -> bool:
+    """Whether the released networks were trained on an object."""
+    known = known_object(scene)
+    return known is not None and known.training
+
+
+def in_order(scenes: Iterable[str]) -> list[str]:
+    """Each object once, as tables list them: in the order that their files state, then by name."""
+
+    def place(scene: str) -> tuple[float, str]:
+        known = known_object(scene)
+        return math.inf if known is None or known.order is None else known.order, title_of(scene)
+
+    return sorted(set(scenes), key=place)
+
+
 def trials_of(row: Row) -> int:
     """Attempts of an insertion, a failure counted as the paper does."""
     return int(row["attempts"]) if row["inserted"] else FAILED_COUNTS_AS
 
 
 def summarise(rows: list[Row]) -> list[Row]:
-    """One summary a (condition, contender, scene, eyes), contenders and scenes in their own order."""
+    """One summary a (condition, controller, object, perception), controllers and objects in their own order."""
     groups: dict[tuple[str, str, str, str], list[Row]] = defaultdict(list)
     for row in rows:
-        groups[row.get("condition", ""), row["who"], row["scene"], row.get("eyes", "pictures")].append(row)
-    scenes = {name: index for index, name in enumerate(OBJECTS)}
-    names = {name: index for index, name in enumerate(CONTENDERS)}
+        groups[row["condition"], row["controller"], row["scene"], row["perception"]].append(row)
+    scenes, controllers = in_order(row["scene"] for row in rows), list(CONTROLLERS)
 
     def place(key: tuple[str, str, str, str]) -> tuple[str, int, int, str]:
-        return key[0], names.get(key[1], 99), scenes.get(key[2], 99), key[3]
+        return key[0], controllers.index(key[1]), scenes.index(key[2]), key[3]
 
     return [_summary(key, groups[key]) for key in sorted(groups, key=place)]
 
@@ -88,9 +87,10 @@ def _summary(key: tuple[str, str, str, str], rows: list[Row]) -> Row:
     error = float(trials.std(ddof=1) / math.sqrt(len(trials))) if len(trials) > 1 else None
     return {
         "condition": key[0],
-        "who": key[1],
+        "controller": key[1],
         "scene": key[2],
-        "eyes": key[3],
+        "training": trained_on(key[2]),
+        "perception": key[3],
         "insertions": len(rows),
         "inserted": inserted,
         "success": inserted / len(rows),
@@ -128,24 +128,33 @@ def confusion(rows: list[Row]) -> NDArray[np.int64]:
     counts = np.zeros((9, 9), np.int64)
     for row in rows:
         for trial in row["trials"]:
-            said = trial["decision"].get("class_probabilities")
-            if said:
-                counts[names.index(class_of(*trial["error_before"])), names.index(max(said, key=said.get))] += 1
+            classes = trial["decision"].get("class_probabilities")
+            if classes:
+                counts[names.index(class_of(*trial["error_before"])), names.index(max(classes, key=classes.get))] += 1
     return counts
+
+
+def first_decisions(rows: Iterable[Row]) -> list[Row]:
+    """The first trial of each insertion that began with a correction."""
+    firsts = (row["trials"][0] for row in rows if row["trials"])
+    return [trial for trial in firsts if trial["decision"]["type"] == "correction"]
+
+
+def refused(row: Row) -> bool:
+    """Whether the service or the client ended the insertion by itself instead of using up its trials."""
+    return not (row["inserted"] or row["claimed"] or row["void"]) and row["attempts"] < FAILED_COUNTS_AS - 1
 
 
 def estimates(rows: list[Row]) -> Row | None:
     """How good the networks' first estimates were: RMSE in mm and deg, right x side, spread against its sigma."""
-    found = []
-    for row in rows:
-        decision = row["trials"][0]["decision"] if row["trials"] else {}
-        if decision.get("type") == "correction":
-            said = decision["estimate"]
-            sigma = said["sigma_x_mm"] or math.nan, said["sigma_theta_deg"] or math.nan
-            found.append((*row["trials"][0]["error_before"], said["dx_mm"], said["dtheta_deg"], *sigma))
-    if not found:
+    firsts = []
+    for trial in first_decisions(rows):
+        estimate = trial["decision"]["estimate"]
+        sigma = estimate["sigma_x_mm"] or math.nan, estimate["sigma_theta_deg"] or math.nan
+        firsts.append((*trial["error_before"], estimate["dx_mm"], estimate["dtheta_deg"], *sigma))
+    if not firsts:
         return None
-    a = np.array(found)
+    a = np.array(firsts)
     off = a[:, 2:4] - a[:, :2]
     clear = np.abs(a[:, 0]) > 2.5
     return {

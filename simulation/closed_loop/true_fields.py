@@ -1,4 +1,4 @@
-"""Perception of one finger from the simulated gel itself, for runs in which pictures need not be seen.
+"""Perception of one finger from the simulated gel itself, for runs that need no pictures.
 
 Slip and onset are judged by the service's own detectors on the true marker field, with the tracker's measured error
 added; a picture is drawn only when a network asks for it. Some five times cheaper than drawing and tracking all.
@@ -41,7 +41,7 @@ class LatePicture:
         return self._pixels
 
 
-class GelFinger:
+class TrueFieldFinger:
     """A :class:`FingerWatch` that looks at the cell's gel of this moment instead of the frame."""
 
     def __init__(self, world: LockstepCell, finger: Finger) -> None:
@@ -62,24 +62,24 @@ class GelFinger:
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive the moment that the frame was taken at."""
         world = self._world
-        seen = field_from_gel(self._exposed(), frame.captured_ns, world.scene.sensor)
+        field = field_from_gel(self._exposed(), frame.captured_ns, world.scene.sensor)
         rng = np.random.default_rng(hash_seed(world.seed, world.frame, self._index, 7))
-        error = rng.normal(0.0, self._error_px, seen.displacement_px.shape).astype(np.float32)
-        seen = dataclasses.replace(seen, displacement_px=seen.displacement_px + error, contact=None)
+        error = rng.normal(0.0, self._error_px, field.displacement_px.shape).astype(np.float32)
+        field = dataclasses.replace(field, displacement_px=field.displacement_px + error, contact=None)
         onset = None
         if self._rearm:
-            slip = self._slip.rearm(seen)
-            self._onset.rearm(seen)
+            slip = self._slip.rearm(field)
+            self._onset.rearm(field)
             self._rearm = False
         else:
-            slip, onset = self._slip.update(seen), self._onset.update(seen)
+            slip, onset = self._slip.update(field), self._onset.update(field)
         picture = cast("NDArray[np.uint8]", LatePicture(world.picture_later(self._index), self._rectifier))
         onset_ns = None if onset is None else onset.captured_ns
-        return Observation(self._finger, frame.seq, frame.captured_ns, picture, seen, slip, onset_ns, {})
+        return Observation(self._finger, frame.seq, frame.captured_ns, picture, field, slip, onset_ns, {})
 
     def _exposed(self) -> NDArray[np.floating]:
         """The gel as a picture shows it: a smeared marker is found in the middle of its way during the exposure."""
         now: NDArray[np.floating] = self._world.state.gel[self._index]
         late = np.float32(0.5 * self._world.renderers[self._index].appearance.motion_blur_share)
-        seen: NDArray[np.floating] = now - late * (now - self._world.previous.gel[self._index])
-        return seen
+        exposed: NDArray[np.floating] = now - late * (now - self._world.previous.gel[self._index])
+        return exposed

@@ -10,26 +10,23 @@ unfinished shards again and gets the same bits.
 
 import hashlib
 import math
-import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import tyro
 
 from reporting.files import write_durably
-from service.contract import FINGERS, ContractError, Sensor
-from simulation.data.dataset import DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, encode_shard, split_of
+from service.contract import FINGERS, Sensor
+from simulation.data.dataset import DatasetError, ShardEntry, Trial, encode_shard, split_of
 from simulation.data.manifest import shard_file_name
 from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
-from simulation.data.sources import sources_sha256
 from simulation.optics.appearance import Appearance
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.randomisation import randomised
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
 
-TRAINING_OBJECTS = ("rectangle", "circle", "ellipse", "hexagon")
 POKES_PER_FIXTURE = 5
 MAX_STOP_DELAY_FRAMES = 2
 MAX_OVERTRAVEL_MM = 0.15
@@ -90,7 +87,7 @@ def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.rand
     group = plan.group_id(number)
     rng = np.random.Generator(np.random.PCG64([plan.seed, group]))
     held_out = bool(rng.random() < plan.held_out_share)
-    scene = base.randomised(rng, held_out=held_out)
+    scene = randomised(base, rng, held_out=held_out)
     look_seed, cell_seed = (int(n) for n in rng.integers(2**31, size=2))
     left, right = (Appearance.draw(scene, finger, look_seed) for finger in FINGERS)
     return Fixture(scene, group, held_out, (left, right), cell_seed), rng
@@ -217,83 +214,3 @@ def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[S
                 f"scene {plan.scene_name}: nothing to collect, {dict(outcomes)} in {outcomes.total()} pokes"
             )
     return encode_shard(plan.file_name, kept, dict(outcomes))
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Collect pokes that collided, with their labels, as Parquet shards. Run it again to resume or to add more."""
-
-    out: Path = Path("data/probes")
-    """Folder of the dataset; created if absent, continued if it holds the same collection."""
-    trials_per_object: int = 7500
-    """Collisions to keep of each object; rounded up to whole shards."""
-    objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = TRAINING_OBJECTS
-    """Scene names or TOML files."""
-    sensor: str = ""
-    """Name or TOML file of the fingers' sensor, where it is not the scenes' own."""
-    seed: int = 0
-    """Same seed, same data, bit for bit, whatever the number of workers."""
-    workers: int = 0
-    """Processes; 0 means one a core."""
-    trials_per_shard: int = 250
-    """Collisions in a shard: what a kill can cost each worker."""
-    held_out_share: float = 0.12
-    """Share of re-fixtures drawn from held-out ranges (the test split)."""
-    slip_truth: bool = False
-    """Also store where each gel slips (Trial.slipping); the other columns stay as they are."""
-    ray: str = ""
-    """Address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)."""
-
-
-def asked_manifest(options: Options) -> Manifest:
-    """What the finished collection would say of itself, without shards."""
-    if options.trials_per_object < 1 or options.trials_per_shard < 1:
-        raise DatasetError("--trials-per-object and --trials-per-shard must be at least 1")
-    if options.workers < 0 or options.seed < 0 or not 0.0 <= options.held_out_share <= 1.0:
-        given = f"{options.workers}, {options.seed} and {options.held_out_share}"
-        raise DatasetError(f"expected --workers and --seed from 0 on, --held-out-share from 0 to 1, got {given}")
-    names = Counter(Path(name).stem for name in set(options.objects))
-    if not names or max(names.values()) > 1:
-        given = ", ".join(options.objects) or "none"
-        raise DatasetError(f"--objects {given}: expected at least one, no two of the same name: a shard is named by it")
-    try:
-        sensor = Sensor.load(options.sensor) if options.sensor else None
-    except ContractError as error:
-        raise DatasetError(f"--sensor: {error}") from error
-    scenes = {name: scene_of(name, sensor) for name in options.objects}
-    sensors = {scene.sensor for scene in scenes.values()}
-    if len(sensors) > 1:
-        raise DatasetError(f"the scenes have sensors {', '.join(sorted(map(str, sensors)))}: a dataset has one")
-    return Manifest(
-        made_by="simulation collect",
-        seed=options.seed,
-        trials_per_object=options.trials_per_object,
-        trials_per_shard=options.trials_per_shard,
-        held_out_share=options.held_out_share,
-        scenes={name: scene_sha256(scene) for name, scene in scenes.items()},
-        sensor=sensors.pop(),
-        physics=sources_sha256("simulation.data.probe"),
-    )
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Run the command line; 0 when the dataset is complete."""
-    from simulation.data.workers import collect, collect_on_ray
-
-    options = tyro.cli(Options, args=arguments, prog="tactile-insertion collect")
-    asked = asked_manifest(options)
-    with DatasetWriter(options.out, asked) as writer:
-        writer.extend(asked)
-        manifest = writer.manifest
-        size, seed, share = manifest.trials_per_shard, manifest.seed, manifest.held_out_share
-        plans = [
-            Plan(options.out, scene, shard, size, seed, share, options.slip_truth, manifest.sensor)
-            for scene, shard in manifest.missing_shards()
-        ]
-        if options.ray:
-            collect_on_ray(writer, plans, options.ray)
-        else:
-            collect(writer, plans, options.workers or os.cpu_count() or 1)
-        writer.finish()
-    print(f"{writer.manifest.trials} collisions in {len(writer.manifest.shards)} shards under {options.out}")
-    return 0

@@ -96,7 +96,7 @@ class Manifest(Contract):
 
 
 def shard_file_name(scene_name: str, number: int) -> str:
-    """File name of shard ``number`` of a scene (built-in name or TOML path)."""
+    """File name of shard ``number`` of a scene (name or TOML path)."""
     return f"{Path(scene_name).stem}-{number:05d}.parquet"
 
 

@@ -1,4 +1,4 @@
-"""What a result was computed with: one hash of a module, of all that it imports of this repository, the objects and sensors.
+"""What a result was computed with: one hash of a module, all that it imports from here, objects and sensors.
 
 What an earlier run left is gone on with only where this has not changed. Comments and docstrings do not count.
 """

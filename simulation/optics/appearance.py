@@ -104,7 +104,12 @@ def optics_of(scene: Scene) -> dict[str, Any]:
     from simulation.scene.effects import active_effects
 
     camera, active = scene.camera, active_effects(scene)
-    texture, period, gain = OBJECT_TEXTURES[scene.object.texture]
+    body = scene.object
+    texture, period_px, gain = OBJECT_TEXTURES[body.texture]
+    if body.texture_period_mm is not None:
+        period_px = body.texture_period_mm / scene.sensor.mm_per_px
+    if body.texture_gain is not None:
+        gain = body.texture_gain
     return {
         "sensor": scene.sensor,
         "noise_sigma_grey": camera.noise_grey if active.camera_noise else 0.0,
@@ -112,7 +117,7 @@ def optics_of(scene: Scene) -> dict[str, Any]:
         "worn": scene.gel.wear if active.gel_wear else 0.0,
         "missing_dots_share": 0.02 * scene.gel.wear if active.gel_wear else 0.0,
         "object_texture": texture,
-        "object_texture_period_px": period,
+        "object_texture_period_px": period_px,
         "object_texture_gain": gain if active.object_texture else 0.0,
         "motion_blur_share": camera.exposure_ms * scene.fps / 1000 if active.motion_blur else 0.0,
         "rolling_share": camera.readout_ms * scene.fps / 1000 if active.rolling_shutter else 0.0,

@@ -1,36 +1,34 @@
-"""`python -m simulation accuracy`: what physics accuracy costs in time, against converged references.
+"""What physics accuracy costs in time, against converged references.
 
 Each scene is poked once (1.5 mm past touchdown, friction partly slipping) with one knob turned at a time. Errors are
-those of the held object's pose, of the force and of the markers' motion at the end of the poke: once against the same
-tier, converged (what load step and node count cost), once against the converged layer tier (what the model costs).
+those of the held object's pose, of the force and of the markers' motion at the end of the poke. They are taken against
+the same tier, converged (what load step and node count cost), and against the converged layer tier (what the model
+costs).
 """
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import cv2
 import numpy as np
-import tyro
 
+from reporting.machine import best_cpu_ms
 from service.contract import FINGERS
 from simulation.data.probe import run_probe
-from simulation.data.progress import progress
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.physics.quasistatic import CellState, QuasiStaticCell
-from simulation.scene.scene import Scene, load_scene
-from simulation.studies import accuracy_report
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene, training_objects
 
 Tier = Literal["bristle", "layer"]
 Changes = dict[str, Any]
 
-SCENES = ("rectangle", "circle", "ellipse", "hexagon")
 X_MM, THETA_DEG, PAST_TOUCHDOWN_MM = 8.0, 5.0, 1.5
 CLEAN: Changes = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 FINE, FINER = {"gel__node_rows": 40, "gel__node_columns": 42}, {"gel__node_rows": 60, "gel__node_columns": 63}
@@ -129,7 +127,7 @@ def error_of(end: End, reference: End) -> Error:
 def measure(repeats: int, show: Callable[[int], None]) -> list[Cost]:
     """Every setting on every scene."""
     out: list[Cost] = []
-    for scene in SCENES:
+    for scene in training_objects():
         references = {tier: poke(scene, tier, changes, 1) for tier, changes in REFERENCES.items()}
         for setting in SETTINGS:
             end = poke(scene, setting.tier, setting.changes, repeats)
@@ -144,7 +142,7 @@ def probe_times(repeats: int) -> dict[str, dict[str, float]]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        return {name: _probe_times(load_scene(name), repeats) for name in SCENES}
+        return {name: _probe_times(load_scene(name), repeats) for name in training_objects()}
     finally:
         cv2.setNumThreads(threads)
 
@@ -153,66 +151,15 @@ def _probe_times(scene: Scene, repeats: int) -> dict[str, float]:
     out = {}
     for tier in ("bristle", "layer"):
         cell = QuasiStaticCell(scene.varied({"gel.tier": tier}))
-        out[f"{tier}, marker fields"] = _best_ms(lambda cell=cell: run_probe(cell, X_MM, THETA_DEG), repeats)  # type: ignore[misc]
+        out[f"{tier}, marker fields"] = best_cpu_ms(partial(run_probe, cell, X_MM, THETA_DEG), repeats)
     gel = run_probe(scene, X_MM, THETA_DEG).gel.astype(np.float32)
-    eyes = [Renderer(Appearance.draw(scene, finger, 0)) for finger in FINGERS]
+    renderers = [Renderer(Appearance.draw(scene, finger, 0)) for finger in FINGERS]
 
     def draw() -> None:
         for i, fields in enumerate(gel):
-            for eye, now, before in zip(eyes, fields, gel[max(0, i - 1)], strict=True):
-                eye.rectified(now, i, before)
+            for renderer, now, before in zip(renderers, fields, gel[max(0, i - 1)], strict=True):
+                renderer.rectified(now, i, before)
 
-    out["images of 2 x 30 frames"] = _best_ms(draw, repeats)
+    out["images of 2 x 30 frames"] = best_cpu_ms(draw, repeats)
     out["bristle, fields and images"] = out["bristle, marker fields"] + out["images of 2 x 30 frames"]
     return out
-
-
-def _best_ms(what: Callable[[], Any], repeats: int) -> float:
-    best = float("inf")
-    for _ in range(repeats):
-        start = time.process_time()
-        what()
-        best = min(best, 1e3 * (time.process_time() - start))
-    return best
-
-
-@dataclass(frozen=True)
-class Options:
-    """Measure what physics accuracy costs; write accuracy.md, accuracy.json and accuracy.png."""
-
-    out: Path = Path("docs")
-    """folder for the three files"""
-    repeats: int = 5
-    """runs of which the fastest counts"""
-    probes_only: bool = False
-    """time whole probes anew and keep the costs of the accuracy.json that is there"""
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Run the command line."""
-    options = tyro.cli(Options, args=arguments, prog="tactile-insertion accuracy")
-    if options.repeats < 1 or not options.out.is_dir():
-        raise ValueError(f"expected --repeats >= 1 and an existing folder, got {options.repeats} and {options.out}")
-    rows = _kept(options.out / "accuracy.json") if options.probes_only else _measured(options.repeats)
-    times = probe_times(options.repeats)
-    text = accuracy_report.as_markdown(rows, times)
-    (options.out / "accuracy.md").write_text(text, encoding="utf-8")
-    found = {"x_mm": X_MM, "theta_deg": THETA_DEG, "past_touchdown_mm": PAST_TOUCHDOWN_MM}
-    (options.out / "accuracy.json").write_text(
-        json.dumps({"poke": found, "costs": rows, "probe_ms": times}, indent=1) + "\n", encoding="utf-8"
-    )
-    accuracy_report.draw(rows, options.out / "accuracy.png")
-    print(text)
-    return 0
-
-
-def _measured(repeats: int) -> list[dict[str, Any]]:
-    with progress("pokes", len(SCENES) * len(SETTINGS)) as show:
-        return [asdict(cost) for cost in measure(repeats, show)]
-
-
-def _kept(path: Path) -> list[dict[str, Any]]:
-    if not path.is_file():
-        raise ValueError(f"--probes-only: there is no {path} whose costs could be kept")
-    rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["costs"]
-    return rows

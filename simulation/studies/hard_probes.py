@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
-from simulation.scene.scene import BUILT_IN, Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene, object_names
 
 RESIDUAL_N, CONE_N_PER_MM2 = 1e-6, 1e-9  # what a solved probe must keep
 DEPTHS_MM = (5.05, 5.6, 6.5, 5.2)  # just touching, sliding, deep, and back up
@@ -66,7 +67,7 @@ class Tally:
 def hard_scene(rng: np.random.Generator, tier: str) -> Scene:
     """One of the eight objects with hard contact, grip and numbers."""
     return load_scene(
-        BUILT_IN[int(rng.integers(len(BUILT_IN)))],
+        object_names()[int(rng.integers(len(object_names())))],
         gel__tier=tier,
         gel__friction=float(rng.choice([0.0, 0.2, 0.8, 2.0])),
         blocks__friction=float(rng.choice([0.0, 0.25, 1.0])),

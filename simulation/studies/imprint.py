@@ -1,4 +1,4 @@
-"""`python -m simulation imprint`: what the simulated sensor sees, object by object, to lay beside a real one."""
+"""What the simulated sensor sees, object by object, to compare with a real one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,10 +8,11 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from reporting.figure import drawing
 from simulation.data.probe import run_probe
 from simulation.optics import attempt_picture
 from simulation.optics.renderer import Appearance, Renderer
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 COLUMNS = ("raw, held", "raw, after the collision", "rectified, after", "difference", "motion of the dots")
 
@@ -48,22 +49,14 @@ def _row(axes: Sequence[Any], name: str, options: Options) -> None:
     for panel in axes:
         panel.set_xticks([])
         panel.set_yticks([])
-    axes[0].set_ylabel(name)
+    axes[0].set_ylabel(scene.name)
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the command line."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    options = tyro.cli(Options, args=arguments, prog="tactile-insertion imprint")
-    figure = Figure(figsize=(16, 2.9 * len(options.objects)), dpi=60, layout="constrained")
-    grid = figure.subplots(len(options.objects), len(COLUMNS), squeeze=False)
-    for axes, name in zip(grid, options.objects, strict=True):
-        _row(axes, name, options)
-    for axes, title in zip(grid[0], COLUMNS, strict=True):
-        axes.set_title(title, fontsize=10)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    FigureCanvasAgg(figure).print_png(str(options.out))
-    print(options.out)
-    return 0
+def draw(options: Options) -> None:
+    """One row of pictures an object."""
+    rows, columns = len(options.objects), len(COLUMNS)
+    with drawing(options.out, rows, columns, size=(16, 2.9 * rows), dpi=60) as panels:
+        for axes, name in zip(panels, options.objects, strict=True):
+            _row(axes, name, options)
+        for axes, title in zip(panels[0], COLUMNS, strict=True):
+            axes.set_title(title)

@@ -1,25 +1,25 @@
-"""`python -m simulation theory`: the simulator beside what theory knows, always through the whole cell.
+"""The simulator beside what theory knows, always through the whole cell.
 
 Hertz, Cattaneo-Mindlin and Winkler: a heavy flat box hangs between two paraboloid pads, and its weight is the
 tangential load (Johnson, Contact Mechanics, 1985, 4.22-4.24 and 7.38-7.42; on bristles the stick radius is
 c / a = (1 - Q / (mu P))^(1/4)). Geometry: the share of uniformly drawn errors that insert at once.
-Writes OUT/theory.md.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from reporting.page import page
+from reporting.statistics import Estimate, wilson
+from reporting.table import table
 from simulation.physics import elastic_layer
 from simulation.physics.kernels import bristles
 from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 Floats = NDArray[np.float64]
 WIDTH_MM, CROWN_MM, FRICTION = 21.0, 0.5, 0.8
@@ -104,51 +104,29 @@ def winkler(nodes: int, cell: QuasiStaticCell | None = None) -> list[Compared]:
     ]
 
 
-def inserting(name: str, draws: int, seed: int) -> tuple[float, float]:
-    """Share of uniform errors (+-15 mm, +-15 deg) that insert at once, and its standard error."""
+def inserting(name: str, draws: int, seed: int) -> Estimate:
+    """Share of uniform errors (+-15 mm, +-15 deg) that insert at once."""
     scene, rng = load_scene(name), np.random.default_rng(seed)
-    fits = [scene.fits(x, theta) for x, theta in rng.uniform(-15.0, 15.0, (draws, 2)).tolist()]
-    share = float(np.mean(fits))
-    return share, math.sqrt(share * (1.0 - share) / draws)
+    return wilson(sum(scene.fits(x, theta) for x, theta in rng.uniform(-15.0, 15.0, (draws, 2)).tolist()), draws)
 
 
-def report(grids: tuple[int, ...], draws: int) -> str:
-    """The page."""
-    lines = [
-        "# The simulator beside theory",
-        "",
-        "Relative errors through the whole cell: grasp, equilibrium, pads.",
-        "",
-    ]
-    lines += [
-        f"| | {' | '.join(f'{n} x {n}' for n in grids)} | limit at 64 x 64 |",
-        "|---|" + "---:|" * (len(grids) + 1),
-    ]
-    for tier in (half_space, winkler):
-        for row in zip(*(tier(n) for n in grids), strict=True):
-            errors = " | ".join(f"{100 * one.error:.3f} %" for one in row)
-            lines.append(f"| {row[0].what} | {errors} | {100 * row[0].limit:g} % |")
-    lines += ["", "Share of uniform errors that insert at once; in brackets the standard error of as many draws.", ""]
-    lines += [f"| object | computed from the task | drawn, {draws} |", "|---|---:|---:|"]
-    for name, share in INSERTS.items():
-        found, error = inserting(name, draws, 0)
-        lines.append(f"| {name} | {100 * share:.1f} % | {100 * found:.2f} % ({100 * error:.2f}) |")
-    return "\n".join([*lines, "", "Made by `python -m simulation theory --out docs`.", ""])
+def theory_page(grids: tuple[int, ...], draws: int) -> str:
+    """The whole of docs/theory.md, computed afresh."""
+    rows = [row for study in (half_space, winkler) for row in zip(*(study(n) for n in grids), strict=True)]
+    shares = [(name, share, inserting(name, draws, 0)) for name, share in INSERTS.items()]
+    return page(
+        """
+        # The simulator beside theory
 
-
-def main(arguments: list[str]) -> int:
-    """Print the page, and write it where asked."""
-    parser = argparse.ArgumentParser(prog="tactile-insertion theory", description=__doc__)
-    parser.add_argument("--grids", type=int, nargs="+", default=[32, 64], help="nodes a side of a pad (default 32 64)")
-    parser.add_argument("--draws", type=int, default=20_000, help="errors drawn for the geometry table (%(default)s)")
-    parser.add_argument("--out", type=Path, help="folder for theory.md; without it the page is only printed")
-    given = parser.parse_args(arguments)
-    if min(given.grids) < 4 or given.draws < 1:
-        raise ValueError(f"expected --grids of at least 4 and --draws >= 1, got {given.grids} and {given.draws}")
-    if given.out is not None and not given.out.is_dir():
-        raise ValueError(f"--out {given.out}: no such folder")
-    page = report(tuple(given.grids), given.draws)
-    print(page)
-    if given.out is not None:
-        (given.out / "theory.md").write_text(page, encoding="utf-8")
-    return 0
+        Relative errors through the whole cell: grasp, equilibrium and pads.
+        """,
+        table(
+            rows,
+            ("quantity", "0.what"),
+            *((f"{n} x {n}", f"{place}.error", ".3%") for place, n in enumerate(grids)),
+            ("limit at 64 x 64", "0.limit", ".1%"),
+        ),
+        "Share of uniform errors that insert at once, with the 95 % interval of as many draws.",
+        table(shares, ("object", 0), ("computed from the task", 1, ".1%"), (f"drawn, {draws}", 2, ".2%")),
+        "Made by `python -m simulation theory --out docs`.",
+    )

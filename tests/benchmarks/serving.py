@@ -22,6 +22,8 @@ import httpx
 import numpy as np
 
 from reporting.machine import machine
+from reporting.page import publish
+from reporting.statistics import percentiles
 from service.decision.models import load_models
 from tests.benchmarks.cell import SteppedCell, in_process_ms
 from tests.benchmarks.load import flood, healthz_ms, overload
@@ -30,8 +32,8 @@ from tests.service.process import service_process
 
 
 def quantiles(values: list[float]) -> dict[str, float]:
-    p50, p99 = np.percentile(values, (50, 99))
-    return {"p50_ms": round(float(p50), 2), "p99_ms": round(float(p99), 2), "n": len(values)}
+    p50, p99 = percentiles(values, 50, 99)
+    return {"p50_ms": round(p50, 2), "p99_ms": round(p99, 2), "n": len(values)}
 
 
 @contextlib.contextmanager
@@ -96,23 +98,22 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
 
 
 def main() -> int:
-    from tests.benchmarks.serving_report import page
+    from tests.benchmarks.serving_report import serving_page
 
-    told = arguments()
+    options = arguments()
     parts: dict[str, Callable[[], dict[str, Any]]] = {
-        "peers": lambda: peers(told.models / "pictures", told.peers_python, told.seconds),
-        "peers markers": lambda: peers(told.models, told.peers_python, told.seconds),
-        "websocket": lambda: decisions(told.models, told.trials),
-        "first": lambda: first_decision(told.models, starts=9, steady=5),
-        "cameras 60": lambda: flood(told.models, 60.0, told.seconds),
-        "cameras 90": lambda: flood(told.models, 90.0, told.seconds),
-        "health": lambda: healthz_ms(told.models, told.seconds),
-        "overload": lambda: overload(told.models),
+        "peers": lambda: peers(options.models, options.peers_python, options.seconds),
+        "websocket": lambda: decisions(options.models, options.trials),
+        "first": lambda: first_decision(options.models, starts=9, steady=5),
+        "cameras 60": lambda: flood(options.models, 60.0, options.seconds),
+        "cameras 90": lambda: flood(options.models, 90.0, options.seconds),
+        "health": lambda: healthz_ms(options.models, options.seconds),
+        "overload": lambda: overload(options.models),
     }
-    out = told.docs / "serving.json"
-    facts: dict[str, Any] = json.loads(out.read_text()) if out.is_file() and told.only else {}
+    out = options.docs / "serving.json"
+    facts: dict[str, Any] = json.loads(out.read_text()) if out.is_file() and options.only else {}
     for name, measure in parts.items():
-        if told.only and name not in told.only:
+        if options.only and name not in options.only:
             continue
         print(f"{name} ...", flush=True)
         started = time.monotonic()
@@ -123,10 +124,8 @@ def main() -> int:
         facts[name] = found | {"load": round(os.getloadavg()[0], 1), "took_s": round(time.monotonic() - started)}
         print(json.dumps(facts[name]), flush=True)
         facts["machine"] = machine()
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(json.dumps(facts, indent=1) + "\n")
-    (told.docs / "serving.md").write_text(page(facts))
-    print((told.docs / "serving.md").read_text())
+        publish(options.docs, "serving", serving_page(facts), facts)
+    print(serving_page(facts))
     return 0
 
 

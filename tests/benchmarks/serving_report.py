@@ -1,61 +1,59 @@
-"""docs/serving.md from what the serving benchmark found."""
+"""docs/serving.md from what the serving benchmark measured."""
 
-import json
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-Row = tuple[str, str, str, bool | None]
+from reporting.page import page
+from reporting.table import table
 
 
-def page(facts: dict[str, Any]) -> str:
+class Row(NamedTuple):
+    """One measurement beside its target."""
+
+    quantity: str
+    measured: str
+    target: str = ""
+    reached: bool | None = None
+    load: float | None = None
+
+
+def serving_page(facts: dict[str, Any]) -> str:
     machine = facts["machine"]
-    rows = [row for name, make in ROWS.items() for row in _rows(name, make, facts.get(name))]
-    missed = [row[0] for row in rows if row[3] is False]
-    unmeasured = [row[0] for row in rows if row[3] is None]
-    lines = [
-        "# What serving costs",
-        "",
-        where(machine),
-        "",
-        "| what | found | at least | reached | load |",
-        "|---|---|---|---|---|",
-        *(
-            f"| {what} | {found} | {target} | {VERDICT[ok]} | {load} |"
-            for what, found, target, ok, load in _loaded(facts)
-        ),
-        "",
-        "**Missed here:** " + ("; ".join(missed) + "." if missed else "nothing."),
-        "",
-        *(["**Not measured:** " + "; ".join(unmeasured) + ".", ""] if unmeasured else []),
-        *_notes(),
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def where(machine: dict[str, Any]) -> str:
-    """The machine, and how to read times from one that was busy."""
-    return (
-        f"Measured on {machine['cpu']}, {machine['cores']} cores, by `make bench-serving`. The machine was shared with"
-        " other work: the load of each row is the average number of runnable processes while it was measured, so times"
-        " are long, and ratios are between calls made in turn."
-    )
-
-
-VERDICT = {True: "yes", False: "**no**", None: "not measured"}
-
-
-def _loaded(facts: dict[str, Any]) -> list[tuple[str, str, str, bool | None, Any]]:
-    return [
-        (*row, (facts.get(name) or {}).get("load", "-"))
+    rows = [
+        row._replace(load=(facts.get(name) or {}).get("load"))
         for name, make in ROWS.items()
         for row in _rows(name, make, facts.get(name))
     ]
+    missed = [row.quantity for row in rows if row.reached is False]
+    unmeasured = [row.quantity for row in rows if row.reached is None]
+    return page(
+        f"""
+        # What serving costs
+
+        Measured on {machine["cpu"]}, {machine["cores"]} cores, by `make bench-serving`. The machine was shared with
+        other work. The load of each row is the average number of runnable processes while it was measured, so times
+        are long, and ratios are between calls made in turn.
+        """,
+        table(
+            rows,
+            ("quantity", "quantity"),
+            ("measured", "measured"),
+            ("at least", "target"),
+            ("reached", lambda row: REACHED[row.reached]),
+            ("load", "load", ".1f"),
+        ),
+        f"**Missed here:** {'; '.join(missed) or 'nothing'}.",
+        f"**Not measured:** {'; '.join(unmeasured)}." if unmeasured else "",
+        NOTES,
+        "\n".join(f"- {name}: {facts[name]['note']}" for name in ROWS if "note" in facts.get(name, {})),
+    )
+
+
+REACHED = {True: "yes", False: "**no**", None: "not measured"}
 
 
 def _rows(name: str, make: Any, found: dict[str, Any] | None) -> list[Row]:
     if not found or "failed" in found:
-        return [(name, (found or {}).get("failed", "not run"), "", None)]
+        return [Row(name, (found or {}).get("failed", "not run"))]
     rows: list[Row] = make(found)
     return rows
 
@@ -67,42 +65,42 @@ def both(ours: dict[str, float], theirs: dict[str, float]) -> str:
 
 def _peers(found: dict[str, Any]) -> list[Row]:
     ours = found["servers"]["service"]
-    rows: list[Row] = []
+    rows = []
     for peer, label, limit in (("mlserver", "MLServer gRPC", 0.5), ("litserve", "LitServe", 0.35)):
         theirs, share = found["servers"][peer], found[f"ratio to {peer}"]
         model, megabytes = found.get("model", "direction.step.onnx"), found["payload_bytes"] / 1e6
         what = f"binary inference p50, `{model}`, {megabytes:.2f} MB a call, service / {label}"
         what += f" {found['versions'][peer]}"
-        rows.append((what, f"{both(ours, theirs)} = {share:.2f}", f"{limit}", share <= limit))
+        rows.append(Row(what, f"{both(ours, theirs)} = {share:.2f}", f"{limit}", share <= limit))
     inside = found["servers"]["in process"]
-    rows.append(("the same in process, p50", f"{inside['p50_ms']:.2f} ms", "", True))
+    rows.append(Row("the same in process, p50", f"{inside['p50_ms']:.2f} ms", reached=True))
     return rows
 
 
 def _websocket(found: dict[str, Any]) -> list[Row]:
     over, within = found["websocket"], found["in_process"]
     text = f"{both(over, within)} = {found['ratio_p50']:.2f}; fastest tenth {found['ratio_fastest_tenth']:.2f}"
-    return [("last frame pair to correction p50, WebSocket / in process", text, "1.25", found["ratio_p50"] <= 1.25)]
+    return [Row("last frame pair to correction p50, WebSocket / in process", text, "1.25", found["ratio_p50"] <= 1.25)]
 
 
 def _first(found: dict[str, Any]) -> list[Row]:
     if found["median"] is None:
-        return [("first decision after ready / steady", "no start gave four decisions", "1.1", None)]
+        return [Row("first decision after ready / steady", "no start gave four decisions", "1.1", None)]
     text = f"{found['median']:.2f} (median of {len(found['ratios'])} starts: {found['ratios']})"
-    return [("first decision after ready / steady", text, "1.1", found["median"] <= 1.1)]
+    return [Row("first decision after ready / steady", text, "1.1", found["median"] <= 1.1)]
 
 
 def _cameras(found: dict[str, Any]) -> list[Row]:
     text = f"{found['cores_at_full_rate']:.2f} cores ({found['cpu_ms_per_frame']:.2f} ms CPU a frame perceived;"
     text += f" {found['camera_frames_per_s']:.0f} frames/s came, {found['dropped_share']:.1%} dropped)"
     what = f"2 x {found['asked_hz']:.0f} fps at 427 x 320, perceived and recorded: CPU of the whole service"
-    return [(what, text, "1 core", found["cores_at_full_rate"] <= 1.0)]
+    return [Row(what, text, "1 core", found["cores_at_full_rate"] <= 1.0)]
 
 
 def _health(found: dict[str, Any]) -> list[Row]:
     text = f"p50 {found['p50_ms']:.1f}, p99 {found['p99_ms']:.1f}, most {found['most_ms']:.0f} ms; an idle server"
     text += f" asked in turn: p99 {found['idle_server_p99_ms']:.1f}, most {found['idle_server_most_ms']:.0f} ms"
-    return [("/healthz under full load", text, "50 ms (p99)", found["p99_ms"] <= 50)]
+    return [Row("/healthz under full load", text, "50 ms (p99)", found["p99_ms"] <= 50)]
 
 
 def _overload(found: dict[str, Any]) -> list[Row]:
@@ -112,12 +110,11 @@ def _overload(found: dict[str, Any]) -> list[Row]:
     if found.get("share_within_of_calm") is not None:
         text += f"; of the {found['share_calm']:.0%} that the kernel did not make wait,"
         text += f" in {found['share_within_of_calm']:.1%}"
-    return [("age of results at 2 x overload: 1 frame + 1 step", text, "99 % within", found["share_within"] >= 0.99)]
+    return [Row("age of results at 2 x overload: 1 frame + 1 step", text, "99 % within", found["share_within"] >= 0.99)]
 
 
 ROWS = {
     "peers": _peers,
-    "peers markers": _peers,
     "websocket": _websocket,
     "first": _first,
     "cameras 60": _cameras,
@@ -137,15 +134,6 @@ NOTES = """How it was measured:
 - First decision: of a fresh process, against the median of the next five of the same process.
 - Full load: 2 x 60 fps, an attempt under way, inference in a closed loop, three viewers.
 - Overload: the station is first given more frames than it can perceive, which tells the rate it can; then twice that
-  rate. Age is counted from capture to the slip judgement, a step is what perceiving the two frames of a pair took just
+  rate. Age is counted from capture to the slip decision, a step is what perceiving the two frames of a pair took just
   then. Of the calm results the kernel let the perceiving thread wait for a core for at most 0.2 ms of their life.
 - CPU is the process's own time from the kernel: it does not grow with what others use, though caches do suffer."""
-
-
-def _notes() -> list[str]:
-    return NOTES.splitlines()
-
-
-if __name__ == "__main__":
-    folder = Path("docs")
-    (folder / "serving.md").write_text(page(json.loads((folder / "serving.json").read_text())))

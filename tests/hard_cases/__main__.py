@@ -1,6 +1,6 @@
 """`python -m tests.hard_cases`: every hard case on three seeds as one table, on screen, in docs/ and as JSON.
 
-`python -m tests.hard_cases mutate` takes guards away, one at a time, in a copy, and shows that a case fails for each.
+`python -m tests.hard_cases mutate` takes guards away, one at a time, and shows that a case fails for each.
 """
 
 import argparse
@@ -12,16 +12,15 @@ import sys
 import time
 from pathlib import Path
 
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
+from reporting.page import page, publish
+from reporting.table import Table, table
 from tests.hard_cases.mutants import MUTANTS, bitten
 from tests.hard_cases.registry import ROOT, SEEDS, Result
 from tests.hard_cases.suite import CASES, by_name
 
-PAGE, FILE = "hard_cases.md", "hard_cases.json"
-COLUMNS = ("case", "room", "what must hold", "worst", "limit", "")
+NAME = "hard_cases"
 
 
 def main() -> int:
@@ -37,8 +36,8 @@ def main() -> int:
             return mutate(pool, options.out)
         began = time.perf_counter()
         names = sorted(CASES, key=lambda name: (CASES[name].quick, name))  # the long ones first
-        told = track(pool.imap_unordered(by_name, names), description="hard cases", total=len(names))
-        results = [Result(CASES[name], *rest) for name, *rest in told]
+        measured = track(pool.imap_unordered(by_name, names), description="hard cases", total=len(names))
+        results = [Result(CASES[name], *rest) for name, *rest in measured]
     order = list(CASES)
     results.sort(key=lambda result: order.index(result.case.name))
     seconds = time.perf_counter() - began
@@ -49,28 +48,28 @@ def main() -> int:
 
 def show(results: list[Result], seconds: float) -> None:
     """The table on screen."""
-    table = Table(*COLUMNS, title=f"hard cases, seeds {SEEDS}", row_styles=["", "dim"])
-    for result in results:
-        verdict = "[green]pass" if result.passed else f"[red]FAIL {result.error}"
-        case = result.case
-        table.add_row(case.name, case.room, case.holds, f"{result.worst:.2g}", f"{case.limit:g}", verdict)
-    console = Console()
-    console.print(table)
+    cases = table(
+        results,
+        ("case", "case.name"),
+        ("room", "case.room"),
+        ("worst", "worst", ".2g"),
+        ("limit", "case.limit", "g"),
+        ("", lambda result: "pass" if result.passed else f"FAIL {result.error}"),
+        ("what must hold", "case.holds"),
+    )
     failed = sum(not result.passed for result in results)
-    console.print(f"{len(results)} cases, {failed} failed, {seconds:.0f} s")
+    print(f"{cases.text()}\n{len(results)} cases, seeds {SEEDS}, {failed} failed, {seconds:.0f} s")
 
 
 def write(results: list[Result], seconds: float, out: Path) -> None:
-    """docs/hard_cases.md and .json; what the last `mutate` found is kept."""
-    path = out / FILE
-    told = json.loads(path.read_text()) if path.exists() else {}
+    """docs/hard_cases.md and .json; the rows of the last `mutate` are kept."""
     rows = [
         {
             "case": r.case.name,
             "room": r.case.room,
             "why": r.case.why,
             "holds": r.case.holds,
-            "guard": f"{r.case.guard.file}:{r.case.guard.line}",
+            "guard": r.case.guard.symbol,
             "worst": r.worst if r.worst == r.worst else None,
             "limit": r.case.limit,
             "note": r.note,
@@ -80,58 +79,51 @@ def write(results: list[Result], seconds: float, out: Path) -> None:
         }
         for r in results
     ]
-    report = {"seeds": SEEDS, "seconds": round(seconds), "cases": rows, "mutants": told.get("mutants", [])}
-    path.write_text(json.dumps(report, indent=1) + "\n")
-    (out / PAGE).write_text(page(report))
+    report = {"seeds": SEEDS, "seconds": round(seconds), "cases": rows, "mutants": load(out)["mutants"]}
+    publish(out, NAME, hard_cases_page(report), report)
 
 
-def page(report: dict) -> str:
+def hard_cases_page(report: dict) -> str:
     """The Markdown page of a report."""
-    failed = sum(not row["passed"] for row in report["cases"])
-    lines = ["# Hard cases", ""]
-    lines.append(
-        "Written by `make hard-cases`: what is nasty, what must hold, how close it came (worst of seeds"
-        f" {', '.join(map(str, SEEDS))}), and which line answers it. {len(report['cases'])} cases, {failed} failed, {report['seconds']} s."
-    )
-    for room in dict.fromkeys(row["room"] for row in report["cases"]):
-        lines += [
-            "",
-            f"## {room.capitalize()}",
-            "",
-            "| case | why it is hard | what must hold | worst | limit | guard | |",
-        ]
-        lines += ["|---|---|---|---|---|---|---|"]
-        for row in report["cases"]:
-            if row["room"] == room:
-                worst = "-" if row["worst"] is None else f"{row['worst']:.2g}"
-                verdict = "pass" if row["passed"] else f"**FAIL** {row['error']}"
-                note = f" ({row['note']})" if row["note"] else ""
-                cells = [
-                    row["case"],
-                    row["why"],
-                    row["holds"] + note,
-                    worst,
-                    f"{row['limit']:g}",
-                    f"`{row['guard']}`",
-                    verdict,
-                ]
-                lines.append("| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |")
-    lines += [
-        "",
-        "## Does the suite bite?",
-        "",
-        "`python -m tests.hard_cases mutate` takes a guard away in a copy; its case must fail.",
+    cases, mutants = report["cases"], report["mutants"]
+    parts: list[str | Table] = [
+        f"""
+        # Hard cases
+
+        Written by `make hard-cases`: what is nasty, what must hold, how close it came (worst of seeds
+        {", ".join(map(str, report["seeds"]))}), and what answers it. {len(cases)} cases,
+        {sum(not row["passed"] for row in cases)} failed, {report["seconds"]} s.
+        """
     ]
-    lines += ["", "| guard | replaced by | case that fails | |", "|---|---|---|---|"]
-    for row in report["mutants"]:
-        cells = [
-            f"`{row['guard']}` `{row['text']}`",
-            f"`{row['mutant']}`",
-            row["case"],
-            "caught" if row["caught"] else "**MISSED**",
-        ]
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(lines) + "\n"
+    for room in dict.fromkeys(row["room"] for row in cases):
+        parts += [f"## {room.capitalize()}", _cases([row for row in cases if row["room"] == room])]
+    bite = """
+        ## Does the suite bite?
+
+        `python -m tests.hard_cases mutate` takes a guard away in a fresh process; its case must fail.
+        """
+    columns = ("case that fails", "case"), ("", lambda row: "caught" if row["caught"] else "**MISSED**")
+    guards = table(mutants, ("guard", lambda row: f"`{row['guard']}`"), ("without it", "without"), *columns)
+    return page(*parts, bite, guards)
+
+
+def _cases(rows: list[dict]) -> Table:
+    return table(
+        rows,
+        ("case", "case"),
+        ("why it is hard", "why"),
+        ("what must hold", lambda row: row["holds"] + (f" ({row['note']})" if row["note"] else "")),
+        ("worst", "worst", ".2g"),
+        ("limit", "limit", "g"),
+        ("guard", lambda row: f"`{row['guard']}`"),
+        ("", lambda row: "pass" if row["passed"] else f"**FAIL** {row['error']}"),
+    )
+
+
+def load(out: Path) -> dict:
+    """The report of the last run, or an empty one."""
+    path = out / f"{NAME}.json"
+    return json.loads(path.read_text()) if path.exists() else {"seeds": SEEDS, "seconds": 0, "cases": [], "mutants": []}
 
 
 def mutate(pool: multiprocessing.pool.Pool, out: Path) -> int:
@@ -139,14 +131,10 @@ def mutate(pool: multiprocessing.pool.Pool, out: Path) -> int:
     rows = []
     for name, caught in zip(MUTANTS, track(pool.imap(bitten, MUTANTS), "mutants", len(MUTANTS)), strict=True):
         guard = CASES[name].guard
-        where = f"{guard.file}:{guard.line}"
-        rows.append({"case": name, "guard": where, "text": guard.text, "mutant": guard.mutant, "caught": caught})
-        print(f"{'caught' if caught else 'MISSED'}  {name}: {where}")
-    path = out / FILE
-    report = json.loads(path.read_text()) if path.exists() else {"seeds": SEEDS, "seconds": 0, "cases": []}
-    report["mutants"] = rows
-    path.write_text(json.dumps(report, indent=1) + "\n")
-    (out / PAGE).write_text(page(report))
+        rows.append({"case": name, "guard": guard.symbol, "without": guard.without, "caught": caught})
+        print(f"{'caught' if caught else 'MISSED'}  {name}: {guard.symbol}")
+    report = load(out) | {"mutants": rows}
+    publish(out, NAME, hard_cases_page(report), report)
     return 0 if all(row["caught"] for row in rows) else 1
 
 

@@ -14,11 +14,26 @@ from service.contract import ContractError, FrameSpec, TactileFrame
 from service.contract.frames import decode_frame, encode_frame
 from service.contract.wire import parse_client, parse_service
 from simulation.data.dataset import Dataset, DatasetWriter
-from simulation.data.manifest import MANIFEST, DatasetError
-from tests.hard_cases.registry import case, not_refused
+from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry
+from tests.hard_cases.instead import blind, waved_through
+from tests.hard_cases.registry import Guard, case, not_refused
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 
-DATASET, MANIFESTS, FRAMES = "simulation/data/dataset.py", "simulation/data/manifest.py", "service/contract/frames.py"
+FRAME = encode_frame(TactileFrame("left", 1, 2, np.zeros((32, 40, 3), np.uint8)))
+
+
+def listed_again(_commit: object) -> Callable[[DatasetWriter, ShardEntry], None]:
+    """Shards are listed without looking at their names."""
+
+    def commit(writer: DatasetWriter, entry: ShardEntry) -> None:
+        writer.manifest = writer.manifest.model_copy(update={"shards": (*writer.manifest.shards, entry)})
+
+    return commit
+
+
+def cut_or_filled(decode: Callable[..., TactileFrame]) -> Callable[..., TactileFrame]:
+    """Messages are brought to the length of the one frame that this case is about."""
+    return lambda message, spec=None: decode(message.ljust(len(FRAME), b"\0")[: len(FRAME)], spec)
 
 
 @lru_cache
@@ -58,7 +73,7 @@ SHARD = "rectangle-00001.parquet"
     "data",
     why="a kill or a full disk leaves a file that begins well",
     holds="a shard cut at any length is named and refused: cuts not refused",
-    guard=(MANIFESTS, "if path.stat().st_size != self.size_bytes:", "if False:"),
+    guard=Guard("simulation.data.manifest:ShardEntry.must_be_whole", "no shard is looked at", waved_through),
 )
 def shards_cut_short(seed: int) -> float:
     size = (_dataset() / SHARD).stat().st_size
@@ -74,7 +89,11 @@ def shards_cut_short(seed: int) -> float:
     "data",
     why="a flipped bit changes a label and no length",
     holds="an altered shard fails its hash: flips not refused",
-    guard=(MANIFESTS, "if verify and file_sha256(path) != self.sha256:", "if False:"),
+    guard=Guard(
+        "simulation.data.manifest:ShardEntry.must_be_whole",
+        "contents are not hashed",
+        lambda check: lambda entry, folder, **_: check(entry, folder),
+    ),
 )
 def shards_with_a_flipped_bit(seed: int) -> float:
     places = np.random.default_rng(seed).integers(100, (_dataset() / SHARD).stat().st_size - 100, 4)
@@ -91,7 +110,7 @@ def shards_with_a_flipped_bit(seed: int) -> float:
     "data",
     why="a shard under another's name has the right form and the wrong trials",
     holds="shards that changed places or are doubled are refused: not refused",
-    guard=(DATASET, 'raise DatasetError(f"shard {entry.name} is already in {self.path / MANIFEST}")', "pass"),
+    guard=Guard("simulation.data.dataset:DatasetWriter.commit", "a shard is listed twice", listed_again),
 )
 def shards_reordered_or_doubled(_seed: int) -> float:
     def swap(folder: Path) -> None:
@@ -111,7 +130,11 @@ def shards_reordered_or_doubled(_seed: int) -> float:
     "data",
     why="a folder may hold a manifest of another version, half a one, or one that lists what is not there",
     holds="each is refused by name: not refused",
-    guard=(MANIFESTS, "if not path.is_file():", "if False:"),
+    guard=Guard(
+        "simulation.data.manifest:read_manifest",
+        "errors come through as the parser has them",
+        lambda _: lambda folder: Manifest.model_validate_json((folder / MANIFEST).read_bytes()),
+    ),
 )
 def manifests_that_do_not_fit(_seed: int) -> float:
     def edit(folder: Path, **changes: object) -> None:
@@ -132,11 +155,7 @@ def manifests_that_do_not_fit(_seed: int) -> float:
     "data",
     why="a label that is not a number poisons every average it enters",
     holds="trials with non-finite labels or states are refused on writing: not refused",
-    guard=(
-        "simulation/data/trial.py",
-        "if array.shape != shape or not np.isfinite(array).all():",
-        "if array.shape != shape:",
-    ),
+    guard=Guard("simulation.data.trial:Trial.check", "every number counts as finite", blind),
 )
 def trials_that_are_no_numbers(_seed: int) -> float:
     gel = made_up_trial().gel.copy()
@@ -149,7 +168,7 @@ def trials_that_are_no_numbers(_seed: int) -> float:
     "data",
     why="a binary frame is read by offsets, so a wrong header reads beyond its end or into the wrong shape",
     holds="cut, lengthened and altered frames are refused: not refused",
-    guard=(FRAMES, "if len(message) != expected:", "if False:"),
+    guard=Guard("service.contract.frames:decode_frame", "a message is cut or filled to its length", cut_or_filled),
 )
 def frames_with_a_wrong_header(seed: int) -> float:
     rng = np.random.default_rng(seed)
@@ -164,7 +183,7 @@ def frames_with_a_wrong_header(seed: int) -> float:
     "data",
     why="JSON from the network may be anything",
     holds="malformed, oversized and foreign messages are refused in one line: not refused",
-    guard=("service/contract/wire.py", "if len(text) > MAX_TEXT_BYTES:"),
+    guard="service.contract.wire:MAX_TEXT_BYTES",
 )
 def messages_from_elsewhere(seed: int) -> float:
     rng = np.random.default_rng(seed)

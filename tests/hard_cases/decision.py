@@ -1,6 +1,8 @@
 """Hard decisions: boundaries of Eq. 1, evidence that lies, contradicts itself or is not a number."""
 
 import itertools
+import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -10,19 +12,15 @@ from service.decision.controllers import Belief, Heuristic, axis_command, make_c
 from service.decision.controllers import Command as Move
 from service.decision.evidence import Density, Evidence, Refusal, from_joint, from_pair, softmax
 from service.decision.models import load_models
-from tests.hard_cases.registry import ROOT, case, non_finite, not_refused
+from tests.hard_cases.instead import blind, with_globals
+from tests.hard_cases.registry import ROOT, Guard, case, non_finite, not_refused
 from training.data.labels import CLASSES
 
 LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
-CONTROLLERS, BELIEF, DECISION = (
-    "service/decision/controllers.py",
-    "service/decision/belief.py",
-    "service/decision/evidence.py",
-)
 UNIFORM = np.full(len(CLASSES), 1 / len(CLASSES))
 
 
-def told(
+def evidence_for(
     name: str, error: tuple[float, float], sigma: tuple[float, float] | None = (1.0, 1.5), p: float = 0.92
 ) -> Evidence:
     """Evidence for one class with a given probability."""
@@ -30,11 +28,31 @@ def told(
     return Evidence(CLASSES, np.array([p if c.name == name else rest for c in CLASSES]), error, sigma)
 
 
+def agreed_by_zero(command: Callable[..., float]) -> Callable[..., float]:
+    """An estimate of 0 has the sign of any class."""
+    return lambda sign, estimate, *, first: command(sign, estimate, first=first) if sign * estimate else -0.7 * estimate
+
+
+def normalised_first(read: Callable[..., Evidence]) -> Callable[..., Evidence]:
+    """Densities are made to sum to 1 as they come, without subtracting the largest before."""
+
+    def joint(card: object, outputs: dict[str, np.ndarray]) -> Evidence:
+        weights = np.exp(outputs["log_density"].astype(float))
+        return read(card, {"log_density": np.log(weights / weights.sum())})
+
+    return joint
+
+
+def hard_edge(values: np.ndarray, tolerance: float, _softness: float) -> np.ndarray:
+    """Near or not, nothing between."""
+    return (np.abs(values) < tolerance).astype(float)
+
+
 @case(
     "decision",
     why="a gain that jumps in sign where the estimate crosses zero would push the object further off",
     holds="every command of Eq. 1 moves against the class, or not at all: share of commands that do not",
-    guard=(CONTROLLERS, "elif sign * estimate > 0:", "elif sign * estimate >= 0:"),
+    guard=Guard("service.decision.controllers:axis_command", "0 agrees with either sign", agreed_by_zero),
 )
 def estimate_on_the_boundary_of_its_sign(seed: int) -> float:
     tiny = [0.0, -0.0, 5e-324, -5e-324, 1e-300, -1e-300, 1e-12, -1e-12]
@@ -50,7 +68,7 @@ def estimate_on_the_boundary_of_its_sign(seed: int) -> float:
     "decision",
     why="an int8 network can give an error of exactly 0 with a class that has a sign",
     holds="exactly 0 counts as contradictory: |C| - 3",
-    guard=(CONTROLLERS, "command = -STEP_CONTRADICTORY * sign", "command = 0.0 * sign"),
+    guard=Guard("service.decision.controllers:STEP_CONTRADICTORY", "a contradiction moves nothing", 0.0),
 )
 def estimate_of_exactly_zero_with_a_sign(_seed: int) -> float:
     return max(abs(axis_command(sign, zero, first=True) + 3 * sign) for sign in (-1, 1) for zero in (0.0, -0.0))
@@ -60,11 +78,7 @@ def estimate_of_exactly_zero_with_a_sign(_seed: int) -> float:
     "decision",
     why="the clip of later trials has corners at +-4 where a comparison may let an ulp through",
     holds="|C| after the first trial stays within 4: excess",
-    guard=(
-        CONTROLLERS,
-        "return command if first else float(np.clip(command, -CLIP_LATER, CLIP_LATER))",
-        "return command",
-    ),
+    guard=Guard("service.decision.controllers:CLIP_LATER", "later commands are not clipped", math.inf),
 )
 def estimates_at_the_edges_of_the_clip(seed: int) -> float:
     edge = 4 / 0.7
@@ -77,7 +91,7 @@ def estimates_at_the_edges_of_the_clip(seed: int) -> float:
     "decision",
     why="argmax of a tie depends on order, and a tie must not depend on anything else",
     holds="the same tie gives the same command in either finger's and every call's view: spread",
-    guard=(DECISION, "return self.classes[int(np.argmax(self.probabilities))]"),
+    guard="service.decision.evidence:Evidence.best",
 )
 def classes_in_a_tie(seed: int) -> float:
     error = tuple(np.random.default_rng(seed).normal(0, 5, 2))
@@ -92,16 +106,17 @@ def classes_in_a_tie(seed: int) -> float:
     "decision",
     why="NaN compares false with every limit, so a clip would let it pass to the arm",
     holds="a non-finite estimate or sigma is refused by name: cases not refused",
-    guard=(DECISION, "if not (np.isfinite(numbers).all() and np.isfinite(density).all()):", "if False:"),
+    guard=Guard("service.decision.evidence:Evidence.__post_init__", "every number counts as finite", blind),
 )
 def estimates_that_are_no_numbers(_seed: int) -> float:
     bad = (np.nan, np.inf, -np.inf)
     calls = []
     for name, value, axis in itertools.product(("heuristic", "belief"), bad, (0, 1)):
         error = (value, 1.0) if axis == 0 else (1.0, value)
-        calls.append(lambda n=name, e=error: make_controller(n, LIMITS).decide(told("5", e), 1))
+        calls.append(lambda n=name, e=error: make_controller(n, LIMITS).decide(evidence_for("5", e), 1))
     calls += [
-        lambda v=value: make_controller("belief", LIMITS).decide(told("5", (1.0, 1.0), (v, 1.0)), 1) for value in bad
+        lambda v=value: make_controller("belief", LIMITS).decide(evidence_for("5", (1.0, 1.0), (v, 1.0)), 1)
+        for value in bad
     ]
     return not_refused(calls, Refusal)
 
@@ -110,7 +125,7 @@ def estimates_that_are_no_numbers(_seed: int) -> float:
     "decision",
     why="a limit applied to NaN returns NaN",
     holds="a command that is not finite never passes the limits: cases not refused",
-    guard=(CONTROLLERS, "if not np.isfinite([dx, dtheta]).all():", "if False:"),
+    guard=Guard("service.decision.controllers:within", "every number counts as finite", blind),
 )
 def commands_that_are_no_numbers(_seed: int) -> float:
     bad = [(np.nan, 0.0), (0.0, np.nan), (np.nan, np.inf)]
@@ -121,7 +136,11 @@ def commands_that_are_no_numbers(_seed: int) -> float:
     "decision",
     why="exp overflows at 710 and all of exp(-1e4) is zero",
     holds="softmax of logits +-1e4 is finite and sums to 1: non-finite values and |sum - 1|",
-    guard=(DECISION, "weights = np.exp(logits - logits.max(axis=-1, keepdims=True))", "weights = np.exp(logits)"),
+    guard=Guard(
+        "service.decision.evidence:softmax",
+        "the largest logit is not subtracted",
+        lambda _: lambda x: np.exp(x) / np.exp(x).sum(-1, keepdims=True),
+    ),
     limit=1e-12,
 )
 def logits_of_ten_thousand(seed: int) -> float:
@@ -145,7 +164,7 @@ def _cards() -> tuple[object, object, object]:
     "decision",
     why="exp(log sigma) overflows to infinity and underflows to zero, and both break a filter",
     holds="a sigma of 0 or infinity is refused as non_finite: cases not refused",
-    guard=(DECISION, "if not np.isfinite(sigma).all() or min(sigma) <= 0:", "if False:"),
+    guard=Guard("service.decision.evidence:from_pair", "a sigma of 0 passes", with_globals(min=lambda _: 1.0)),
 )
 def sigmas_of_zero_and_infinity(_seed: int) -> float:
     direction, magnitude, _ = _cards()
@@ -162,7 +181,7 @@ def sigmas_of_zero_and_infinity(_seed: int) -> float:
     "decision",
     why="a log density of -1e4 everywhere but one cell is zero after exp, and a flat one has no peak",
     holds="evidence of a joint density is finite and its classes sum to 1: non-finite values and |sum - 1|",
-    guard=(DECISION, "weights = np.exp(log_density - log_density.max())", "weights = np.exp(log_density)"),
+    guard=Guard("service.decision.evidence:from_joint", "the largest log density is not subtracted", normalised_first),
     limit=1e-9,
 )
 def joint_densities_at_their_extremes(seed: int) -> float:
@@ -174,8 +193,12 @@ def joint_densities_at_their_extremes(seed: int) -> float:
     worst = 0.0
     for log_density in (spike, np.zeros(shape), np.full(shape, -1e4), rng.normal(0, 1e3, shape), np.full(shape, 1e4)):
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            said = from_joint(card, {"log_density": log_density[None].astype(np.float32)})
-        worst = max(worst, non_finite(said.probabilities, said.error, said.sigma), abs(said.probabilities.sum() - 1))
+            evidence = from_joint(card, {"log_density": log_density[None].astype(np.float32)})
+        worst = max(
+            worst,
+            non_finite(evidence.probabilities, evidence.error, evidence.sigma),
+            abs(evidence.probabilities.sum() - 1),
+        )
     return float(worst)
 
 
@@ -183,10 +206,7 @@ def joint_densities_at_their_extremes(seed: int) -> float:
     "decision",
     why="a product of densities underflows to zero everywhere once evidence excludes what was believed",
     holds="the belief stays a probability after impossible evidence: non-finite cells and |sum - 1|",
-    guard=(
-        BELIEF,
-        "if float((self.layers * likelihood).sum()) < INCONSISTENT_BELOW * float((wide * likelihood).sum()):",
-    ),
+    guard="service.decision.belief:INCONSISTENT_BELOW",
     limit=1e-9,
 )
 def belief_with_impossible_evidence(seed: int) -> float:
@@ -207,10 +227,10 @@ def belief_with_impossible_evidence(seed: int) -> float:
     "decision",
     why="all mass on the cell that just failed leaves nothing to normalise",
     holds="a failure at the only believed pose still leaves a probability and a move: non-finite values",
-    guard=(
-        BELIEF,
-        "self._normalise(self.layers * (1 - SURE_INSERT * near))",
-        "self._normalise(self.layers * (1 - np.ceil(near)))",
+    guard=Guard(
+        "service.decision.belief:BeliefGrid.absorb_failure",
+        "a failure excludes its pose for sure",
+        with_globals(SURE_INSERT=1.0, _near=hard_edge),
     ),
 )
 def belief_with_all_mass_on_one_cell(seed: int) -> float:
@@ -228,10 +248,8 @@ def belief_with_all_mass_on_one_cell(seed: int) -> float:
     "decision",
     why="fifteen attempts that contradict each other leave a filter with nothing it can believe",
     holds="every move is finite and within the limits: excess over 15 or non-finite",
-    guard=(
-        CONTROLLERS,
-        "dx = float(np.clip(command.dx_mm, -limits.max_dx_mm, limits.max_dx_mm))",
-        "dx = float(command.dx_mm)",
+    guard=Guard(
+        "service.decision.controllers:within", "a command passes as it is", lambda _: lambda command, _limits: command
     ),
     limit=1e-9,
 )
@@ -240,12 +258,12 @@ def fifteen_contradictory_attempts(seed: int) -> float:
     controller, worst = Belief(LIMITS), 0.0
     for attempt in range(1, 16):
         name = CLASSES[int(rng.integers(len(CLASSES)))].name
-        evidence = told(
+        evidence = evidence_for(
             name, tuple(rng.uniform(-30, 30, 2)), (float(rng.uniform(0.01, 40)), float(rng.uniform(0.01, 40)))
         )
         move = controller.decide(evidence, attempt)
         worst = max(worst, non_finite(move.dx_mm, move.dtheta_deg), abs(move.dx_mm) - 15, abs(move.dtheta_deg) - 15)
-    heuristic = Heuristic(LIMITS).decide(told("2", (1e9, -1e9)), 1)
+    heuristic = Heuristic(LIMITS).decide(evidence_for("2", (1e9, -1e9)), 1)
     return max(worst, abs(heuristic.dx_mm) - 15, abs(heuristic.dtheta_deg) - 15)
 
 
@@ -253,7 +271,7 @@ def fifteen_contradictory_attempts(seed: int) -> float:
     "decision",
     why="two networks that see the same pictures may be sure of different things",
     holds="a belief fed with the same evidence in float32 and float64 moves alike: mm or deg apart",
-    guard=(BELIEF, "table = (1 - OUTLIER_SHARE) * table + OUTLIER_SHARE"),
+    guard="service.decision.belief:BeliefGrid._direction_likelihood",
     limit=1e-3,
 )
 def belief_in_single_and_double_precision(seed: int) -> float:

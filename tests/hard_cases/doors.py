@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot_client.grippers.wsg50.codec import Command, encode_request
+from robot_client.grippers.wsg50.codec import encode_request
+from robot_client.grippers.wsg50.codes import Command
 from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, rotate, yaw_quaternion
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import MotionGuide, Ramps
@@ -23,10 +24,11 @@ from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.rigid import fit_motion, moving_patch
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.scene import load_scene
-from tests.hard_cases.decision import LIMITS, _cards, told
+from simulation.scene.worlds import load_scene
+from tests.hard_cases.decision import LIMITS, _cards, evidence_for
+from tests.hard_cases.instead import blind
 from tests.hard_cases.motion import pose
-from tests.hard_cases.registry import case, non_finite, not_refused
+from tests.hard_cases.registry import Guard, case, non_finite, not_refused
 from tests.service.perception.synthetic import patch_fields, rigid
 from tests.simulation.strategies import made_up_trial
 from training.data.labels import class_of
@@ -47,7 +49,7 @@ def shut(doors: list[Door], error: type[Exception] = ValueError) -> float:
     "decision",
     why="a number that is none passes every comparison, clip and maximum on its way to the arm",
     holds="every function of the decision refuses it as non_finite: doors open",
-    guard=("service/decision/belief.py", "if not np.isfinite([dx_mm, dtheta_deg]).all():", "if False:"),
+    guard=Guard("service.decision.belief:BeliefGrid.move", "every number counts as finite", blind),
 )
 def doors_of_the_decision(_seed: int) -> float:
     direction, magnitude, joint = _cards()
@@ -65,8 +67,8 @@ def doors_of_the_decision(_seed: int) -> float:
         lambda v: from_joint(joint, {"log_density": np.full(shape, v)}),
         lambda v: BeliefGrid().move(v, 0.0),
         lambda v: BeliefGrid().move(0.0, v),
-        lambda v: make_controller("heuristic", LIMITS).decide(told("5", (v, 0.0)), 1),
-        lambda v: make_controller("belief", LIMITS).decide(told("5", (0.0, v)), 1),
+        lambda v: make_controller("heuristic", LIMITS).decide(evidence_for("5", (v, 0.0)), 1),
+        lambda v: make_controller("belief", LIMITS).decide(evidence_for("5", (0.0, v)), 1),
     ]
     return shut(doors, Refusal)
 
@@ -75,7 +77,7 @@ def doors_of_the_decision(_seed: int) -> float:
     "motion",
     why="a target is a dozen multiplications away from the number that spoilt it",
     holds="every function of the robot client that takes numbers refuses those that are none: doors open",
-    guard=("robot_client/insertion/geometry.py", "if not all(map(math.isfinite, self.origin_mm)):", "if False:"),
+    guard=Guard("robot_client.insertion.geometry:yaw_quaternion", "every number counts as finite", blind),
 )
 def doors_of_the_robot_client(_seed: int) -> float:
     def advance(value: float) -> object:
@@ -114,11 +116,7 @@ def doors_of_the_robot_client(_seed: int) -> float:
     "physics",
     why="one node that is not a number spreads over the whole gel with the next solve",
     holds="poses, scenes, gel states and trials with such numbers are refused: doors open",
-    guard=(
-        "simulation/physics/quasistatic.py",
-        'raise ValueError(f"regrasp: expected finite numbers, got {x_mm}, {theta_deg}")',
-        "pass",
-    ),
+    guard=Guard("simulation.physics.quasistatic:QuasiStaticCell.regrasp", "every number counts as finite", blind),
 )
 def doors_of_the_simulator(seed: int) -> float:
     cell, renderer = QuasiStaticCell(load_scene("circle"), seed), Renderer(Appearance())
@@ -145,7 +143,7 @@ def doors_of_the_simulator(seed: int) -> float:
     "networks",
     why="a mean over a thousand trials hides the one that was not a number, or becomes one",
     holds="labels and predictions with such numbers are refused before any figure: doors open",
-    guard=("training/metrics/figures.py", "if not np.isfinite(getattr(self, name)).all():", "if False:"),
+    guard=Guard("training.metrics.figures:Predictions.__post_init__", "every number counts as finite", blind),
 )
 def doors_of_the_training(_seed: int) -> float:
     def predictions(**changed: float) -> Predictions:
@@ -173,11 +171,7 @@ def doors_of_the_training(_seed: int) -> float:
     "perception",
     why="a field made elsewhere (a recording, another tracker) may hold a node that is no number",
     holds="detectors stay typed and finite, fits give none, calibrations refuse: numbers not finite",
-    guard=(
-        "service/perception/slip/rigid.py",
-        "valid = valid & np.isfinite(before).all(-1) & np.isfinite(after).all(-1)",
-        "valid = valid.copy()",
-    ),
+    guard=Guard("service.perception.slip.rigid:moving_patch", "every number counts as finite", blind),
 )
 def doors_of_the_perception(seed: int) -> float:
     rng = np.random.default_rng(seed)

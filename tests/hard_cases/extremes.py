@@ -10,29 +10,30 @@ from robot_client.insertion.profile import plan_profile
 from service.decision.belief import BeliefGrid
 from service.decision.controllers import axis_command, make_controller
 from service.decision.evidence import from_joint, from_pair, softmax
-from tests.hard_cases.decision import LIMITS, _cards, told
+from tests.hard_cases.decision import LIMITS, _cards, evidence_for
 from tests.hard_cases.doors import Door
+from tests.hard_cases.instead import blind
 from tests.hard_cases.motion import pose
-from tests.hard_cases.registry import case
+from tests.hard_cases.registry import Guard, case
 
 EXTREMES = (1e308, -1e308, 1e150, 1e-308, 5e-324, 0.0)
 
 
-def numbers(found: object) -> list[float]:
+def numbers(result: object) -> list[float]:
     """Every number inside what a function returned."""
-    if isinstance(found, bool | str | bytes | type(None)):
+    if isinstance(result, bool | str | bytes | type(None)):
         return []
-    if isinstance(found, int | float | np.number):
-        return [float(found)]
-    if isinstance(found, np.ndarray):
-        return np.asarray(found, float).ravel().tolist() if found.dtype.kind in "fiu" else []
-    if isinstance(found, tuple | list):
-        return [number for part in found for number in numbers(part)]
-    if isinstance(found, WorkPose):
-        return numbers(list(found.model_dump().values()))
+    if isinstance(result, int | float | np.number):
+        return [float(result)]
+    if isinstance(result, np.ndarray):
+        return np.asarray(result, float).ravel().tolist() if result.dtype.kind in "fiu" else []
+    if isinstance(result, tuple | list):
+        return [number for part in result for number in numbers(part)]
+    if isinstance(result, WorkPose):
+        return numbers(list(result.model_dump().values()))
     return (
-        [number for part in fields(found) for number in numbers(getattr(found, part.name))]
-        if is_dataclass(found)
+        [number for part in fields(result) for number in numbers(getattr(result, part.name))]
+        if is_dataclass(result)
         else []
     )
 
@@ -54,7 +55,7 @@ def spilled(doors: list[Door]) -> float:
     "motion",
     why="the largest double plus itself is infinite, the smallest divided into one too",
     holds="finite extremes give finite results or are refused by name: numbers that are not finite",
-    guard=("robot_client/insertion/geometry.py", "if not all(map(math.isfinite, product)):", "if False:"),
+    guard=Guard("robot_client.insertion.geometry:multiply", "every number counts as finite", blind),
 )
 def extremes_in_the_robot_client(_seed: int) -> float:
     def profile(length: float, speed: float) -> list[float]:
@@ -79,12 +80,9 @@ def extremes_in_the_robot_client(_seed: int) -> float:
 
 @case(
     "decision",
-    why="a belief shifted by 1e308 mm, or told an error of that size, has no cell left that explains it",
+    why="a belief shifted by 1e308 mm, or given an error of that size, has no cell left that explains it",
     holds="finite extremes give finite results or are refused by name: numbers that are not finite",
-    guard=(
-        "service/decision/belief.py",
-        "OUTLIER_SHARE = 0.02",
-    ),
+    guard="service.decision.belief:OUTLIER_SHARE",
 )
 def extremes_in_the_decision(_seed: int) -> float:
     direction, magnitude, joint = _cards()
@@ -93,17 +91,17 @@ def extremes_in_the_decision(_seed: int) -> float:
     def belief(value: float) -> object:
         grid = BeliefGrid()
         grid.move(value, -value)
-        grid.absorb(told("5", (value, 1.0), (max(abs(value), 1e-300), 1.0)))
+        grid.absorb(evidence_for("5", (value, 1.0), (max(abs(value), 1e-300), 1.0)))
         return [*grid.best_move(), grid.probability]
 
     def pair(value: float) -> object:
         moments = {"error": np.full((1, 2), value), "log_sigma": np.zeros((1, 2))}
-        said = from_pair(direction, magnitude, {"logits": np.full((1, 9), value)}, moments)
-        return [said.probabilities, said.error, said.sigma]
+        evidence = from_pair(direction, magnitude, {"logits": np.full((1, 9), value)}, moments)
+        return [evidence.probabilities, evidence.error, evidence.sigma]
 
     def density(value: float) -> object:
-        said = from_joint(joint, {"log_density": np.where(eye, value, 0.0)[None]})
-        return [said.probabilities, said.error, said.sigma]
+        evidence = from_joint(joint, {"log_density": np.where(eye, value, 0.0)[None]})
+        return [evidence.probabilities, evidence.error, evidence.sigma]
 
     return spilled(
         [
@@ -112,7 +110,7 @@ def extremes_in_the_decision(_seed: int) -> float:
             pair,
             density,
             belief,
-            lambda v: make_controller("heuristic", LIMITS).decide(told("5", (v, v)), 1),
-            lambda v: make_controller("belief", LIMITS).decide(told("5", (v, 1.0)), 1),
+            lambda v: make_controller("heuristic", LIMITS).decide(evidence_for("5", (v, v)), 1),
+            lambda v: make_controller("belief", LIMITS).decide(evidence_for("5", (v, 1.0)), 1),
         ]
     )

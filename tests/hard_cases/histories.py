@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tests.hard_cases.instead import blind
 from tests.hard_cases.physics import (
     CONE,
     EXACT,
@@ -9,23 +10,19 @@ from tests.hard_cases.physics import (
     HOLDS,
     REFUSED,
     RESIDUAL_N,
-    RIG,
     SOLVED,
     grasped,
     lowered,
     worst_of,
 )
-from tests.hard_cases.registry import case, non_finite, not_refused
+from tests.hard_cases.registry import Guard, case, non_finite, not_refused
 
 
 @case(
     "physics",
     why="a regularised friction creeps: standing still for a second moves the object",
     holds="force drift over 300 load steps of a nanometre up and down: relative",
-    guard=(
-        "simulation/physics/kernels/bristles.py",
-        "bound = min(node.limit, constants.friction * node.pressure) / constants.kt",
-    ),
+    guard="simulation.physics.kernels.bristles:settle",
     limit=1e-3,
     quick=False,
 )
@@ -55,7 +52,9 @@ def stick_slip_reversal(seed: int) -> float:
     "physics",
     why="a part between both walls locks: its limits follow each other, and come 1 to 2 % closer a round",
     holds="a part pushed down until it wedges has its equilibrium, never refused: share of the bound used",
-    guard=("simulation/physics/kernels/convex.py", "if outer % FINISH_EVERY == FINISH_EVERY - 1:", "if outer < 0:"),
+    guard=Guard(
+        "simulation.physics.kernels.convex:FINISH_EVERY", "damped rounds are never ended by the coupled Newton", 10**9
+    ),
     limit=1.0,
     quick=False,
 )
@@ -87,7 +86,7 @@ def load_steps_from_one_to_1024(seed: int) -> tuple[float, str]:
     "physics",
     why="two solvers that stop early stop at different places",
     holds="the coupled and the convex solver find one equilibrium: mm apart",
-    guard=("simulation/physics/kernels/load_step.py", "def advance("),
+    guard="simulation.physics.kernels.load_step:advance",
     limit=2e-4,
     quick=False,
 )
@@ -122,7 +121,7 @@ def mirrored_starts(seed: int) -> float:
     "physics",
     why="a hand that is sent to NaN takes its object along",
     holds="a pose that is no number is refused by name and the state stays: not refused",
-    guard=(RIG, "if not np.all(np.isfinite(target)):", "if False:"),
+    guard=Guard("simulation.physics.quasistatic:QuasiStaticCell.move_to", "every number counts as finite", blind),
 )
 def poses_that_are_no_numbers(seed: int) -> float:
     cell = grasped("rectangle", 8.0, 5.0, seed)

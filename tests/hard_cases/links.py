@@ -1,14 +1,16 @@
 """Hard links: counters that wrap, datagrams and frames of garbage, messages out of their time."""
 
 import math
+from collections.abc import Callable
 from types import MappingProxyType
 
 import numpy as np
 
-from robot_client.grippers.wsg50.codec import Command, StreamParser, WsgError, encode_frame, encode_request
+from robot_client.grippers.wsg50.codec import StreamParser, WsgError, encode_frame, encode_request
+from robot_client.grippers.wsg50.codes import Command
 from robot_client.insertion.events import Arrived, Begin, FromService, Grasped, Move, Standstill, Tick
 from robot_client.insertion.geometry import Pose
-from robot_client.insertion.machine import Phase, Plan, State, step
+from robot_client.insertion.machine import Phase, Plan, Result, State, step
 from robot_client.robots.abb_egm.codec import (
     EgmError,
     Guidance,
@@ -20,19 +22,36 @@ from robot_client.robots.abb_egm.codec import (
 from robot_client.robots.abb_egm.watch import EgmWatch
 from robot_client.silence import Silence
 from service.contract import wire
-from tests.hard_cases.motion import BAD, GEOMETRY, WATCH, WSG, pose
-from tests.hard_cases.registry import case, non_finite, not_refused
+from tests.hard_cases.motion import BAD, pose
+from tests.hard_cases.registry import Guard, case, non_finite, not_refused
+
+
+def never_wrapping(take: Callable[..., float | None]) -> Callable[..., float | None]:
+    """A robot's clock that shows less than before has not moved."""
+
+    def taken(watch: EgmWatch, state: RobotState, now_s: float) -> float | None:
+        before_ms = watch._robot_ms
+        elapsed_s = take(watch, state, now_s)
+        return elapsed_s if elapsed_s is None or state.time_ms >= before_ms else 0.0
+
+    return taken
+
+
+def of_this_attempt(handle: Callable[..., Result]) -> Callable[..., Result]:
+    """A message of an older attempt is taken for one of the attempt under way."""
+
+    def handled(state: State, message: wire.Correction, at_s: float) -> Result:
+        attempt = max(message.attempt, state.attempt)
+        return handle(state, message.model_copy(update={"attempt": attempt}), at_s)
+
+    return handled
 
 
 @case(
     "motion",
     why="sequence numbers and the robot's clock are 32 bits and wrap in mid-insertion after 50 days",
     holds="elapsed time across the wrap is right, an old datagram stays refused: s off",
-    guard=(
-        WATCH,
-        "step_ms = 0 if first else (state.time_ms - self._robot_ms + 2**31) % 2**32 - 2**31",
-        "step_ms = 0 if first else (state.time_ms - self._robot_ms)",
-    ),
+    guard=Guard("robot_client.robots.abb_egm.watch:EgmWatch.take", "a clock that wraps stands still", never_wrapping),
     limit=1e-12,
 )
 def counters_wrapping_round(_seed: int) -> float:
@@ -47,7 +66,11 @@ def counters_wrapping_round(_seed: int) -> float:
     "motion",
     why="a datagram is whatever somebody sent to the port",
     holds="random bytes decode or are refused by name, and nothing non-finite comes out: other endings",
-    guard=(GEOMETRY, 'raise ValueError(f"{name} has a quaternion of norm {norm:.4f}, expected 1")', "pass"),
+    guard=Guard(
+        "robot_client.insertion.geometry:Pose.check",
+        "any four numbers are a rotation",
+        lambda _: lambda pose, *_: pose,
+    ),
 )
 def datagrams_of_random_bytes(seed: int) -> float:
     rng = np.random.default_rng(seed)
@@ -72,7 +95,11 @@ def datagrams_of_random_bytes(seed: int) -> float:
     "motion",
     why="a damaged length field may claim the bytes of the next frames",
     holds="every whole frame after garbage and damage is found: frames lost",
-    guard=(WSG, "self.crc_errors += 1", "self._buffer.clear()"),
+    guard=Guard(
+        "robot_client.grippers.wsg50.codec:StreamParser._skip",
+        "64 bytes are dropped where one would do",
+        lambda skip: lambda parser, count: skip(parser, 64 if count == 1 else count),
+    ),
 )
 def gripper_frames_after_garbage(seed: int) -> float:
     rng = np.random.default_rng(seed)
@@ -95,7 +122,7 @@ def gripper_frames_after_garbage(seed: int) -> float:
     "motion",
     why="a float32 field takes NaN and infinity without a word",
     holds="a gripper command with a non-finite number is refused: not refused",
-    guard=(WSG, "def _pack(layout: str, values: tuple[Value, ...], name: str) -> bytes:"),
+    guard="robot_client.grippers.wsg50.codec:_pack",
 )
 def gripper_commands_that_are_no_numbers(_seed: int) -> float:
     return not_refused([lambda v=v: encode_request(Command.GRASP, v, 30.0) for v in BAD], WsgError)
@@ -132,7 +159,11 @@ def deciding() -> State:
     "motion",
     why="a correction may come twice, late, for another attempt, or not be a number",
     holds="no such correction moves the arm; only the right one does, once: wrong moves",
-    guard=("robot_client/insertion/machine.py", "if message.attempt < state.attempt:", "if False:"),
+    guard=Guard(
+        "robot_client.insertion.machine:_on_attempt_message",
+        "a late message counts as one of this attempt",
+        of_this_attempt,
+    ),
 )
 def corrections_that_are_stale_or_absurd(_seed: int) -> float:
     state = deciding()
@@ -159,7 +190,7 @@ def corrections_that_are_stale_or_absurd(_seed: int) -> float:
     "motion",
     why="a clock that jumps makes every deadline pass at once, or never",
     holds="a tick at any time ends in a hold or nothing, never in a move: moves",
-    guard=("robot_client/insertion/machine.py", "if event.at_s < state.deadline_s:"),
+    guard="robot_client.insertion.machine:_on_tick",
 )
 def ticks_at_impossible_times(_seed: int) -> float:
     state = deciding()

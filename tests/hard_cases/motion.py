@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -10,18 +11,10 @@ from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_c
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
 from robot_client.insertion.profile import plan_profile
 from service.contract import wire
-from tests.hard_cases.registry import case, not_refused
+from service.contract.frames import Contract
+from tests.hard_cases.instead import like, with_globals
+from tests.hard_cases.registry import Guard, case, not_refused
 
-GEOMETRY, LIMITS, MOTION = (
-    "robot_client/insertion/geometry.py",
-    "robot_client/insertion/limits.py",
-    "robot_client/insertion/motion.py",
-)
-WATCH, EGM, WSG = (
-    "robot_client/robots/abb_egm/watch.py",
-    "robot_client/robots/abb_egm/codec.py",
-    "robot_client/grippers/wsg50/codec.py",
-)
 BAD = (math.nan, math.inf, -math.inf)
 
 
@@ -30,11 +23,53 @@ def pose(x: float = 0.0, y: float = 0.0, z: float = 35.0, yaw: float = 0.0) -> W
     return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
 
 
+def arc_sine(opposite: float, _adjacent: float) -> float:
+    """Half of an angle from one side alone."""
+    return math.asin(max(-1.0, min(1.0, opposite)))
+
+
+def divided_by_the_way(advance: Callable[..., WorkPose]) -> Callable[..., WorkPose]:
+    """Shares of a way are taken of whatever length it has."""
+
+    def advanced(guide: MotionGuide, elapsed_s: float) -> WorkPose:
+        assert not guide.moving or 1.0 / guide._profile.length
+        return advance(guide, elapsed_s)
+
+    return advanced
+
+
+def outside_alone(_check: object) -> Callable[..., WorkPose]:
+    """A pose is refused where a value compares as outside, which NaN does with no bound."""
+
+    def check(limits: Limits, pose: WorkPose, name: str = "target") -> WorkPose:
+        for field, value in pose.model_dump().items():
+            low, high = getattr(limits, field)
+            if value < low or value > high:
+                raise LimitError(f"{name} {field}")
+        return pose
+
+    return check
+
+
+def any_number(contract: type[Contract]) -> type[Contract]:
+    """Every contract type, those of messages too, takes numbers that are none."""
+    for part in contract.__subclasses__():
+        part.model_config["allow_inf_nan"] = True
+        part.model_rebuild(force=True)
+        any_number(part)
+    wire._CLIENT.rebuild(force=True)
+    return contract
+
+
 @case(
     "motion",
     why="a quaternion near 180 deg has w near 0, where a formula by acos or a division by w loses all digits",
     holds="pose -> controller -> pose is the identity at any yaw and any frame: mm or deg apart",
-    guard=(GEOMETRY, "yaw_deg = math.degrees(2.0 * math.atan2(qz, qw))", "yaw_deg = math.degrees(2.0 * math.asin(qz))"),
+    guard=Guard(
+        "robot_client.insertion.geometry:CellFrame.from_controller",
+        "angles by an arc sine",
+        with_globals(math=like(math, atan2=arc_sine)),
+    ),
     limit=1e-7,
 )
 def quaternions_near_half_a_turn(seed: int) -> float:
@@ -53,7 +88,11 @@ def quaternions_near_half_a_turn(seed: int) -> float:
     "motion",
     why="q and -q are one rotation; a controller may send either, and a yaw of 359 deg is one of -1",
     holds="both signs read as the same yaw, never a whole turn away: deg apart",
-    guard=(GEOMETRY, "yaw_deg += 360.0 * round((near_yaw_deg - yaw_deg) / 360.0)", "yaw_deg += 0.0"),
+    guard=Guard(
+        "robot_client.insertion.geometry:CellFrame.from_controller",
+        "yaw is not taken near the last one",
+        with_globals(round=lambda _: 0),
+    ),
     limit=1e-9,
 )
 def quaternions_of_either_sign(seed: int) -> float:
@@ -70,7 +109,11 @@ def quaternions_of_either_sign(seed: int) -> float:
     "motion",
     why="a quaternion of length zero has no direction to normalise",
     holds="no rotation is refused, an ill-scaled one is made unit: not refused, | |q| - 1 |",
-    guard=(GEOMETRY, "if not (math.isfinite(norm) and norm > 1e-9):", "if False:"),
+    guard=Guard(
+        "robot_client.insertion.geometry:normalised",
+        "a quaternion of no length is kept",
+        lambda _: lambda q: tuple(v / (math.hypot(*q) or 1.0) for v in q),
+    ),
     limit=1e-12,
 )
 def quaternions_of_no_length(_seed: int) -> float:
@@ -85,7 +128,7 @@ def quaternions_of_no_length(_seed: int) -> float:
     "motion",
     why="a chain of a million small turns drifts off the unit sphere",
     holds="after 100,000 products of small turns the norm is renormalised away: | |q| - 1 |",
-    guard=(GEOMETRY, "return (q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm)"),
+    guard="robot_client.insertion.geometry:normalised",
     limit=1e-12,
     quick=False,
 )
@@ -101,7 +144,7 @@ def long_chains_of_small_turns(seed: int) -> tuple[float, str]:
     "motion",
     why="a move of no length divides by its length",
     holds="it ends at once on its own start: distance, or cycles beyond 2",
-    guard=(MOTION, "if self._profile.length > 0 else 1.0", "if True else 1.0"),
+    guard=Guard("robot_client.insertion.motion:MotionGuide.advance", "the way is a divisor", divided_by_the_way),
 )
 def moves_of_no_length(_seed: int) -> float:
     worst = 0.0
@@ -119,10 +162,10 @@ def moves_of_no_length(_seed: int) -> float:
     "motion",
     why="the seven segments of a jerk-limited move degenerate one after the other as the way gets short",
     holds="position rises from 0 to its end without a step back: fall or overshoot relative to the way",
-    guard=(
-        "robot_client/insertion/profile.py",
-        "ramp_s = math.cbrt(length / (2.0 * jerk))",
-        "ramp_s = acceleration / jerk",
+    guard=Guard(
+        "robot_client.insertion.profile:plan_profile",
+        "a wrong root for the shortest ways",
+        with_globals(math=like(math, cbrt=math.sqrt)),
     ),
     limit=1e-9,
 )
@@ -140,7 +183,7 @@ def ways_of_any_length(seed: int) -> float:
     "motion",
     why="a limit compared with NaN is never exceeded",
     holds="no target, correction or time step that is not finite passes: not refused",
-    guard=(LIMITS, "if not (math.isfinite(value) and low <= value <= high):", "if value < low or value > high:"),
+    guard=Guard("robot_client.insertion.limits:check_pose", "only what compares as outside is refused", outside_alone),
 )
 def targets_that_are_no_numbers(_seed: int) -> float:
     def target(name: str, value: float) -> WorkPose:
@@ -158,7 +201,7 @@ def targets_that_are_no_numbers(_seed: int) -> float:
     "motion",
     why="a message made elsewhere may carry NaN, and JSON may spell it",
     holds="a contract type or a message with a non-finite number is refused: not refused",
-    guard=("service/contract/frames.py", "allow_inf_nan=False", "allow_inf_nan=True"),
+    guard=Guard("service.contract.frames:Contract", "contract types take any number", any_number),
 )
 def messages_with_numbers_that_are_none(_seed: int) -> float:
     calls = [lambda v=v: pose(x=v) for v in BAD]
@@ -171,7 +214,11 @@ def messages_with_numbers_that_are_none(_seed: int) -> float:
     "motion",
     why="time may stand still or run backwards when a clock is set or a datagram is late",
     holds="the target does not move on a time step of 0 or less: mm moved",
-    guard=(MOTION, "if self._profile is None or elapsed_s <= 0.0:", "if self._profile is None:"),
+    guard=Guard(
+        "robot_client.insertion.motion:MotionGuide.advance",
+        "a step back in time counts as one forwards",
+        lambda advance: lambda guide, elapsed_s: advance(guide, abs(elapsed_s)),
+    ),
 )
 def time_going_backwards(_seed: int) -> float:
     guide = MotionGuide(Limits(), Ramps(), pose())
@@ -188,7 +235,7 @@ def time_going_backwards(_seed: int) -> float:
     "motion",
     why="a stream that gaps and stutters changes the apparent speed of every step",
     holds="no rhythm of cycles makes a move break its own limits or miss its end: refusals, mm off",
-    guard=(MOTION, "self._walked_s += elapsed_s * (before + self._rate) / 2.0", "self._walked_s += elapsed_s * before"),
+    guard=Guard("robot_client.insertion.motion:_RESUME_S", "full speed at once after a gap", 1e-9),
     limit=1e-9,
 )
 def streams_that_stutter(seed: int) -> float:

@@ -1,68 +1,61 @@
-"""Does the suite bite? Take a guard away in a copy of the repository: its case must fail there."""
+"""Does the suite bite? Put something else in a guard's place, in a fresh interpreter: its case must fail there.
 
+`python -m tests.hard_cases.mutants NAME` runs one case without its guard: exit code 0 if it still holds, 17 if not.
+"""
+
+import importlib
+import inspect
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
-from pathlib import Path
 
-from tests.hard_cases.registry import ROOT, Case
+from tests.hard_cases.registry import ROOT, Case, Guard, run
 from tests.hard_cases.suite import CASES
 
-MUTANTS = [case.name for case in CASES.values() if case.guard.mutant is not None]
-COPIED = ("simulation", "training", "export", "service", "robot_client", "tests", "models", "pyproject.toml")
-PROBE = """
-import sys
-from tests.hard_cases.registry import run
-from tests.hard_cases.suite import CASES
-sys.exit(0 if run(CASES[{name!r}]).passed else 17)
-"""
+MUTANTS = [case.name for case in CASES.values() if case.guard.instead is not None]
+HOLDS, FAILS = 0, 17
 
 
-def survives(case: Case, scratch: Path) -> bool:
+def take_away(guard: Guard) -> None:
+    """Put ``instead`` in the place of the guard, and under every name by which a module imported the same object."""
+    owner, name, original = guard.resolve()
+    replacement = guard.instead(original) if callable(guard.instead) else guard.instead
+    setattr(owner, name, replacement)
+    if inspect.ismodule(owner):
+        for module in list(sys.modules.values()):
+            for other, value in list(vars(module).items()):
+                if value is original and (other == name or callable(original)):
+                    setattr(module, other, replacement)
+
+
+def compiled(guard: Guard) -> bool:
+    """Whether numba compiles the symbol or a constant beside it into callers, which its cache would bring back."""
+    module = importlib.import_module(guard.symbol.partition(":")[0])
+    values = vars(module).values()
+    return any(hasattr(value, "py_func") and value.__module__ == module.__name__ for value in values)
+
+
+def survives(case: Case) -> bool:
     """Whether the case still holds without its guard; raises RuntimeError if it could not be tried."""
-    copy = copied(scratch)
-    path = copy / case.guard.file
-    original = path.read_text()
-    assert case.guard.mutant is not None
-    path.write_text(original.replace(case.guard.text, case.guard.mutant, 1))
-    try:
-        code = PROBE.format(name=case.name)
-        environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+    with tempfile.TemporaryDirectory() as scratch:
+        environment = os.environ | ({"NUMBA_CACHE_DIR": scratch} if compiled(case.guard) else {})
+        command = [sys.executable, "-m", "tests.hard_cases.mutants", case.name]
         done = subprocess.run(
-            [sys.executable, "-c", code],
-            cwd=copy,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=600,
+            command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=600
         )
-    finally:
-        path.write_text(original)
-    if done.returncode not in (0, 17):
+    if done.returncode not in (HOLDS, FAILS):
         raise RuntimeError(f"{case.name} could not be tried without its guard: {done.stderr[-400:]}")
-    return done.returncode == 0
+    return done.returncode == HOLDS
 
 
 def bitten(name: str) -> bool:
     """Whether the case fails once its guard is gone; for a worker process."""
-    with tempfile.TemporaryDirectory() as scratch:
-        return not survives(CASES[name], Path(scratch))
+    return not survives(CASES[name])
 
 
-def copied(scratch: Path) -> Path:
-    """A copy of what the cases need, made once in ``scratch``; models are linked."""
-    copy = scratch / "repository"
-    if not copy.exists():
-        copy.mkdir(parents=True)
-        for name in COPIED:
-            source = ROOT / name
-            if name == "models":
-                (copy / name).symlink_to(source)
-            elif source.is_dir():
-                shutil.copytree(source, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-            else:
-                shutil.copy(source, copy / name)
-    return copy
+if __name__ == "__main__":
+    take_away(CASES[sys.argv[1]].guard)
+    result = run(CASES[sys.argv[1]])
+    print(result.worst, result.note, result.error)
+    sys.exit(HOLDS if result.passed else FAILS)

@@ -7,20 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.onnx.golden import golden_input, hard_input
-from export.onnx.model import Arrays, Model, open_model, told
+from export.onnx.model import Arrays, Model, geometry_inputs, open_model
 from export.onnx.verify import decide, run_steps
 from service.contract import ContractError
 from service.decision.evidence import DecisionRun, Refusal
 from service.decision.models import load_models
-from tests.hard_cases.registry import ROOT, case, non_finite, not_refused
+from tests.hard_cases.instead import waved_through
+from tests.hard_cases.registry import ROOT, Guard, case, non_finite, not_refused
 
-VERIFY, POOLING, FORMS = "export/onnx/verify.py", "training/networks/preprocessing.py", "training/networks/forms.py"
 MARKERS = ("direction", "magnitude", "joint/joint")
 PICTURES = ("pictures/direction", "pictures/magnitude")
 NAMES = (*MARKERS, *PICTURES)
 LARGEST = 1e4
-POOLED = (POOLING, "blocks = cut.float().sum((2, 4))")
-CHANGE = ("training/networks/markers.py", "seen = (torch.minimum(frame[..., 2:], reference[..., 2:]) > SEEN)")
+POOLED = "training.networks.preprocessing:block_sums"
+CHANGE = "training.networks.markers:MarkerNetwork._change"
 
 
 @lru_cache
@@ -81,7 +81,7 @@ _hard_case("noise", "displacements of hundreds of pixels with no pattern", MARKE
     "networks",
     why="uint8 minus uint8 wraps: 0 - 1 is 255",
     holds="a darker frame reads as the mirror of a brighter one, not as white: outputs that jump",
-    guard=(POOLING, "blocks = cut.float().sum((2, 4))"),
+    guard="training.networks.preprocessing:block_sums",
     limit=0.5,
 )
 def differences_of_minus_one(seed: int) -> float:
@@ -92,8 +92,8 @@ def differences_of_minus_one(seed: int) -> float:
     for step in (1, -1):
         moved = still.copy()
         moved[1:] = (still[1:].astype(int) + step).astype(np.uint8)
-        said, rest = decide(model, moved[None])["error"], decide(model, still[None])["error"]
-        worst = max(worst, float(np.abs(said - rest).max()) / 10.0)
+        moved_to, rest = decide(model, moved[None])["error"], decide(model, still[None])["error"]
+        worst = max(worst, float(np.abs(moved_to - rest).max()) / 10.0)
     return worst
 
 
@@ -101,10 +101,7 @@ def differences_of_minus_one(seed: int) -> float:
     "networks",
     why="a recurrent state may grow step by step where nobody resets it",
     holds="after a stream of 10,000 steps state and outputs are finite and bounded: largest",
-    guard=(
-        "training/networks/decider.py",
-        "self.cell = nn.GRUCell(features + TOLD, settings.state_size)",
-    ),
+    guard="training.networks.decider:Trunk.advance",
     limit=LARGEST,
     quick=False,
 )
@@ -114,7 +111,7 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
     state, worst = np.zeros((1, model.card.state_size), np.float32), 0.0
     for step in range(10_000):
         fed: Arrays = {"frame": frames[:, step % 8], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | told(model.card, 1))
+        outputs = model(fed | geometry_inputs(model.card, 1))
         state = outputs["next_state"]
         worst = max(worst, largest_of(outputs))
     return worst
@@ -124,7 +121,7 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
     "networks",
     why="the state of a step comes from outside the graph and may be anything a float holds",
     holds="states of +-1e4 give finite, bounded outputs: largest",
-    guard=(FORMS, "return state * torch.clamp(reach / state.abs(), max=1.0)"),
+    guard="training.networks.forms:within_reach",
     limit=1e6,
 )
 def states_of_ten_thousand(seed: int) -> float:
@@ -133,7 +130,7 @@ def states_of_ten_thousand(seed: int) -> float:
         frames, model = golden(seed, name)[None], released(name)
         state = (rng.choice([-1.0, 1.0], (1, model.card.state_size)) * 1e4).astype(np.float32)
         fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
-        worst = max(worst, largest_of(model(fed | told(model.card, 1))))
+        worst = max(worst, largest_of(model(fed | geometry_inputs(model.card, 1))))
     return worst
 
 
@@ -141,7 +138,7 @@ def states_of_ten_thousand(seed: int) -> float:
     "networks",
     why="a state is brought back within reach, and the clamp of a runtime may make a number of what is none",
     holds="a state with one NaN or infinity leaves no network with finite outputs: networks that decide",
-    guard=(FORMS, "return state * torch.clamp(reach / state.abs(), max=1.0)"),
+    guard="training.networks.forms:within_reach",
 )
 def states_that_are_no_numbers(seed: int) -> float:
     decided = 0
@@ -151,7 +148,7 @@ def states_that_are_no_numbers(seed: int) -> float:
             state = np.zeros((1, model.card.state_size), np.float32)
             state[0, seed] = value
             fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
-            outputs = model(fed | told(model.card, 1))
+            outputs = model(fed | geometry_inputs(model.card, 1))
             decided += any(np.isfinite(output).all() for output in outputs.values())
     return float(decided)
 
@@ -160,7 +157,7 @@ def states_that_are_no_numbers(seed: int) -> float:
     "networks",
     why="numbers below 1e-38 have fewer digits, and some processors drop them to zero",
     holds="denormal states decide as zero states do: relative gap",
-    guard=("export/onnx/runtime.py", "options = onnxruntime.SessionOptions()"),
+    guard="export.onnx.runtime:session",
     limit=1e-5,
 )
 def states_of_denormals(seed: int) -> float:
@@ -171,7 +168,7 @@ def states_of_denormals(seed: int) -> float:
         for value in (0.0, 1e-40, -1e-44):
             state = np.full((1, model.card.state_size), value, np.float32)
             fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
-            outputs.append(model(fed | told(model.card, 1)))
+            outputs.append(model(fed | geometry_inputs(model.card, 1)))
         worst = max(worst, _gap(outputs[1], outputs[0]), _gap(outputs[2], outputs[0]))
     return worst
 
@@ -180,7 +177,7 @@ def states_of_denormals(seed: int) -> float:
     "networks",
     why="a gap width is an input too, and a cell may ask for any",
     holds="gap widths from 5 to 250 mm give finite, bounded outputs: largest",
-    guard=("training/networks/decider.py", "return torch.cat([(gap - 56.0) / 10.0"),
+    guard="training.networks.decider:geometry_of",
     limit=LARGEST,
 )
 def gap_widths_far_from_training(seed: int) -> float:
@@ -188,7 +185,10 @@ def gap_widths_far_from_training(seed: int) -> float:
     for name in NAMES:
         frames, model = golden(seed, name)[None], released(name, "sequence")
         for gap_mm in (5.0, 250.0):
-            worst = max(worst, largest_of(model({"frames": frames} | told(model.card, 1, gap_mm, min(gap_mm, 500.0)))))
+            worst = max(
+                worst,
+                largest_of(model({"frames": frames} | geometry_inputs(model.card, 1, gap_mm, min(gap_mm, 500.0)))),
+            )
     return worst
 
 
@@ -196,7 +196,7 @@ def gap_widths_far_from_training(seed: int) -> float:
     "networks",
     why="kernels sum in another order for another batch",
     holds="a decision alone equals the same in a batch of 64: relative gap",
-    guard=(VERIFY, "batch_gap = _batch_gap(model, frames, crowd)"),
+    guard="export.onnx.verify:_batch_gap",
     limit=1e-5,
     quick=False,
 )
@@ -213,7 +213,7 @@ def batches_of_one_and_of_sixty_four(seed: int) -> float:
     "networks",
     why="two threads split a sum in two",
     holds="one thread and two give the same decision: relative gap",
-    guard=(VERIFY, "threads_gap = _gaps(alone, decide(open_model(model.file, threads=2), frames))"),
+    guard="export.onnx.verify:verify_model",
     limit=1e-5,
 )
 def threads_one_and_two(seed: int) -> float:
@@ -228,7 +228,7 @@ def threads_one_and_two(seed: int) -> float:
     "networks",
     why="the service decides step by step, the offline tools by whole sequences",
     holds="both forms of each network decide alike, on golden and on hard frames: relative gap",
-    guard=(FORMS, "for step in range(FRAMES_PER_DECISION):"),
+    guard="training.networks.forms:SequenceForm.forward",
     limit=1e-5,
 )
 def steps_against_sequences(seed: int) -> float:
@@ -244,7 +244,7 @@ def steps_against_sequences(seed: int) -> float:
     "networks",
     why="a frame of another size or type fits a buffer of the same length",
     holds="frames of another shape are refused by name, too few frames give no decision: not refused",
-    guard=("service/decision/evidence.py", "self._models.card.check(frame)", "pass"),
+    guard=Guard("service.contract.model_card:ModelCard.check", "a pair of any shape passes", waved_through),
 )
 def frames_of_another_shape(seed: int) -> float:
     models = load_models(ROOT / "models" / "pictures")
@@ -260,7 +260,7 @@ def frames_of_another_shape(seed: int) -> float:
     "networks",
     why="a network may say NaN on the day its file is damaged",
     holds="a non-finite output is no decision: not refused, non-finite evidence",
-    guard=("service/decision/evidence.py", "if not all(np.isfinite(value).all() for value in outputs.values()):"),
+    guard="service.decision.evidence:DecisionRun.evidence",
 )
 def outputs_that_are_no_numbers(seed: int) -> float:
     models = load_models(ROOT / "models")
@@ -274,5 +274,5 @@ def outputs_that_are_no_numbers(seed: int) -> float:
     good = DecisionRun(models, golden(seed, "direction")[0], 56.0)
     for frame in golden(seed, "direction"):
         good.step(frame)
-    said = good.evidence()
-    return missed + non_finite(said.probabilities, said.error, said.sigma)
+    evidence = good.evidence()
+    return missed + non_finite(evidence.probabilities, evidence.error, evidence.sigma)

@@ -1,5 +1,7 @@
 """Hard frames and fields: fits without a solution, twists, jumps, light that lies, fingers that vanish."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from service.contract import Sensor
@@ -10,20 +12,16 @@ from service.perception.slip.detector import SlipDetector
 from service.perception.slip.grasp import GraspWatch
 from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.rigid import fit_motion
-from tests.hard_cases.registry import case, non_finite, not_refused
+from tests.hard_cases.instead import like, with_globals
+from tests.hard_cases.registry import Guard, case, non_finite, not_refused
 from tests.service.perception.synthetic import FRAME_NS, draw, grid, patch_fields, rigid, twist
 
 SENSOR = Sensor.load()
 
-RIGID, MARKERS, SLIP = (
-    "service/perception/slip/rigid.py",
-    "service/perception/markers/tracker.py",
-    "service/perception/slip/detector.py",
-)
-TOO_FEW = (MARKERS, "if len(spots.strength) < 4:")
-TOO_LITTLE = (MARKERS, "if share < self.settings.lost_share or not visible.any():")
-SUSPICION = (MARKERS, "return reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)")
-OWN_LIGHT = (MARKERS, "keep = spots.strength > self.settings.threshold * typical")
+TOO_FEW = "service.perception.markers.tracker:MarkerTracker._track"
+TOO_LITTLE = "service.perception.markers.tracker:TrackerSettings.lost_share"
+SUSPICION = "service.perception.markers.matching:reindex"
+OWN_LIGHT = "service.perception.markers.tracker:MarkerTracker._bright_enough"
 REST = grid()
 PITCH = 15.0
 
@@ -57,11 +55,21 @@ def _lost(field: MarkerField, truth: np.ndarray, within_px: float) -> float:
     return 1.0 - float((field.valid & (error < within_px)).mean())
 
 
+def without_memory(update: Callable[..., MarkerField]) -> Callable[..., MarkerField]:
+    """The tracker forgets when its last frame was taken."""
+
+    def updated(tracker: MarkerTracker, image: np.ndarray | None, captured_ns: int) -> MarkerField:
+        tracker._last_ns = None
+        return update(tracker, image, captured_ns)
+
+    return updated
+
+
 @case(
     "perception",
     why="a rotation is not determined by points on one line: the normal equations are singular",
     holds="collinear, coincident and fewer than four markers give no motion: fits given",
-    guard=(RIGID, "if not spread[0] > (MIN_SPREAD * pitch) ** 2:", "if False:"),
+    guard=Guard("service.perception.slip.rigid:MIN_SPREAD", "points on a line are enough", 0.0),
 )
 def rigid_fits_without_a_solution(seed: int) -> tuple[float, str]:
     rng = np.random.default_rng(seed)
@@ -85,7 +93,7 @@ def rigid_fits_without_a_solution(seed: int) -> tuple[float, str]:
     "perception",
     why="weights of zero leave no points, and their mean is 0/0",
     holds="no weight gives no motion: fits given",
-    guard=(RIGID, "if np.count_nonzero(weights > 1e-3 * weights.max(initial=1e-12)) < MIN_NODES or total <= 0:"),
+    guard="service.perception.slip.rigid:MIN_NODES",
 )
 def rigid_fits_without_weight(seed: int) -> float:
     points = np.random.default_rng(seed).uniform(0, 300, (30, 2))
@@ -98,10 +106,10 @@ def rigid_fits_without_weight(seed: int) -> float:
     "perception",
     why="small-angle formulas call a rotation a slip: 1 - cos 40 deg is a quarter of a pitch at the rim",
     holds="an exact rotation of any angle is found: deg or px off",
-    guard=(
-        RIGID,
-        "return Motion(float(np.arctan2(cross, dot)), size, pivot, target - pivot)",
-        "return Motion(float(cross / dot), size, pivot, target - pivot)",
+    guard=Guard(
+        "service.perception.slip.rigid:fit_motion",
+        "the angle is its tangent",
+        with_globals(np=like(np, arctan2=np.divide)),
     ),
     limit=1e-6,
 )
@@ -124,7 +132,7 @@ def rotations_of_any_angle(seed: int) -> float:
     "perception",
     why="differences of numbers near 1e8 lose their digits if they are not centred first",
     holds="a fit far from the origin equals one at the origin: deg apart",
-    guard=(RIGID, "x, y = before - pivot, after - target"),
+    guard="service.perception.slip.rigid:fit_motion",
     limit=1e-4,
 )
 def rotations_far_from_the_origin(seed: int) -> float:
@@ -140,7 +148,7 @@ def rotations_far_from_the_origin(seed: int) -> float:
     "perception",
     why="a rotating patch carries its rim further than any slip threshold",
     holds="a twist to 60 deg at 5 deg a frame is never called slip: frames that are",
-    guard=("service/perception/slip/state.py", "slip_pitch: float = 0.10"),
+    guard="service.perception.slip.state:SlipSettings.slip_pitch",
     quick=False,
 )
 def twists_of_sixty_degrees(seed: int) -> float:
@@ -199,7 +207,7 @@ def _hard_image(name: str, seed: int) -> np.ndarray:
     return draw(points[name], rng)
 
 
-def _frame_case(name: str, why: str, guard: tuple[str, str] | tuple[str, str, str], *, quick: bool = False) -> None:
+def _frame_case(name: str, why: str, guard: str, *, quick: bool = False) -> None:
     """A frame that shows nothing usable: every result is finite and typed, and the grid comes back after it."""
 
     def measure(seed: int) -> float:
@@ -233,7 +241,7 @@ _frame_case("twist", "45 deg in one frame moves the rim by seven pitches", SUSPI
     "perception",
     why="a camera that is unplugged delivers nothing, and its finger must not look like one at rest",
     holds="a missing frame is the typed state lost, finite, and the next frame is tracked: numbers wrong",
-    guard=(MARKERS, "if image is None:"),
+    guard="service.perception.markers.tracker:MarkerTracker._lost",
 )
 def fingers_that_vanish(seed: int) -> float:
     rng = np.random.default_rng(seed)
@@ -250,7 +258,9 @@ def fingers_that_vanish(seed: int) -> float:
     "perception",
     why="a driver may repeat a frame with an old stamp, or its clock may jump",
     holds="a frame that is not newer is a duplicate and no evidence: frames taken as new",
-    guard=(MARKERS, "if self._last_ns is not None and captured_ns <= self._last_ns:", "if False:"),
+    guard=Guard(
+        "service.perception.markers.tracker:MarkerTracker.update", "the last stamp is forgotten", without_memory
+    ),
 )
 def clocks_that_jump(seed: int) -> float:
     rng = np.random.default_rng(seed)
@@ -285,7 +295,9 @@ def exposures_that_jump(seed: int) -> float:
     "perception",
     why="a homography that shrinks a side to nothing asks for pixels far outside the frame",
     holds="a rectified frame is whole and black outside the raw one, a wrong size is refused: not refused",
-    guard=("service/perception/rectification.py", "self.camera.raw.check(raw)", "pass"),
+    guard=Guard(
+        "service.contract.frames:FrameSpec.check", "a frame of any size passes", lambda _: lambda _spec, pixels: pixels
+    ),
 )
 def raw_frames_of_another_size(seed: int) -> float:
     rectifier = Rectifier(

@@ -5,12 +5,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
-from simulation.scene.scene import SceneError, load_scene
+from simulation.scene.scene import SceneError
+from simulation.scene.worlds import load_scene
 from tests.hard_cases.registry import case, non_finite, not_refused
 
-MECHANICS, RIG, EQUILIBRIUM, CONTACT = (
-    f"simulation/{name}.py" for name in ("mechanics", "rig", "equilibrium", "contact")
-)
 EXACT = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 RESIDUAL_N, CONE = 1e-6, 1e-9
 
@@ -49,13 +47,13 @@ def worst_of(cell: QuasiStaticCell, depths: tuple[float, ...] = (4.9, 5.0, 5.001
 
 
 HOLDS = "residual <= 1e-6 N, cone <= 1e-9, all finite: share of the bound used"
-SOLVED = (MECHANICS, "SETTLED, STALLED, LOST = 0, 1, 2")
-HALVED = (RIG, "if status == mechanics.STALLED and depth < MAX_HALVINGS:")
-REFUSED = (RIG, 'f"scene {self.scene.name!r}: no equilibrium within {self.scene.numerics.residual_n} N at TCP "')
+SOLVED = "simulation.physics.kernels.load_step:STALLED"
+HALVED = "simulation.physics.quasistatic:MAX_HALVINGS"
+REFUSED = "simulation.physics.quasistatic:QuasiStaticCell._divide"
 
 
 def _scene_case(
-    name: str, why: str, make: Callable[[int], QuasiStaticCell], guard: tuple[str, str] = SOLVED, *, quick: bool = False
+    name: str, why: str, make: Callable[[int], QuasiStaticCell], guard: str = SOLVED, *, quick: bool = False
 ) -> None:
     def measure(seed: int) -> tuple[float, str]:
         cell = make(seed)
@@ -126,7 +124,7 @@ _scene_case(
     "touchdown in the layer tier",
     "nodes that feel each other couple every bristle to every other",
     lambda seed: grasped("rectangle", 8.0, 5.0, seed, gel__tier="layer"),
-    guard=(RIG, "return self.layer.advance((self.record, self.slots), lambda: self._solve(target, blend))"),
+    guard="simulation.physics.layer_pads:LayerPads.advance",
 )
 
 
@@ -157,10 +155,7 @@ def gel_stiffness_over_six_decades(seed: int) -> tuple[float, str]:
     "physics",
     why="contact stiffness over four decades scales one block of the matrix and not the others",
     holds="blocks from 5 to 50,000 N/mm solve: share of the bound used",
-    guard=(
-        "simulation/physics/kernels/convex.py",
-        "MAX_CONVEX, FREEZE_CONVEX, MAX_INNER, MAX_DAMPED = 40, 30, 60, 1000",
-    ),
+    guard="simulation.physics.kernels.convex:MAX_CONVEX",
     limit=1.0,
     quick=False,
 )
@@ -189,7 +184,7 @@ def gel_friction_0(seed: int) -> tuple[float, str]:
     "physics",
     why="an interference fit wedges: side walls on both sides and friction that locks them",
     holds="a part wider than its gap is refused by name: not refused",
-    guard=("simulation/scene/scene.py", "must exceed object.size_x_mm"),
+    guard="simulation.scene.scene:Scene._can_exist",
 )
 def interference_fit(_seed: int) -> float:
     gaps = (50.8, 51.0, np.nextafter(51.0, 0))
@@ -232,7 +227,7 @@ def deep_initial_overlap(seed: int) -> tuple[float, str]:
     "physics",
     why="a grip of half a newton holds nothing: the object is lost, which is a state and not an error",
     holds="grip forces down to 0.5 N end held, lost or refused by name, all finite: share of the bound used",
-    guard=(RIG, "or grips.min() < LOST_GRIP * grips.max()"),
+    guard="simulation.physics.quasistatic:LOST_GRIP",
     limit=1.0,
     quick=False,
 )

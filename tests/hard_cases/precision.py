@@ -1,27 +1,27 @@
 """Hard cases of precision: single against double, and int8, whose products saturate and whose activations have ends."""
 
+import math
 import tempfile
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from export.onnx.decisions import Decision
 from export.onnx.golden import hard_input
 from export.onnx.model import Model, open_model
 from export.onnx.verify import decide
+from export.quantise.quantise import FarOffError, quantise, refuse_far_off
 from service.contract import Sensor
 from tests.hard_cases.networks import LARGEST, PICTURES, golden, largest_of, released
-from tests.hard_cases.registry import ROOT, case
+from tests.hard_cases.registry import ROOT, Guard, case
 
 
 @case(
     "networks",
     why="float32 keeps seven digits; a network that loses three of them is ill-conditioned",
     holds="the released architecture, with fresh weights, decides in float32 as in float64: relative gap",
-    guard=(
-        "training/networks/decider.py",
-        "self.cell = nn.GRUCell(features + TOLD, settings.state_size)",
-    ),
+    guard="training.networks.decider:Trunk.advance",
     limit=1e-4,
     quick=False,
 )
@@ -48,39 +48,46 @@ def single_against_double_precision(seed: int) -> float:
 
 @lru_cache
 def _small(name: str) -> Model:
-    """int8 twin of a released step model that reads pictures, multiplied in int8 where it can be."""
-    from export.onnx.decisions import Decision
-    from export.quantise.quantise import quantize
-
-    truth = np.zeros(2, np.float32)
-    calibrating = [Decision(golden(seed), 56.0, 30.0, truth, "golden") for seed in range(4)]
+    """int8 build of a released step model that reads pictures, calibrated on golden frames."""
     out = Path(tempfile.mkdtemp(prefix="hard-cases-")) / f"{Path(name).name}.step.onnx"
-    return open_model(quantize(ROOT / "models" / f"{name}.step.onnx", out, calibrating, dynamic=True))
+    return open_model(quantise(ROOT / "models" / f"{name}.step.onnx", out, _golden_decisions()))
+
+
+def _golden_decisions() -> list[Decision]:
+    truth = np.zeros(2, np.float32)
+    return [Decision(golden(seed), 56.0, 30.0, truth, "golden") for seed in range(4)]
 
 
 @case(
     "networks",
-    why="without VNNI, products of u8 and s8 saturate in 16 bits and say nothing",
-    holds="where this processor's products saturate, two of the largest fit 16 bits: their sum",
-    guard=("export/trunk.py", "reach = CAREFUL_REACH if saturates() else REACH", "reach = REACH"),
-    limit=2**15 - 1,
+    why="products that saturate in 16 bits, or a scale found on other frames, are wrong and say nothing",
+    holds="a build whose outputs are a quarter off is refused: builds that pass",
+    guard=Guard("export.quantise.quantise:FAR_OFF", "no build is far off", math.inf),
 )
-def int8_with_a_bit_in_reserve(seed: int) -> float:
-    from unittest import mock
+def int8_far_from_fp32(seed: int) -> float:
+    import onnx
 
-    from export import trunk
-
-    weights = np.random.default_rng(seed).normal(size=(32, 3, 11, 11))
-    with mock.patch.object(trunk, "saturates", return_value=True):
-        steps, _ = trunk.round_rows(weights)
-    return float(2 * 255 * (np.abs(steps).max() + trunk.WEIGHT_ZERO))
+    model = released("pictures/direction")
+    graph = onnx.load(str(model.file))
+    weights = next(tensor for tensor in graph.graph.initializer if tensor.name.endswith("direction.weight"))
+    values = onnx.numpy_helper.to_array(weights)
+    kept = np.random.default_rng(seed).random(values.shape) < 0.5  # half of the head is lost
+    weights.CopyFrom(onnx.numpy_helper.from_array(values * kept, weights.name))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "far.onnx"
+        onnx.save(graph, str(file))
+        try:
+            refuse_far_off(model, open_model(file), _golden_decisions()[:2])
+        except FarOffError:
+            return 0.0
+    return 1.0
 
 
 @case(
     "networks",
     why="extreme inputs drive every quantised activation to the ends of its 256 steps",
-    holds="the int8 twins stay finite and bounded on every hard input: largest",
-    guard=("export/quantise/quantise.py", "_self_test(model, open_model(out), decisions[:2])"),
+    holds="int8 builds stay finite and bounded on every hard input: largest",
+    guard="export.quantise.quantise:refuse_far_off",
     limit=LARGEST,
     quick=False,
 )
@@ -96,8 +103,8 @@ def int8_at_its_extremes(_seed: int) -> float:
 @case(
     "networks",
     why="a weight of eight bits is off by a 250th of the largest beside it, and a state carries that on",
-    holds="the int8 twins stay near fp32 on golden frames that they were not rounded for: mean gap relative to the output",
-    guard=("export/quantise/quantise.py", "if not gap < FAR_OFF:"),
+    holds="an int8 build stays near fp32 on golden frames that did not calibrate it: mean gap relative to the output",
+    guard="export.quantise.quantise:BLOCK",
     limit=0.02,
     quick=False,
 )

@@ -1,11 +1,14 @@
 """A hard case, its registry, and how one is run."""
 
+import functools
+import importlib
+import inspect
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 Room = Literal["physics", "perception", "networks", "decision", "motion", "data"]
 ROOT = Path(__file__).resolve().parents[2]
@@ -14,26 +17,27 @@ SEEDS = (0, 1, 2)
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """The line of code that answers a case: a file and a piece of one line; ``mutant`` replaces it in the check."""
+    """What answers a case: ``package.module:Qual.name`` of a function, method, class attribute or module constant.
 
-    file: str
-    text: str
-    mutant: str | None = None
+    ``instead`` takes its place in the check, a value or a callable that makes one of the original; ``without`` says
+    what is missing then.
+    """
 
-    @property
-    def line(self) -> int:
-        """1-based line of the only place where the text stands; raises LookupError if there is none or another."""
-        found = [
-            number for number, line in enumerate((ROOT / self.file).read_text().splitlines(), 1) if self.text in line
-        ]
-        if len(found) != 1:
-            raise LookupError(f"{self.file} holds {self.text!r} on {len(found)} lines, expected one")
-        return found[0]
+    symbol: str
+    without: str = ""
+    instead: object = None
+
+    def resolve(self) -> tuple[Any, str, Any]:
+        """Owner (a module or a class), name in it, and what it holds; raises ImportError or AttributeError."""
+        module, _, qualname = self.symbol.partition(":")
+        *path, name = qualname.split(".")
+        owner = functools.reduce(getattr, path, importlib.import_module(module))
+        return owner, name, inspect.getattr_static(owner, name)
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """``measure(seed)`` gives the worst value seen, or that and a note; the case holds if it is at most ``limit``."""
+    """``measure(seed)`` gives the worst value, or that and a note; the case holds if it is at most ``limit``."""
 
     name: str
     room: Room
@@ -70,7 +74,7 @@ def case(
     *,
     why: str,
     holds: str,
-    guard: tuple[str, str] | tuple[str, str, str],
+    guard: Guard | str,
     limit: float = 0.0,
     quick: bool = True,
 ) -> Callable[[Measure], Measure]:
@@ -80,7 +84,8 @@ def case(
         name = measure.__name__.replace("_", " ").strip()
         if name in CASES:
             raise ValueError(f"two cases are called {name!r}")
-        CASES[name] = Case(name, room, why, holds, Guard(*guard), limit, measure, quick)
+        answer = Guard(guard) if isinstance(guard, str) else guard
+        CASES[name] = Case(name, room, why, holds, answer, limit, measure, quick)
         return measure
 
     return register
@@ -94,10 +99,10 @@ def run(what: Case, seeds: tuple[int, ...] = SEEDS) -> Result:
             measured = what.measure(seed)
         except Exception as error:
             return Result(what, math.nan, note, time.perf_counter() - began, f"{type(error).__name__}: {error}"[:200])
-        value, said = measured if isinstance(measured, tuple) else (measured, "")
+        value, its_note = measured if isinstance(measured, tuple) else (measured, "")
         value = float(value)
         if math.isnan(value) or value > worst:
-            worst, note = value, said
+            worst, note = value, its_note
         if math.isnan(value):
             break
     return Result(what, worst, note, time.perf_counter() - began)

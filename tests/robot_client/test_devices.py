@@ -15,20 +15,17 @@ from robot_client.session.rehearsal import DryService
 from robot_client.session.runner import Runner
 from robot_client.settings import SettingsError, load_settings
 
-GRIPPER_SETTINGS = """
+GRIPPER = """
+import time
 from typing import Literal
-from robot_client.ports import DeviceSettings
+from robot_client.insertion.events import Grasped
+from robot_client.ports import DeviceSettings, Finding, Gripper
 
 class Settings(DeviceSettings):
     device: Literal["claw"] = "claw"
     width_mm: float = 44.0
-"""
-GRIPPER_DRIVER = """
-import time
-from robot_client.insertion.events import Grasped
-from robot_client.ports import DriverError, Finding
 
-class Claw:
+class Claw(Gripper):
     def __init__(self, settings):
         self.settings = settings
 
@@ -44,36 +41,30 @@ class Claw:
     def checks(self):
         return {"claw": self.check}
 
-    async def check(self):
-        return [Finding(True, "nails are short")]
-
     async def connect(self):
         pass
 
-    async def acknowledge(self):
-        raise DriverError("claw: has no faults to acknowledge")
+    async def check(self):
+        return [Finding(True, "nails are short")]
 
     async def home(self, direction):
         return self.settings.width_mm
 
 make = Claw
 """
-ARM_SETTINGS = """
+ARM = """
+import asyncio, time
 from typing import Literal
-from robot_client.ports import DeviceSettings
+from robot_client.insertion.events import Arrived, Standstill
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.motion import CYCLE_S, MotionGuide
+from robot_client.ports import Arm, DeviceSettings, Finding
 
 class Settings(DeviceSettings):
     device: Literal["crane"] = "crane"
     hook_mm: float = 70.0
-"""
-ARM_DRIVER = """
-import asyncio, time
-from robot_client.insertion.events import Arrived, Standstill
-from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.motion import CYCLE_S, MotionGuide
-from robot_client.ports import Finding
 
-class Crane:
+class Crane(Arm):
     on_target = staticmethod(lambda pose: None)
 
     def __init__(self, settings, limits, ramps, frame):
@@ -134,14 +125,13 @@ url = "ws://127.0.0.1:9"
 @pytest.fixture
 def config(tmp_path, monkeypatch):
     """A configuration that names two devices, each a folder and a line."""
-    for name, settings, driver in (("claw", GRIPPER_SETTINGS, GRIPPER_DRIVER), ("crane", ARM_SETTINGS, ARM_DRIVER)):
+    for name, driver in (("claw", GRIPPER), ("crane", ARM)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()
-        (tmp_path / name / "settings.py").write_text(settings)
         (tmp_path / name / "driver.py").write_text(driver)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setitem(devices.GRIPPERS, "claw", "claw")
-    monkeypatch.setitem(devices.ROBOTS, "crane", "crane")
+    monkeypatch.setitem(devices.GRIPPERS, "claw", "claw.driver")
+    monkeypatch.setitem(devices.ROBOTS, "crane", "crane.driver")
     path = tmp_path / "cell.toml"
     path.write_text(CONFIG)
     yield path
@@ -172,20 +162,20 @@ def test_the_commands_check_and_home_reach_a_new_device(config, capsys):
     assert "BAD  crane     no crane driver in sight" in out
     assert "ok   claw      nails are short" in out
     assert "homed, width 43.0 mm" in out
-    assert "has no faults" in err
+    assert "no fault to acknowledge" in err
 
 
 @pytest.mark.parametrize(
     ("toml", "expect"),
     [
-        ('[robot]\ndevice = "abb_egn"', "robot.device: 'abb_egn' is unknown; nearest allowed: abb_egm"),
-        ('[gripper]\ndevice = "wsg5"', "gripper.device: 'wsg5' is unknown; nearest allowed: wsg50"),
+        ('[robot]\ndevice = "abb_egn"', "robot.device: 'abb_egn' is unknown; did you mean 'abb_egm'?"),
+        ('[gripper]\ndevice = "wsg5"', "gripper.device: 'wsg5' is unknown; did you mean 'wsg50'?"),
         ("[gripper]\ndevice = 3", "gripper.device: 3 is unknown; allowed: dry_run, wsg50"),
-        ("[gripper]\nforce_limit = 3", "gripper.force_limit: unknown key; nearest allowed: force_limit_n"),
-        ("[robot.rws]\nurls = 3", "robot.rws.urls: unknown key; nearest allowed: url"),
+        ("[gripper]\nforce_limit = 3", "gripper.force_limit: unknown key; did you mean 'force_limit_n'?"),
+        ("[robot.rws]\nurls = 3", "robot.rws.urls: unknown key; did you mean 'url'?"),
         ('[robot]\ndevice = "abb_rapid"\nbind = "x"', "robot.bind: unknown key; allowed: connect_timeout_s"),
         ("gripper = 3", "gripper: Input should be an object"),
-        ("[griper]\nport = 3", "griper: unknown key; nearest allowed: gripper"),
+        ("[griper]\nport = 3", "griper: unknown key; did you mean 'gripper'?"),
     ],
 )
 def test_an_unknown_device_or_key_is_refused_with_file_key_and_nearest(tmp_path, capsys, toml, expect):

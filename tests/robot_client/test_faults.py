@@ -219,7 +219,7 @@ async def break_it(name, phase, folder):
         return fault, injector, state, cell, log
 
 
-def judge(name, phase, fault, injector, state, cell, log, *, slack):
+def check(name, phase, fault, injector, state, cell, log, *, slack):
     label = f"{name} while {phase}"
     assert injector.injected_s, f"{label}: never injected, ended {state.phase} {state.reason}"
     assert state.phase is Phase.FAILED, f"{label}: ended {state.phase}"
@@ -251,7 +251,7 @@ async def break_all(cases, folder, together, *, slack=1.0):
                 fault, injector, state, *_ = result
                 if injector.injected_s and (fault.expect in state.reason or injector.stalled_s < 0.1):
                     break
-            took[name, phase] = judge(name, phase, *result, slack=slack)
+            took[name, phase] = check(name, phase, *result, slack=slack)
 
     results = await asyncio.gather(*(one(*case) for case in cases), return_exceptions=True)
     failures = [result for result in results if isinstance(result, BaseException)]

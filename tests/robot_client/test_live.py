@@ -60,9 +60,9 @@ def test_slip_freezes_the_target_at_once_and_overtravel_is_lag_times_speed(inser
     """Counted in cycles of 4 ms, whatever the machine: what was on its way when the slip message came, and no more."""
     cell, _, log, lag_ms = inserted
     events = [json.loads(line).get("event", {}) for line in log.read_text().splitlines()]
-    told_s = next(event["at_s"] for event in events if event.get("message", {}).get("type") == "slip")
+    received_s = next(event["at_s"] for event in events if event.get("message", {}).get("type") == "slip")
     stood_s = next(event["at_s"] for event in events if event.get("kind") == "standstill")
-    assert sum(told_s < now < stood_s for now in _lowered(cell)) <= 2
+    assert sum(received_s < now < stood_s for now in _lowered(cell)) <= 2
     assert cell.report.rows[0].overtravel_mm < lag_ms * 0.01 + 0.35
 
 

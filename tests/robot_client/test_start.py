@@ -115,9 +115,9 @@ def test_a_stop_that_the_controller_ignores_is_reported_as_not_confirmed():
             client = RwsClient(cell.settings.robot.rws)
             cell.board.update({"rws": {"stop_ignored": True}})
             await client.start_program()
-            said = await client.stop_program()
+            outcome = await client.stop_program()
             await client.close()
-            return said
+            return outcome
 
     assert "NOT CONFIRMED" in asyncio.run(story())
 
@@ -128,10 +128,10 @@ def test_a_stop_survives_refusals_and_cut_connections():
             client = RwsClient(cell.settings.robot.rws)
             await client.start_program()
             cell.board.update({"rws": {"refuse_next": 2, "reset_next": 1, "garbage_next": 1}})
-            said = await client.stop_program()
+            outcome = await client.stop_program()
             assert not cell.cabinet.running
             await client.close()
-            return said
+            return outcome
 
     assert "confirms" in asyncio.run(story())
 

@@ -16,7 +16,8 @@ from simulation.data.probe import Probe, QuasiStaticCell, run_probe
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.physics.readout import Readout
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
 from tests.service import tiny_models
 
 USUAL = Sensor.load()

@@ -11,12 +11,13 @@ from torch.nn import functional
 from service.contract import ContractError, Sensor
 from service.perception.markers.sequence import track_pairs
 from service.tools.calibrate import fit_camera
-from simulation.data.collect import Options, Plan, asked_manifest, make_shard
+from simulation.cli.dataset import CollectOptions, asked_manifest
+from simulation.data.collect import Plan, make_shard
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.data.lerobot import features
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from training.config import DataConfig, NetworkConfig
 from training.data.batches import decisions
 from training.data.dataset import load_trials
@@ -56,7 +57,7 @@ def profile(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 def collected(profile: str, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Two collisions."""
     folder = tmp_path_factory.mktemp("collected")
-    asked = asked_manifest(Options(folder, 2, ("circle",), profile, trials_per_shard=2))
+    asked = asked_manifest(CollectOptions(folder, 2, ("circle",), profile, trials_per_shard=2))
     with DatasetWriter(folder, asked) as writer:
         writer.commit(make_shard(Plan(folder, "circle", 0, 2, 0, 0.0, slip_truth=True, sensor=asked.sensor)))
         assert writer.finish()
@@ -123,9 +124,9 @@ def test_what_it_collected_is_exported_in_its_sizes(collected: Dataset) -> None:
 @pytest.mark.parametrize(
     ("collect", "said"),
     [
-        (lambda out: asked_manifest(Options(out, sensor="gelsite_mini")), "--sensor: no sensor 'gelsite_mini'"),
+        (lambda out: asked_manifest(CollectOptions(out, sensor="gelsite_mini")), "--sensor: no sensor 'gelsite_mini'"),
         (
-            lambda out: DatasetWriter(out, asked_manifest(Options(out, trials_per_shard=2))),
+            lambda out: DatasetWriter(out, asked_manifest(CollectOptions(out, trials_per_shard=2))),
             "sensor is .*, asked for gelslim_2019",
         ),
     ],
@@ -141,7 +142,7 @@ def test_scenes_of_two_sensors_make_no_dataset(tmp_path: Path) -> None:
     mine.write_text(body + '[camera]\nsensor = "gelsight_mini"\n')
     assert load_scene(mine).fps == 25
     with pytest.raises(DatasetError, match="gelsight_mini, gelslim_2019: a dataset has one"):
-        asked_manifest(Options(tmp_path, objects=("circle", str(mine))))
+        asked_manifest(CollectOptions(tmp_path, objects=("circle", str(mine))))
 
 
 def test_a_picture_network_for_a_pitch_of_no_whole_blocks_is_refused_by_name() -> None:

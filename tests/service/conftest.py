@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import uvicorn
 
-from service.cli.run import bind, web_config
 from service.session.station import Station, open_station
 from service.settings import Settings
 from service.web.app import create_app
+from service.web.server import bind, web_config
 from tests.service import drawn, tiny_models
 from tests.service.mjpeg import FakeFinger
 

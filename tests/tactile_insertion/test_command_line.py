@@ -18,11 +18,14 @@ def test_help_lists_every_command_within_80_columns():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_helps_from_its_own_package(name, capsys):
+def test_every_command_helps_from_its_own_package_within_80_columns(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as ended:
         sys.exit(main([name, "--help"]))
     assert ended.value.code in (0, None)
-    assert "usage" in capsys.readouterr().out.lower()
+    out = capsys.readouterr().out
+    assert "usage" in out.lower()
+    assert max(map(len, out.splitlines())) <= 80
 
 
 def test_a_misspelt_command_is_refused_with_the_nearest_one(capsys):

@@ -152,13 +152,6 @@ def figures(predictions: Predictions) -> dict[str, float]:
     }
 
 
-def wilson(share: float, count: int, z: float = 1.959964) -> tuple[float, float]:
-    """95 % interval of a share seen in ``count`` trials (Wilson 1927)."""
-    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
-    half = z / (1 + z**2 / count) * float(np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2)))
-    return middle - half, middle + half
-
-
 def by_object(predictions: Predictions) -> dict[str, dict[str, float]]:
     """Figures of every object, of ``all``, and of all but the circle, whose yaw nothing blocks."""
     names = sorted(set(predictions.objects.tolist()))

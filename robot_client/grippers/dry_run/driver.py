@@ -3,18 +3,28 @@
 import asyncio
 import time
 from dataclasses import dataclass, field
+from typing import Literal
 
-from robot_client.grippers.dry_run.settings import Settings
 from robot_client.insertion.events import Grasped
-from robot_client.ports import Check, Gripper, HomingDirection, Post
+from robot_client.ports import DeviceSettings, Gripper, Post
+
+
+class Settings(DeviceSettings):
+    """The width that it reports, in mm."""
+
+    device: Literal["dry_run"] = "dry_run"
+    width_mm: float = 50.0
 
 
 @dataclass(slots=True)
-class DryGripper:
+class DryGripper(Gripper):
     """Holds as soon as it is asked to."""
 
     settings: Settings = field(default_factory=Settings)
     _post: Post = field(init=False, repr=False)
+
+    async def connect(self) -> None:
+        """Nothing to connect."""
 
     async def start(self, post: Post) -> None:
         """Nothing to connect."""
@@ -28,21 +38,5 @@ class DryGripper:
     async def close(self) -> None:
         """Nothing to release."""
 
-    def checks(self) -> dict[str, Check]:
-        """Nothing to check."""
-        return {}
 
-    async def connect(self) -> None:
-        """Nothing to connect."""
-
-    async def acknowledge(self) -> None:
-        """No fault to clear."""
-
-    async def home(self, direction: HomingDirection) -> float:  # noqa: ARG002 the port's signature
-        """Nothing to reference."""
-        return self.settings.width_mm
-
-
-def make(settings: Settings) -> Gripper:
-    """The gripper of a rehearsal."""
-    return DryGripper(settings)
+make = DryGripper

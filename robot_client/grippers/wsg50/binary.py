@@ -8,36 +8,21 @@ import contextlib
 import time
 from dataclasses import dataclass, field
 
-from robot_client.grippers.wsg50 import codec
-from robot_client.grippers.wsg50.codec import Command, Reply, Status, SystemState, UpdateFlag, Value
+from robot_client.grippers.wsg50 import codec, codes
+from robot_client.grippers.wsg50.codec import Reply, Value
+from robot_client.grippers.wsg50.codes import FAULT_BITS, Command, Status, SystemState, UpdateFlag
 from robot_client.grippers.wsg50.gripper import GripperError, Wsg50
 from robot_client.ports import Finding, HomingDirection
-from service.contract.frames import Contract
 
 _READ_BYTES = 4096
 
 
-class GripperLimits(Contract):
-    """Answer to 0x53, mm, mm/s, mm/s2, N."""
-
-    stroke_mm: float
-    speed_mm_s: tuple[float, float]
-    acceleration_mm_s2: tuple[float, float]
-    force_n: tuple[float, float]
-
-    def check(self, name: str, value: float, bounds: tuple[float, float]) -> float:
-        """``value`` if within ``bounds``; raises GripperError (out of range may be clamped or latch a fast stop)."""
-        if not bounds[0] <= value <= bounds[1]:
-            raise GripperError(f"gripper: {name} = {value:g}, this gripper allows {bounds[0]:g} .. {bounds[1]:g}")
-        return value
-
-
 @dataclass(slots=True)
 class BinaryWsg50(Wsg50):
-    """Gripper port in binary mode; ``system`` and ``limits`` as read when it was connected."""
+    """Gripper port in binary mode; ``limits`` holds what the gripper allows (0x53) for keys of the settings."""
 
     system: SystemState = field(default_factory=lambda: SystemState(0))
-    limits: GripperLimits | None = None
+    limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     _reader: asyncio.Task[None] | None = None
     _waiting: dict[int, asyncio.Queue[Reply]] = field(default_factory=dict)
     _parser: codec.StreamParser = field(default_factory=codec.StreamParser)
@@ -48,10 +33,8 @@ class BinaryWsg50(Wsg50):
         reader = await self._open()
         self._silence.heard(time.monotonic())
         self._reader = asyncio.get_running_loop().create_task(self._read(reader))
-        stroke, v0, v1, a0, a1, f0, f1, _ = (float(v) for v in (await self.request(Command.SYSTEM_LIMITS)).values)
-        self.limits = GripperLimits(
-            stroke_mm=stroke, speed_mm_s=(v0, v1), acceleration_mm_s2=(a0, a1), force_n=(f0, f1)
-        )
+        stroke, v0, v1, _, _, f0, f1, _ = (float(v) for v in (await self.request(Command.SYSTEM_LIMITS)).values)
+        self.limits = {"force_limit_n": (f0, f1), "grasp_speed_mm_s": (v0, v1), "grasp_width_mm": (0.0, stroke)}
         (bits,) = (await self.request(Command.SYSTEM_STATE, UpdateFlag.ONCE, 0)).values
         self.system = SystemState(int(bits))
         await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
@@ -82,14 +65,13 @@ class BinaryWsg50(Wsg50):
 
     def findings(self) -> list[Finding]:
         """Faults, homing, and the force limit against the gripper's own."""
-        assert self.limits is not None
-        faults, force_n = self.system & codec.FAULT_BITS, self.settings.force_limit_n
-        low_n, high_n = self.limits.force_n
+        faults, force_n = self.system & FAULT_BITS, self.settings.force_limit_n
+        low_n, high_n = self.limits["force_limit_n"]
         homed = SystemState.REFERENCED in self.system
         return [
             Finding(not faults, f"faults: {faults.name or 'none'}" if faults else "no fault"),
             Finding(homed, "homed" if homed else f"not homed: run {_HOME}"),
-            Finding(low_n <= force_n <= high_n, f"force limit {force_n:g} N of {self.limits.force_n} N"),
+            Finding(low_n <= force_n <= high_n, f"force limit {force_n:g} N of {low_n, high_n} N"),
         ]
 
     async def request(self, command: Command, *values: Value) -> Reply:
@@ -112,23 +94,23 @@ class BinaryWsg50(Wsg50):
         return reply
 
     def _fault(self) -> str:
-        faults = self.system & codec.FAULT_BITS
+        faults = self.system & FAULT_BITS
         return f"fault {faults.name}" if faults else ""
 
     async def _subscribe(self) -> None:
         await self.request(Command.GRASPING_STATE, UpdateFlag.PERIODIC, self.settings.update_period_ms)
 
     async def _home(self, direction: HomingDirection) -> None:
-        await self.request(Command.HOMING, int(codec.HomingDirection[direction.upper()]))
+        await self.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
 
     async def _close_fingers(self) -> None:
-        settings, limits = self.settings, self.limits
-        assert limits is not None
+        settings = self.settings
         if SystemState.REFERENCED not in self.system:
             raise GripperError(f"gripper: not homed; run {_HOME}")
-        limits.check("force_limit_n", settings.force_limit_n, limits.force_n)
-        limits.check("grasp_speed_mm_s", settings.grasp_speed_mm_s, limits.speed_mm_s)
-        limits.check("grasp_width_mm", settings.grasp_width_mm, (0.0, limits.stroke_mm))
+        for name, (low, high) in self.limits.items():  # out of range it may clamp or latch a fast stop
+            value = getattr(settings, name)
+            if not low <= value <= high:
+                raise GripperError(f"gripper: {name} = {value:g}, this gripper allows {low:g} .. {high:g}")
         await self.request(Command.SET_FORCE_LIMIT, settings.force_limit_n)
         await self.request(Command.GRASP, settings.grasp_width_mm, settings.grasp_speed_mm_s)
         await self._subscribe()

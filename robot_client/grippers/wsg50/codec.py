@@ -10,43 +10,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from robot_client.grippers.wsg50.codes import (
-    FAULT_BITS,
-    Command,
-    GraspingState,
-    HomingDirection,
-    MoveFlag,
-    Status,
-    SystemState,
-    UpdateFlag,
-)
-
-__all__ = [
-    "ACKNOWLEDGE_WORD",
-    "FAULT_BITS",
-    "MAX_PAYLOAD_BYTES",
-    "STATE_QUERIES",
-    "TWO_STAGE",
-    "Command",
-    "Frame",
-    "GraspingState",
-    "HomingDirection",
-    "MoveFlag",
-    "Reply",
-    "Request",
-    "Status",
-    "StreamParser",
-    "SystemState",
-    "UpdateFlag",
-    "Value",
-    "WsgError",
-    "crc16",
-    "decode_reply",
-    "decode_request",
-    "encode_frame",
-    "encode_reply",
-    "encode_request",
-]
+from robot_client.grippers.wsg50.codes import Command, MoveFlag, Status
 
 PREAMBLE = b"\xaa\xaa\xaa"
 MAX_PAYLOAD_BYTES = 1024
@@ -64,44 +28,29 @@ class WsgError(ValueError):
 
 
 _NONE, _FLOAT, _TWO_FLOATS, _QUERY = "<", "<f", "<ff", "<BH"
-_REQUEST: dict[Command, str] = {
-    Command.DISCONNECT: _NONE,
-    Command.HOMING: "<B",
-    Command.MOVE: "<Bff",
-    Command.STOP: _NONE,
-    Command.FAST_STOP: _NONE,
-    Command.ACKNOWLEDGE: "<3s",
-    Command.GRASP: _TWO_FLOATS,
-    Command.RELEASE: _TWO_FLOATS,
-    Command.SET_ACCELERATION: _FLOAT,
-    Command.GET_ACCELERATION: _NONE,
-    Command.SET_FORCE_LIMIT: _FLOAT,
-    Command.GET_FORCE_LIMIT: _NONE,
-    Command.SET_SOFT_LIMITS: _TWO_FLOATS,
-    Command.GET_SOFT_LIMITS: _NONE,
-    Command.CLEAR_SOFT_LIMITS: _NONE,
-    Command.SYSTEM_STATE: _QUERY,
-    Command.GRASPING_STATE: _QUERY,
-    Command.WIDTH: _QUERY,
-    Command.SPEED: _QUERY,
-    Command.FORCE: _QUERY,
-    Command.SYSTEM_INFO: _NONE,
-    Command.SYSTEM_LIMITS: _NONE,
+_REQUESTS = {
+    _NONE: "DISCONNECT STOP FAST_STOP GET_ACCELERATION GET_FORCE_LIMIT GET_SOFT_LIMITS CLEAR_SOFT_LIMITS"
+    " SYSTEM_INFO SYSTEM_LIMITS",
+    _FLOAT: "SET_ACCELERATION SET_FORCE_LIMIT",
+    _TWO_FLOATS: "GRASP RELEASE SET_SOFT_LIMITS",
+    _QUERY: "SYSTEM_STATE GRASPING_STATE WIDTH SPEED FORCE",
+    "<B": "HOMING",
+    "<Bff": "MOVE",
+    "<3s": "ACKNOWLEDGE",
 }
-_REPLY: dict[Command, str] = {
-    Command.GET_ACCELERATION: _FLOAT,
-    Command.GET_FORCE_LIMIT: _FLOAT,
-    Command.GET_SOFT_LIMITS: _TWO_FLOATS,
-    Command.SYSTEM_STATE: "<I",
-    Command.GRASPING_STATE: "<B",
-    Command.WIDTH: _FLOAT,
-    Command.SPEED: _FLOAT,
-    Command.FORCE: _FLOAT,
-    Command.SYSTEM_INFO: "<BBHI",
-    Command.SYSTEM_LIMITS: "<8f",
+_REPLIES = {
+    _FLOAT: "GET_ACCELERATION GET_FORCE_LIMIT WIDTH SPEED FORCE",
+    _TWO_FLOATS: "GET_SOFT_LIMITS",
+    "<I": "SYSTEM_STATE",
+    "<B": "GRASPING_STATE",
+    "<BBHI": "SYSTEM_INFO",
+    "<8f": "SYSTEM_LIMITS",
 }
+_REQUEST, _REPLY = (
+    {Command[name]: layout for layout, names in table.items() for name in names.split()}
+    for table in (_REQUESTS, _REPLIES)
+)
 STATE_QUERIES = frozenset(command for command, layout in _REQUEST.items() if layout == _QUERY)
-TWO_STAGE = frozenset({Command.HOMING, Command.MOVE, Command.GRASP, Command.RELEASE})
 
 Value = int | float | bytes
 
@@ -237,10 +186,8 @@ class StreamParser:
     """Finds frames in a TCP byte stream of any segmentation and recovers after garbage or a wrong CRC.
 
     A candidate is dropped by one byte, not by its claimed length, so a damaged length hides no later frame.
-    With ``check_crc`` off (a gripper with its CRC option off) the two CRC bytes must be there but may be anything.
     """
 
-    check_crc: bool = True
     skipped_bytes: int = 0
     crc_errors: int = 0
     _buffer: bytearray = field(default_factory=bytearray)
@@ -279,7 +226,7 @@ class StreamParser:
                 return
             body = bytes(self._buffer[:end])
             (crc,) = _TRAILER.unpack_from(self._buffer, end)
-            if self.check_crc and crc != crc16(body):
+            if crc != crc16(body):
                 self.crc_errors += 1
                 self._skip(1)
                 continue

@@ -6,7 +6,7 @@ During an insertion the gripper is never stopped: STOP ends its part monitoring;
 
 import asyncio
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -14,7 +14,7 @@ from typing import Any, Literal
 from robot_client.grippers.wsg50.codes import GraspingState
 from robot_client.grippers.wsg50.settings import Settings
 from robot_client.insertion.events import Failure, Grasped, PartLost
-from robot_client.ports import Check, DriverError, Finding, HomingDirection, Post
+from robot_client.ports import Check, DriverError, Finding, Gripper, HomingDirection, Post
 from robot_client.silence import Silence
 
 
@@ -23,7 +23,7 @@ class GripperError(DriverError):
 
 
 @dataclass(slots=True)
-class Wsg50(ABC):
+class Wsg50(Gripper):
     """The Gripper port; a protocol adds how it asks and what it reads."""
 
     settings: Settings
@@ -64,19 +64,7 @@ class Wsg50(ABC):
         await self._home(direction)
         return await self.width_mm()
 
-    # ---- what a protocol adds -------------------------------------------------------------------------------------
-
-    @abstractmethod
-    async def connect(self) -> None:
-        """Connect and read the state; raises GripperError. Moves nothing."""
-
-    @abstractmethod
-    async def close(self) -> None:
-        """Announce the end (else the gripper latches a fast stop) and leave; the fingers stay as they are."""
-
-    @abstractmethod
-    async def acknowledge(self) -> None:
-        """Clear a latched fault; raises GripperError."""
+    # ---- what a protocol adds to connect, close and acknowledge ---------------------------------------------------
 
     @abstractmethod
     async def width_mm(self) -> float:

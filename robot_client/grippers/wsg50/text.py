@@ -66,7 +66,7 @@ class TextWsg50(Wsg50):
             await asyncio.sleep(0.01)
 
     async def close(self) -> None:
-        """Say goodbye (else the gripper latches a fast stop); the fingers stay as they are."""
+        """Announce the end (else the gripper latches a fast stop); the fingers stay as they are."""
         self._post = None
         if self._writer is not None:
             self._writer.write(encode_call("BYE"))
@@ -91,7 +91,7 @@ class TextWsg50(Wsg50):
         fault = self._fault()
         return [
             Finding(not fault, f"{fault}: a fault is latched" if fault else "no fault"),
-            Finding(True, "text mode: homing and the gripper's own limits cannot be read, look at its web page"),
+            Finding(True, "text mode: homing and the gripper's own limits cannot be read, see its web page"),
         ]
 
     async def call(self, name: str, *values: float | str) -> None:

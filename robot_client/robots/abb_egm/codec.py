@@ -18,7 +18,7 @@ MAX_DATAGRAM_BYTES = 4096
 
 
 class EgmError(ValueError):
-    """A datagram or a target that does not belong on the wire; the text says why."""
+    """A datagram or a target that does not belong on the wire; the text gives the reason."""
 
 
 McState = Literal["undefined", "error", "stopped", "running"]
@@ -120,7 +120,7 @@ def encode_guidance(guidance: Guidance) -> bytes:
     if guidance.speed:
         _check_finite("speed reference", guidance.speed)
         message.speedRef.cartesians.value.extend(guidance.speed)
-    return message.SerializeToString()
+    return bytes(message.SerializeToString())
 
 
 def decode_guidance(datagram: bytes) -> Guidance:
@@ -155,7 +155,7 @@ def encode_robot(state: RobotState) -> bytes:
         pb.EgmRapidCtrlExecState.RAPID_RUNNING if running else pb.EgmRapidCtrlExecState.RAPID_STOPPED
     )
     message.utilizationRate = 0.0
-    return message.SerializeToString()
+    return bytes(message.SerializeToString())
 
 
 def decode_robot(datagram: bytes) -> RobotState:

@@ -21,7 +21,7 @@ class StreamFault(Exception):  # noqa: N818 it reports the stream's state, the d
 
 @dataclass(slots=True)
 class EgmWatch:
-    """Counts and judges datagrams. Age is measured against the least delay ever seen on this stream."""
+    """Counts and checks datagrams. Age is measured against the least delay of this stream."""
 
     silence: Silence
     max_age_s: float
@@ -68,7 +68,7 @@ class EgmWatch:
         return elapsed_s
 
     def ready(self, state: RobotState) -> bool:
-        """True if the controller follows targets; ``not_ready`` says what is missing."""
+        """True if the controller follows targets; ``not_ready`` names what is missing."""
         self.not_ready = _missing(state)
         return not self.not_ready
 

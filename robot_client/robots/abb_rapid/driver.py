@@ -8,6 +8,7 @@ the guard stops the arm by itself. Slower to stop than EGM: the figure to expect
 import asyncio
 import contextlib
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -65,12 +66,13 @@ class SocketArm:
         motion_reader, self._motion = await self._connect(self.settings.motion_port, "motion server")
         guard_reader, self._guard = await self._connect(self.settings.guard_port, "guard")
         self._silence.heard(time.monotonic())
-        for work in (self._read_motion(motion_reader), self._read_guard(guard_reader), self._beat()):
+        motion = self._read(motion_reader, self._on_motion, "motion server")
+        for work in (motion, self._read(guard_reader, self._on_guard, "guard"), self._beat()):
             self._tasks.append(asyncio.get_running_loop().create_task(work))
         deadline_s = time.monotonic() + self.settings.connect_timeout_s
         while self._here is None:
             if time.monotonic() > deadline_s:
-                raise DriverError("robot: the guard does not say where the arm is; is TactileGuard.mod running?")
+                raise DriverError("robot: the guard does not report where the arm is; is TactileGuard.mod running?")
             await asyncio.sleep(0.01)
         self._post = post
         return self._here
@@ -86,12 +88,12 @@ class SocketArm:
             raise LimitError(f"{motion} speed mm/s = {speed:g}, allowed up to {top:g}")
         self._move = self._next()
         self._pending, self._waiting, self._still = (self._move, target, speed), "arrived", None
-        self._say("R", self._move)
+        self._ask_guard("R", self._move)
 
     def hold(self, reason: str, *, stop: bool) -> None:
         """Raise the guard's stop flag now; a move that still waits for its release is dropped."""
         self._pending, self._waiting, self._still = None, "standstill", None
-        self._say("S", self._next())
+        self._ask_guard("S", self._next())
         if stop:
             self._latched = self._latched or reason
             self._stop_program()
@@ -99,7 +101,7 @@ class SocketArm:
     async def close(self) -> str:
         """Stop, end the program, disconnect."""
         self._post, self._latched = None, self._latched or "closed"
-        self._say("S", self._next())
+        self._ask_guard("S", self._next())
         self._stop_program()
         outcome = await self._stopping if self._stopping else "guard stopped the arm; no program was started"
         for task in self._tasks:
@@ -148,34 +150,26 @@ class SocketArm:
         self._number = self._number % codec.MAX_NUMBER + 1
         return self._number
 
-    def _say(self, kind: Literal["H", "R", "S"], number: int) -> None:
+    def _ask_guard(self, kind: Literal["H", "R", "S"], number: int) -> None:
         if self._guard is not None and not self._guard.is_closing():
             self._guard.write(codec.encode_guard(kind, number))
 
     async def _beat(self) -> None:
-        """Ask where the arm is; the guard's dead man lives on these, our watchdog on their answers."""
+        """Ask where the arm is: requests keep the guard's dead man alive, answers our watchdog."""
         while True:
             await asyncio.sleep(self.settings.poll_s)
-            self._say("H", self._next())
+            self._ask_guard("H", self._next())
             silent_s = self._silence.over(time.monotonic())
             if silent_s is not None:
                 self._fail("silent", f"the guard has not answered for {silent_s * 1e3:.0f} ms")
 
-    async def _read_guard(self, reader: asyncio.StreamReader) -> None:
+    async def _read(self, reader: asyncio.StreamReader, on_text: Callable[[str], None], name: str) -> None:
         parser = TextParser()
         with contextlib.suppress(OSError):
             while data := await reader.read(4096):
                 for text in parser.feed(data):
-                    self._on_guard(text)
-        self._fail("link", "the guard closed the connection")
-
-    async def _read_motion(self, reader: asyncio.StreamReader) -> None:
-        parser = TextParser()
-        with contextlib.suppress(OSError):
-            while data := await reader.read(4096):
-                for text in parser.feed(data):
-                    self._on_motion(text)
-        self._fail("link", "the motion server closed the connection")
+                    on_text(text)
+        self._fail("link", f"the {name} closed the connection")
 
     def _on_guard(self, text: str) -> None:
         try:
@@ -214,16 +208,16 @@ class SocketArm:
         elif answer.number == self._move and self._waiting == "arrived":
             if answer.result == "stopped":
                 self._fail("guard", "the guard stopped the arm without being asked")
-            else:  # where it is now is the next question's answer, not the last one's
+            else:  # the position after the move comes with the next answer
                 self._waiting, self._asked = "fresh position", self._next()
-                self._say("H", self._asked)
+                self._ask_guard("H", self._asked)
 
     def _settle(self, here: WorkPose, state: GuardState) -> None:
         now_s = time.monotonic()
         if self._waiting == "fresh position" and state.number == self._asked:
             self._waiting = None
-            self._tell(Arrived(at_s=now_s, pose=here))
-        # A move that is still on its way would begin with the release of the next one: it is waited for.
+            self._report(Arrived(at_s=now_s, pose=here))
+        # Wait for the answer to a move that is still on its way: the next release would start it.
         if self._waiting != "standstill" or not state.stopped or self._sent is not None:
             return
         if self._still is None or (
@@ -232,9 +226,9 @@ class SocketArm:
             self._still, self._still_since_s = here, now_s
         elif now_s - self._still_since_s >= _STILL_S:
             self._waiting = None
-            self._tell(Standstill(at_s=now_s, pose=here))
+            self._report(Standstill(at_s=now_s, pose=here))
 
-    def _tell(self, event: Arrived | Standstill) -> None:
+    def _report(self, event: Arrived | Standstill) -> None:
         if self._post is not None and not self._latched:
             self._post(event)
 
@@ -243,7 +237,7 @@ class SocketArm:
             return
         self._latched = f"{code}: {detail}"
         self._pending = None
-        self._say("S", self._next())
+        self._ask_guard("S", self._next())
         self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
 
     def _stop_program(self) -> None:

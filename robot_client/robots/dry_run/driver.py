@@ -4,20 +4,26 @@ import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.limits import LimitError, Limits, Motion
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
-from robot_client.ports import Arm, Check, Post
-from robot_client.robots.dry_run.settings import Settings
+from robot_client.ports import Arm, DeviceSettings, Post
 
 _BATCH = 50
 
 
+class Settings(DeviceSettings):
+    """Where the TCP stands at the start."""
+
+    device: Literal["dry_run"] = "dry_run"
+    start: WorkPose = WorkPose(x_mm=0.0, y_mm=0.0, z_mm=75.0, yaw_deg=0.0)
+
+
 @dataclass(slots=True)
-class DryArm:
+class DryArm(Arm):
     """Follows its targets exactly; ``on_target`` is given each of them."""
 
     limits: Limits
@@ -58,10 +64,6 @@ class DryArm:
     def statistics(self) -> dict[str, Any]:
         """Cycles that were computed."""
         return {"dry_cycles": self._cycles}
-
-    def checks(self) -> dict[str, Check]:
-        """Nothing to check."""
-        return {}
 
     async def _run(self) -> None:
         while True:

@@ -13,7 +13,7 @@ from service.decision.network_input import seen_in
 from service.session.station import Station
 from service.web import asyncapi
 from service.web.access import Access
-from service.web.gate import whole_body
+from service.web.middleware import whole_body
 
 MAX_BODY_BYTES = 64 << 20
 BINARY_BODY = {

@@ -5,13 +5,13 @@ import gzip
 import time
 import zlib
 from collections import defaultdict
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, HTTPException, Request, Response
+from starlette.datastructures import Headers
 
 from service import __version__
 from service.contract import ContractError
@@ -19,17 +19,12 @@ from service.decision.models import LoadedModel
 from service.session.station import Station
 from service.web import oip_tensors
 from service.web.access import Access
-from service.web.gate import plain_headers, whole_body
+from service.web.middleware import whole_body
 from service.web.oip_schema import INFER_SCHEMA
 
 MAX_BODY_BYTES = 64 << 20
 MAX_WAITING = 32
-QUICK_BYTES, QUICK_S = (
-    64 << 10,
-    0.001,
-)  # calls this small are done by the event loop itself; it never waits for longer ones
 VERSION = "1"
-Packed = tuple[bytes, dict[str, str]]  # an answer's body and headers
 INFER_BODY = {"requestBody": {"required": True, "content": {"application/json": {"schema": INFER_SCHEMA}}}}
 _OPEN = ThreadPoolExecutor(1, "inference")  # one call at a time: the networks of the insertion keep their core
 
@@ -97,16 +92,6 @@ class Served:
     station: Station
     statistics: Statistics = field(default_factory=Statistics)
     waiting_n: int = 0
-    _took_s: dict[str, float] = field(default_factory=dict)
-
-    def took(self, name: str, body_bytes: int, seconds: float) -> None:
-        """What a small call to a model took just now."""
-        if body_bytes <= QUICK_BYTES:
-            self._took_s[name] = seconds
-
-    def is_quick(self, name: str, body_bytes: int) -> bool:
-        """Whether a call costs less than handing it to a thread and back; the last small one of its model tells."""
-        return body_bytes <= QUICK_BYTES and self._took_s.get(name, QUICK_S) < QUICK_S
 
     def models(self) -> dict[str, LoadedModel]:
         """Every loaded file by its name without ``.onnx`` (``direction.step``)."""
@@ -128,12 +113,9 @@ class Served:
         started = time.perf_counter_ns()
         self.waiting_n += 1
         try:
-            body, headers = await whole_body(request, MAX_BODY_BYTES), plain_headers(request.scope)
-            work = partial(self._packed, name, model, headers, body)
-            if "content-encoding" not in headers and self.is_quick(name, len(body)):
-                content, described = work()
-            else:
-                content, described = await asyncio.get_running_loop().run_in_executor(_OPEN, work)
+            body = await whole_body(request, MAX_BODY_BYTES)
+            work = partial(_infer, name, model, request.headers, body)
+            content, described = await asyncio.get_running_loop().run_in_executor(_OPEN, work)
         except ContractError:
             self.statistics.add(name, "fail", started)
             raise
@@ -142,34 +124,23 @@ class Served:
         self.statistics.add(name, "success", started)
         return Response(content, headers=described)
 
-    def infer_now(self, name: str, version: str, headers: Mapping[str, str], body: bytes) -> Packed | None:
-        """The answer to a small request to a quick model; None for any other, and for one that has to be refused."""
-        if "content-encoding" in headers or not self.is_quick(name, len(body)):
-            return None
-        started = time.perf_counter_ns()
-        try:
-            packed = self._packed(name, self.model(name, version), headers, body)
-        except Exception:
-            return None  # :meth:`infer` will find the same and say it
-        self.statistics.add(name, "success", started)
-        return packed
 
-    def _packed(self, name: str, model: LoadedModel, headers: Mapping[str, str], body: bytes) -> Packed:
-        started = time.perf_counter()
-        plain = inflate(body, headers.get("content-encoding", "").strip().lower())
-        asked = oip_tensors.parse_request(plain, headers.get("inference-header-content-length"), model)
-        try:
-            outputs = model.run(asked.inputs)
-        except Exception as error:
-            raise ContractError(f"{name} refused the inputs: {str(error).splitlines()[0]}") from error
-        content, described = oip_tensors.encode_response(name, asked, outputs)
-        packed, encoding = deflate(content, wanted_encoding(headers.get("accept-encoding", "")))
-        self.took(name, len(body), time.perf_counter() - started)
-        return packed, described | encoding
+def _infer(name: str, model: LoadedModel, headers: Headers, body: bytes) -> tuple[bytes, dict[str, str]]:
+    """Body and headers of the answer."""
+    plain = inflate(body, headers.get("content-encoding", "").strip().lower())
+    asked = oip_tensors.parse_request(plain, headers.get("inference-header-content-length"), model)
+    try:
+        outputs = model.run(asked.inputs)
+    except Exception as error:
+        raise ContractError(f"{name} refused the inputs: {str(error).splitlines()[0]}") from error
+    content, described = oip_tensors.encode_response(name, asked, outputs)
+    packed, encoding = deflate(content, wanted_encoding(headers.get("accept-encoding", "")))
+    return packed, described | encoding
 
 
-def router(served: Served, access: Access) -> APIRouter:
+def router(station: Station, access: Access) -> APIRouter:
     """Routes under ``/v2``."""
+    served = Served(station)
     routes = APIRouter(prefix="/v2", tags=["open inference protocol"])
     for add in (_server_routes, _model_routes, _inference_routes):
         add(routes, served, access)

@@ -63,9 +63,7 @@ class HttpServer:
     """An ASGI application served from the running event loop on a socket of :func:`bind_tcp`."""
 
     def __init__(self, app: Any, sock: socket.socket) -> None:
-        config = uvicorn.Config(
-            app, log_level="warning", access_log=False, lifespan="off", server_header=False, ws="websockets-sansio"
-        )
+        config = uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off", server_header=False)
         config.timeout_graceful_shutdown = 1
         self.port = port_of(sock)
         self._sock = sock

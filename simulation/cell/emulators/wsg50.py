@@ -13,16 +13,15 @@ from dataclasses import dataclass, field
 from robot_client.grippers.wsg50.codec import (
     ACKNOWLEDGE_WORD,
     STATE_QUERIES,
-    Command,
     Frame,
     Request,
-    Status,
     StreamParser,
     Value,
     WsgError,
     decode_request,
     encode_reply,
 )
+from robot_client.grippers.wsg50.codes import Command, Status
 from simulation.cell.emulators.faults import FaultBoard, take
 from simulation.cell.emulators.wsg50_gripper import ACCELERATION_MM_S2, FORCE_N, SPEED_MM_S, STROKE_MM, Gripper
 

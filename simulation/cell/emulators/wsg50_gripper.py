@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from robot_client.grippers.wsg50.codec import Command, GraspingState, Status, SystemState
+from robot_client.grippers.wsg50.codes import Command, GraspingState, Status, SystemState
 from simulation.cell.emulators.faults import FaultBoard, take
 
 STROKE_MM = 110.0

@@ -1,13 +1,13 @@
-"""Slip on real recordings of gripped objects, judged honestly: false alarms while held, and slip against hold.
+"""Slip on real recordings of gripped objects: false alarms while held, and slip against hold.
 
 ``PATH/gelsight_mini_slip/OBJECT_N_{slip,hold}/camera_*.avi``: two fingers grasp, lift and shake an object that is held
-or slips; no onset is labelled, clip length alone would tell the label, closing and letting go look like slip. So held
-clips are judged between them, windows are matched in length, and what is fitted is judged on other recordings.
+or slips. No onset is labelled, the length of a clip alone would give its label away, and closing and letting go look
+like slip. So held clips are evaluated between the two, windows are matched in length, and what is fitted is evaluated
+on other recordings.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from reporting.statistics import bootstrap
 from service.perception.markers.field import MarkerField
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.detector import SlipSettings
@@ -25,7 +26,7 @@ from simulation.studies.slip.baselines import plain_residual
 
 FRAME_NS = 125_000_000  # true capture was about 8 a second, whatever the files' headers say
 CLOSED_N = 25  # in every clip the fingers have closed by then
-JUDGED = slice(45, -30)  # of held clips: after grasp and lift, before the fingers open
+HELD = slice(45, -30)  # of held clips: after grasp and lift, before the fingers open
 GRID_PITCH = (0.05, 0.0625, 0.075, 0.1, 0.125, 0.15, 0.175, 0.2, 0.225, 0.25, 0.3, 0.35, 0.4)
 MARGIN = 1.25
 INSERTION_PITCH = SlipSettings().slip_pitch
@@ -38,7 +39,7 @@ Float64 = NDArray[np.float64]
 
 
 class RealDataError(ValueError):
-    """Recordings that are not where they were said to be."""
+    """Recordings that are not where they should be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,34 +67,39 @@ def frames(path: Path, crop: tuple[int, int, int, int] | None = None) -> Iterato
         capture.release()
 
 
-def load(root: Path, watch: Callable[[], None]) -> list[Recording]:
-    """Track every clip of the slip recordings; ``watch`` is called after each. Raises RealDataError."""
+def folders_of(root: Path) -> list[Path]:
+    """The folders of the slip recordings; raises RealDataError if there are none."""
     folders = sorted(path for path in (root / "gelsight_mini_slip").glob("*_*") if path.is_dir())
     if not folders:
         raise RealDataError(f"--real {root}: expected folders gelsight_mini_slip/OBJECT_N_slip and _hold in it")
-    found = []
-    for folder in folders:
+    return folders
+
+
+def load(root: Path, show: Callable[[int], None]) -> list[Recording]:
+    """Track every clip of the slip recordings; ``show`` is told how many are done. Raises RealDataError."""
+    recordings = []
+    for done, folder in enumerate(folders_of(root), 1):
         fingers = []
         for clip in sorted(folder.glob("camera_*.avi")):
             tracker = MarkerTracker()
             fingers.append([tracker.update(image, k * FRAME_NS) for k, image in enumerate(frames(clip))])
-        found.append(Recording(folder.name, folder.name.endswith("_slip"), tuple(fingers)))
-        watch()
-    return found
+        recordings.append(Recording(folder.name, folder.name.endswith("_slip"), tuple(fingers)))
+        show(done)
+    return recordings
 
 
 # ---- false alarms ---------------------------------------------------------------------------------------------------
 
 
 def alarms(recording: Recording, slip_pitch: float) -> tuple[int, int]:
-    """Slip announced while the object is held and shaken, and the frames judged, over both fingers."""
-    said = judged = 0
+    """Frames with a slip alarm while the object is held and shaken, and all such frames, over both fingers."""
+    alarmed = frames = 0
     for fields in recording.fingers:
         watch = GraspWatch(watch_settings(slip_pitch))
-        states = [watch.update(field) for field in fields][JUDGED]
-        said += sum(state.slip for state in states)
-        judged += len(states)
-    return said, judged
+        states = [watch.update(field) for field in fields][HELD]
+        alarmed += sum(state.slip for state in states)
+        frames += len(states)
+    return alarmed, frames
 
 
 def caught(recording: Recording, slip_pitch: float) -> bool:
@@ -117,9 +123,9 @@ def false_alarms(recordings: Sequence[Recording]) -> dict[str, Any]:
     counts = {(r.name, pitch): alarms(r, pitch)[0] for r in held for pitch in GRID_PITCH}
     halves = (held[0::2], held[1::2])
     folds = []
-    for tuned_on, judged_on in (halves, halves[::-1]):
+    for tuned_on, rest in (halves, halves[::-1]):
         pitch = fitted(tuned_on, counts)
-        pairs = [alarms(recording, pitch) for recording in judged_on]
+        pairs = [alarms(recording, pitch) for recording in rest]
         folds.append({"limit_pitch": pitch, "alarms": sum(a for a, _ in pairs), "frames": sum(n for _, n in pairs)})
     slipping = [recording for recording in recordings if recording.slips]
     at_default = [alarms(recording, WATCH_SLIP_PITCH) for recording in held]
@@ -140,16 +146,6 @@ def false_alarms(recordings: Sequence[Recording]) -> dict[str, Any]:
             "caught": sum(caught(recording, WATCH_SLIP_PITCH) for recording in slipping),
         },
     }
-
-
-def upper_bound(count: int) -> float:
-    """95 % upper bound of a Poisson mean of which ``count`` were seen (Garwood's, one-sided, by bisection)."""
-    low, high = float(count), count + 20.0
-    for _ in range(60):
-        mean = (low + high) / 2
-        tail = sum(math.exp(-mean) * mean**k / math.factorial(k) for k in range(count + 1))
-        low, high = (mean, high) if tail > 0.05 else (low, mean)
-    return high
 
 
 # ---- slip against hold ----------------------------------------------------------------------------------------------
@@ -192,10 +188,10 @@ def separation(recordings: Sequence[Recording]) -> dict[str, Any]:
     Every slip recording is compared with every held one over windows of the same length from the closing of the
     fingers on, whole recordings are resampled. Nothing is fitted.
     """
-    seen = {recording.name: evidence(recording) for recording in recordings}
+    scores = {recording.name: evidence(recording) for recording in recordings}
     slips = [recording.name for recording in recordings if recording.slips]
     holds = [recording.name for recording in recordings if not recording.slips]
-    ours, plain = (_wins([seen[n][k] for n in slips], [seen[n][k] for n in holds]) for k in (0, 1))
+    ours, plain = (_wins([scores[n][k] for n in slips], [scores[n][k] for n in holds]) for k in (0, 1))
     rng = np.random.default_rng(0)
     drawn = [
         np.ix_(rng.integers(0, len(slips), len(slips)), rng.integers(0, len(holds), len(holds)))
@@ -204,13 +200,8 @@ def separation(recordings: Sequence[Recording]) -> dict[str, Any]:
     same = np.array([[a.rsplit("_", 2)[0] == b.rsplit("_", 2)[0] for b in holds] for a in slips])
     result: dict[str, Any] = {"slip_recordings": len(slips), "hold_recordings": len(holds)}
     for name, table in (("ours", ours), ("plain", plain), ("margin", ours - plain)):
-        spread = [float(table[pick].mean()) for pick in drawn]
-        low, high = np.percentile(spread, [2.5, 97.5])
-        result[name] = {
-            "value": float(table.mean()),
-            "interval": [float(low), float(high)],
-            "same_object": float(table[same].mean()),
-        }
+        value, *interval = bootstrap(float(table.mean()), [float(table[pick].mean()) for pick in drawn])
+        result[name] = {"value": value, "interval": interval, "same_object": float(table[same].mean())}
     return result
 
 
@@ -220,8 +211,8 @@ def separation(recordings: Sequence[Recording]) -> dict[str, Any]:
 def loop_closure(root: Path) -> dict[str, Any] | None:
     """GelSlim 3, None without the clip: share of markers more than 0.25 pitch off when nothing touches the gel.
 
-    And whether that is seen: share of frames said to be untouched, its first frame learnt as such, where nothing
-    touches the gel and elsewhere (the labelled stretches are shorter than the true ones).
+    And whether that is detected: the share of frames reported as untouched, the first one learnt as such, where
+    nothing touches the gel and elsewhere (the labelled stretches are shorter than the true ones).
     """
     clip = root / "gelslim3_press" / "sample_realtime_depth.mp4"
     if not clip.is_file():
@@ -238,19 +229,19 @@ def loop_closure(root: Path) -> dict[str, Any] | None:
     labelled = np.zeros(len(off), np.bool_)
     for begin, end in CONTACT_FREE:
         labelled[begin:end] = True
-    said = np.array(alone)
+    untouched = np.array(alone)
     return {
         "frames": len(off),
         "worst_share": max(free),
         "end_share": off[CONTACT_FREE[-1][1] - 1],
-        "untouched_seen": float(said[labelled].mean()),
-        "untouched_elsewhere": float(said[~labelled].mean()),
+        "untouched_seen": float(untouched[labelled].mean()),
+        "untouched_elsewhere": float(untouched[~labelled].mean()),
     }
 
 
-def evaluate(root: Path, watch: Callable[[], None]) -> dict[str, Any]:
-    """All three judgements; raises RealDataError."""
-    recordings = load(root, watch)
+def evaluate(root: Path, show: Callable[[int], None]) -> dict[str, Any]:
+    """All three evaluations; raises RealDataError."""
+    recordings = load(root, show)
     return {
         "false_alarms": false_alarms(recordings),
         "slip_against_hold": separation(recordings),

@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulation.physics.quasistatic import PhysicsError, QuasiStaticCell
-from simulation.scene.scene import BUILT_IN, Scene, load_scene
+from simulation.scene.randomisation import randomised
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene, object_names
 
 Kind = Literal["slip", "hold", "free"]
 Label = Literal["slip", "none", "between"]
@@ -56,8 +58,8 @@ def draw_trials(count: int, seed: int, fps: int) -> Iterator[SlipTrial]:
     """``count`` trials over all objects in turn: 5 slips, 4 holds and 1 free insertion in ten, half held out."""
     kinds: tuple[Kind, ...] = ("slip", "hold", "slip", "hold", "slip", "free", "hold", "slip", "hold", "slip")
     for index in range(count):
-        name = BUILT_IN[index % len(BUILT_IN)]
-        turn = index // len(BUILT_IN)
+        name = object_names()[index % len(object_names())]
+        turn = index // len(object_names())
         for attempt in range(20):
             rng = np.random.default_rng((seed, index, attempt))
             try:
@@ -68,7 +70,7 @@ def draw_trials(count: int, seed: int, fps: int) -> Iterator[SlipTrial]:
 
 
 def _trial(name: str, kind: Kind, rng: np.random.Generator, held_out: bool, seed: int, fps: int) -> SlipTrial:
-    scene = load_scene(name).randomised(rng, held_out=held_out)
+    scene = randomised(load_scene(name), rng, held_out=held_out)
     x_mm, theta_deg = _error(scene, kind, rng)
     cell = QuasiStaticCell(scene, seed)
     cell.regrasp(x_mm, theta_deg)

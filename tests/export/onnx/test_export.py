@@ -163,7 +163,7 @@ def test_another_opset_is_named(models, tmp_path):
     model = onnx.load(str(models / "direction.step.onnx"))
     model.opset_import[0].version = 18
     onnx.save(model, str(tmp_path / "old.onnx"))
-    with pytest.raises(ContractError, match=r"old\.onnx is of opset 18, expected one of \[20, 21\]"):
+    with pytest.raises(ContractError, match=r"old\.onnx is of opset 18, expected 20"):
         verify(tmp_path)
     model.opset_import[0].version = 99
     onnx.save(model, str(tmp_path / "old.onnx"))

@@ -11,8 +11,8 @@ from export.onnx.golden import golden_frames
 from export.onnx.model import open_model
 from export.onnx.verify import decide
 from export.quantise.quantise import store_fp16
+from export.tradeoff import builds
 from export.tradeoff import tradeoff as room
-from export.tradeoff import twins
 from export.tradeoff.candidates import Candidate, find_candidates
 from export.tradeoff.points import (
     Point,
@@ -98,7 +98,7 @@ def test_a_network_is_not_asked_twice_and_its_answers_are_kept(models, decisions
         score([joint], decisions, kept)
 
 
-def test_a_twin_is_judged_by_the_commands_of_its_source(models, decisions, tmp_path):
+def test_a_build_is_compared_by_the_commands_of_its_source(models, decisions, tmp_path):
     store_fp16(models.parent / "joint" / "joint.step.onnx", tmp_path / "joint.step.onnx")
     candidates = find_candidates([models.parent / "joint", tmp_path])
     (row,) = agreements(candidates, score(candidates, decisions))
@@ -106,8 +106,16 @@ def test_a_twin_is_judged_by_the_commands_of_its_source(models, decisions, tmp_p
 
 
 def test_one_page_and_one_figure_show_all_three_rooms(table, tmp_path):
-    about = {"cpu": "a processor", "split": "validation", "data": "abc", "decisions": 2, "crowding": 1.1}
-    about["agreement"] = [{"name": "a network int8", "verdict": "99 % of the commands"}]
+    about = {
+        "cpu": "a processor",
+        "split": "validation",
+        "data": "abc",
+        "decisions": 2,
+        "crowding": 1.1,
+        "commit": "abcdef",
+        "refused": ["models int8-static: far off"],
+    }
+    about["agreement"] = [{"name": "a network int8", "summary": "99 % of the commands"}]
     write(table, about, tmp_path / "tradeoff.md")
     draw(table, tmp_path / "tradeoff.png")
     text = (tmp_path / "tradeoff.md").read_text()
@@ -115,18 +123,17 @@ def test_one_page_and_one_figure_show_all_three_rooms(table, tmp_path):
     assert (tmp_path / "tradeoff.png").stat().st_size > 10_000
 
 
-def test_a_twin_says_what_it_saves_and_whether_it_keeps_the_commands():
-    costs = {"fp32": (1.0, 4.0), "int8": (0.5, 1.0), "int8 dynamic": (1.0, 1.5), "fp16": (1.0, 2.0)}
+def test_a_build_says_what_it_saves_and_whether_it_keeps_the_commands():
+    costs = {"fp32": (1.0, 4.0), "int8 blocked": (0.5, 1.0), "int8 dynamic": (1.0, 1.5), "int8 static": (1.2, 4.1)}
     points = [point(name, 0.9, 8 * time_ms) for name, (time_ms, _) in costs.items()]
     for entry, (name, (time_ms, size_mb)) in zip(points, costs.items(), strict=True):
         entry.about.update(kind="pair", precision=name, step_cpu_ms=time_ms, size_mb=size_mb)
-    rows = [{"name": f"a pair {name}", "same_command": kept} for name, kept in (("int8", 1.0), ("int8 dynamic", 0.9))]
-    first, second = gains([*rows, {"name": "a pair fp16", "same_command": 1.0}], points)
-    assert (
-        first
-        == "- a pair int8 takes 0.50 of fp32's time and 0.25 of its size (0.50 of fp16's): it saves time and space."
-    )
+    kept = {"int8 blocked": 1.0, "int8 dynamic": 0.9, "int8 static": 1.0}
+    rows = [{"name": f"a pair {name}", "same_command": share} for name, share in kept.items()]
+    first, second, third = gains(rows, points)
+    assert first == "- a pair int8 blocked takes 0.50 of fp32's time and 0.25 of its size: it saves time and space."
     assert second.endswith("it saves space, but keeps less than 99 % of the commands: it does not pay.")
+    assert third.endswith("it saves nothing.")
 
 
 def test_no_point_of_the_front_is_beaten():
@@ -155,9 +162,9 @@ def test_a_point_without_a_number_is_refused():
 
 
 def test_mean_trials_of_a_closed_loop_are_pooled_by_insertions(tmp_path):
-    row = {"who": "belief", "scene": "circle", "condition": "", "eyes": "pictures", "mean_trials_standard_error": 0.1}
+    row = {"controller": "belief", "training": True, "condition": "", "mean_trials_standard_error": 0.1}
     rows = [row | {"mean_trials": 2.0, "insertions": 30}, row | {"mean_trials": 4.0, "insertions": 10}]
-    rows.append(row | {"mean_trials": 16.0, "insertions": 90, "scene": "mustard"})
+    rows.append(row | {"mean_trials": 16.0, "insertions": 90, "training": False})
     path = tmp_path / "closed_loop.json"
     path.write_text(json.dumps({"summaries": rows, "setup": {"belief/a.onnx": hashlib.sha256(b"a").hexdigest()}}))
     mean, low, high = closed_loop_trials(path, "belief")
@@ -173,7 +180,7 @@ def test_mean_trials_of_a_closed_loop_are_pooled_by_insertions(tmp_path):
 def test_mean_trials_belong_to_the_very_files_that_played_wherever_they_lie(models, tmp_path):
     (pair,) = find_candidates([models])
     together = Candidate(pair.name, "shared", models / "pair", pair.models[:1])
-    row = {"who": "paper", "scene": "circle", "condition": "", "mean_trials": 2.0, "insertions": 30}
+    row = {"controller": "paper", "training": True, "condition": "", "mean_trials": 2.0, "insertions": 30}
     setup = {f"paper/{model.file.name}": hashlib.sha256(model.file.read_bytes()).hexdigest() for model in pair.models}
     report = {"summaries": [row | {"mean_trials_standard_error": 0.1}], "setup": setup}
     (tmp_path / "closed_loop.json").write_text(json.dumps(report))
@@ -184,15 +191,6 @@ def test_mean_trials_belong_to_the_very_files_that_played_wherever_they_lie(mode
     (tmp_path / "closed_loop.json").write_text(json.dumps(report))
     (point,) = points_of(pair, timing(1.0), {8: Score([True], [1.0], [1.0])}, tmp_path)
     assert point.mean_trials is None
-
-
-@pytest.mark.parametrize("text", ["{", "{}", '{"mean_trials": 3, "interval": [4, 5]}'])
-def test_a_bad_evaluation_beside_the_models_is_named(models, tmp_path, text):
-    for name in ("direction.step.onnx", "magnitude.step.onnx"):
-        (tmp_path / name).write_bytes((models / name).read_bytes())
-    (tmp_path / "evaluation.json").write_text(text)
-    with pytest.raises(ContractError, match=r"evaluation\.json"):
-        find_candidates([tmp_path])[0].mean_trials()
 
 
 def test_a_budget_names_the_best_network_that_keeps_it(models, table, tmp_path, monkeypatch):
@@ -213,17 +211,7 @@ def test_a_report_that_is_none_is_named(tmp_path):
         choose(5.0, tmp_path / "tradeoff.json", 0.0)
 
 
-def test_half_width_storage_halves_the_file_and_keeps_the_decision(models, decisions, tmp_path):
-    source = models / "direction.step.onnx"
-    twin = store_fp16(source, tmp_path / source.name)
-    assert open_model(twin).card.quantisation == "fp16"
-    wanted, got = (decide(open_model(file), decisions[0].frames[None])["logits"] for file in (source, twin))
-    assert np.abs(wanted - got).max() < 0.02
-    with pytest.raises(ContractError, match="already fp16"):
-        store_fp16(twin, tmp_path / "again.onnx")
-
-
-def test_a_killed_run_leaves_no_half_made_twin(tmp_path, monkeypatch):
+def test_a_killed_run_leaves_no_half_made_build(tmp_path, monkeypatch):
     """The next run would take it for finished: it is younger than its source."""
     source = tmp_path / "models" / "joint.step.onnx"
     source.parent.mkdir()
@@ -238,10 +226,10 @@ def test_a_killed_run_leaves_no_half_made_twin(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return out
 
-    monkeypatch.setattr(twins, "quantize", killed)
-    monkeypatch.setattr(twins, "store_fp16", killed)
-    monkeypatch.setattr(twins._Calibration, "decisions", [])
+    monkeypatch.setattr(builds, "quantise", killed)
+    monkeypatch.setattr(builds, "store_fp16", killed)
+    monkeypatch.setattr(builds._Calibration, "decisions", [])
     with pytest.raises(KeyboardInterrupt):
-        twins.make_twins([source.parent], tmp_path / "twins", "unused")
+        builds.make_builds([source.parent], tmp_path / "builds", "unused")
     assert begun[-1].parent.name == "fp16"
     assert not list(begun[-1].parent.iterdir())

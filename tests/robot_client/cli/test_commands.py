@@ -82,7 +82,7 @@ def test_a_file_that_is_no_log_is_refused_in_one_line(text, tmp_path):
 @pytest.mark.parametrize(
     ("toml", "expect"),
     [
-        ("[limits]\nmax_dx = 3", "limits.max_dx: unknown key; nearest allowed: max_dx_mm"),
+        ("[limits]\nmax_dx = 3", "limits.max_dx: unknown key; did you mean 'max_dx_mm'?"),
         ("[limits]\nx_mm = [1]", "limits.x_mm"),
         ("[limits]\nmax_dx_mm = nan", "limits.max_dx_mm"),
         ("[robot\n", "cannot read configuration"),
@@ -178,6 +178,41 @@ def test_without_live_nothing_is_connected(capsys):
     assert capsys.readouterr().out.count("DRY RUN") == 2
 
 
+@pytest.mark.parametrize("command", ["", "insert", "check", "home", "jog", "replay"])
+def test_help_fits_80_columns(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([*command.split(), "--help"])
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "expect"),
+    [
+        (["jog", "--z-mm", "60"], 0, {"done": True, "live": False}),
+        (["home"], 0, {"done": True, "steps": ["home default"]}),
+        (["jog", "--z-mm", "500"], 2, {"done": False, "error": "target z_mm = 500.000, allowed 5 .. 150"}),
+        (["check", "--service", "ws://127.0.0.1:9", "--rws-url", "http://127.0.0.1:9"], 1, {"ready": False}),
+    ],
+)
+def test_json_is_all_that_goes_to_stdout_and_agrees_with_the_exit_code(arguments, code, expect, capsys):
+    assert main([*arguments, "--json", "--gripper", "127.0.0.1:9"]) == code
+    out, err = capsys.readouterr()
+    result = json.loads(out)
+    assert result["done"] == (code == 0)
+    assert expect.items() <= result.items()
+    assert err
+
+
+def test_the_json_of_an_insertion_and_of_its_replay_agree(tmp_path, capsys):
+    log = tmp_path / "episode.jsonl"
+    assert main(["insert", "--x-mm", "8", "--log", str(log), "--json"]) == 0
+    inserted = json.loads(capsys.readouterr().out)
+    assert main(["replay", str(log), "--json"]) == 0
+    replayed = json.loads(capsys.readouterr().out)
+    assert (inserted["log"], inserted["phase"], inserted["attempts"]) == (str(log), "inserted", replayed["attempts"])
+
+
 def test_check_reads_every_device_and_moves_nothing(capsys):
     async def story():
         async with bench() as cell:
@@ -237,7 +272,7 @@ def test_jog_fails_safe_when_the_robot_stops(capsys):
         asyncio.run(story())
 
 
-def test_home_refuses_to_drop_a_part_and_acknowledges_only_when_told(capsys):
+def test_home_refuses_to_drop_a_part_and_acknowledges_only_on_request(capsys):
     async def story():
         async with bench(holding=True) as cell:
             with pytest.raises(GripperError, match="would drop"):

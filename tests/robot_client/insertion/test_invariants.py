@@ -16,7 +16,7 @@ from robot_client.insertion.events import (
     Hold,
     Move,
     PartLost,
-    Say,
+    Send,
     Standstill,
     Tick,
 )
@@ -114,7 +114,7 @@ class Watch:
             assert state.reason
             if not before.done:
                 assert any(isinstance(c, Hold) for c in commands)
-                self.aborts += sum(isinstance(c, Say) and c.message.type == "abort" for c in commands)
+                self.aborts += sum(isinstance(c, Send) and c.message.type == "abort" for c in commands)
                 assert self.aborts == 1
         self.check_reactions(before, event, state, commands)
         if not state.done and state.phase is not Phase.START:
@@ -138,7 +138,7 @@ class Watch:
     def check_command(self, before, state, command):
         if isinstance(command, Grasp):
             assert before.phase is Phase.GREETING
-        if isinstance(command, Say) and command.message.type == "arm":
+        if isinstance(command, Send) and command.message.type == "arm":
             self.arms.append(command.message.attempt)
             assert self.arms == list(range(1, len(self.arms) + 1))
             assert len(self.arms) <= 15

@@ -12,7 +12,7 @@ from robot_client.insertion.events import (
     Hold,
     Move,
     PartLost,
-    Say,
+    Send,
     Standstill,
     Tick,
 )
@@ -42,9 +42,9 @@ from tests.robot_client.insertion.stories import (
 def test_a_blocked_attempt_is_reported_corrected_in_the_air_and_tried_again():
     state, commands = run(TO_DECISION)
     assert state.phase is Phase.DECIDING
-    said = [c.message for c in commands if isinstance(c, Say)]
-    assert [m.type for m in said] == ["hello", "arm", "descending", "stopped"]
-    assert (said[-1].depth_mm, said[-1].outcome) == (7.0, "blocked")
+    sent = [c.message for c in commands if isinstance(c, Send)]
+    assert [m.type for m in sent] == ["hello", "arm", "descending", "stopped"]
+    assert (sent[-1].depth_mm, sent[-1].outcome) == (7.0, "blocked")
     state, (retract,) = step(state, service(correction(1)))
     assert (retract.motion, retract.target) == ("retract", APPROACH), "up along the vertical it came down"
     state, (travel,) = step(state, at(APPROACH))

@@ -159,7 +159,7 @@ ANGLE = st.floats(-720, 720) | st.sampled_from([0, 90, -90, 180, -180, 360, 179.
 
 @given(rotations(), rotations(), ANGLE, st.tuples(*[st.floats(-2000, 2000)] * 6))
 def test_poses_survive_the_way_to_the_controller_and_back_at_any_angle(rotation, tool, yaw, v):
-    frame = CellFrame(v[:3], rotation, tool)
+    frame = CellFrame(origin_mm=v[:3], rotation=rotation, tool=tool)
     start = WorkPose(x_mm=v[3], y_mm=v[4], z_mm=v[5], yaw_deg=yaw)
     back, tilt = frame.from_controller(frame.to_controller(start), near_yaw_deg=yaw)
     assert start.distance_mm(back) < 1e-8
@@ -169,7 +169,7 @@ def test_poses_survive_the_way_to_the_controller_and_back_at_any_angle(rotation,
 
 @given(rotations(), ANGLE, st.floats(-16, 16))
 def test_a_yaw_correction_turns_about_the_vertical_of_the_work_object_through_the_tcp(rotation, yaw, turn):
-    frame = CellFrame((10.0, 20.0, 30.0), rotation)
+    frame = CellFrame(origin_mm=(10.0, 20.0, 30.0), rotation=rotation)
     before = frame.to_controller(pose(x=5, yaw=yaw))
     after = frame.to_controller(pose(x=5, yaw=yaw).corrected(0.0, turn))
     assert (before.x_mm, before.y_mm, before.z_mm) == pytest.approx((after.x_mm, after.y_mm, after.z_mm))
@@ -181,12 +181,12 @@ def test_a_yaw_correction_turns_about_the_vertical_of_the_work_object_through_th
 def test_arrival_is_reported_once_after_settling():
     guide = MotionGuide(Limits(), Ramps(), pose())
     guide.move(pose(x=1), "travel")
-    now, told = 0.0, []
+    now, settled = 0.0, []
     for _ in range(2000):
         now += CYCLE_S
         measured = guide.advance(CYCLE_S)
-        told.append(guide.observe(measured, now))
-    assert [t for t in told if t] == ["arrived"]
+        settled.append(guide.observe(measured, now))
+    assert [t for t in settled if t] == ["arrived"]
 
 
 def test_standstill_waits_for_the_lagging_arm():

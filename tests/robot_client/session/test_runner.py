@@ -19,46 +19,46 @@ from tests.robot_client.insertion.stories import PLAN, TO_ARMING
 
 
 class Port:
-    """Any of the three ports: notes what it is told, in order, in a list that all share."""
+    """Any of the three ports: notes what it is asked, in order, in a list that all share."""
 
-    def __init__(self, name, told, breaks=""):
-        self.name, self.told, self.breaks = name, told, breaks
+    def __init__(self, name, notes, breaks=""):
+        self.name, self.notes, self.breaks = name, notes, breaks
         self.closing = asyncio.Event()
 
     async def start(self, post):
-        self.told.append(f"start {self.name}")
+        self.notes.append(f"start {self.name}")
         if self.breaks:
             post(Failure(at_s=0.0, source="gripper", code="link", detail=self.breaks))
         return TO_ARMING[0].pose
 
     def hold(self, _reason, *, stop):  # noqa: ARG002 the port's signature
-        self.told.append(f"hold {self.name}")
+        self.notes.append(f"hold {self.name}")
 
     def send(self, _message):
         pass
 
     def grasp(self):
-        self.told.append("grasp")
+        self.notes.append("grasp")
 
     def statistics(self):
         return {}
 
     async def close(self):
-        self.told.append(f"stopping {self.name}")
+        self.notes.append(f"stopping {self.name}")
         await self.closing.wait()
-        self.told.append(f"stopped {self.name}")
+        self.notes.append(f"stopped {self.name}")
         return "controller confirms"
 
 
-def runner(told, observers=(), **breaks):
-    arm, gripper, service = (Port(name, told, breaks.get(name, "")) for name in ("arm", "gripper", "service"))
+def runner(notes, observers=(), **breaks):
+    arm, gripper, service = (Port(name, notes, breaks.get(name, "")) for name in ("arm", "gripper", "service"))
     return Runner(PLAN, arm, gripper, service, Recorder(None, PLAN), observers)
 
 
 def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_the_first_press_asked_for():
     async def story():
-        told = []
-        run = runner(told)
+        notes = []
+        run = runner(notes)
         task = asyncio.ensure_future(run.run())
         await asyncio.sleep(0.05)
         for _ in range(3):
@@ -68,7 +68,7 @@ def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_the_firs
         for port in (run.arm, run.service, run.gripper):
             port.closing.set()
         state = await task
-        assert told[-6:] == [
+        assert notes[-6:] == [
             f"{word} {name}" for name in ("arm", "service", "gripper") for word in ("stopping", "stopped")
         ]
         assert (state.phase, run.farewell) == (Phase.FAILED, "controller confirms")
@@ -78,13 +78,13 @@ def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_the_firs
 
 def test_no_program_is_started_once_a_device_has_failed():
     async def story():
-        told = []
-        run = runner(told, service="gone")
+        notes = []
+        run = runner(notes, service="gone")
         for port in (run.arm, run.service, run.gripper):
             port.closing.set()
         state = await run.run()
         assert state.phase is Phase.FAILED
-        assert "start arm" not in told
+        assert "start arm" not in notes
 
     asyncio.run(story())
 
@@ -130,8 +130,8 @@ def test_an_insertion_ends_as_it_would_have_where_nobody_reads_its_lines(tmp_pat
     arguments = [sys.executable, "-m", "robot_client", "insert", "--x-mm", "8", "--log", str(tmp_path / "log.jsonl")]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as client:
         client.stdout.close()
-        said = client.stderr.read()
-    assert (client.returncode, said) == (0, "")
+        errors = client.stderr.read()
+    assert (client.returncode, errors) == (0, "")
 
 
 @pytest.mark.parametrize("ignored", [False, True])

@@ -10,7 +10,7 @@ from robot_client.settings import load_settings
 from service.contract.toml import read_toml
 from service.perception.rectification import Calibration
 from service.settings import read_settings
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from training.config import RunConfig
 from training.data.recipe_data import RecipeConfig
 

@@ -11,7 +11,7 @@ from service.perception.rectification import Calibration, Rectifier
 from service.session.factory import make_session
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from tests.service import drawn, tiny_models
 
 FREE = np.zeros((20, 21, 3), np.float32)

@@ -9,15 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.reader import make_reader
 
 from service import __main__ as entry
 from service.cameras.capture import CameraFrame
-from service.contract import TactileFrame, wire
-from service.recordings.protowire import COMPRESSED_IMAGE, MARKERS, RAW_IMAGE, Schema
+from service.contract import FrameSpec, TactileFrame, wire
+from service.perception.finger import TactileFinger
 from service.recordings.reader import Recording, RecordingError
 from service.recordings.recovery import recover
 from service.recordings.retention import make_room, prune
 from service.recordings.writer import Recorder
+from tests.service import drawn
 from tests.service.client import Driver
 from tests.service.conftest import LiveService
 
@@ -41,30 +43,26 @@ def test_a_recorded_insertion_is_decided_again_bit_for_bit(
     assert kinds == ["hello", *["armed", "slip", "correction"] * 2, "armed", "finished"]
 
 
-@pytest.mark.parametrize("schema", [COMPRESSED_IMAGE, RAW_IMAGE, MARKERS])
-def test_the_encoding_is_what_the_protobuf_library_reads(schema: Schema) -> None:
-    samples = {
-        "string": "jpeg",
-        "bytes": b"\0\xff" * 200,
-        "fixed32": 427,
-        "uint64": 2**40,
-        "float": 1.5,
-        "time": 1_700_000_000_123_456_789,
-        "floats": np.array([1, -2.5], "<f4").tobytes(),
-    }
-    values = {name: samples[kind] for name, _, kind in schema.fields}
+def test_recorded_markers_are_read_with_the_schema_that_lies_beside_them(tmp_path: Path) -> None:
+    """By a pool that knows nothing but the file."""
+    spec = FrameSpec(width_px=327, height_px=320)
+    watch = TactileFinger("left", spec, drawn.calibration().camera("left"))
+    observation = watch.observe(TactileFrame("left", 7, 123_456_789, drawn.raw("left", 0, 10, 16)))
+    recorder = Recorder(tmp_path, "markers", {})
+    recorder.observation(observation)
+    with recorder.close({}).open("rb") as stream:
+        ((schema, _, recorded),) = make_reader(stream).iter_messages()
     pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.descriptor_set()).file:
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
         pool.Add(file)
-    message = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))()
-    message.ParseFromString(schema.encode(values))
-    for name, _, kind in schema.fields:
-        value = getattr(message, name)
-        if kind == "time":
-            assert value.seconds * 10**9 + value.nanos == samples["time"]
-        else:
-            assert (list(value) == [1.0, -2.5]) if kind == "floats" else value == values[name]
-    assert schema.decode(message.SerializeToString()) == values
+    assert schema.name == "tactile_insertion.Markers"
+    message = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString(recorded.data)
+    field = observation.field
+    assert (message.seq, message.rows, message.cols) == (7, *field.valid.shape)
+    assert message.timestamp.ToNanoseconds() == recorded.log_time
+    np.testing.assert_array_equal(np.reshape(message.rest_px, field.rest_px.shape), field.rest_px.astype(np.float32))
+    assert message.valid == field.valid.astype(np.uint8).tobytes()
+    assert message.state == observation.slip.state
 
 
 def test_raw_frames_come_back_exactly(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def idle(tmp_path_factory: pytest.TempPathFactory, models_folder: Path) -> Itera
     settings = Settings(models=models_folder, camera_left="push:", camera_right="push:", recordings=folder)
     station = Station(settings, load_models(models_folder), None)
     yield station
-    station._worker.stop()
+    station._networks.shutdown()
 
 
 class Clock:

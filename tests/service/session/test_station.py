@@ -17,7 +17,7 @@ def idle(tmp_path: Path, models_folder: Path) -> Iterator[Station]:
     settings = Settings(models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path)
     station = Station(settings, load_models(models_folder), None)
     yield station
-    station._worker.stop()
+    station._networks.shutdown()
 
 
 def test_a_client_that_talks_all_the_time_does_not_keep_deadlines_from_being_looked_at(

@@ -10,7 +10,7 @@ from service.perception.rectification import Calibration, CalibrationError
 from service.tools.calibrate import fit_camera
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 REST = np.zeros((20, 21, 3), np.float32)
 INSIDE_PX = np.array([[[60, 40], [360, 40], [213, 160], [150, 280], [280, 280]]], float)

@@ -18,8 +18,8 @@ from websockets.sync.client import connect
 
 from service.contract import wire
 from service.settings import SettingsError, read_settings
-from service.web import gate, patience
-from service.web.gate import BURST_S, Rate
+from service.web import middleware, server
+from service.web.middleware import BURST_S, Rate
 from tests.service.conftest import LiveService, live_service
 
 
@@ -36,9 +36,9 @@ def test_no_client_gets_more_than_its_rate_and_its_burst(per_s: float, waits: li
 def test_a_rate_of_nothing_is_no_limit_and_old_clients_are_forgotten() -> None:
     assert all(Rate(0).allows("a") for _ in range(10_000))
     rate = Rate(1.0)
-    for client in range(gate.MAX_CLIENTS + 10):
+    for client in range(middleware.MAX_CLIENTS + 10):
         rate.allows(str(client), 0.0)
-    assert len(rate._left) == gate.MAX_CLIENTS
+    assert len(rate._left) == middleware.MAX_CLIENTS
 
 
 def test_a_client_too_fast_is_told_to_slow_down_and_health_goes_on(tmp_path: Path, models_folder: Path) -> None:
@@ -56,7 +56,7 @@ def test_a_client_too_fast_is_told_to_slow_down_and_health_goes_on(tmp_path: Pat
 
 
 def test_half_a_request_is_not_waited_for(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patience, "HEAD_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(server, "HEAD_TIMEOUT_S", 0.2)
     for said in (b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\nGET /heal"):
         with socket.create_connection(("127.0.0.1", live.port), 20) as link:
             link.sendall(said)
@@ -79,7 +79,7 @@ def test_a_head_without_end_is_refused(live: LiveService) -> None:
 
 
 def test_a_body_that_does_not_come_is_408(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate, "BODY_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(middleware, "BODY_TIMEOUT_S", 0.2)
     with socket.create_connection(("127.0.0.1", live.port), 20) as link:
         link.sendall(b"POST /v1/decisions HTTP/1.1\r\nHost: x\r\nContent-Length: 1000\r\n\r\nabc")
         assert b"408" in link.recv(4096).split(b"\r\n")[0]

@@ -111,7 +111,7 @@ PLAIN = "GET {} HTTP/1.1\r\nHost: x\r\n\r\n"
 def test_a_viewer_that_does_not_read_is_let_go(
     live: LiveService, monkeypatch: pytest.MonkeyPatch, request_text: str, path: str
 ) -> None:
-    monkeypatch.setattr("service.web.patience.READ_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("service.web.server.READ_TIMEOUT_S", 0.2)
     monkeypatch.setattr(live.fingers[0], "rate_hz", 200.0)
     with socket.socket() as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -5,7 +5,7 @@ import socket
 import httpx
 import pytest
 
-from robot_client.grippers.wsg50.codec import Command
+from robot_client.grippers.wsg50.codes import Command
 from simulation.cell.emulators.faults import FaultBoard, FaultError
 from simulation.cell.emulators.net import BusyPortError
 from simulation.cell.live import bind_all

@@ -12,10 +12,10 @@ import pytest
 
 from simulation.cell import run, run_report
 from simulation.cell.children import Child, ChildError
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene, training_objects
 
 
-@pytest.mark.parametrize("name", run.TRAINING_OBJECTS)
+@pytest.mark.parametrize("name", training_objects())
 def test_a_drawn_start_collides_and_repeats(name):
     scene = load_scene(name)
     for seed in range(20):
@@ -28,7 +28,7 @@ def test_a_drawn_start_collides_and_repeats(name):
 
 def test_all_objects_and_repeats_are_counted(tmp_path):
     found = run.starts(run.RunOptions(object="all", repeat=5, models=tmp_path))
-    assert [start.object for start in found[::5]] == list(run.TRAINING_OBJECTS)
+    assert [start.object for start in found[::5]] == list(training_objects())
     assert len(found) == 20
 
 

@@ -20,7 +20,7 @@ REFUSED = [
     ("robustness --models MODELS --out OUT --docs OUT --count 0", "--count 0"),
     ("robustness --models MODELS --out OUT --docs OUT --objects", "nothing to play"),
     ("robustness --models MODELS --out OUT --docs OUT --tiers", "nothing to play"),
-    ("evaluate --models MODELS --paper-models OUT --who paper --out OUT --docs OUT", "nothing to play"),
+    ("evaluate --models MODELS --paper-models OUT --controllers paper --out OUT --docs OUT", "nothing to play"),
     ("evaluate --models MODELS --out OUT --docs OUT --objects", "nothing to play"),
     ("run --timeout-s nan --out OUT", "--timeout-s nan"),
     ("cell --seed -1 --out OUT", "--seed -1"),

@@ -11,7 +11,7 @@ from simulation.__main__ import main
 from simulation.data.probe import run_probe
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 PROBE = ["probe", "circle", "--x-mm", "8", "--theta-deg", "5", "--seed", "3"]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from simulation.data.probe import QuasiStaticCell
 from simulation.physics.kernels import load_step
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 OWN = {
     "gravity": ("_gravity",),
@@ -31,9 +31,14 @@ ROUGH = {"gel__node_rows": 4, "gel__node_columns": 4, "numerics__load_step_mm": 
 def plain(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """The kernel with record arrays whose fields are attributes, as numba sees them."""
 
+    def view(argument: Any) -> Any:
+        if isinstance(argument, tuple):
+            return type(argument)(*map(view, argument))
+        has_fields = isinstance(argument, np.ndarray) and argument.dtype.names
+        return argument.view(np.recarray) if has_fields else argument
+
     def call(*arguments: Any) -> Any:
-        views = (a.view(np.recarray) if isinstance(a, np.ndarray) and a.dtype.names else a for a in arguments)
-        return kernel(*views)
+        return kernel(*map(view, arguments))
 
     return call
 

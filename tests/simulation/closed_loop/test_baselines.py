@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulation.closed_loop.baselines import (
-    CONTENDERS,
+    CONTROLLERS,
     DirectionOnly,
     View,
     blind_grid,
@@ -61,10 +61,10 @@ def test_the_lever_arm_gives_the_error_across_the_gap(x_mm, along_mm, force_n):
 
 
 def test_only_the_oracle_uses_the_truth():
-    for name, contender in CONTENDERS.items():
-        if contender.make is None:
+    for name, controller in CONTROLLERS.items():
+        if controller.make is None:
             continue
         seen = [
-            contender.make(5, REACH).choose(view(1, {"near": 1.0}, (1.0, 1.0), error)) for error in ((9, 9), (1, 0))
+            controller.make(5, REACH).choose(view(1, {"near": 1.0}, (1.0, 1.0), error)) for error in ((9, 9), (1, 0))
         ]
         assert (seen[0] != seen[1]) == (name == "oracle")

@@ -11,7 +11,7 @@ import pytest
 from simulation.cli import evaluate
 from simulation.cli import robustness as robustness_command
 from simulation.closed_loop import campaign, robustness
-from simulation.scene.scene import BUILT_IN, load_scene
+from simulation.scene.worlds import load_objects, load_scene, object_names
 from tests.service import tiny_models
 from tests.simulation.closed_loop.test_evaluation import ROW
 
@@ -23,9 +23,30 @@ def models(tmp_path_factory):
     return tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")
 
 
-def arguments(models, out, count=2, who=("belief",)):
-    given = ["--objects", "circle", "--count", str(count), "--baseline-count", str(count), "-j", "1", "--eyes", "gel"]
-    return [*given, "--out", str(out), "--docs", str(out / "docs"), "--models", str(models), "--who", *who]
+def arguments(models, out, count=2, controllers=("belief",)):
+    given = [
+        "--objects",
+        "circle",
+        "--count",
+        str(count),
+        "--baseline-count",
+        str(count),
+        "-j",
+        "1",
+        "--perception",
+        "fields",
+    ]
+    return [
+        *given,
+        "--out",
+        str(out),
+        "--docs",
+        str(out / "docs"),
+        "--models",
+        str(models),
+        "--controllers",
+        *controllers,
+    ]
 
 
 def test_an_unknown_name_or_models_folder_is_named(models, tmp_path):
@@ -34,15 +55,18 @@ def test_an_unknown_name_or_models_folder_is_named(models, tmp_path):
     with pytest.raises(ValueError, match="nowhere"):
         evaluate.main(["--models", "nowhere", "--out", str(tmp_path)])
     with pytest.raises(ValueError, match="psychic"):
-        evaluate.main(["--who", "psychic", "--out", str(tmp_path)])
+        evaluate.main(["--controllers", "psychic", "--out", str(tmp_path)])
     with pytest.raises(ValueError, match="earthquake"):
         robustness_command.main(["--only", "earthquake", "--models", str(models), "--out", str(tmp_path)])
 
 
 def test_a_finished_run_is_not_played_again(models, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played again"))
-    options = evaluate.Options(objects=("circle",), count=2, models=models, eyes="gel")
-    done = [dict(ROW) | dict(task.job) | {"attempts": 1} for task in evaluate.tasks(options, ("belief",))]
+    options = evaluate.Options(objects=("circle",), count=2, models=models, perception="fields")
+    done = [
+        dict(ROW) | dict(task.job) | {"attempts": 1}
+        for task in evaluate.tasks(options, ("belief",), load_objects(options.objects))
+    ]
     log = tmp_path / "insertions.jsonl"
     log.write_text("\n".join(json.dumps(row) for row in done) + '\n{"cut by a ki')
     assert evaluate.main(arguments(models, tmp_path)) == 0
@@ -74,7 +98,14 @@ def test_a_folder_that_does_not_say_what_made_it_is_refused_by_name(tmp_path, te
 
 
 def test_a_disturbance_that_was_changed_is_played_again_and_nothing_counts_twice(tmp_path, monkeypatch):
-    job = {"condition": "bristle: clearance", "scene": "circle", "who": "belief", "eyes": "gel", "seed": 1, "index": 0}
+    job = {
+        "condition": "bristle: clearance",
+        "scene": "circle",
+        "controller": "belief",
+        "perception": "fields",
+        "seed": 1,
+        "index": 0,
+    }
     was, now = ({**job, "changes": {"blocks.gap_mm": gap}} for gap in (53.0, 54.0))
     (tmp_path / "log").write_text(json.dumps(was | {"attempts": 1}) + "\n")
     monkeypatch.setattr(campaign, "play", lambda task: dict(task.job) | {"attempts": 2})
@@ -85,7 +116,7 @@ def test_a_disturbance_that_was_changed_is_played_again_and_nothing_counts_twice
 
 
 def test_a_row_without_networks_is_left_out(models):
-    options = evaluate.Options(models=models, paper_models=models / "none", who=("belief", "paper", "joint"))
+    options = evaluate.Options(models=models, paper_models=models / "none", controllers=("belief", "paper", "joint"))
     assert evaluate.entered(options) == ("belief",)
 
 
@@ -108,7 +139,7 @@ def test_a_killed_run_goes_on_where_it_was(models, tmp_path):
     assert after[: len(before)] == before
 
 
-@pytest.mark.parametrize("scene", BUILT_IN)
+@pytest.mark.parametrize("scene", object_names())
 def test_every_disturbance_makes_a_possible_scene(scene):
     cell = load_scene(scene, blocks__free=True)
     for name, condition in robustness.CONDITIONS.items():
@@ -117,18 +148,20 @@ def test_every_disturbance_makes_a_possible_scene(scene):
 
 
 def test_a_disturbance_that_only_pictures_show_is_played_with_pictures(models):
-    options = robustness_command.Options(models=models, objects=("circle",), count=1, eyes="gel")
-    eyes = {robustness.name_of(task.job): task.job["eyes"] for task in robustness_command.tasks(options)}
-    assert {name for name, seen in eyes.items() if seen == "pictures"} == {
+    options = robustness_command.Options(models=models, objects=("circle",), count=1, perception="fields")
+    played = {robustness.name_of(task.job): task.job["perception"] for task in robustness_command.tasks(options)}
+    assert {name for name, perception in played.items() if perception == "pictures"} == {
         "gel worn out",
         "left camera dark",
         "left camera frozen",
     }
 
 
-def test_the_robustness_report_names_its_eyes():
+def test_the_robustness_report_names_its_perception():
     rows = [ROW | {"condition": robustness.label("bristle", name)} for name in robustness.CONDITIONS]
-    text = robustness.report([row | {"eyes": "pictures" if "gel" in row["condition"] else "gel"} for row in rows])
+    text = robustness.report(
+        [row | {"perception": "pictures" if "gel" in row["condition"] else "fields"} for row in rows]
+    )
     assert "true marker field" in text
     assert "drawn: gel friction x 0.7, gel friction x 1.4" in text
 

@@ -8,9 +8,10 @@ import pytest
 
 from service.decision.models import load_models
 from simulation.closed_loop.baselines import Oracle, error_from_levers, lever_arms_mm
+from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import LockstepCell
-from simulation.closed_loop.play import Job, insert, stage
-from simulation.scene.scene import load_scene
+from simulation.closed_loop.play import insert, stage
+from simulation.scene.worlds import load_scene
 from tests.service import tiny_models
 
 RELEASED = Path(__file__).parents[3] / "models"
@@ -21,12 +22,12 @@ def models(tmp_path_factory):
     return load_models(tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny"))
 
 
-def job(scene="rectangle", x_mm=8.0, theta_deg=0.0, seed=1, who="oracle", **more):
-    return Job(scene, 0, x_mm, theta_deg, seed, who, **more)
+def job(scene="rectangle", x_mm=8.0, theta_deg=0.0, seed=1, controller="oracle", **more):
+    return Job(scene, 0, x_mm, theta_deg, seed, controller, **more)
 
 
 def test_an_object_above_its_gap_goes_in_at_once(models):
-    row = insert(job(x_mm=0.0, who="heuristic"), models)
+    row = insert(job(x_mm=0.0, controller="heuristic"), models)
     assert row["inserted"]
     assert row["attempts"] == 1
     assert row["course"]["block_mm"] < 0.5
@@ -47,7 +48,7 @@ def test_a_blocked_object_is_stopped_by_slip_and_inserted_by_a_true_correction(m
 )
 def test_an_object_that_slid_up_in_the_hand_without_a_slip_message_is_not_claimed(models, changes):
     """Yawed above the gap's middle it stands on both blocks: the whole patch slides straight up at once."""
-    slides = job(x_mm=0.0, theta_deg=8.0, who="heuristic", eyes="gel", changes=changes)
+    slides = job(x_mm=0.0, theta_deg=8.0, controller="heuristic", perception="fields", changes=changes)
     by_depth, by_look = stage(slides, models), stage(slides, models)
     by_depth.session.looks = False
     blind = by_depth.run()
@@ -115,15 +116,15 @@ def test_drawing_late_gives_the_bits_of_drawing_now():
 
 def test_looking_at_the_gel_stops_where_looking_at_pictures_stops(models):
     forces = []
-    for eyes in ("pictures", "gel"):
-        play = stage(job("hexagon", 9.0, 4.0, 3, "direction", eyes=eyes), models)
+    for perception in ("pictures", "fields"):
+        play = stage(job("hexagon", 9.0, 4.0, 3, "direction", perception=perception), models)
         play.chooser = Oracle()
         forces.append(play.run().trials[0]["wrench"][2])
     assert forces[1] == pytest.approx(forces[0], rel=0.3)
 
 
 def test_a_dark_camera_arms_nothing_and_moves_nothing(models):
-    row = insert(job(dead="dark", who="heuristic"), models)
+    row = insert(job(dead="dark", controller="heuristic"), models)
     assert not row["inserted"]
     assert row["trials"] == []
     assert row["course"]["force_n"] < 2.0
@@ -136,14 +137,14 @@ def test_dropped_frames_still_end_in_an_answer(models):
 
 
 def test_a_row_says_which_job_it_came_from(models):
-    asked = job("circle", 0.0, who="grid", condition="layer: as trained", changes={"gel.tier": "layer"})
+    asked = job("circle", 0.0, controller="grid", condition="layer: as trained", changes={"gel.tier": "layer"})
     assert insert(asked, models).items() >= dataclasses.asdict(asked).items()
 
 
 @pytest.mark.slow
 def test_an_object_that_blocked_attempts_pushed_up_in_the_hand_is_brought_all_the_way_in() -> None:
     """At the depth told its bottom would be 5 mm too high, and still be claimed."""
-    start = Job("white_box", 17, 0.008142816554850718, 13.757468583277417, 17, "belief", "gel")
+    start = Job("white_box", 17, 0.008142816554850718, 13.757468583277417, 17, "belief", "fields")
     row = insert(start, load_models(RELEASED))
     assert row["course"]["slipped_mm"] > 5.0, "this start no longer shows it: look for another one"
     assert row["claimed"]
@@ -153,6 +154,6 @@ def test_an_object_that_blocked_attempts_pushed_up_in_the_hand_is_brought_all_th
 @pytest.mark.slow
 def test_a_contact_that_is_about_to_leave_an_edge_settles_though_slowly() -> None:
     """Friction limits there need 600 to 900 damped rounds; given 300, this insertion ended without an equilibrium."""
-    row = insert(Job("can", 0, 15.0, 15.0, 0, "belief", "gel"), load_models(RELEASED))
+    row = insert(Job("can", 0, 15.0, 15.0, 0, "belief", "fields"), load_models(RELEASED))
     assert not row["void"], row["reason"]
     assert row["inserted"]

@@ -14,10 +14,10 @@ DECISION = {
 }
 ROW = {
     "scene": "rectangle",
-    "who": "belief",
+    "controller": "belief",
     "index": 0,
     "seed": 0,
-    "eyes": "pictures",
+    "perception": "pictures",
     "condition": "",
     "inserted": True,
     "claimed": True,
@@ -68,7 +68,7 @@ def test_the_table_says_whose_figures_are_simulated():
 
 def test_a_shortfall_is_named_with_its_cause():
     failed = ROW | {"inserted": False, "attempts": 15}
-    oracle = ROW | {"who": "oracle", "attempts": 2}
+    oracle = ROW | {"controller": "oracle", "attempts": 2}
     text = report.report([failed, oracle], statistics.summarise([failed, oracle]))
     assert "99.0 points of success, 12.70 trials" in text
     assert "controller" in text
@@ -103,7 +103,7 @@ def test_first_estimates_are_judged_against_the_truth():
 def test_baselines_are_compared_on_the_starts_that_they_played():
     """The extremes come first: of 4 starts they are all, of 8 half."""
     mine = [ROW | {"index": index, "attempts": 3 if index < 4 else 1} for index in range(8)]
-    theirs = [ROW | {"index": index, "who": "oracle", "attempts": 2} for index in range(4)]
+    theirs = [ROW | {"index": index, "controller": "oracle", "attempts": 2} for index in range(4)]
     shared = report.on_shared_starts(mine + theirs)
     table = "\n".join(report.baseline_table(statistics.summarise(mine + theirs), shared))
     assert "our networks (8) | 100%, 2.00 " in table

@@ -1,16 +1,16 @@
-"""What the cheap eyes see of the gel is what the tracker sees in pictures of it, smear of the exposure included."""
+"""True marker fields agree with those tracked in pictures, smear of the exposure included."""
 
 import numpy as np
 
 from service.perception.markers.tracker import MarkerTracker
 from simulation.closed_loop.lockstep import LockstepCell
-from simulation.closed_loop.true_fields import GelFinger
-from simulation.scene.scene import load_scene
+from simulation.closed_loop.true_fields import TrueFieldFinger
+from simulation.scene.worlds import load_scene
 
 
-def test_the_cheap_eyes_see_a_moving_gel_where_the_tracker_does() -> None:
+def test_true_fields_of_a_moving_gel_lie_where_the_tracker_finds_them() -> None:
     world = LockstepCell.build(load_scene("rectangle"), 6.0, 0.0, seed=3)
-    finger, tracker = GelFinger(world, "left"), MarkerTracker()
+    finger, tracker = TrueFieldFinger(world, "left"), MarkerTracker()
     rest = finger.observe(world.next_pair().left)
     first = tracker.update(np.asarray(rest.image), 0)
     px_per_mm, gel_at_rest = first.pitch_px / world.scene.sensor.marker_pitch_mm, world.state.gel[0]

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulation.data.collect import POKES_PER_FIXTURE, Options, Plan, asked_manifest, make_shard, pokes, shard_of
+from simulation.cli.dataset import CollectOptions, asked_manifest
+from simulation.data.collect import POKES_PER_FIXTURE, Plan, make_shard, pokes, shard_of
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.data.manifest import read_manifest
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from tests.simulation.strategies import made_up_manifest
 
 COLLECT = [sys.executable, "-m", "simulation", "collect", "--objects", "circle", "--trials-per-shard", "3"]
@@ -162,7 +163,7 @@ def test_bad_input_is_one_line_and_exit_2(made: Path, arguments: list[str], mess
 
 
 def test_shards_of_two_physics_are_not_mixed(tmp_path: Path) -> None:
-    asked = asked_manifest(Options(objects=("circle",), trials_per_object=6, trials_per_shard=3))
+    asked = asked_manifest(CollectOptions(objects=("circle",), trials_per_object=6, trials_per_shard=3))
     with DatasetWriter(tmp_path, asked.model_copy(update={"physics": "0" * 64})) as writer:
         before = (tmp_path / "manifest.json").read_bytes()
         with pytest.raises(DatasetError, match="the physics has changed"):
@@ -176,7 +177,7 @@ def test_two_scenes_of_one_name_are_refused_before_anything_is_made(tmp_path: Pa
     mine.write_bytes((Path(__file__).parents[3] / "simulation/objects/circle.toml").read_bytes())
     for objects in (("circle", str(mine)), ()):
         with pytest.raises(DatasetError, match="no two of the same name"):
-            asked_manifest(Options(objects=objects))
+            asked_manifest(CollectOptions(objects=objects))
 
 
 def test_a_scene_that_never_collides_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,6 +198,6 @@ def test_a_scene_file_draws_the_same_wherever_it_lies(tmp_path: Path) -> None:
 
 
 def test_the_asked_size_is_rounded_up_to_whole_shards(tmp_path: Path) -> None:
-    options = Options(out=tmp_path, trials_per_object=11, trials_per_shard=5, objects=("circle", "rectangle"))
+    options = CollectOptions(out=tmp_path, trials_per_object=11, trials_per_shard=5, objects=("circle", "rectangle"))
     missing = asked_manifest(options).missing_shards()
     assert missing == [(name, n) for n in range(3) for name in ("circle", "rectangle")]

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 
-from simulation.data import export
+from simulation.cli.dataset import export_dataset
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 
@@ -30,7 +30,7 @@ def lerobot(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("lerobot")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("simulation.data.lerobot.EPISODES_PER_FILE", 2)
-        assert export.main([str(source), "--out", str(out), "--count", "3"]) == 0
+        assert export_dataset([str(source), "--out", str(out), "--count", "3"]) == 0
     return out
 
 
@@ -69,7 +69,7 @@ def test_lerobot_frames_are_the_dataset_s_without_loss(source: Path, lerobot: Pa
 
 def test_mcap_holds_images_dots_and_truth(source: Path, tmp_path: Path) -> None:
     command = [str(source), "--out", str(tmp_path / "out"), "--layout", "mcap", "--first", "3", "--count", "1"]
-    assert export.main(command) == 0
+    assert export_dataset(command) == 0
     with (tmp_path / "out/trial-000003.mcap").open("rb") as file:
         reader = make_reader(file)
         metadata = {entry.name: entry.metadata for entry in reader.iter_metadata()}
@@ -89,7 +89,7 @@ def test_mcap_holds_images_dots_and_truth(source: Path, tmp_path: Path) -> None:
 def test_nothing_is_overwritten_and_nothing_is_made_up(source: Path, tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(DatasetError, match="not empty"):
-        export.main([str(source), "--out", str(tmp_path)])
+        export_dataset([str(source), "--out", str(tmp_path)])
     with pytest.raises(DatasetError, match="no trials from number 99"):
-        export.main([str(source), "--out", str(tmp_path / "new"), "--first", "99"])
+        export_dataset([str(source), "--out", str(tmp_path / "new"), "--first", "99"])
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]

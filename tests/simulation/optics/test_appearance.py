@@ -6,7 +6,7 @@ import pytest
 
 from service.contract import Sensor
 from simulation.optics.renderer import Appearance
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 
 def test_an_appearance_survives_json_and_depends_on_finger_and_seed() -> None:

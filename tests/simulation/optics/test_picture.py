@@ -61,5 +61,5 @@ def test_view_draws_the_trials_asked_for(tmp_path: Path) -> None:
 
 
 def test_the_plate_of_the_docs_can_be_made_again(tmp_path: Path) -> None:
-    assert imprint.main(["--out", str(tmp_path / "plate.png"), "--objects", "circle"]) == 0
-    assert cv2.imread(str(tmp_path / "plate.png")) is not None
+    assert imprint.main(["--out", str(tmp_path / "imprint.png"), "--objects", "circle"]) == 0
+    assert cv2.imread(str(tmp_path / "imprint.png")) is not None

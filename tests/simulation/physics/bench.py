@@ -12,7 +12,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from robot_client.grippers.wsg50.codec import Command, Reply, Status, StreamParser, decode_reply, encode_request
+from robot_client.grippers.wsg50.codec import Reply, StreamParser, decode_reply, encode_request
+from robot_client.grippers.wsg50.codes import Command, Status
 from service.contract import Sensor
 from simulation.cell.emulators.abb.motion import Pose, tool_down
 from simulation.cell.live import APPROACH_MM, LiveCell, Plant, bind_all

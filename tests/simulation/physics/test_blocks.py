@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulation.data.probe import CellState, QuasiStaticCell
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 WIDTH_MM, HEIGHT_MM, WEIGHT_N = 20.0, 100.0, 0.6 * 9.81
 DEEP_MM = 7.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulation.data.probe import CellState, QuasiStaticCell
-from simulation.scene.scene import BUILT_IN, load_scene
+from simulation.scene.worlds import load_scene, object_names
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 TIERS = ("bristle", "layer")
@@ -56,7 +56,7 @@ def test_the_error_falls_faster_than_the_nodes_pitch(name: str) -> None:
     assert errors[0] > errors[1] > errors[2]
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", object_names())
 def test_the_default_load_step_errs_by_less_than_the_limits(name: str) -> None:
     _, reference = pressed(name, numerics__load_step_mm=0.01)
     micrometres, degrees = apart(pressed(name)[1], reference)

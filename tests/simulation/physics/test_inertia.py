@@ -5,7 +5,7 @@ import pytest
 
 from simulation.data.probe import QuasiStaticCell, run_probe
 from simulation.scene.effects import active_effects, inertia_share
-from simulation.scene.scene import BUILT_IN, load_scene
+from simulation.scene.worlds import load_scene, object_names
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 
@@ -36,7 +36,7 @@ def test_an_object_that_is_stopped_swings_as_a_mass_on_the_gels_springs() -> Non
     assert 1e-4 * int(np.argmax(np.array(heights) > 0.0)) == pytest.approx(np.pi / omega, rel=0.02)
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", object_names())
 def test_the_shipped_scenes_are_too_slow_and_light_for_inertia(name: str) -> None:
     scene = load_scene(name)
     assert inertia_share(scene) < 0.1

@@ -12,7 +12,8 @@ from scipy.linalg import expm
 from simulation.data.probe import CellState, QuasiStaticCell, run_probe
 from simulation.physics import elastic_layer
 from simulation.physics.quasistatic import PhysicsError
-from simulation.scene.scene import SceneError, load_scene
+from simulation.scene.scene import SceneError
+from simulation.scene.worlds import load_scene
 from simulation.studies import theory
 
 CLEAN = theory.STRAIGHT

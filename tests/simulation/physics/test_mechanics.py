@@ -10,7 +10,7 @@ import pytest
 
 from simulation.data.probe import PhysicsError, QuasiStaticCell, run_probe
 from simulation.physics.state import Reason
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from simulation.studies.hard_probes import ImpossibleStateError, Tally, _check, hard_probe, run
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}

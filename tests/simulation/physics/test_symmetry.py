@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulation.data.probe import Probe, run_probe
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 CASES = [("rectangle", 7.0, 6.0), ("hexagon", 5.0, -8.0), ("circle", 9.0, 0.0)]

@@ -20,7 +20,8 @@ from simulation.optics import renderer, texture
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.effects import EFFECTS, active_effects, decide, dropped_share
-from simulation.scene.scene import Scene, load_scene
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 NOISE_MM = 0.005  # markers are tracked to some 0.05 px

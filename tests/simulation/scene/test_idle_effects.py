@@ -7,7 +7,7 @@ from simulation.data.probe import run_probe
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.effects import EFFECTS, dropped_share
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 FRAMES = ("gel", "slipping", "depth_mm", "block_motion")

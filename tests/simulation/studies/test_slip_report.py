@@ -7,15 +7,9 @@ import pytest
 
 from service.perception.markers.tracker import MarkerTracker
 from simulation.__main__ import main
-from simulation.studies.slip.detection import Tally, alarm_of, true_fields, wilson
-from simulation.studies.slip.tracker_costs import accuracy_at_noise
+from simulation.studies.slip.detection import Tally, alarm_of, true_fields
+from simulation.studies.slip.trackers import accuracy_at_noise
 from simulation.studies.slip.trials import draw_trials
-
-
-def test_wilson_matches_the_textbook():
-    share, low, high = wilson(86, 100)
-    assert (round(share, 2), round(low, 3), round(high, 3)) == (0.86, 0.779, 0.915)
-    assert wilson(0, 0)[1:] == (0.0, 1.0)
 
 
 def test_trials_know_their_truth_and_repeat():
@@ -32,16 +26,16 @@ def test_trials_know_their_truth_and_repeat():
 def test_a_late_and_an_early_alarm_are_not_right():
     trial = next(trial for trial in draw_trials(16, 3, 30) if trial.label == "slip")
     tally = Tally()
-    tally.judge(trial, 1)
-    tally.judge(trial, None)
-    tally.judge(trial, trial.slip_frame)
+    tally.add(trial, 1)
+    tally.add(trial, None)
+    tally.add(trial, trial.slip_frame)
     assert (tally.false, tally.missed, tally.right) == (1, 1, 1)
 
 
 def test_slip_is_seen_on_true_fields_of_every_object():
     tally = Tally()
     for trial in draw_trials(16, 5, 30):
-        tally.judge(trial, alarm_of(true_fields(trial)))
+        tally.add(trial, alarm_of(true_fields(trial)))
     assert tally.right >= tally.trials - 1
 
 
@@ -51,10 +45,10 @@ def test_displacements_are_within_the_limits_on_simulated_trials(count):
     trials = [trial for trial in draw_trials(count, 1, 30) if trial.label == "slip"]
     assert trials
     for noise, limit_px in ((2.0, 0.06), (6.0, 0.10)):
-        seen = accuracy_at_noise(trials, noise, {"standard": MarkerTracker})["standard"]
-        assert np.sqrt(2) * seen["rms_px"] < limit_px
-        assert seen["wrong_share"] < 0.001
-        assert seen["seen_share"] > 0.95
+        found = accuracy_at_noise(trials, noise, {"standard": MarkerTracker})["standard"]
+        assert np.sqrt(2) * found["rms_px"] < limit_px
+        assert found["wrong_share"] < 0.001
+        assert found["tracked_share"] > 0.95
 
 
 def test_bad_counts_are_refused(capsys):

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from simulation.__main__ import main
-from simulation.studies.stop_latency import WAYS, Stops, row, table
+from simulation.studies.stop_latency import WAYS, Stops, stop_page
 
 MS = 1_000_000
 
@@ -26,13 +26,12 @@ def test_a_stop_counts_from_the_sending_of_the_frame_that_shows_slip(tmp_path):
     together = Stops()
     together.add(log, {"frames_sent_ns": {"left": sent}, "stops": stops})
     assert (together.drawn_ms, together.frozen_ms, together.rest_ms) == ([20.0, 10.0], [10.0, 40.0], [130.0, 90.0])
-    line = row(WAYS[0], together, 30)
-    assert line == "| EGM, lag 20 ms | 25 (40) | 1 of 2 | 110 (130) | 0.25 (0.30) | 15 (20) |"
-    assert line in table([line], 30)
+    line = "| EGM, lag 20 ms | 25 (40) | 1 of 2 | 110 (130) | 0.25 (0.30) | 15 (20) |"
+    assert line in stop_page([(WAYS[0], together)], 30)
 
 
 def test_no_stop_is_no_number():
-    assert "| - | 0 of 0 | - | - | - |" in row(WAYS[1], Stops(), 30)
+    assert "| - | 0 of 0 | - | - | - |" in stop_page([(WAYS[1], Stops())], 30)
 
 
 @pytest.mark.parametrize("wrong", [["--repeat", "0"], ["--models", "/nonexistent"], ["--object", "no such"]])

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from simulation.data.collect import main as collect
+from simulation.cli.dataset import collect
 from training.config import DataConfig
 from training.data.dataset import load_trials
 from training.fit.train import train

@@ -5,7 +5,7 @@ from training.config import NetworkConfig
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import train
 from training.metrics.figures import Scales
-from training.report.page import recipe_section, write_report
+from training.report.page import recipe_part, write_report
 from training.report.stress import stress
 
 
@@ -27,7 +27,7 @@ def test_a_folder_that_is_no_run_is_named(tmp_path):
 def test_a_run_of_ours_does_not_stand_in_for_the_papers_recipe(tmp_path):
     Checkpoint("ours", NetworkConfig(), {}, Scales(), Scales(), {}, "0" * 64, "none").save(tmp_path / "checkpoint.pt")
     with pytest.raises(ContractError, match="holds a compact network, expected a run of `python -m training recipe`"):
-        recipe_section(tmp_path, "0" * 64)
+        recipe_part(tmp_path, "0" * 64)
 
 
 @pytest.mark.parametrize("trials", [0, -5])

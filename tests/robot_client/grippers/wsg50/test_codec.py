@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_client.grippers.wsg50 import codec
-from robot_client.grippers.wsg50.codec import Command, Frame, MoveFlag, Status, StreamParser, WsgError
+from robot_client.grippers.wsg50.codec import Frame, StreamParser, WsgError
+from robot_client.grippers.wsg50.codes import Command, MoveFlag, Status
 
 LIMITS = (10.0, 100.0, 400.0, 1.0, 10.0, 11.0, 30.0, 40.0)
 REQUESTS = [
@@ -108,8 +109,8 @@ def test_segmentation_changes_nothing(frames, data):
     wire = b"".join(codec.encode_frame(*frame) for frame in frames)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=8)))
     parser = StreamParser()
-    found = [f for a, b in zip([0, *cuts], [*cuts, len(wire)], strict=True) for f in parser.feed(wire[a:b])]
-    assert [(f.command, f.payload) for f in found] == frames
+    frames_read = [f for a, b in zip([0, *cuts], [*cuts, len(wire)], strict=True) for f in parser.feed(wire[a:b])]
+    assert [(f.command, f.payload) for f in frames_read] == frames
     assert parser.skipped_bytes == parser.crc_errors == 0
 
 

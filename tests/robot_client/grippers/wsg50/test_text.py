@@ -130,7 +130,7 @@ def homing(acknowledge, direction="default"):
     return lambda settings: _home(settings, acknowledge=acknowledge, direction=direction)
 
 
-def test_home_references_the_gripper_and_acknowledges_only_when_told(capsys):
+def test_home_references_the_gripper_and_acknowledges_only_on_request(capsys):
     outcome, calls = operate(homing(acknowledge=False))
     assert (outcome.done, "HOME()" in calls, "FSACK()" in calls) == (True, True, False)
     _, calls = operate(homing(acknowledge=True), state=7)

@@ -4,7 +4,7 @@ import pytest
 
 from robot_client.grippers.wsg50 import binary, codec, gripper, text
 from robot_client.grippers.wsg50.binary import BinaryWsg50
-from robot_client.grippers.wsg50.codec import Command, GraspingState, Status
+from robot_client.grippers.wsg50.codes import Command, GraspingState, Status
 from robot_client.grippers.wsg50.settings import Settings
 from robot_client.grippers.wsg50.text import TextWsg50
 from tests.robot_client.clock import stopped_clock
@@ -15,7 +15,7 @@ def clock(monkeypatch):
     return stopped_clock(monkeypatch, binary, gripper, text)
 
 
-def told(gripper, *frame):
+def receives(gripper, *frame):
     for whole in gripper._parser.feed(codec.encode_reply(*frame)):
         gripper._route(whole)
 
@@ -23,12 +23,12 @@ def told(gripper, *frame):
 @pytest.mark.parametrize(
     "frame", [(Command.GRASPING_STATE, Status.NOT_AVAILABLE), (Command.WIDTH, Status.SUCCESS, 50.0)]
 )
-def test_frames_that_tell_no_grasping_state_are_silence(clock, frame):
+def test_frames_without_a_grasping_state_are_silence(clock, frame):
     gripper = BinaryWsg50(Settings())
-    told(gripper, Command.GRASPING_STATE, Status.SUCCESS, int(GraspingState.HOLDING))
+    receives(gripper, Command.GRASPING_STATE, Status.SUCCESS, int(GraspingState.HOLDING))
     for _ in range(10):
         clock.now_s += 0.1
-        told(gripper, *frame)
+        receives(gripper, *frame)
         silent_s = gripper._silence.over(clock.now_s)
     assert silent_s == pytest.approx(1.0)
 

@@ -46,9 +46,9 @@ def test_an_arm_that_hangs_upright_is_held_where_it_stands():
 
 
 def test_a_tilted_arm_is_never_answered_since_every_target_would_turn_it_upright():
-    sent, said = answers_to(25.0)
+    sent, reason = answers_to(25.0)
     assert sent == []
-    assert "tilted by 25.00 deg, allowed 2" in said
+    assert "tilted by 25.00 deg, allowed 2" in reason
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:8", "http://localhost:8"])

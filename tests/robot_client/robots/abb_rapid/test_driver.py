@@ -176,10 +176,10 @@ def test_what_the_modules_refuse_is_refused_by_their_emulation():
     async def story():
         async with connected() as (peer, _, _):
             for request, answer in (("M 4 0 0 40 0 1 0 0 90", "E 4 speed"), ("M 4 0 0", "E 0 format"), ("?", "E 0")):
-                said = []
-                peer._answer = lambda _writer, text, said=said: said.append(text)
+                answers = []
+                peer._answer = lambda _writer, text, answers=answers: answers.append(text)
                 peer._on_move(request)
-                assert said[0].startswith(answer)
+                assert answers[0].startswith(answer)
             assert peer.moves == []
 
     asyncio.run(story())

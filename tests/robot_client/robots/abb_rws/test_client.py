@@ -19,10 +19,10 @@ def test_a_stop_that_cannot_even_be_asked_for_is_not_confirmed_in_words(challeng
         await client._client.aclose()
         transport, auth = httpx.MockTransport(answer), httpx.DigestAuth("user", "password")
         client._client = httpx.AsyncClient(transport=transport, auth=auth, base_url="http://127.0.0.1")
-        said = await client.stop_program()
+        outcome = await client.stop_program()
         with pytest.raises(RwsError, match="GET /rw/panel/opmode"):
             await client.status()
         await client.close()
-        return said
+        return outcome
 
     assert "STOP NOT CONFIRMED" in asyncio.run(story())

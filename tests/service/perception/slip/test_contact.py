@@ -12,7 +12,7 @@ from service.perception.slip.detector import SlipDetector
 from service.perception.slip.grasp import GraspWatch
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.scene import BUILT_IN, load_scene
+from simulation.scene.worlds import load_scene, object_names
 from tests.service.perception.synthetic import FRAME_NS, draw, grid
 
 FREE = np.zeros((20, 21, 3), np.float32)
@@ -29,7 +29,7 @@ def bulged(points, px):
     return points + px * 1.6 * way * np.exp(0.5 - 0.5 * np.square(way).sum(-1, keepdims=True))
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", object_names())
 @pytest.mark.parametrize("noise", [2.0, 6.0])
 def test_a_simulated_finger_knows_from_its_picture_whether_it_holds_something(name, noise):
     scene = load_scene(name, camera__noise_grey=noise, grasp__force_n=0.6 * load_scene(name).grasp.force_n)

@@ -6,7 +6,8 @@ import time
 
 import pytest
 
-from robot_client.grippers.wsg50.codec import Command, GraspingState, Status, SystemState, encode_frame
+from robot_client.grippers.wsg50.codec import encode_frame
+from robot_client.grippers.wsg50.codes import Command, GraspingState, Status, SystemState
 from tests.simulation.physics.bench import WsgClient, bench
 
 

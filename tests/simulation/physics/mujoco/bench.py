@@ -6,15 +6,17 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from reporting.files import write_durably, write_json
+from reporting.page import page
+from reporting.table import Table, table
 from simulation.data.probe import QuasiStaticCell
-from simulation.scene.scene import load_scene
+from simulation.scene.worlds import load_scene
 from tests.simulation.physics.mujoco.model import Effort
 from tests.simulation.physics.mujoco.press import Press, Pressed
 from tests.simulation.physics.mujoco.scenes import DEEP, SETTINGS, SHALLOW, Poke
@@ -92,36 +94,30 @@ def compare(poke: Poke) -> Comparison:
     )
 
 
-def _line(row: dict[str, Any]) -> str:
-    def pair(values: tuple[float, float], digits: int) -> str:
-        return ", ".join(f"{value:.{digits}f}" for value in values)
-
-    slips = f"{100.0 * max(row['slipping_share']):.0f} %"
-    return (
-        f"| {row['scene']} | {row['error']} | {row['varied']} | {'two' if row['tips_apart'] else 'one'} | {slips} "
-        f"| {pair(row['force_n'], 3)} | {row['force_apart_n']:.4f}, {sum(row['force_errors_n']):.4f} "
-        f"| {pair(row['turn_deg'], 4)} | {row['turn_apart_deg']:.5f}, {sum(row['turn_errors_deg']):.5f} "
-        f"| {'agrees' if row['agree'] else 'apart'} |"
+def mujoco_table(rows: list[dict[str, Any]]) -> Table:
+    """Rows of mujoco.json."""
+    return table(
+        rows,
+        ("scene", "scene"),
+        ("x mm, yaw deg", "error"),
+        ("changed", "varied"),
+        ("tips", lambda row: "two" if row["tips_apart"] else "one"),
+        ("slip", lambda row: max(row["slipping_share"]), ".0%"),
+        ("force N: ours, MuJoCo", "force_n", ".3f"),
+        ("apart, allowed", lambda row: (row["force_apart_n"], sum(row["force_errors_n"])), ".4f"),
+        ("turn deg: ours, MuJoCo", "turn_deg", ".4f"),
+        ("apart, allowed", lambda row: (row["turn_apart_deg"], sum(row["turn_errors_deg"])), ".5f"),
+        ("", lambda row: "agrees" if row["agree"] else "apart"),
     )
-
-
-def table(rows: list[dict[str, Any]]) -> str:
-    """Markdown of rows of mujoco.json."""
-    head = (
-        "| scene | x mm, yaw deg | changed | tips | slip | force N: ours, MuJoCo | apart, allowed "
-        "| turn deg: ours, MuJoCo | apart, allowed | |\n|---|---|---|---|---|---|---|---|---|---|"
-    )
-    return "\n".join([head, *map(_line, rows)])
 
 
 def publish(folder: Path, rows: list[dict[str, Any]]) -> None:
     """Write mujoco.json, and the tables between the marks of mujoco.md."""
-    (folder / "mujoco.json").write_text(json.dumps(rows, indent=1) + "\n")
-    page = folder / "mujoco.md"
-    before, *_, after = page.read_text().split(BETWEEN)
-    count = len(SHALLOW)
-    parts = (before + BETWEEN, table(rows[:count]), DEEP_HEAD, table(rows[count:]), BETWEEN + after)
-    page.write_text("\n\n".join(parts))
+    write_json(folder / "mujoco.json", rows)
+    path, count = folder / "mujoco.md", len(SHALLOW)
+    before, *_, after = path.read_text().split(BETWEEN)
+    parts = (BETWEEN, mujoco_table(rows[:count]), DEEP_HEAD, mujoco_table(rows[count:]), BETWEEN)
+    write_durably(path, f"{before}{page(*parts).rstrip()}{after}".encode())
 
 
 def main() -> None:
@@ -132,7 +128,7 @@ def main() -> None:
     for poke in (*SHALLOW, *DEEP):
         found = compare(poke)
         rows.append({**asdict(found), "agree": found.agree})
-        print(_line(rows[-1]), flush=True)
+        print(*mujoco_table(rows[-1:]).cells()[0], sep=", ", flush=True)
     publish(folder, rows)
 
 

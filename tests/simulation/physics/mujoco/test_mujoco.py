@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.simulation.physics.mujoco.bench import COARSER, LOAD_STEPS_MM, compare, ours, table, theirs
+from tests.simulation.physics.mujoco.bench import COARSER, LOAD_STEPS_MM, compare, mujoco_table, ours, theirs
 from tests.simulation.physics.mujoco.scenes import DEEP, SHALLOW, Poke
 
 DOCS = Path(__file__).parents[4] / "docs"
@@ -36,8 +36,8 @@ def test_the_published_comparison_covers_every_poke_and_at_least_four_differing_
         force = row["force_apart_n"] <= sum(row["force_errors_n"])
         assert row["agree"] == (force and row["turn_apart_deg"] <= sum(row["turn_errors_deg"]))
     page = (DOCS / "mujoco.md").read_text()
-    assert table(PUBLISHED[: len(SHALLOW)]) in page
-    assert table(PUBLISHED[len(SHALLOW) :]) in page
+    assert mujoco_table(PUBLISHED[: len(SHALLOW)]).markdown() in page
+    assert mujoco_table(PUBLISHED[len(SHALLOW) :]).markdown() in page
     scenes = {(poke.scene, poke.x_mm, poke.theta_deg, tuple(poke.changes.items())) for poke in AGREEING}
     assert len(scenes) >= 4
 

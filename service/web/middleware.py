@@ -3,7 +3,6 @@
 import asyncio
 import time
 from collections import OrderedDict
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from fastapi import HTTPException, Request
@@ -39,47 +38,26 @@ class Rate:
         return left >= 1
 
 
-COUNTED = "tactile.counted"  # in the scope of a request that was counted, and may be asked for again
-Quick = Callable[[Scope, dict[str, str], bytes], tuple[bytes, dict[str, str]] | None]
+class RequestLimits:
+    """ASGI middleware: a rate per client (an address with its token), a deadline for bodies, safe headers."""
 
-
-class Gate:
-    """ASGI middleware; a client is an address with its token. ``quick`` answers what it can without waiting."""
-
-    def __init__(self, app: ASGIApp, requests_per_s: float, quick: Quick | None = None) -> None:
-        self._app, self._quick = app, quick
+    def __init__(self, app: ASGIApp, requests_per_s: float) -> None:
+        self._app = app
         self._rate = Rate(requests_per_s)
-
-    def answer_now(self, scope: Scope, body: bytes) -> tuple[list[tuple[bytes, bytes]], bytes] | None:
-        """Headers and body of a 200 where no turn of the loop is needed; None: ask again as an application is asked."""
-        headers = plain_headers(scope)
-        if self._quick is None or "x-forwarded-for" in headers or self._comes_too_fast(scope):
-            return None
-        scope[COUNTED] = True
-        answer = self._quick(scope, headers, body)
-        if answer is None:
-            return None
-        told = [(name.lower().encode("latin-1"), value.encode("latin-1")) for name, value in answer[1].items()]
-        length = b"content-length", str(len(answer[0])).encode()
-        return [*told, length, NO_GUESSING, NO_STORING], answer[0]
-
-    def _comes_too_fast(self, scope: Scope) -> bool:
-        if not self._rate.per_s or scope["path"] in ALWAYS or scope.pop(COUNTED, False):
-            return False
-        return not self._rate.allows(client_of(scope))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or answer 429."""
-        if scope["type"] not in {"http", "websocket"}:
+        kind = scope["type"]
+        if kind not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
-        fast = self._comes_too_fast(scope)
-        if fast and scope["type"] == "http":
+        too_fast = scope["path"] not in ALWAYS and not self._rate.allows(client_of(scope))
+        if too_fast and kind == "http":
             text = f"more than {self._rate.per_s:g} requests a second; slow down"
             await JSONResponse({"error": text}, 429, {"Retry-After": "1"})(scope, receive, send)
-        elif fast:
+        elif too_fast:
             await send({"type": "websocket.close", "code": 1013, "reason": "too many connections a second"})
-        elif scope["type"] == "http":
+        elif kind == "http":
             await self._app(scope, timed(receive), hardened(send))
         else:
             await self._app(scope, receive, send)
@@ -89,11 +67,6 @@ def client_of(scope: Scope) -> str:
     """Who asks: address and token."""
     host = (scope.get("client") or ("", 0))[0]
     return f"{host} {Headers(scope=scope).get('authorization', '')[:200]}"
-
-
-def plain_headers(scope: Scope) -> dict[str, str]:
-    """Of a request, by lower-case name; the first one of a name counts."""
-    return {name.decode("latin-1"): value.decode("latin-1") for name, value in reversed(scope["headers"])}
 
 
 def timed(receive: Receive) -> Receive:

@@ -1,0 +1,57 @@
+"""What the refusal of a file says: the key, what is allowed there, and what was given."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any, cast
+
+from pydantic import BaseModel, ValidationError
+
+SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
+
+
+def nearest(name: str, allowed_names: Iterable[str]) -> str:
+    """A hint at the allowed name that is most alike, or at all of them where none is."""
+    names = sorted(allowed_names)
+    near = difflib.get_close_matches(name, names, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f"; allowed: {', '.join(names)}" if names else ""
+
+
+def _table(model: type[BaseModel], path: Iterable[int | str]) -> type[BaseModel] | None:
+    """The table at a path of keys below a model, or None where there is none."""
+    table: Any = model
+    for key in path:
+        field = table.model_fields.get(str(key))
+        table = None if field is None else field.annotation
+        if not (isinstance(table, type) and issubclass(table, BaseModel)):
+            return None
+    return cast("type[BaseModel]", table)
+
+
+def allowed(table: type[BaseModel] | None, key: str) -> str:
+    """The range of a number, e.g. ">= 0.005 and <= 5.0"; empty where the key has none."""
+    field = table.model_fields.get(key) if table else None
+    bounds = field.metadata if field else []
+    return " and ".join(
+        f"{sign} {getattr(bound, name)}" for name, sign in SIGNS for bound in bounds if hasattr(bound, name)
+    )
+
+
+def describe(error: ValidationError, model: type[BaseModel], above: str = "", *, secret: bool = False) -> str:
+    """One line on the first thing wrong, an unknown key before all: key, what is expected, what was given.
+
+    ``above`` is the key of the table that ``model`` reads; ``secret``: what was given is not shown.
+    """
+    wrong = error.errors()
+    first = next((one for one in wrong if one["type"] == "extra_forbidden"), wrong[0])
+    key = ".".join(str(part) for part in (above, *first["loc"]) if part != "")
+    *parents, last = first["loc"] or ("",)
+    table = _table(model, parents)
+    if first["type"] == "extra_forbidden":
+        what = f"unknown key{nearest(str(last), table.model_fields if table else ())}"
+    else:
+        bounds = allowed(table, str(last))
+        what = f"expected a number {bounds}" if bounds else first["msg"].removeprefix("Value error, ")
+    given = "" if secret or first["type"] in {"value_error", "missing"} else f" (given: {first['input']!r})"
+    return f"{key + ': ' if key else ''}{what}{given}"

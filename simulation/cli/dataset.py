@@ -1,0 +1,192 @@
+"""Commands around a dataset: collect it, look at it, export it for other people's tools."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+
+from service.contract import ContractError, Sensor
+from simulation.data import lerobot, mcap, workers
+from simulation.data.collect import Plan, scene_of, scene_sha256
+from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, Trial, slice_of
+from simulation.data.progress import progress
+from simulation.data.sources import sources_sha256
+from simulation.optics import attempt_picture
+from simulation.scene.worlds import training_objects
+
+DECISION_FRAMES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class CollectOptions:
+    """Collect pokes that collided, with their labels, as Parquet shards. Run it again to resume or to add more."""
+
+    out: Path = Path("data/probes")
+    """Folder of the dataset; created if absent, continued if it holds the same collection."""
+    trials_per_object: int = 7500
+    """Collisions to keep of each object; rounded up to whole shards."""
+    objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = training_objects()
+    """Scene names or TOML files."""
+    sensor: str = ""
+    """Name or TOML file of the fingers' sensor, where it is not the scenes' own."""
+    seed: int = 0
+    """Same seed, same data, bit for bit, whatever the number of workers."""
+    workers: int = 0
+    """Processes; 0 means one a core."""
+    trials_per_shard: int = 250
+    """Collisions in a shard: what a kill can cost each worker."""
+    held_out_share: float = 0.12
+    """Share of re-fixtures drawn from held-out ranges (the test split)."""
+    slip_truth: bool = False
+    """Also store where each gel slips (Trial.slipping); the other columns stay as they are."""
+    ray: str = ""
+    """Address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)."""
+
+
+def asked_manifest(options: CollectOptions) -> Manifest:
+    """What the finished collection would say of itself, without shards."""
+    if options.trials_per_object < 1 or options.trials_per_shard < 1:
+        raise DatasetError("--trials-per-object and --trials-per-shard must be at least 1")
+    if options.workers < 0 or options.seed < 0 or not 0.0 <= options.held_out_share <= 1.0:
+        given = f"{options.workers}, {options.seed} and {options.held_out_share}"
+        raise DatasetError(f"expected --workers and --seed from 0 on, --held-out-share from 0 to 1, got {given}")
+    names = Counter(Path(name).stem for name in set(options.objects))
+    if not names or max(names.values()) > 1:
+        given = ", ".join(options.objects) or "none"
+        raise DatasetError(f"--objects {given}: expected at least one, no two of the same name: a shard is named by it")
+    try:
+        sensor = Sensor.load(options.sensor) if options.sensor else None
+    except ContractError as error:
+        raise DatasetError(f"--sensor: {error}") from error
+    scenes = {name: scene_of(name, sensor) for name in options.objects}
+    sensors = {scene.sensor for scene in scenes.values()}
+    if len(sensors) > 1:
+        raise DatasetError(f"the scenes have sensors {', '.join(sorted(map(str, sensors)))}: a dataset has one")
+    return Manifest(
+        made_by="simulation collect",
+        seed=options.seed,
+        trials_per_object=options.trials_per_object,
+        trials_per_shard=options.trials_per_shard,
+        held_out_share=options.held_out_share,
+        scenes={name: scene_sha256(scene) for name, scene in scenes.items()},
+        sensor=sensors.pop(),
+        physics=sources_sha256("simulation.data.probe"),
+    )
+
+
+def collect(arguments: list[str]) -> int:
+    """Collect what is missing; 0 when the dataset is complete."""
+    options = tyro.cli(CollectOptions, args=arguments, prog="tactile-insertion collect")
+    asked = asked_manifest(options)
+    with DatasetWriter(options.out, asked) as writer:
+        writer.extend(asked)
+        manifest = writer.manifest
+        size, seed, share = manifest.trials_per_shard, manifest.seed, manifest.held_out_share
+        plans = [
+            Plan(options.out, scene, shard, size, seed, share, options.slip_truth, manifest.sensor)
+            for scene, shard in manifest.missing_shards()
+        ]
+        if options.ray:
+            workers.collect_on_ray(writer, plans, options.ray)
+        else:
+            workers.collect(writer, plans, options.workers or os.cpu_count() or 1)
+        writer.finish()
+    print(f"{writer.manifest.trials} collisions in {len(writer.manifest.shards)} shards under {options.out}")
+    return 0
+
+
+@dataclass(frozen=True, slots=True)
+class ViewOptions:
+    """Draw trials of a dataset: imprints with dot motion, the 8 difference frames, the true error."""
+
+    source: Annotated[Path, tyro.conf.Positional]
+    """Folder of a dataset, or one of its shards."""
+    out: Path = Path("runs/view")
+    """Folder for the PNG files."""
+    first: int = 0
+    """Number of the first trial to draw."""
+    count: int = 6
+    """How many trials to draw."""
+
+
+def _chosen_trials(options: ViewOptions) -> tuple[Dataset, list[int]]:
+    """The dataset and the numbers of the trials to draw; DatasetError if there are none."""
+    is_shard = options.source.suffix == ".parquet"
+    dataset = Dataset(options.source.parent if is_shard else options.source, verify=False)
+    numbers = dataset.trials_of_shard(options.source.name) if is_shard else list(range(len(dataset)))
+    return dataset, slice_of(numbers, options.first, options.count, options.source)
+
+
+def _true_motion(trial: Trial, start: int, stop: int) -> attempt_picture.Motion:
+    """Where the dots rest and their true motion from frame ``start`` to frame ``stop``, rectified px."""
+    gel = trial.gel[..., :2].astype(np.float32)
+    motion = (gel[stop] - gel[start]) / np.float32(trial.sensor.mm_per_px)
+    return np.broadcast_to(trial.sensor.marker_rest_px(), motion.shape), motion
+
+
+def _describe(trial: Trial, number: int) -> attempt_picture.Decision:
+    """What the picture of a logged trial says."""
+    force_n = float(np.linalg.norm(trial.wrench[trial.onset_frame + DECISION_FRAMES - 1, :3]))
+    return {
+        "title": f"trial {number}: {trial.object_name}, {trial.split}, {trial.outcome}",
+        "truth": (trial.x_mm, trial.theta_deg),
+        "notes": (
+            f"gap {trial.gap_width_mm:.1f} mm, held {trial.grasp_height_mm:.0f} mm above its bottom",
+            f"re-fixture {trial.group}, poke {trial.poke}",
+            f"onset {trial.onset_frame}, slip {trial.true_slip_frame}, stop {trial.stop_frame} of 30 frames",
+            f"force at the last frame {force_n:.1f} N",
+        ),
+    }
+
+
+def view(arguments: list[str]) -> int:
+    """Draw the trials asked for."""
+    options = tyro.cli(ViewOptions, args=arguments, prog="tactile-insertion view")
+    dataset, numbers = _chosen_trials(options)
+    for number in numbers:
+        trial = dataset.trial(number)
+        motion = _true_motion(trial, trial.onset_frame, trial.onset_frame + DECISION_FRAMES - 1)
+        path = options.out / f"trial-{number:06d}.png"
+        print(attempt_picture.save(path, dataset.frames(number), _describe(trial, number), motion))
+    return 0
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """Export trials with their rendered frames: one LeRobot v3.0 dataset, or one MCAP file a trial."""
+
+    source: Annotated[Path, tyro.conf.Positional]
+    """Folder of a collected dataset."""
+    out: Path
+    """New or empty folder to write into."""
+    layout: Literal["lerobot", "mcap"] = "lerobot"
+    """lerobot: Parquet with embedded PNG; mcap: opens in Foxglove and Rerun."""
+    first: int = 0
+    """Number of the first trial."""
+    count: int = 100
+    """How many trials; a trial takes about 12 MB."""
+
+
+def export_dataset(arguments: list[str]) -> int:
+    """Export the trials asked for; nothing is overwritten."""
+    options = tyro.cli(ExportOptions, args=arguments, prog="tactile-insertion export-dataset")
+    dataset = Dataset(options.source)
+    numbers = slice_of(range(len(dataset)), options.first, options.count, options.source)
+    if options.out.exists() and any(options.out.iterdir()):
+        raise DatasetError(f"{options.out}: not empty; nothing is overwritten")
+    options.out.mkdir(parents=True, exist_ok=True)
+    with progress("trials", len(numbers)) as show:
+        if options.layout == "lerobot":
+            lerobot.export(dataset, numbers, options.out, show)
+        else:
+            for done, number in enumerate(numbers, start=1):
+                mcap.export_trial(dataset, number, options.out / f"trial-{number:06d}.mcap")
+                show(done)
+    print(f"{len(numbers)} trials under {options.out}")
+    return 0

@@ -1,0 +1,129 @@
+"""Commands that hold the physics against references, theory and its own promises."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from reporting.files import write_json
+from reporting.page import publish
+from simulation.data.progress import progress
+from simulation.data.sources import sources_sha256
+from simulation.scene.worlds import training_objects
+from simulation.studies import hard_probes as probes
+from simulation.studies.accuracy import PAST_TOUCHDOWN_MM, SETTINGS, THETA_DEG, X_MM, measure, probe_times
+from simulation.studies.accuracy_report import accuracy_page, draw
+from simulation.studies.hard_probes_report import hard_probes_page
+from simulation.studies.theory import theory_page
+
+
+@dataclass(frozen=True)
+class AccuracyOptions:
+    """Measure what physics accuracy costs; write accuracy.md, accuracy.json and accuracy.png."""
+
+    out: Path = Path("docs")
+    """folder of the report"""
+    repeats: int = 5
+    """runs of which the fastest counts"""
+
+
+def accuracy(arguments: list[str]) -> int:
+    """Measure, then write the JSON, the figure and the page."""
+    options = tyro.cli(AccuracyOptions, args=arguments, prog="tactile-insertion accuracy")
+    if options.repeats < 1 or not options.out.is_dir():
+        raise ValueError(f"expected --repeats >= 1 and an existing folder, got {options.repeats} and {options.out}")
+    with progress("pokes", len(training_objects()) * len(SETTINGS)) as show:
+        costs = [asdict(cost) for cost in measure(options.repeats, show)]
+    poke = {"x_mm": X_MM, "theta_deg": THETA_DEG, "past_touchdown_mm": PAST_TOUCHDOWN_MM}
+    data = {"poke": poke, "costs": costs, "probe_ms": probe_times(options.repeats)}
+    draw(costs, options.out / "accuracy.png")
+    print(publish(options.out, "accuracy", accuracy_page(data), data))
+    return 0
+
+
+@dataclass(frozen=True)
+class TheoryOptions:
+    """Print errors beside Hertz, Mindlin, Winkler and the paper's task; write theory.md where asked."""
+
+    grids: tuple[int, ...] = (32, 64)
+    """nodes a side of a pad"""
+    draws: int = 20_000
+    """errors drawn for the geometry table"""
+    out: Path | None = None
+    """folder for theory.md; without it the page is only printed"""
+
+
+def theory(arguments: list[str]) -> int:
+    """Print the page, and write it where asked."""
+    options = tyro.cli(TheoryOptions, args=arguments, prog="tactile-insertion theory")
+    if not options.grids or min(options.grids) < 4 or options.draws < 1:
+        raise ValueError(f"expected --grids of at least 4 and --draws >= 1, got {options.grids} and {options.draws}")
+    if options.out is not None and not options.out.is_dir():
+        raise ValueError(f"--out {options.out}: no such folder")
+    text = theory_page(options.grids, options.draws)
+    print(text)
+    if options.out is not None:
+        publish(options.out, "theory", text)
+    return 0
+
+
+@dataclass(frozen=True)
+class HardProbeOptions:
+    """Run random hard probes: all objects, gel friction 0 to 2, soft and hard blocks, weak grips, coarse load steps.
+
+    Prints how they ended and the worst residual and friction cone of those solved; ends with status 2 where one that
+    calls itself solved is not finite, not balanced or outside a cone. The same seed gives the same probes. With --out
+    the page is written, and an interrupted run goes on where it stopped if the physics is still the same.
+    """
+
+    count: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 10_000
+    """probes"""
+    seed: int = 12
+    """of the probes; number k of a seed is always the same probe"""
+    tier: Literal["bristle", "layer"] = "bristle"
+    """pads to press with"""
+    workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
+    """processes; 0 takes every core"""
+    out: Path | None = None
+    """folder for hard_probes.TIER.json and hard_probes.md; none: print only"""
+
+
+def hard_probes(arguments: list[str]) -> int:
+    """Run what an earlier call left to do, and write how the probes ended."""
+    options = tyro.cli(HardProbeOptions, args=arguments, prog="tactile-insertion hard-probes")
+    if options.count < 1 or options.workers < 0:
+        raise ValueError(f"expected --count >= 1 and --workers >= 0, got {options.count} and {options.workers}")
+    if options.out is not None and not options.out.is_dir():
+        raise ValueError(f"--out {options.out}: no such folder")
+    path = None if options.out is None else options.out / f"hard_probes.{options.tier}.json"
+    setup = {"seed": options.seed, "tier": options.tier, "physics": sources_sha256("simulation.studies.hard_probes")}
+    tally = _begun(path, setup, options.count)
+    done = tally.ended.total()
+    try:
+        with progress("hard probes", options.count) as show:
+            for part in probes.run(options.count, options.seed, options.tier, options.workers, done):
+                tally.add(part)
+                show(tally.ended.total())
+                if path is not None:
+                    write_json(path, {**setup, **tally.as_dict()})
+    except probes.ImpossibleStateError as error:
+        raise ValueError(f"a promise is broken: {error}") from error
+    text = hard_probes_page({**setup, **tally.as_dict()})
+    print(text if options.out is None else publish(options.out, "hard_probes", text))
+    return 0
+
+
+def _begun(path: Path | None, setup: dict[str, Any], count: int) -> probes.Tally:
+    """What an earlier run of the same probes on the same physics left, or nothing."""
+    if path is None or not path.is_file():
+        return probes.Tally()
+    try:
+        kept = json.loads(path.read_text())
+        same = all(kept.get(name) == value for name, value in setup.items())
+        return probes.Tally.from_dict(kept) if same and kept["probes"] <= count else probes.Tally()
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is not what an earlier run left ({error!r}); remove it") from error

@@ -1,0 +1,114 @@
+"""Every world with every object: what `evaluate --worlds` plays, and its rows."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.statistics import Row, class_of, first_decisions, refused, start_errors, title_of, trials_of
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import World
+
+EXTREMES = 4  # start errors that come first and would weigh too much in a small count
+
+
+def drawn_starts(scene: Scene, count: int, seed: int) -> list[tuple[float, float]]:
+    """Start errors [count] (mm, deg) of one object without the extremes, uniform in its range."""
+    return start_errors(count + EXTREMES, seed, (scene.x_range_mm, scene.theta_range_deg))[EXTREMES:]
+
+
+def tasks(
+    worlds: Sequence[World], objects: Mapping[str, Scene], count: int, seed: int, models: Path, made_by: str, **job: Any
+) -> list[Task]:
+    """``count`` insertions of each pair, the n-th of all before the next; an object starts alike in every world.
+
+    ``job``: fields of `Job` that all share. Raises SceneError where a world and an object do not fit.
+    """
+    for world in worlds:
+        for scene in objects.values():
+            world.around(scene)
+    starts = {name: drawn_starts(scene, count, seed + scene.number) for name, scene in objects.items()}
+    return [
+        Task(models, {**job, **_start(name, index, starts[name][index], seed), **_conditions(world)}, made_by)
+        for index in range(count)
+        for world in worlds
+        for name in objects
+    ]
+
+
+def _start(name: str, index: int, error: tuple[float, float], seed: int) -> dict[str, Any]:
+    return {"scene": name, "index": index, "x_mm": error[0], "theta_deg": error[1], "seed": seed * 100_000 + index}
+
+
+def _conditions(world: World) -> dict[str, Any]:
+    return {
+        "condition": world.name,
+        "changes": dict(world.changes),
+        "gap_error_mm": world.unstated.told_gap_error_mm,
+        "height_error_mm": world.unstated.told_height_error_mm,
+        "stop_lag_s": world.unstated.stop_lag_s,
+    }
+
+
+def table(rows: Sequence[Row]) -> list[Row]:
+    """One row a (world, object), in the order in which they were played first."""
+    pairs = dict.fromkeys((row["condition"], row["scene"]) for row in rows)
+    return [
+        {
+            "world": world,
+            "object": title_of(scene),
+            **_ends(mine := [row for row in rows if (row["condition"], row["scene"]) == (world, scene)]),
+            **_first_answers(mine),
+            "worst_force_n": max(row["course"]["force_n"] for row in mine),
+            "worst_block_mm": max(row["course"]["block_mm"] for row in mine),
+            "reasons": dict(Counter(_cause(row["reason"]) for row in mine if row["reason"]).most_common()),
+        }
+        for world, scene in pairs
+    ]
+
+
+def _ends(rows: Sequence[Row]) -> Row:
+    return {
+        "insertions": len(rows),
+        "inserted": sum(row["inserted"] for row in rows),
+        "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
+        "refused": sum(refused(row) for row in rows),
+        "void": sum(row["void"] for row in rows),
+        "mean_trials": sum(trials_of(row) for row in rows) / len(rows),
+    }
+
+
+def _first_answers(rows: Sequence[Row]) -> Row:
+    """Directions, absolute errors and coverage of the 90 % intervals of the first decisions; None without any."""
+    right, off, covered = 0, [], []
+    firsts = first_decisions(rows)
+    for trial in firsts:
+        (x, theta), decision = trial["error_before"], trial["decision"]
+        estimate, classes = decision["estimate"], decision["class_probabilities"]
+        right += class_of(x, theta) == max(classes, key=classes.get, default="")
+        off.append((abs(estimate["dx_mm"] - x), abs(estimate["dtheta_deg"] - theta)))
+        covered.append((_holds(estimate["interval_x_mm"], x), _holds(estimate["interval_theta_deg"], theta)))
+    mae = np.mean(off, axis=0).tolist() if off else (None, None)
+    shares = np.mean(covered, axis=0).tolist() if covered else (None, None)
+    return {
+        "direction_right": right,
+        "direction_n": len(firsts),
+        "mae_x_mm": mae[0],
+        "mae_theta_deg": mae[1],
+        "covered_x": shares[0],
+        "covered_theta": shares[1],
+    }
+
+
+def _holds(interval: Sequence[float] | None, truth: float) -> bool:
+    return interval is not None and interval[0] <= truth <= interval[1]
+
+
+def _cause(reason: str) -> str:
+    """Who ended it and why, without the details."""
+    return ": ".join(reason.split(": ")[:2])

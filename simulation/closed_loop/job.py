@@ -1,0 +1,59 @@
+"""What is played in the closed loop and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from simulation.closed_loop.lockstep import STOP_LAG_S, Course
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
+
+Perception = Literal["pictures", "fields"]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One insertion to play: object, start error, seed, controller, what it perceives, and the world.
+
+    ``scene`` is an object by name or path. ``condition`` names the world or disturbance; ``changes`` are its dotted
+    keys of the scene. The errors are added to the gap width and grasp height that the client states. ``dead``: what
+    ails the left camera. Perception "fields" takes the markers from the simulated gel instead of from pictures.
+    """
+
+    scene: str
+    index: int
+    x_mm: float
+    theta_deg: float
+    seed: int
+    controller: str
+    perception: Perception = "pictures"
+    condition: str = ""
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    gap_error_mm: float = 0.0
+    height_error_mm: float = 0.0
+    stop_lag_s: float = STOP_LAG_S
+    dead: Literal["", "dark", "frozen"] = ""
+
+    def cell(self) -> Scene:
+        """The object in its world; the blocks are free unless the world says otherwise. Raises SceneError."""
+        return load_scene(self.scene, blocks__free=True).varied(self.changes)
+
+
+@dataclass(slots=True)
+class Outcome:
+    """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
+
+    ``inserted`` is the truth, ``claimed`` what the client believes; ``void``: the physics came to its end.
+    """
+
+    inserted: bool
+    claimed: bool
+    attempts: int
+    reason: str
+    void: bool
+    final_error: tuple[float, float]
+    grasp_kept: bool
+    course: Course
+    trials: list[dict[str, Any]] = field(default_factory=list)

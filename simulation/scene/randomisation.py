@@ -1,0 +1,55 @@
+"""Domain randomisation: what an installation meets that no scene file can know."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from simulation.scene.scene import Scene
+
+
+def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False) -> Scene:
+    """A domain-randomised copy: what an installation meets that no scene file can know.
+
+    How high above its bottom the object is held, its weight, grip and clearance are drawn from all that the cell
+    can do. Sizes, frictions, stiffness, crown, grip, noise and light of held-out draws come from ranges that no
+    training draw can reach. What a large scene scales past the limits of a scene stays at the limit.
+    """
+
+    def draw(low: float, high: float, margin: float) -> float:
+        if not held_out:
+            return float(rng.uniform(low, high))
+        outer = (low - margin, low) if rng.random() < 0.5 else (high, high + margin)
+        return float(rng.uniform(*outer))
+
+    body = scene.object
+    scale = draw(0.9, 1.2, 0.05)
+    size_x = min(200.0, body.size_x_mm * scale)
+    height = float(rng.uniform(25.0, 95.0))
+    size_y = min(110.0, body.size_y_mm * scale * draw(0.96, 1.04, 0.04))
+    changes: dict[str, Any] = {
+        "object.size_x_mm": size_x,
+        "object.size_y_mm": size_y,
+        "object.corner_radius_mm": min(50.0, body.corner_radius_mm * scale),
+        "object.mass_kg": math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))),
+        "object.centre_of_mass_height_mm": height * float(rng.uniform(0.4, 0.95)),
+        "blocks.gap_mm": min(250.0, size_x + 2.0 * scene.clearance_mm / 2.5 * float(rng.uniform(1.5, 3.0))),
+        "blocks.friction": draw(0.15, 0.35, 0.1),
+        "gel.friction": draw(0.65, 0.95, 0.15),
+        "gel.shear_modulus_n_per_mm2": 0.1 * math.exp(draw(-0.2, 0.2, 0.15)),
+        "gel.crown_mm": draw(0.06, 0.18, 0.06),
+        "grasp.force_n": draw(16.0, 38.0, 4.0),
+        "grasp.height_mm": height,
+        "camera.noise_grey": min(30.0, scene.camera.noise_grey * draw(0.5, 1.5, 0.4)),
+        "camera.light": draw(0.85, 1.15, 0.15),
+        "gel.wear": draw(0.1, 0.4, 0.1),
+        "x_range_mm": min(60.0, scene.x_range_mm * scale),
+    }
+    if body.vertices_mm:
+        scales = size_x / body.size_x_mm, size_y / body.size_y_mm
+        changes["object.vertices_mm"] = [(x * scales[0], y * scales[1]) for x, y in body.vertices_mm]
+    if body.shape == "hexagon" or (body.shape == "ellipse" and body.size_x_mm == body.size_y_mm):
+        changes["object.size_y_mm"] = size_x  # what is regular or round stays so
+    return scene.varied(changes)

@@ -1,0 +1,231 @@
+"""Reads objects and worlds from TOML; a scene is a world with an object in it.
+
+An object file says what is held: its `[object]` and, where they matter, `[blocks]`, `[start]` and any other table of a
+scene. A world file says everything about the cell but the object, and wins where both speak. The folder
+`simulation/objects` is the registry of the objects that are known by name.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from service.contract import ContractError
+from service.contract.refusals import describe, nearest
+from service.contract.toml import read_toml
+from simulation.scene.parts import Blocks, Camera, Gel, Grasp, HeldObject, Part
+from simulation.scene.scene import Scene, SceneError, parsed, put
+
+OBJECTS = Path(__file__).parents[1] / "objects"
+GAP_BEYOND_OBJECT_MM = 4.0
+START_SHARE, START_MOST_MM = 0.3, 15.0  # of the object's width
+NOT_YET = {
+    "gel": {"poisson_ratio", "margin_mm", "relaxation_share", "relaxation_s"},
+    "grasp": {"finger_stiffness_n_per_mm"},
+    "camera": {"latency_ms"},
+    "world": {"tcp_offset_mm", "frame_yaw_deg", "camera_scale", "camera_roll_deg", "blocks_up_mm", "swapped_fingers"}
+    | {"mirrored", "x_sign", "yaw_sign"},
+}
+
+
+class Start(Part):
+    """Largest start errors."""
+
+    x_range_mm: float = Field(default=15.0, gt=0.0, le=60.0)
+    theta_range_deg: float = Field(default=15.0, gt=0.0, le=45.0)
+
+
+class Motion(Part):
+    """How the arm moves."""
+
+    descent_speed_mm_s: float = Field(default=10.0, gt=0.0, le=200.0)
+
+
+class Unstated(Part):
+    """What nobody tells the software. The errors are added to the gap and to the height of the grasp that it is given.
+
+    A stop takes effect ``stop_lag_s`` after it was ordered.
+    """
+
+    told_gap_error_mm: float = Field(default=0.0, ge=-20.0, le=20.0)
+    told_height_error_mm: float = Field(default=0.0, ge=-50.0, le=50.0)
+    stop_lag_s: float = Field(default=0.03, ge=0.0, le=0.5)
+
+
+WORLD_TABLES: Mapping[str, type[Part]] = {
+    "gel": Gel,
+    "grasp": Grasp,
+    "blocks": Blocks,
+    "camera": Camera,
+    "motion": Motion,
+    "world": Unstated,
+}
+TOP_LEVEL = {"motion.descent_speed_mm_s": "speed_mm_s"}
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """A cell without its object: dotted keys of a scene with their values, and what the software is not told."""
+
+    name: str = "as_trained"
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    unstated: Unstated = field(default_factory=Unstated)
+
+    def around(self, scene: Scene) -> Scene:
+        """The object's scene in this world. Raises SceneError where the two do not fit."""
+        try:
+            joined = scene.varied(self.changes)
+        except SceneError as error:
+            raise SceneError(f"world {self.name}, object {error}") from error
+        for key, value, least in (
+            ("told_gap_error_mm", joined.blocks.gap_mm + self.unstated.told_gap_error_mm, 5.0),
+            ("told_height_error_mm", joined.grasp.height_mm + self.unstated.told_height_error_mm, 1.0),
+        ):
+            if value < least:
+                raise SceneError(
+                    f"world {self.name}, object {scene.name}: world.{key}: leaves {value:g} mm; at least {least:g}"
+                )
+        return joined
+
+
+def load_world(path: str | Path) -> World:
+    """A world by TOML path.
+
+    Raises:
+        SceneError: unreadable file, a key that is unknown or not supported yet, or a value out of range.
+    """
+    path = Path(path)
+    changes: dict[str, Any] = {}
+    unstated = Unstated()
+    for table, values in _read(path).items():
+        model = WORLD_TABLES.get(table)
+        if model is None or not isinstance(values, dict):
+            raise SceneError(f"{path}: {table}: unknown table{nearest(table, WORLD_TABLES)}")
+        part = _checked(path, table, model, values)
+        if isinstance(part, Unstated):
+            unstated = part
+            continue
+        for key in values:
+            changes[TOP_LEVEL.get(f"{table}.{key}", f"{table}.{key}")] = getattr(part, key)
+    return World(path.stem, changes, unstated)
+
+
+def _checked(path: Path, table: str, model: type[Part], values: Mapping[str, Any]) -> Part:
+    for key in values:
+        if key in NOT_YET.get(table, ()):
+            raise SceneError(f"{path}: {table}.{key}: not supported yet")
+    if model is Blocks:
+        if "gap_mm" in values:
+            raise SceneError(f"{path}: blocks.gap_mm: the gap stands in the object's file, not in the world's")
+        values = {"gap_mm": 100.0, **values}
+    return _validated(path, table, model, values)
+
+
+def _validated(path: Path, table: str, model: type[Part], values: Mapping[str, Any]) -> Part:
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise SceneError(f"{path}: {table}.{describe(error, model)}") from error
+
+
+def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
+    """The scene of an object by its name in the registry or by TOML path, in a world as trained.
+
+    Overrides use `__` for the dot: gel__friction=0.5.
+
+    Raises:
+        SceneError: unknown name, unreadable file, unknown key, value out of range or impossible geometry.
+    """
+    path = Path(name_or_path)
+    if str(name_or_path) in object_names():
+        path = OBJECTS / f"{name_or_path}.toml"
+    elif not path.is_file():
+        hint = nearest(str(name_or_path), object_names())
+        raise SceneError(f"no object {str(name_or_path)!r}: expected a TOML file or the name of an object{hint}")
+    data = _read(path)
+    data.setdefault("name", path.stem)
+    for key, value in overrides.items():
+        put(data, key.replace("__", "."), value)
+    if "start" in data:
+        start = _validated(path, "start", Start, data.pop("start"))
+        data |= start.model_dump(include=start.model_fields_set)
+    _fill(data)
+    return parsed(data, str(path))
+
+
+def _fill(data: dict[str, Any]) -> None:
+    """Gap and range of start errors where the object's file leaves them out."""
+    try:
+        width_mm = HeldObject.model_validate(_table(data, "object")).size_x_mm
+    except ValidationError:
+        return  # the scene names what is wrong
+    if isinstance(data.setdefault("blocks", {}), dict):
+        data["blocks"].setdefault("gap_mm", width_mm + GAP_BEYOND_OBJECT_MM)
+    data.setdefault("x_range_mm", min(START_MOST_MM, START_SHARE * width_mm))
+
+
+def _table(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    table = data.get(name)
+    return table if isinstance(table, dict) else {}
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return read_toml(path)
+    except (OSError, ContractError) as error:
+        raise SceneError(str(error)) from error
+
+
+@cache
+def object_names() -> tuple[str, ...]:
+    """The registry's objects in their order; those without one come last, by name."""
+
+    def place(path: Path) -> tuple[float, str]:
+        return float(_read(path).get("order", "inf")), path.stem
+
+    return tuple(path.stem for path in sorted(OBJECTS.glob("*.toml"), key=place))
+
+
+@cache
+def known_object(name_or_path: str) -> Scene | None:
+    """The object that results call so, or None where its file is not there any more."""
+    try:
+        return load_scene(name_or_path)
+    except SceneError:
+        return None
+
+
+@cache
+def training_objects() -> tuple[str, ...]:
+    """The registry's objects that the released networks were trained on, in their order."""
+    return tuple(name for name in object_names() if load_scene(name).training)
+
+
+def files_in(given: Iterable[str | Path], known: Iterable[str] = ()) -> tuple[str, ...]:
+    """Names that are known as they are, files as they are, and each folder's TOML files.
+
+    Raises:
+        SceneError: an empty folder, or two of the same name: results are listed by it.
+    """
+    known = set(known)
+    listed: list[str] = []
+    for one in map(str, given):
+        inside = sorted(map(str, Path(one).glob("*.toml"))) if one not in known and Path(one).is_dir() else [one]
+        if not inside:
+            raise SceneError(f"{one}: no TOML file in this folder")
+        listed += inside
+    twice = [name for name, count in Counter(Path(one).stem for one in listed).items() if count > 1]
+    if twice:
+        raise SceneError(f"{', '.join(twice)}: given more than once; results are listed by name")
+    return tuple(listed)
+
+
+def load_objects(given: Iterable[str | Path]) -> dict[str, Scene]:
+    """The scenes of objects by what they were called by: names, files and folders. Raises SceneError."""
+    return {one: load_scene(one) for one in files_in(given, object_names())}

@@ -1,0 +1,23 @@
+"""Every published page is what its report writes of the published data today."""
+
+import importlib
+import json
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = {
+    "accuracy": "simulation.studies.accuracy_report:accuracy_page",
+    "hard_cases": "tests.hard_cases.__main__:hard_cases_page",
+    "serving": "tests.benchmarks.serving_report:serving_page",
+    "slip_report": "simulation.studies.slip.report:slip_page",
+    "soak": "tests.service.soak.report:soak_page",
+}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_published_page_is_written_from_its_data(name: str) -> None:
+    module, function = PAGES[name].split(":")
+    data = json.loads((DOCS / f"{name}.json").read_text())
+    assert getattr(importlib.import_module(module), function)(data) == (DOCS / f"{name}.md").read_text()

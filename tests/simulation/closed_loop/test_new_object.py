@@ -1,0 +1,101 @@
+"""A new object is one TOML file: collected, probed, played and reported like those that are known."""
+
+import json
+
+import pytest
+
+from simulation.__main__ import main
+from simulation.closed_loop import robustness, statistics
+from simulation.data.dataset import Dataset
+from tests.service import tiny_models
+from tests.simulation.closed_loop.test_evaluation import ROW
+
+BOX = """
+[object]
+shape = "rectangle"
+size_x_mm = 60.0
+size_y_mm = 90.0
+texture = "label"
+"""
+WEAK = '[gel]\ntier = "layer"\n[grasp]\nforce_n = 15.0\n[world]\ntold_gap_error_mm = 1.0\nstop_lag_s = 0.05\n'
+ROW_KEYS = {
+    *("world", "object", "insertions", "inserted", "claimed_wrongly", "refused", "void", "mean_trials"),
+    *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
+    *("worst_force_n", "worst_block_mm", "reasons"),
+}
+
+
+@pytest.fixture
+def box(tmp_path):
+    path = tmp_path / "box.toml"
+    path.write_text(BOX)
+    return path
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    return tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")
+
+
+def test_it_is_collected_and_probed(box, tmp_path, capsys):
+    out = tmp_path / "data"
+    size = ["--trials-per-object", "1", "--trials-per-shard", "1", "--workers", "1"]
+    assert main(["collect", "--objects", str(box), "--out", str(out), *size]) == 0
+    assert set(Dataset(out).labels["object_name"]) == {"box"}
+    assert main(["probe", str(box)]) == 0
+    assert "outcome blocked" in capsys.readouterr().out
+
+
+def test_it_is_played_and_stands_in_both_reports_without_a_figure_of_the_paper(box, models, tmp_path, capsys):
+    play = ["--objects", str(box), "--models", str(models), "--perception", "fields", "-j", "1", "--count", "1"]
+    there = ["--out", str(tmp_path / "out"), "--docs", str(tmp_path / "docs")]
+    assert main(["evaluate", *play, *there, "--controllers", "belief", "oracle"]) == 0
+    text = capsys.readouterr().out
+    assert "| box | " in text
+    assert " |  |  | " in text
+    again = ["--out", str(tmp_path / "again"), "--docs", str(tmp_path / "docs")]
+    assert main(["robustness", *play, *again, "--tiers", "bristle", "--only", robustness.NORMAL]) == 0
+    assert "Objects: box, together" in capsys.readouterr().out
+
+
+def test_a_report_shows_an_object_whose_file_is_gone(box):
+    from simulation.closed_loop import report
+
+    gone = ROW | {"scene": str(box.parent / "gone.toml")}
+    rows = [ROW, gone, gone | {"controller": "oracle"}, ROW | {"scene": str(box)}]
+    text = report.report(rows, statistics.summarise(rows))
+    names = [line.split(" | ")[0] for line in report.paper_table(statistics.summarise(rows))[2:]]
+    assert names == ["| rectangle", "| box", "| gone"]
+    assert "| who decides (insertions in all) | rectangle | box | gone |" in text
+
+
+def test_every_world_is_played_with_every_object_and_continued(box, models, tmp_path, capsys):
+    world = tmp_path / "weak.toml"
+    world.write_text(WEAK)
+    out = tmp_path / "rows.json"
+    ask = ["evaluate", "--worlds", str(world), "--objects", str(box), "circle", "--models", str(models)]
+    ask += ["--perception", "fields", "--seed", "3", "-j", "1", "--json", str(out)]
+    assert main([*ask, "--count", "1"]) == 0
+    rows = json.loads(out.read_text())
+    assert [(row["world"], row["object"]) for row in rows] == [("weak", "box"), ("weak", "circle")]
+    assert all(row.keys() == ROW_KEYS for row in rows)
+    log = out.with_suffix(".insertions.jsonl")
+    before = log.read_text()
+    assert main([*ask, "--count", "2"]) == 0
+    assert log.read_text().startswith(before)
+    assert log.read_text().count("\n") == 4
+    assert all(row["insertions"] == 2 for row in json.loads(out.read_text()))
+    played = json.loads(before.splitlines()[0])
+    assert (played["gap_error_mm"], played["stop_lag_s"], played["changes"]["grasp.force_n"]) == (1.0, 0.05, 15.0)
+
+
+def test_a_world_that_cannot_be_played_is_one_line_and_nothing_is_written(box, models, tmp_path, capsys):
+    world = tmp_path / "swapped.toml"
+    world.write_text("[world]\nswapped_fingers = true\n")
+    out = tmp_path / "new" / "rows.json"
+    ask = ["evaluate", "--worlds", str(world), "--objects", str(box), "--models", str(models)]
+    assert main([*ask, "--json", str(out)]) == 2
+    assert capsys.readouterr().err == f"evaluate: {world}: world.swapped_fingers: not supported yet\n"
+    assert main(ask) == 2
+    assert "--json" in capsys.readouterr().err
+    assert not out.parent.exists()

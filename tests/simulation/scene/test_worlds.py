@@ -1,0 +1,157 @@
+"""Worlds and objects in files: every world with every object, and what cannot be is refused by name."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from simulation.scene.scene import SceneError
+from simulation.scene.worlds import World, files_in, load_scene, load_world, object_names, training_objects
+
+BOX = '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n'
+TIN = '[object]\nshape = "ellipse"\nsize_x_mm = 44.0\nsize_y_mm = 44.0\nmass_kg = 0.08\n'
+PENTAGON = """
+[object]
+shape = "polygon"
+vertices_mm = [[30.0, -22.0], [30.0, 15.0], [0.0, 38.0], [-30.0, 15.0], [-30.0, -22.0]]
+"""
+SLIPPERY = """
+[gel]
+tier = "layer"
+friction = 0.55
+
+[grasp]
+force_n = 15.0
+
+[blocks]
+friction = 0.45
+free = false
+
+[camera]
+fps = 60.0
+
+[motion]
+descent_speed_mm_s = 20.0
+
+[world]
+told_gap_error_mm = 2.0
+told_height_error_mm = 5.0
+stop_lag_s = 0.06
+"""
+
+
+def write(folder: Path, name: str, text: str) -> Path:
+    path = folder / f"{name}.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("name", [*object_names(), "box", "tin", "pentagon"])
+def test_every_world_can_be_played_with_every_object(tmp_path: Path, name: str) -> None:
+    new = {"box": BOX, "tin": TIN, "pentagon": PENTAGON}
+    alone = load_scene(write(tmp_path, name, new[name]) if name in new else name)
+    joined = load_world(write(tmp_path, "slippery", SLIPPERY)).around(alone)
+    assert (joined.gel.tier, joined.gel.friction, joined.grasp.force_n) == ("layer", 0.55, 15.0)
+    assert (joined.blocks.friction, joined.blocks.free, joined.blocks.gap_mm) == (0.45, False, alone.blocks.gap_mm)
+    assert (joined.camera.fps, joined.speed_mm_s) == (60, 20.0)
+    assert joined.object == alone.object
+    assert World().around(alone) == alone
+
+
+@pytest.mark.parametrize(("text", "gap_mm", "x_mm"), [(BOX, 64.0, 15.0), (TIN, 48.0, 13.2), (PENTAGON, 64.0, 15.0)])
+def test_gap_and_start_follow_from_the_width_where_the_file_leaves_them_out(tmp_path, text, gap_mm, x_mm) -> None:
+    scene = load_scene(write(tmp_path, "new", text))
+    assert (scene.blocks.gap_mm, scene.x_range_mm, scene.theta_range_deg) == pytest.approx((gap_mm, x_mm, 15.0))
+    stated = "[blocks]\ngap_mm = 70.0\n[start]\nx_range_mm = 4.0\ntheta_range_deg = 3.0\n"
+    scene = load_scene(write(tmp_path, "new", text + stated))
+    assert (scene.blocks.gap_mm, scene.x_range_mm, scene.theta_range_deg) == (70.0, 4.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[gell]\n", "gell: unknown table; did you mean 'gel'?"),
+        ("gel = 1\n", "gel: unknown table"),
+        ("[gel]\nfricton = 0.5\n", "gel.fricton: unknown key; did you mean 'friction'? (given: 0.5)"),
+        ("[gel]\nfriction = 5.0\n", "gel.friction: expected a number >= 0.0 and <= 2.0 (given: 5.0)"),
+        ("[camera]\nfps = 45\n", "camera.fps: Input should be 30, 60 or 90"),
+        ("[blocks]\ngap_mm = 60.0\n", "blocks.gap_mm: the gap stands in the object's file"),
+        ("[motion]\ndescent_speed_mm_s = 0\n", "motion.descent_speed_mm_s: expected a number > 0.0 and <= 200.0"),
+        ("[world]\nstop_lag_s = 3.0\n", "world.stop_lag_s: expected a number >= 0.0 and <= 0.5"),
+        ("[gel]\npoisson_ratio = 0.48\n", "gel.poisson_ratio: not supported yet"),
+        ("[gel]\nmargin_mm = [0.5, 0.5]\n", "gel.margin_mm: not supported yet"),
+        ("[gel]\nrelaxation_share = 0.2\n", "gel.relaxation_share: not supported yet"),
+        ("[grasp]\nfinger_stiffness_n_per_mm = 0\n", "grasp.finger_stiffness_n_per_mm: not supported yet"),
+        ("[camera]\nlatency_ms = 100\n", "camera.latency_ms: not supported yet"),
+        ("[world]\nswapped_fingers = true\n", "world.swapped_fingers: not supported yet"),
+        ("[gel\n", "not valid TOML"),
+    ],
+)
+def test_a_world_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text: str, named: str) -> None:
+    path = write(tmp_path, "odd", text)
+    with pytest.raises(SceneError, match=f"{re.escape(str(path))}.*{re.escape(named)}"):
+        load_world(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (BOX.replace("rectangle", "rectangel"), "object.shape: Input should be"),
+        (BOX.replace("size_y_mm", "sizey_mm"), "object.sizey_mm: unknown key; did you mean 'size_y_mm'?"),
+        (BOX + "colour = 1\n", "object.colour: unknown key"),
+        (BOX + "vertices_mm = [[0, 0], [9, 0], [9, 9]]\n", "object.vertices_mm: expected with shape = 'polygon'"),
+        (BOX.replace("rectangle", "polygon"), "object.vertices_mm: expected with shape = 'polygon'"),
+        (PENTAGON.replace("[0.0, 38.0]", "[0.0, 10.0]"), "object.vertices_mm: expected corners of a convex polygon"),
+        (PENTAGON.replace("[0.0, 38.0]", "[0.0]"), "object.vertices_mm"),
+        (PENTAGON + "corner_radius_mm = 1.0\n", "object.corner_radius_mm: a polygon has none"),
+        (BOX + "[start]\nx_range = 3.0\n", "start.x_range: unknown key; did you mean 'x_range_mm'?"),
+        (BOX + "[start]\nx_range_mm = -3.0\n", "start.x_range_mm: expected a number > 0.0 and <= 60.0"),
+        (BOX + "[blocks]\ngap_mm = 60.0\n", "blocks.gap_mm: 60.0 must exceed object.size_x_mm 60.0"),
+        ('object = "box"\n', "object: Input should be"),
+        ("", "object: Field required"),
+    ],
+)
+def test_an_object_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text: str, named: str) -> None:
+    path = write(tmp_path, "odd", text)
+    with pytest.raises(SceneError, match=f"{re.escape(str(path))}.*{re.escape(named)}"):
+        load_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("world", "named"),
+    [
+        ("[world]\ntold_gap_error_mm = -20.0\n", "world.told_gap_error_mm: leaves 4 mm; at least 5"),
+        ("[world]\ntold_height_error_mm = -40.0\n", "world.told_height_error_mm: leaves -10 mm; at least 1"),
+        ("[gel]\nthickness_mm = 0.3\ncrown_mm = 0.2\n", "gel.crown_mm: must be 0 to 0.15"),
+    ],
+)
+def test_a_world_and_an_object_that_do_not_fit_are_both_named(tmp_path: Path, world: str, named: str) -> None:
+    small = BOX.replace("60.0", "20.0")
+    with pytest.raises(SceneError, match=f"world odd, object small.*{re.escape(named)}"):
+        load_world(write(tmp_path, "odd", world)).around(load_scene(write(tmp_path, "small", small)))
+
+
+def test_folders_files_and_names_are_listed_once_each(tmp_path: Path) -> None:
+    box, tin = str(write(tmp_path, "box", BOX)), str(write(tmp_path, "tin", TIN))
+    assert files_in(["circle", tmp_path], object_names()) == ("circle", box, tin)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(SceneError, match="no TOML file in this folder"):
+        files_in([tmp_path / "empty"])
+    with pytest.raises(SceneError, match="box: given more than once"):
+        files_in([tmp_path, box])
+
+
+def test_seeds_follow_the_stated_order_or_the_file_and_never_the_list(tmp_path: Path) -> None:
+    assert [load_scene(name).number for name in object_names()] == list(range(len(object_names())))
+    assert training_objects() == ("rectangle", "circle", "ellipse", "hexagon")
+    box = write(tmp_path, "box", BOX)
+    assert load_scene(box).number == load_scene(box).number != load_scene(write(tmp_path, "tin", TIN)).number
+
+
+def test_an_objects_own_texture_stands_in_its_file(tmp_path: Path) -> None:
+    from simulation.optics.appearance import Appearance
+
+    coarse = BOX + 'texture = "ribbed"\ntexture_period_mm = 1.4\ntexture_gain = 0.2\n'
+    look = Appearance.draw(load_scene(write(tmp_path, "box", coarse)), "left", 0)
+    assert (look.object_texture, look.object_texture_gain) == ("ribs", 0.2)
+    assert look.object_texture_period_px == pytest.approx(20.0)
