@@ -20,12 +20,12 @@ from export.onnx.verify import OPSET, verify_forms
 from reporting.machine import cpu_name
 from service.contract import Calibration, ContractError, ModelCard, Sensor
 from service.contract.self_test import make_self_test
-from training.config import FRAMES_PER_DECISION
 from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.fit.checkpoint import Checkpoint
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import Role, SequenceForm, StepForm
 from training.networks.preprocessing import CHANNELS, selector
+from training.networks.settings import FRAMES_PER_DECISION
 
 TOLERANCE = 1e-5
 FLOAT = onnx.TensorProto.FLOAT

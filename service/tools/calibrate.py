@@ -20,7 +20,7 @@ from service.perception.markers.lattice import Lattice, find_lattice, rectifying
 from service.perception.rectification import CalibrationError, CameraCalibration
 
 MIN_SIDE = 0.71  # of the rows and of the columns
-MIN_FOUND = 0.9
+MIN_DETECTED = 0.9
 MAX_RESIDUAL_PX = 1.0
 WAIT_S = 10.0
 
@@ -40,29 +40,29 @@ def still_image(url: str, frames: int) -> NDArray[np.uint8]:
     timer.start()
     began = time.monotonic()
     try:
-        seen = [capture.image() for capture in islice(open_source(url).frames(stop), max(frames, 1))]
+        images = [capture.image() for capture in islice(open_source(url).frames(stop), max(frames, 1))]
     except OSError as error:
         raise CameraError(f"camera {url}: {error}") from error
     finally:
         timer.cancel()
-    if not seen:
+    if not images:
         raise CameraError(f"camera {url} gave no frame within {time.monotonic() - began:.0f} s")
-    if len({pixels.shape for pixels in seen}) > 1:
+    if len({pixels.shape for pixels in images}) > 1:
         raise CameraError(f"camera {url} changed its frame size while it was watched")
-    return np.asarray(np.median(np.stack(seen), axis=0), np.uint8)
+    return np.asarray(np.median(np.stack(images), axis=0), np.uint8)
 
 
 def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor) -> Fit:
-    """The calibration of one camera from a still raw frame; raises CalibrationError if the grid is not fully seen."""
+    """The calibration of one camera from a still raw frame; raises CalibrationError if its grid is not visible."""
     lattice = find_lattice(image)
     if lattice is None:
         raise CalibrationError(f"{finger}: no marker grid in the frame; is it the right camera, lit and in focus?")
-    rows, cols = lattice.found.shape
+    rows, cols = lattice.detected.shape
     least_rows, least_cols = (ceil(MIN_SIDE * count) for count in (sensor.marker_rows, sensor.marker_columns))
-    if rows < least_rows or cols < least_cols or lattice.found.mean() < MIN_FOUND:
+    if rows < least_rows or cols < least_cols or lattice.detected.mean() < MIN_DETECTED:
         raise CalibrationError(
-            f"{finger}: saw {cols} x {rows} markers, {lattice.found.mean():.0%} of them;"
-            f" expected at least {least_cols} x {least_rows} and {MIN_FOUND:.0%}: clean the gel, touch nothing"
+            f"{finger}: {cols} x {rows} markers visible, {lattice.detected.mean():.0%} of them detected; expected at"
+            f" least {least_cols} x {least_rows} and {MIN_DETECTED:.0%}: clean the gel, touch nothing"
         )
     rest_px = resting_px(lattice, sensor)
     matrix = rectifying_homography(lattice, rest_px)
@@ -80,4 +80,4 @@ def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor) -> Fit:
 
 def _residual_px(lattice: Lattice, matrix: NDArray[np.float64], rest_px: NDArray[np.float64]) -> float:
     mapped = cv2.perspectiveTransform(lattice.xy_px.astype(np.float64), matrix)
-    return float(np.sqrt(np.square(mapped - rest_px)[lattice.found].sum(-1).mean()))
+    return float(np.sqrt(np.square(mapped - rest_px)[lattice.detected].sum(-1).mean()))

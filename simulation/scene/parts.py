@@ -79,7 +79,10 @@ class HeldObject(Part):
 
 
 class Blocks(Part):
-    """The two blocks that leave the gap. `free` lets them slide on the table and tip."""
+    """The two blocks that leave the gap. `free` lets them slide on the table and tip.
+
+    ``insertion_depth_mm``: how deep all of an object's bottom face must be below their tops to count as inserted.
+    """
 
     gap_mm: float = Field(gt=5.0, le=250.0)
     free: bool = False
@@ -90,6 +93,7 @@ class Blocks(Part):
     stiffness_n_per_mm: float = Field(default=1000.0, ge=5.0, le=50000.0)
     friction: float = Field(default=0.25, ge=0.0, le=2.0)
     table_friction: float = Field(default=0.4, ge=0.0, le=2.0)
+    insertion_depth_mm: float = Field(default=15.0, ge=1.0, le=100.0)
 
 
 class Gel(Part):

@@ -19,6 +19,7 @@ from simulation.scene import shapes
 from simulation.scene.parts import Blocks, Camera, Effects, Figures, Gel, Grasp, HeldObject, Numerics, Part
 
 YOUNGER_KEYS = {
+    "blocks": ("insertion_depth_mm",),
     "object": ("vertices_mm", "texture_period_mm", "texture_gain"),
     "camera": ("readout_ms",),
     "effects": ("inertia", "rolling_shutter"),

@@ -18,11 +18,12 @@ from simulation.data.lerobot import features
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
-from training.config import DataConfig, NetworkConfig
+from training.config import DataConfig
 from training.data.batches import decisions
 from training.data.dataset import load_trials
 from training.data.labels import CLASSES
-from training.networks import build
+from training.networks import build, reads
+from training.networks.settings import NetworkConfig
 
 THIRD = """
 marker_rows = 12
@@ -96,7 +97,7 @@ def test_its_camera_is_calibrated_from_a_resting_gel(profile: str) -> None:
 def test_a_network_of_its_size_trains_a_step(collected: Dataset, kind: str, tmp_path: Path) -> None:
     fit = kind == "markers"
     settings = NetworkConfig(kind=kind, front_width=8, trunk_width=8, feature_size=16, state_size=16, affine_fit=fit)
-    trials = load_trials(DataConfig(path="", cache=str(tmp_path)), collected, settings.reads)
+    trials = load_trials(DataConfig(path="", cache=str(tmp_path)), collected, reads(kind))
     torch.manual_seed(0)
     network = build(settings, len(CLASSES), trials.sensor)
     batch = decisions(trials, np.arange(2), None, pictures=True)

@@ -10,9 +10,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from service.contract import Sensor
-from training.config import NetworkConfig
 from training.networks.decider import FIELD_CHANNELS, Decider
 from training.networks.preprocessing import BLOCKS_A_PITCH, CHANNELS, block_px, block_sums
+from training.networks.settings import NetworkConfig
 
 GREY_SPAN = 32.0
 WINDOW = 5
@@ -53,6 +53,8 @@ class Front(nn.Module):
 
 class CompactNetwork(Decider):
     """Pictures, by way of the front."""
+
+    front: Front
 
     def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
         super().__init__(settings, classes, sensor)

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor, nn
 
 from service.contract import Sensor
-from training.config import NetworkConfig
 from training.networks.affine import AffineFit
 from training.networks.density import MixtureDensity
 from training.networks.forms import Role
+from training.networks.settings import NetworkConfig
 
 FIELD_CHANNELS = 3
 ERROR_SCALE = 5.0
@@ -83,6 +83,8 @@ class Decider(nn.Module):
         self.direction = nn.Linear(settings.state_size, classes)
         self.magnitude = nn.Linear(settings.state_size, 4)
         self.density = MixtureDensity(settings.state_size)
+        self.front: nn.Module | None = None
+        """Reads a network's pictures, and is trained first, on true fields."""
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
 
     def set_scales(self, fields: Tensor) -> None:

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from service.contract import Sensor
-from training.config import NetworkConfig
 from training.networks.decider import Decider
+from training.networks.settings import NetworkConfig
 
 TRACKING_PX = 0.08
 """Largest tracking error trained on, RMS of an axis: it is 0.04 px at the scenes' camera noise, 0.08 at three times."""
