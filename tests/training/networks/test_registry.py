@@ -121,4 +121,4 @@ def test_an_unknown_key_of_a_recipe_is_refused_with_the_nearest(tmp_path):
 
 def test_a_checkpoint_of_an_unknown_kind_is_refused_by_name(config):
     with pytest.raises(ContractError, match="'other' is unknown"):
-        networks.build(config.network.model_copy(update={"kind": "other"}), 9)
+        networks.build(config.network.model_copy(update={"kind": "other"}), 9, Sensor.load())
