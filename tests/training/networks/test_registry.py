@@ -8,7 +8,7 @@ import pytest
 from export.onnx.model import open_model
 from export.onnx.to_onnx import export_checkpoint
 from export.onnx.verify import verify
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from training import networks
 from training.config import RecipeConfig, RunConfig
 from training.fit.train import train
