@@ -88,8 +88,8 @@ def report(rows: list[Row], summaries: Sequence[Row], note: str = "") -> str:
 def _perception(kinds: Sequence[str]) -> str:
     if kinds == ["fields"]:
         return (
-            "Slip is judged by the service's detectors on the true marker field plus the tracker's measured error;"
-            " networks that read markers see the same, and those that read pictures see frames drawn and rectified."
+            "Slip is detected on the true marker field plus the tracker's measured error;"
+            " networks that read markers read the same, those that read pictures read frames drawn and rectified."
         )
     return "Every frame is drawn, rectified and tracked."
 
@@ -138,7 +138,7 @@ def baseline_table(summaries: Sequence[Row], shared: Sequence[Row] = ()) -> list
     """Success and mean trials, controller by object; ``shared`` is the belief where others played, too."""
     scenes = in_order(row["scene"] for row in summaries)
     names = " | ".join(title_of(scene) for scene in scenes)
-    head = f"| who decides (insertions in all) | {names} | all together, 95 % interval |"
+    head = f"| controller (insertions in all) | {names} | all together, 95 % interval |"
     lines = [head, "|---" * (len(scenes) + 2) + "|"]
     for name, controller in CONTROLLERS.items():
         lines += _controller_row(controller.title, scenes, [row for row in summaries if row["controller"] == name])

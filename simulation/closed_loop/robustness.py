@@ -32,7 +32,7 @@ class Condition:
 
     @property
     def only_in_pictures(self) -> bool:
-        """Whether nobody can be disturbed by it who does not look at the pictures."""
+        """Whether it disturbs pictures alone, so that it has to be played with them."""
         return bool(self.dead) or bool(self.values and set(self.values) <= ONLY_IN_PICTURES)
 
     def changes(self, scene: Scene) -> dict[str, Any]:
@@ -67,8 +67,8 @@ CONDITIONS: Mapping[str, Condition] = {
     "clearance 1.5 mm": Condition(clearance_mm=1.5),
     "clearance 4 mm": Condition(clearance_mm=4.0),
     "gel worn out": Condition(values={"gel.wear": 0.9}),
-    "gap told 4 mm too narrow": Condition(gap_error_mm=-4.0),
-    "gap told 4 mm too wide": Condition(gap_error_mm=4.0),
+    "gap stated 4 mm too narrow": Condition(gap_error_mm=-4.0),
+    "gap stated 4 mm too wide": Condition(gap_error_mm=4.0),
     "5 % of frames dropped": Condition(values={"camera.dropped_share": 0.05}),
     "20 % of frames dropped": Condition(values={"camera.dropped_share": 0.2}),
     "left camera dark": Condition(dead="dark"),
@@ -98,7 +98,7 @@ def report(rows: list[Row]) -> str:
         "which were trained on the `bristle` tier; the `layer` tier is a finer model of the gel that they never saw.",
         f"Objects: {', '.join(scenes)}, together. A failure counts as 16 trials. Refused: insertions in which the",
         "service or the client ended the insertion by itself instead of using up its trials. Claimed wrongly: not in,",
-        "but the client said so. Void: the physics came to its end (no equilibrium,",
+        "but the client claimed it. Void: the physics came to its end (no equilibrium,",
         "or an object pushed 12 mm up in the hand, from where on its grasp is not simulated); it counts as failed.",
         *_perception(rows),
         "",
@@ -119,7 +119,7 @@ def _perception(rows: Sequence[Row]) -> list[str]:
         return ["Every frame was drawn, rectified and tracked."]
     listed = ", ".join(name for name in CONDITIONS if name in drawn) or "none"
     return [
-        "Slip and markers are judged on the true marker field plus the tracker's measured error, which grows with the",
+        "Slip and markers are taken from the true marker field plus the tracker's measured error, which grows with the",
         f"noise; with every frame drawn: {listed}.",
     ]
 

@@ -66,7 +66,7 @@ def test_a_report_shows_an_object_whose_file_is_gone(box):
     text = report.report(rows, statistics.summarise(rows))
     names = [line.split(" | ")[0] for line in report.paper_table(statistics.summarise(rows))[2:]]
     assert names == ["| rectangle", "| box", "| gone"]
-    assert "| who decides (insertions in all) | rectangle | box | gone |" in text
+    assert "| controller (insertions in all) | rectangle | box | gone |" in text
 
 
 def test_every_world_is_played_with_every_object_and_continued(box, models, tmp_path, capsys):
