@@ -23,11 +23,10 @@ from training.data.labels import CLASSES, class_of
 from training.data.recipe_data import Rows, chosen_trials, decision_frames, load_rows
 from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Log, Stage, fit
-from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
+from training.metrics.figures import Predictions, by_split
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
 
-FIELD_SIZE = 3 * 20 * 21
 NETWORK = NetworkConfig(kind="alexnet_lstm")
 
 
@@ -66,10 +65,10 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
 class _FieldReader(nn.Module):
     """Convolutions with a linear read-out of the marker field: what they are pretrained with."""
 
-    def __init__(self, network: AlexNetLstm) -> None:
+    def __init__(self, network: AlexNetLstm, size: int) -> None:
         super().__init__()
         self.features = network.alexnet.features
-        self.read_out = nn.Linear(FEATURES, FIELD_SIZE)
+        self.read_out = nn.Linear(FEATURES, size)
 
     def forward(self, images: Tensor) -> Tensor:
         field: Tensor = self.read_out(self.features(images).flatten(1))
@@ -80,7 +79,7 @@ def _pretrain(
     config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair, log: Log
 ) -> None:
     """Difference frame -> change of the marker field, on training trials; both networks then start from the result."""
-    reader = _FieldReader(pair.direction)
+    reader = _FieldReader(pair.direction, int(np.prod(table["fields"].shape[3:])))
     chosen = chosen_trials(table, "train", config.pretraining_trials)
     held = chosen_trials(table, "validation", max(8, config.pretraining_trials // 10))
     fields = table["fields"][chosen].astype(np.float32)
@@ -159,16 +158,12 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
     spread = np.sqrt(np.square(held.error - held.truth).mean(0))
     pair.magnitude.log_sigma.copy_(torch.from_numpy(np.log(spread)))
     held = _predict(pair, rows, rows.of("validation"))
-    scales = calibrate(held)
-    tables: dict[str, dict[str, float]] = {}
-    for split in SPLITS:
-        chosen = rows.of(split)
-        chosen = chosen[~rows.crop[chosen]]
-        if not len(chosen):
-            continue
-        said = _predict(pair, rows, chosen)
-        fair = cross_calibrated(said, rows.groups[chosen]) if split == "validation" else rescaled(said, scales)
-        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    scales = held.calibration()
+    doubled = np.flatnonzero(rows.crop)
+    scored = {split: chosen for split in SPLITS if len(chosen := np.setdiff1d(rows.of(split), doubled))}
+    tables = by_split(
+        {split: (_predict(pair, rows, chosen), rows.groups[chosen]) for split, chosen in scored.items()}, scales
+    )
     checkpoint = Checkpoint(
         name=config.name,
         network=NETWORK,
@@ -179,6 +174,7 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         training_data_sha256=digest,
         git_commit=commit(),
         run=config.settings(),
+        sensor=rows.sensor,
     )
     checkpoint.save(config.folder / "checkpoint.pt")
     (config.folder / "figures.json").write_text(json.dumps(tables, indent=1))
@@ -186,13 +182,11 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
 
 
 def _predict(pair: AlexNetPair, rows: Rows, chosen: NDArray[np.int64]) -> Predictions:
-    logits, errors, sigmas = [], [], []
+    parts = []
     with torch.inference_mode():
         for part in np.array_split(chosen, -(-len(chosen) // 32)):
             convolved = _batch(rows, part)
-            logits.append(pair.direction.logits(pair.direction.read(convolved)))
-            estimate = pair.magnitude.error(pair.magnitude.read(convolved))
-            errors.append(estimate[0])
-            sigmas.append(estimate[1])
-    said, error, log_sigma = (torch.cat(parts).double().numpy() for parts in (logits, errors, sigmas))
-    return Predictions(said, error, log_sigma, rows.error[chosen].astype(np.float64), rows.objects[chosen])
+            direction = pair.direction.logits(pair.direction.read(convolved))
+            parts.append((direction, *pair.magnitude.error(pair.magnitude.read(convolved))))
+    logits, error, log_sigma = (torch.cat(column).double().numpy() for column in zip(*parts, strict=True))
+    return Predictions(logits, error, log_sigma, rows.error[chosen].astype(np.float64), rows.objects[chosen])
