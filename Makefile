@@ -166,7 +166,7 @@ down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings st
 	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim --profile monitoring down
 
 verify-images: $(OPS_VENV)/ready bundle ## build images and bundle, run the loop in them, kill the service in mid-insertion, print sizes and times
-	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) docker/verify_images.py --outside $(CURDIR)/$(RUN) --bundle "$$(ls $(CURDIR)/dist/*.tar)"
+	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) -m tests.docker.verify_images --outside $(CURDIR)/$(RUN) --bundle "$$(ls $(CURDIR)/dist/*.tar)"
 
 lint-ops: $(OPS_VENV)/ready ## check Dockerfiles, alert rules (needs promtool) and manifests
 	$(OPS_VENV)/bin/hadolint docker/*.Dockerfile

@@ -31,7 +31,7 @@ class DeviceSettings(Contract):
 
     @property
     def address(self) -> str:
-        """Where the device is, for people."""
+        """Where the device is reached, for display."""
         return self.device
 
 

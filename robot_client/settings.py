@@ -34,7 +34,7 @@ class SettingsError(ContractError):
 class Task(Contract):
     """The insertion itself. Heights are those of the TCP in the work-object frame."""
 
-    approach_z_mm: float = 35.0  # held 30 mm above its bottom, which is approach_clearance_mm above the blocks
+    approach_z_mm: float = 35.0  # 30 mm above the object's bottom, which is approach_clearance_mm above the blocks
     approach_clearance_mm: Positive = 5.0
     approach_y_mm: float = 0.0
     gap_width_mm: float = Field(default=56.0, gt=0, le=1000)
@@ -95,7 +95,7 @@ def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) ->
 
 
 def _merged(data: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
-    """``data`` under the values that are not None; what should be a table and is none stays, to be refused."""
+    """``data`` with the overrides that are not None; a value that should be a table is left for the validation."""
     merged = dict(data)
     for key, value in overrides.items():
         if isinstance(value, dict):

@@ -1,10 +1,13 @@
 """What the service is told: command line over environment (``TACTILE_*``) over a TOML file (``--config``)."""
 
+import argparse
 import ipaddress
-from collections.abc import Sequence
+import os
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import (
@@ -18,11 +21,15 @@ from pydantic_settings import (
 from pydantic_settings import SettingsError as CliError
 
 from service.contract import ContractError
+from service.contract.refusals import nearest
 from service.contract.shipped import released_models
 from service.contract.toml import read_toml
 from service.contract.wire import ControllerName, Limits
 
 Exporter = Literal["off", "console", "otlp"]
+HELP = "python -m service run --help"
+OTHER_VARIABLES = ("TACTILE_INSERTION_", "TACTILE_REAL_DATA", "TACTILE_SCREENSHOTS", "TACTILE_TRACEBACK")
+"""Variables that start alike: of the robot client (or Kubernetes), of tests, of every command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,58 +129,71 @@ class Settings(BaseSettings):
 
 
 def read_settings(arguments: Sequence[str]) -> Settings:
-    """Settings from a command line; raise SettingsError with one line that names the option.
+    """Settings from a command line; raise SettingsError with one line that names the option, variable or file and key.
 
     ``--config FILE`` gives defaults from TOML with the same names (underscores for dashes).
     """
-    rest, defaults = _take_config(list(arguments))
-    kind = _with_defaults(defaults)
+    rest, path, table = _take_config(arguments)
+    _check_keys(path, table)
+    kind = _with_defaults(table)
     try:
         source: CliSettingsSource[Settings] = CliSettingsSource(kind, cli_prog_name="tactile-insertion serve")
         return CliApp.run(kind, cli_args=rest, cli_settings_source=source)
     except CliError as error:
-        raise SettingsError(f"{error} (python -m service run --help)") from error
+        unknown = re.search(r"unrecognized arguments: --(\S+)", str(error))
+        hint = nearest(unknown[1].split("=")[0].replace("-", "_"), Settings.model_fields) if unknown else ""
+        raise SettingsError(f"{error}{hint.replace('_', '-')} ({HELP})") from error
     except ValidationError as error:
         first = error.errors()[0]
-        name = "--" + "-".join(str(part) for part in first["loc"]).replace("_", "-") if first["loc"] else "settings"
-        raise SettingsError(f"{name}: {first['msg']} (python -m service run --help)") from error
+        name = str(first["loc"][0]) if first["loc"] else "settings"
+        choices = get_args(Settings.model_fields[name].annotation) if first["type"] == "literal_error" else ()
+        hint = nearest(str(first["input"]), choices) if choices else ""
+        raise SettingsError(f"{_origin(name, rest, path, table)}: {first['msg']}{hint} ({HELP})") from error
 
 
-def _take_config(arguments: list[str]) -> tuple[list[str], dict[str, Any]]:
-    arguments = [part for given in arguments for part in _parted(given)]
-    if "--config" not in arguments:
-        return arguments, {}
-    at = arguments.index("--config")
-    if at + 1 >= len(arguments):
-        raise SettingsError("--config needs a TOML file")
-    path = Path(arguments[at + 1])
+def _take_config(arguments: Sequence[str]) -> tuple[list[str], str, dict[str, Any]]:
+    """The other arguments, the path of ``--config`` and its table."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--config", default="")
     try:
-        defaults = read_toml(path)
+        known, rest = parser.parse_known_args(arguments)
+        return rest, known.config, read_toml(known.config) if known.config else {}
+    except argparse.ArgumentError as error:
+        raise SettingsError("--config needs a TOML file") from error
     except (OSError, ContractError) as error:
         raise SettingsError(f"--config: {error}") from error
-    return arguments[:at] + arguments[at + 2 :], defaults
 
 
-def _parted(argument: str) -> list[str]:
-    return argument.split("=", 1) if argument.startswith("--config=") else [argument]
+def _check_keys(path: str, table: Mapping[str, Any]) -> None:
+    """Raise SettingsError on a key of the file, or a variable of the environment, that is no setting."""
+    for key in table:
+        if key not in Settings.model_fields:
+            raise SettingsError(f"--config {path}: {key} is not used{nearest(key, Settings.model_fields)}")
+    variables = [f"TACTILE_{name.upper()}" for name in Settings.model_fields]
+    for name in sorted(os.environ):
+        if name.startswith("TACTILE_") and name not in variables and not name.startswith(OTHER_VARIABLES):
+            raise SettingsError(f"environment: {name} is not used{nearest(name, variables)}")
 
 
-def _with_defaults(defaults: dict[str, Any]) -> type[Settings]:
+def _origin(name: str, arguments: Sequence[str], path: str, table: Mapping[str, Any]) -> str:
+    """Where a setting was given: the option, else the variable, else the file; the option if nowhere."""
+    option = "--" + name.replace("_", "-")
+    if any(argument.split("=")[0] == option for argument in arguments):
+        return option
+    variable = f"TACTILE_{name.upper()}"
+    if variable in os.environ:
+        return variable
+    return f"--config {path}: {name}" if name in table else option
+
+
+def _with_defaults(table: dict[str, Any]) -> type[Settings]:
     """A Settings class whose lowest source is the given table."""
-    if not defaults:
-        return Settings
 
     class Configured(Settings):
         @classmethod
-        def settings_customise_sources(
-            cls,
-            settings_cls: type[BaseSettings],
-            init_settings: PydanticBaseSettingsSource,
-            env_settings: PydanticBaseSettingsSource,
-            dotenv_settings: PydanticBaseSettingsSource,
-            file_secret_settings: PydanticBaseSettingsSource,
+        def settings_customise_sources(  # type: ignore[override]
+            cls, settings_cls: type[BaseSettings], *, init_settings: Any, env_settings: Any, **_: Any
         ) -> tuple[PydanticBaseSettingsSource, ...]:
-            del dotenv_settings, file_secret_settings
-            return init_settings, env_settings, InitSettingsSource(settings_cls, defaults)
+            return init_settings, env_settings, InitSettingsSource(settings_cls, table)
 
-    return Configured
+    return Configured if table else Settings

@@ -105,14 +105,14 @@ def _folded_scale(model: Model, otherwise: Any) -> Any:
 
 
 def _empty(model: Model, weights: dict[str, Any]) -> Any:
-    from training.config import NetworkConfig
     from training.networks import build
     from training.networks.alexnet import AlexNetLstm, AlexNetPair
+    from training.networks.settings import NetworkConfig
 
     classes = len(model.card.classes)
     if any("alexnet" in name for name in weights):
         if model.card.role == "pair":
-            pair = AlexNetPair(classes)
+            pair = AlexNetPair(NetworkConfig(kind="alexnet_lstm"), classes)
             apart = "magnitude.alexnet.classifier.1.weight" in weights
             ours, theirs = pair.direction.alexnet, pair.magnitude.alexnet
             (theirs.features if apart else theirs).load_state_dict((ours.features if apart else ours).state_dict())

@@ -21,12 +21,12 @@ from reporting.machine import cpu_name
 from service.contract import Calibration, ContractError, FrameSpec, MarkerSpec, ModelCard
 from service.contract.self_test import make_self_test
 from service.perception.markers.field import LATTICE
-from training.config import FRAMES_PER_DECISION
 from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.fit.checkpoint import Checkpoint
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import Role, SequenceForm, StepForm
 from training.networks.preprocessing import BLOCK_PX, CHANNELS, COLS, HEIGHT_PX, ROWS, WIDTH_PX, selector
+from training.networks.settings import FRAMES_PER_DECISION
 
 PICTURES = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX, colour="bgr", rectified=True)
 MARKERS = MarkerSpec(rows=LATTICE.rows, columns=LATTICE.columns, pitch_px=LATTICE.pitch_px, first_px=LATTICE.first_px)

@@ -201,7 +201,7 @@ def _panel(panel: Any, points: list[Point], section: str, sign: int) -> None:
         # Neighbours on the front lie close together: their names alternate above and below it.
         name = point.name.split(" ", 1)[1] if "kind" in point.about else point.name
         label(panel, (point.cost_ms, sign * point.better), name, dy=5.0 if place % 2 else -11.0)
-    panel.set(xscale="log", xlabel=COSTS[section], title=TITLES[section])
+    panel.set(xscale="log", xlabel=COSTS[section], ylabel=TITLES[section])
     if sign < 0:
         panel.invert_yaxis()
     panel.legend(loc="lower right")
@@ -216,9 +216,8 @@ def _points(panel: Any, points: list[Point], sign: int, colour: str, name: str) 
     panel.errorbar(cost, better, spread if sign > 0 else spread[::-1], tails, **style)
     for point in points:
         if point.mean_trials is not None:
-            label(
-                panel, (point.cost_ms, sign * point.better), f"{point.mean_trials[0]:.2f} trials", colour=colour, dy=8
-            )
+            place = (point.cost_ms, sign * point.better)
+            label(panel, place, f"{point.mean_trials[0]:.2f} trials", colour=colour, dy=8.0)
 
 
 def _tail_ms(point: Point) -> float:

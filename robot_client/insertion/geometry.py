@@ -16,7 +16,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 Reach = Annotated[float, Field(ge=-1e6, le=1e6)]
-"""A kilometre, or a million degrees: beyond it lies a mistake, and sums of such numbers overflow."""
+"""A kilometre, or a million degrees: larger values are mistakes, and their sums would overflow."""
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 TOOL_DOWN: Quaternion = (0.0, 1.0, 0.0, 0.0)

@@ -135,7 +135,7 @@ def _on_standstill(state: State, event: Standstill) -> Result:
 
 
 def _on_part_lost(state: State, event: PartLost) -> Result:
-    if state.phase is Phase.CLOSING:  # it lies in its gap; to let go of it there is no loss
+    if state.phase is Phase.CLOSING:  # it lies in its gap: letting go of it is no loss
         return state, ()
     if state.phase is Phase.DESCENDING:
         return hold(replace(state, dropped=True), "part lost", event.at_s)
@@ -167,7 +167,7 @@ _ON_ARRIVAL: dict[Phase, Callable[[State, Arrived], Result]] = {
 
 def _on_service(state: State, event: FromService) -> Result:
     message, at_s = event.message, event.at_s
-    if isinstance(message, wire.Fault):  # of whatever insertion: one about the connection names none
+    if isinstance(message, wire.Fault):  # of any insertion: a fault of the connection names none
         return fail(state, "service", message.code, message.detail)
     if message.insertion_id != state.plan.insertion_id:
         detail = f"message of insertion {message.insertion_id}, expected {state.plan.insertion_id}"
@@ -214,7 +214,7 @@ def _on_attempt_message(
     if message.attempt > state.attempt:
         detail = f"{message.type} of attempt {message.attempt} during attempt {state.attempt}"
         return fail(state, "service", "protocol", detail)
-    if isinstance(message, wire.Slip) and state.phase is Phase.DESCENDING:  # whatever its attempt: stopping is safe
+    if isinstance(message, wire.Slip) and state.phase is Phase.DESCENDING:  # of any attempt: stopping is safe
         return hold(state, f"slip on finger {message.finger}, frame {message.frame_seq}", at_s)
     result: Result = state, ()
     if message.attempt < state.attempt:
@@ -240,7 +240,7 @@ def _on_correction(state: State, message: wire.Correction, at_s: float) -> Resul
 
 
 def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
-    """Probe the same spot again: the one motion that is no guess. Not for non-finite results, and not for ever."""
+    """Probe the same spot again, the one motion that is no guess; never after non-finite results, and not for ever."""
     count = state.no_decisions + 1
     if message.reason == "non_finite" or count > state.plan.max_no_decisions:
         return fail(state, "service", "no_decision", f"{message.reason}: {message.detail}")

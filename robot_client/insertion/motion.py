@@ -10,7 +10,7 @@ from service.contract.frames import Contract
 
 CYCLE_S = 0.004
 MISSED_CYCLES = 3
-_RESUME_S = 0.05  # after a gap the way is taken up again with this ramp
+_RESUME_S = 0.05  # after a gap the motion resumes with this ramp
 _SETTLE_MM = 0.03
 _SETTLE_DEG = 0.03
 _STILL_MM = 0.015  # within a window this small for _SETTLE_S: standing still
@@ -51,7 +51,7 @@ class Ramps(Contract):
 
 
 def check_ramps(limits: Limits, ramps: Ramps) -> None:
-    """Raise LimitError for a ramp whose motion the limits would break off on its way, at full speed."""
+    """Raise LimitError for a ramp that the limits would break off in mid-motion, at full speed."""
     for motion in get_args(Motion):
         ramp: Ramp = ramps.of(motion)
         top = limits.max_descent_speed_mm_s if motion == "descend" else limits.max_speed_mm_s

@@ -55,7 +55,7 @@ class Plan(Contract):
 
     insertion_id: wire.InsertionId
     approach: WorkPose
-    gap_width_mm: float = Field(gt=0, le=1000)  # these three: as `arm` carries them
+    gap_width_mm: float = Field(gt=0, le=1000)  # these three have the bounds of the message `arm`
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
     expected_depth_mm: float = Field(gt=0, le=1000)
     depth_tolerance_mm: float = 1.0
@@ -103,5 +103,5 @@ class State:
 
     @property
     def bottom_mm(self) -> float:
-        """How far below the armed pose the next descent ends, with what the object has crept up as far as allowed."""
+        """Depth of the next descent below the armed pose, with the object's creep as far as allowed."""
         return self.plan.expected_depth_mm + min(self.creep_mm, self.plan.creep_allowance_mm)

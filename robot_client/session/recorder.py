@@ -61,7 +61,7 @@ class Recorder:
 
     def _close(self) -> None:
         if self._file is not None:
-            with contextlib.suppress(OSError):  # what it could not write, it tries to write again
+            with contextlib.suppress(OSError):  # closing tries to write the rest again
                 self._file.close()
             self._file = None
 

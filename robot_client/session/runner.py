@@ -116,7 +116,7 @@ class Runner:
             self._events.append(Failure(at_s=time.monotonic(), source="limits", code="move", detail=str(error)))
 
     async def _close(self) -> None:
-        """Arm first: whatever else hangs, the program is stopped."""
+        """The arm first: its program is stopped even if another port hangs."""
         with contextlib.suppress(Exception):
             self.farewell = await self.arm.close()
         for port in (self.service, self.gripper):

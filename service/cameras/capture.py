@@ -92,7 +92,7 @@ class Camera:
         self.latest: CameraFrame | None = None
         self.newest_ns: int | None = None
         self.frames_n = self.repeated_n = 0
-        self._broken_n = self._unseen_n = self._same_n = 0
+        self._broken_n = self._skipped_n = self._same_n = 0
         self._picture: bytes | NDArray[np.uint8] = b""
         self.shape: tuple[int, ...] | None = None
         self.last_fault = ""
@@ -157,13 +157,13 @@ class Camera:
             return
         self._same_n = 0
         if capture.pixels is None and self._may_skip():
-            self._unseen_n += 1
+            self._skipped_n += 1
             self._count(capture.captured_ns)
             return
         pixels = self._decoded(capture)
         if pixels is None:
             return
-        self._unseen_n = 0
+        self._skipped_n = 0
         if self.shape is not None and pixels.shape != self.shape:
             was, self.shape = self.shape, pixels.shape
             self._fault("lost", "camera_size", f"{self.finger} frames changed from {_size(was)} to {_size(self.shape)}")
@@ -183,7 +183,7 @@ class Camera:
         return bool(np.array_equal(picture, last))
 
     def _may_skip(self) -> bool:
-        return self.state == "live" and self._unseen_n < GLANCE_EVERY - 1 and not self._attended()
+        return self.state == "live" and self._skipped_n < GLANCE_EVERY - 1 and not self._attended()
 
     def _count(self, captured_ns: int) -> None:
         self.newest_ns = captured_ns

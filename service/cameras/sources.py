@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import CameraError, Capture, Source, now_ns
 from service.contract import TactileFrame
+from service.contract.refusals import nearest
 
 CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a camera that returns is found within 1 s
 READ_TIMEOUT_S = 1.0
@@ -22,6 +23,7 @@ MAX_JPEG_BYTES = 4 << 20
 _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
 _STAMP = re.compile(rb"(?im)^x-timestamp:\s*(\d+)\.(\d{1,9})\s*$")
 _SAME_CLOCK_NS = 1_000_000_000
+SCHEMES = ("http:", "v4l2:", "file:", "push:")
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 
 
@@ -69,7 +71,7 @@ class MjpegSource:
                 continue
             header = bytes(buffer[:header_end])
             arrived_ns = stamp_ns
-            stamp_ns = told_stamp_ns(header, arrived_ns, same_clock=same_clock)
+            stamp_ns = header_stamp_ns(header, arrived_ns, same_clock=same_clock)
             same_clock = same_clock or stamp_ns != arrived_ns
             del buffer[: header_end + 4]
             length = _LENGTH.search(header)
@@ -101,15 +103,15 @@ class MjpegSource:
         return bool(data)
 
 
-def told_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
+def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
     """The capture stamp a part's header tells, if it can be of this machine's monotonic clock; else its arrival.
 
     ``same_clock``: earlier stamps of this stream were, so that an old one is old.
     """
-    told = _STAMP.search(header.replace(b"\r\n", b"\n"))
-    if told is None:
+    stamp = _STAMP.search(header.replace(b"\r\n", b"\n"))
+    if stamp is None:
         return arrived_ns
-    stamp_ns = int(told[1]) * 1_000_000_000 + int(told[2].ljust(9, b"0"))
+    stamp_ns = int(stamp[1]) * 1_000_000_000 + int(stamp[2].ljust(9, b"0"))
     age_ns = arrived_ns - stamp_ns
     return stamp_ns if age_ns >= 0 and (same_clock or age_ns <= _SAME_CLOCK_NS) else arrived_ns
 
@@ -234,4 +236,5 @@ def open_source(url: str, *, frame_rate_hz: float = 30.0) -> Source:
     path = Path(url.removeprefix("file:"))
     if url.startswith("file:") or (url and path.exists()):
         return RecordingSource(path)
-    raise CameraError(f"camera {url!r}: expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:")
+    hint = nearest(url.split(":", maxsplit=1)[0] + ":", SCHEMES)
+    raise CameraError(f"camera {url!r}: expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:{hint}")

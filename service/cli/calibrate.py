@@ -18,9 +18,9 @@ def main(arguments: Sequence[str]) -> int:
     for finger in FINGERS:
         image = still_image(getattr(options, f"camera_{finger}"), options.frames)
         fits[finger] = fit = fit_camera(image, finger)
-        rows, cols = fit.lattice.found.shape
+        rows, cols = fit.lattice.detected.shape
         print(
-            f"{finger:<6} {cols} x {rows} markers, {fit.lattice.found.mean():.1%} of them visible,"
+            f"{finger:<6} {cols} x {rows} markers, {fit.lattice.detected.mean():.1%} of them visible,"
             f" {fit.residual_px:.2f} px RMS off the regular grid"
         )
         if options.pictures is not None:

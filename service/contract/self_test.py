@@ -16,7 +16,7 @@ from service.contract.model_card import MarkerSpec, ModelCard, SelfTest
 Arrays = dict[str, NDArray[Any]]
 Run = Callable[[Arrays], Mapping[str, NDArray[Any]]]
 PITCH_PX, RADIUS_SQUARED = 15, 6
-TOLD_MM = {"gap_width_mm": 56.0, "grasp_height_mm": 40.0}
+GEOMETRY_MM = {"gap_width_mm": 56.0, "grasp_height_mm": 40.0}
 MOST_VALUES = 32
 TOLERANCE = {"none": 1e-3, "fp16": 1e-3, "int8": 5e-2}
 """Largest difference between two machines, relative to the largest output or one; rounding differs, arithmetic not."""
@@ -38,9 +38,9 @@ def self_test_markers(spec: MarkerSpec, count: int) -> NDArray[np.float32]:
     v, u = np.mgrid[: spec.rows, : spec.columns]
     step = np.arange(count)[:, None, None, None]
     way = np.array([1, -1])[None, :, None, None]
-    seen = np.broadcast_to((v * spec.columns + u) % 19 != 0, (count, 2, spec.rows, spec.columns))
+    visible = np.broadcast_to((v * spec.columns + u) % 19 != 0, (count, 2, spec.rows, spec.columns))
     du, dv = -(step * way) * (1 + v / spec.rows), step / 2 + u * 0
-    return np.asarray(np.stack(np.broadcast_arrays(du, dv, seen), -1) * seen[..., None], np.float32)
+    return np.asarray(np.stack(np.broadcast_arrays(du, dv, visible), -1) * visible[..., None], np.float32)
 
 
 def self_test_input(card: ModelCard) -> NDArray[Any]:
@@ -54,13 +54,15 @@ def run_self_test(card: ModelCard, run: Run) -> dict[str, tuple[float, ...]]:
     """At most 32 values of each decision output on the fixed frames, by either form; ``run`` maps inputs to outputs."""
     frames = self_test_input(card)[None]
     asked = {"gap_width_mm": card.gap_width_input, "grasp_height_mm": card.grasp_height_input}
-    told: Arrays = {name: np.full((1, 1), TOLD_MM[name], np.float32) for name, wanted in asked.items() if wanted}
+    geometry: Arrays = {
+        name: np.full((1, 1), GEOMETRY_MM[name], np.float32) for name, wanted in asked.items() if wanted
+    }
     if card.form == "sequence":
-        outputs = dict(run({"frames": frames, **told}))
+        outputs = dict(run({"frames": frames, **geometry}))
     else:
         state: NDArray[Any] = np.zeros((1, card.state_size), np.float32)
         for step in range(card.frames_per_decision):
-            outputs = dict(run({"frame": frames[:, step], "reference": frames[:, 0], "state": state, **told}))
+            outputs = dict(run({"frame": frames[:, step], "reference": frames[:, 0], "state": state, **geometry}))
             state = outputs.pop("next_state")
     return {name: tuple(float(number) for number in _spread(value)) for name, value in outputs.items()}
 
@@ -81,11 +83,11 @@ def check_self_test(card: ModelCard, run: Run, source: str) -> None:
         return
     got = run_self_test(card, run)
     for name, wanted in card.self_test.outputs.items():
-        found = np.asarray(got.get(name, ()), np.float64)
+        computed = np.asarray(got.get(name, ()), np.float64)
         expected = np.asarray(wanted, np.float64)
-        if found.shape != expected.shape:
-            raise ContractError(f"{source}: self-test gives {found.size} values of {name}, expected {expected.size}")
-        gap = float(np.abs(found - expected).max() / max(1.0, float(np.abs(expected).max())))
+        if computed.shape != expected.shape:
+            raise ContractError(f"{source}: self-test gives {computed.size} values of {name}, expected {expected.size}")
+        gap = float(np.abs(computed - expected).max() / max(1.0, float(np.abs(expected).max())))
         if not gap <= card.self_test.tolerance:
             raise ContractError(
                 f"{source}: self-test output {name} is off by {gap:.1e}, expected at most {card.self_test.tolerance:g}:"

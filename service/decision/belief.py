@@ -34,7 +34,7 @@ DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
 # Spread of the errors the networks were trained on. A network states its belief after seeing the pictures, this spread
 # included; what the pictures alone say is that belief divided by it: an estimate no surer than this says nothing.
 TRAINED_SPREAD = (9.0, 8.7)
-SAYS_NOTHING, FINEST = 100.0, 0.01  # mm and deg: a flat likelihood, and the sharpest that a half-millimetre grid needs
+UNINFORMATIVE, FINEST = 100.0, 0.01  # mm and deg: a flat likelihood, and the sharpest that a half-millimetre grid needs
 INCONSISTENT_BELOW = 0.05  # Bayes factor of all that was learnt against knowing nothing
 RANGE = 15.0  # of the errors the networks were trained on (mm and deg)
 GAIN_UNKNOWN_SHARE = 0.2  # of insertions, before anything is known
@@ -61,7 +61,7 @@ def stated(evidence: Evidence) -> tuple[float, float]:
     """Sigma (mm, deg) of what an attempt's pictures say by themselves: the networks' own, freed of their prior."""
     given = evidence.sigma or DEFAULT_SIGMA
     alone = (max(s, FINEST) ** -2 - spread**-2 for s, spread in zip(given, TRAINED_SPREAD, strict=True))
-    x_mm, theta_deg = (precision**-0.5 if precision > SAYS_NOTHING**-2 else SAYS_NOTHING for precision in alone)
+    x_mm, theta_deg = (precision**-0.5 if precision > UNINFORMATIVE**-2 else UNINFORMATIVE for precision in alone)
     return x_mm, theta_deg
 
 
@@ -148,7 +148,7 @@ class BeliefGrid:
         return True
 
     def likelihood(self, evidence: Evidence) -> Floats:
-        """[89, 89], a density over (mm, deg) of the estimate: how well each first error explains what was said."""
+        """[89, 89], a density over (mm, deg) of the estimate: how well each first error explains the estimate."""
         if evidence.density is not None:
             return self._density_likelihood(evidence.density)
         return np.asarray(
@@ -160,16 +160,16 @@ class BeliefGrid:
     def _gain_unknown_likelihood(self, evidence: Evidence) -> Floats:
         """The same where an estimate is the error times an unknown factor, new in each attempt."""
         parts = []
-        for cells, said, sigma, start in zip(
+        for cells, estimate, sigma, start in zip(
             (self.current_x_mm, self.current_theta_deg),
             evidence.error,
             stated(evidence),
             (GAIN_FROM_X_MM, GAIN_FROM_THETA_DEG),
             strict=True,
         ):
-            unit = np.hypot(said, start)
+            unit = np.hypot(estimate, start)
             spread = np.hypot(GAIN_SPREAD, sigma / unit)  # never surer than the networks themselves
-            off = (np.arcsinh(said / start) - np.arcsinh(cells / start)) / spread
+            off = (np.arcsinh(estimate / start) - np.arcsinh(cells / start)) / spread
             density = np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * spread * unit)
             parts.append((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * RANGE))
         return np.asarray(np.outer(*parts), np.float64)
@@ -250,9 +250,9 @@ class BeliefGrid:
 def _peaks(hits: Floats) -> list[tuple[int, int]]:
     """The best cells, each outside the neighbourhood (4 mm, 6 deg) of the better ones."""
     remaining = hits.copy()
-    found: list[tuple[int, int]] = []
+    peaks: list[tuple[int, int]] = []
     for _ in range(_CANDIDATES):
         row, column = np.unravel_index(int(np.argmax(remaining)), remaining.shape)
-        found.append((int(row), int(column)))
+        peaks.append((int(row), int(column)))
         remaining[max(0, row - 8) : row + 9, max(0, column - 12) : column + 13] = -1
-    return found
+    return peaks

@@ -1,6 +1,6 @@
-"""Answers each attempt once: a correction where its evidence can be trusted, else ``no_decision`` with the reason.
+"""One answer to each attempt: a correction where its evidence can be trusted, else ``no_decision`` with the reason.
 
-And the claim of full depth: ``inserted`` where the gels agree, else a fault that says what they carry.
+At full depth it says ``inserted`` where the gels agree, else a fault with what they carry.
 """
 
 import math
@@ -12,19 +12,19 @@ from service.decision.attempt import Attempt, Stage
 from service.decision.controllers import Command, Controller
 from service.decision.evidence import Evidence, Refusal
 from service.decision.models import ModelSet
-from service.decision.seating import borne, look
+from service.decision.seating import seating_evidence, strongest_push
 from service.decision.work import check_evidence, correction, overdue
 from service.settings import Deadlines
 
 Decision = wire.Correction | wire.NoDecision
-Claim = tuple[wire.Fault, ...]
+Objections = tuple[wire.Fault, ...]
 
 
 @dataclass(slots=True)
-class Judge:
-    """The controller of one insertion and the rules around it; ``command`` is the move of the last correction.
+class Decider:
+    """Decides the attempts of one insertion; ``command`` is the move of the last correction.
 
-    ``bears_pitch`` is the strongest push that the gels carried in the attempts that were blocked.
+    ``blocked_pitch`` is the strongest push that the gels carried in the attempts that were blocked.
     """
 
     insertion_id: str
@@ -32,22 +32,22 @@ class Judge:
     controller: Controller
     deadlines: Deadlines
     command: Command | None = None
-    bears_pitch: float = 0.0
+    blocked_pitch: float = 0.0
 
     def conclude(self, attempt: Attempt, now_ns: int) -> Decision | None:
         """The answer to a blocked attempt, None while its frames or the networks' result may still come."""
         decision = self._decide(attempt, now_ns)
         if decision is not None:
-            self.bears_pitch = max(self.bears_pitch, borne(attempt.pushes))
+            self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         return decision
 
-    def claim(self, attempt: Attempt, now_ns: int, max_age_ms: float) -> Claim | None:
-        """What speaks against the claim of an attempt at full depth, None while a frame that tells may still come."""
+    def full_depth_objections(self, attempt: Attempt, now_ns: int, max_age_ms: float) -> Objections | None:
+        """Faults that contradict an attempt's full depth, empty if none; None while frames may still decide it."""
         begin_ns = attempt.armed_ns if attempt.descending_ns is None else attempt.descending_ns
-        seen_ns = attempt.pushes[-1].captured_ns if attempt.pushes else begin_ns
-        seen = look(attempt.pushes, begin_ns, self.bears_pitch)
-        if math.isfinite(seen.push_pitch) and (now_ns - seen_ns) / 1e6 <= max_age_ms:
-            return () if seen.seated else (self._fault("not_seated", str(seen)),)
+        newest_ns = attempt.pushes[-1].captured_ns if attempt.pushes else begin_ns
+        seating = seating_evidence(attempt.pushes, begin_ns, self.blocked_pitch)
+        if math.isfinite(seating.push_pitch) and (now_ns - newest_ns) / 1e6 <= max_age_ms:
+            return () if seating.seated else (self._fault("not_seated", str(seating)),)
         waited_s = 0.0 if attempt.stopped_ns is None else (now_ns - attempt.stopped_ns) / 1e9
         if waited_s <= self.deadlines.decision_frames_s:
             return None

@@ -101,7 +101,7 @@ class DecisionRun:
     ) -> None:
         self._models = models
         self._reference = reference
-        self._told = gap_width_mm, grasp_height_mm
+        self._geometry = gap_width_mm, grasp_height_mm
         self._states = [step.fresh_state() for step in models.steps]
         self._outputs: list[dict[str, Array]] = []
         self.frames_n = 0
@@ -116,7 +116,7 @@ class DecisionRun:
         self.frames_n += 1
 
     def _advance(self, index: int, step: StepModel, frame: NDArray[np.uint8] | NDArray[np.float32]) -> dict[str, Array]:
-        outputs, self._states[index] = step.step(frame, self._reference, self._states[index], *self._told)
+        outputs, self._states[index] = step.step(frame, self._reference, self._states[index], *self._geometry)
         return outputs
 
     def evidence(self) -> Evidence:

@@ -153,9 +153,9 @@ def _check_graph(model: LoadedModel) -> None:
         expected["gap_width_mm"] = [1]
     if card.grasp_height_input:
         expected["grasp_height_mm"] = [1]
-    found = {entry.name: list(entry.shape[1:]) for entry in model.inputs}
-    if found != expected:
-        raise ModelError(f"{model.path} takes inputs {found}, but its card says {expected}; export it again")
+    inputs = {entry.name: list(entry.shape[1:]) for entry in model.inputs}
+    if inputs != expected:
+        raise ModelError(f"{model.path} takes inputs {inputs}, but its card says {expected}; export it again")
     outputs = {entry.name for entry in model.outputs}
     needed = _OUTPUTS[card.role] | ({"log_sigma"} if card.has_sigma else set())
     needed |= {"next_state"} if card.form == "step" else set()
@@ -201,9 +201,9 @@ def _choose_steps(folder: Path, candidates: Sequence[LoadedModel]) -> tuple[Step
 def _check_agreement(steps: Sequence[StepModel]) -> None:
     first, *others = steps
     for other in others:
-        found = first.card.disagreements(other.card)
-        if found:
+        disagreements = first.card.disagreements(other.card)
+        if disagreements:
             raise ModelError(
-                f"{first.model.path.name} and {other.model.path.name} disagree on {'; '.join(found)};"
+                f"{first.model.path.name} and {other.model.path.name} disagree on {'; '.join(disagreements)};"
                 " export both from the same training run"
             )

@@ -17,7 +17,7 @@ def lattice_of(spec: MarkerSpec) -> Lattice:
     return Lattice(spec.rows, spec.columns, spec.pitch_px, spec.first_px)
 
 
-def seen_by(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
+def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
     """A pair as the card's graph reads it, left finger first; raise Refusal if the grid found is not the card's."""
     if card.markers is None:
         return pair.pixels()
@@ -28,7 +28,7 @@ def seen_by(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
         raise Refusal("out_of_distribution", str(error)) from error
 
 
-def seen_in(card: ModelCard, frames: NDArray[np.uint8]) -> NDArray[Any]:
+def network_frames(card: ModelCard, frames: NDArray[np.uint8]) -> NDArray[Any]:
     """Recorded rectified frames uint8 [n, 2, H, W, 3] as the card's graph reads them: [n, 2, *card.input_shape].
 
     Raises Refusal if the grid found is not the card's.

@@ -8,7 +8,7 @@ from service.decision.attempt import Attempt, WorkResult
 from service.decision.controllers import Command
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.models import ModelSet
-from service.decision.network_input import seen_by
+from service.decision.network_input import network_pair
 from service.perception.observation import Observation, PairObservation
 from service.settings import Deadlines
 
@@ -28,7 +28,7 @@ def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work
     number, generation = attempt.arm.attempt, attempt.generation
     if attempt.run is None:
         try:
-            reference = seen_by(models.card, attempt.network_reference or pair)
+            reference = network_pair(models.card, attempt.network_reference or pair)
         except Refusal as refusal:
             refused = WorkResult(number, generation, None, refusal, {})
             return Work(number, lambda: refused)
@@ -38,7 +38,7 @@ def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work
 
     def compute() -> WorkResult | None:
         try:
-            run.step(seen_by(models.card, pair))
+            run.step(network_pair(models.card, pair))
             if not complete:
                 return None
             return WorkResult(number, generation, run.evidence(), None, latencies(run, pair))
@@ -109,8 +109,8 @@ def overdue(attempt: Attempt, waited_s: float, needed: int, deadlines: Deadlines
     if waited_s <= deadlines.decision_frames_s:
         return None
     if not have:
-        felt = attempt.ring[-1].fingers if attempt.ring else ()
-        empty = bool(felt) and all(finger.slip.state == "no_contact" for finger in felt)
+        last_pair = attempt.ring[-1].fingers if attempt.ring else ()
+        empty = bool(last_pair) and all(finger.slip.state == "no_contact" for finger in last_pair)
         why = "nothing touches the gels" if empty else "neither finger saw the object move"
         return Refusal("no_motion", why)
     return Refusal("too_few_frames", f"{have} frame pairs since motion began, expected {needed}")

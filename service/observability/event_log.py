@@ -12,10 +12,10 @@ log = structlog.get_logger()
 
 def log_events(hub: Hub) -> None:
     """From now on, write what the hub tells. Frames and observations are counted in the metrics, not logged."""
-    hub.subscribe(_heard)
+    hub.subscribe(_on_event)
 
 
-def _heard(kind: str, content: Any) -> None:
+def _on_event(kind: str, content: Any) -> None:
     if kind == "message":
         line = facts(content)
         level = log.warning if content.type in {"fault", "no_decision"} else log.info

@@ -21,7 +21,7 @@ class LogLines:
     def __init__(self, stream: Callable[[], TextIO]) -> None:
         self.lost_n = 0
         self._stream = stream
-        self._told_n = 0
+        self._reported_n = 0
         self._lock = threading.Lock()
         self._lines: queue.Queue[str | None] = queue.Queue(MAX_WAITING)
         self._thread = threading.Thread(target=self._run, name="log", daemon=True)
@@ -48,8 +48,8 @@ class LogLines:
     def _run(self) -> None:
         while (line := self._lines.get()) is not None:
             lost_n = self.lost_n
-            if lost_n > self._told_n and self._put(f"{lost_n} log lines were lost\n"):
-                self._told_n = lost_n
+            if lost_n > self._reported_n and self._put(f"{lost_n} log lines were lost\n"):
+                self._reported_n = lost_n
             if not self._put(line):
                 self._lose()
 

@@ -49,9 +49,9 @@ class Spans:
         self._insertion: Any = None
         self._id = ""
         self._attempt: Any = None
-        hub.subscribe(self._heard)
+        hub.subscribe(self._on_event)
 
-    def _heard(self, kind: str, content: Any) -> None:
+    def _on_event(self, kind: str, content: Any) -> None:
         if kind != "message":
             return
         now = time.time_ns()

@@ -41,14 +41,14 @@ class TactileFinger:
         """The next frame becomes the reference of slip and onset; the tracker goes on."""
         self._rearm = True
 
-    def look_ahead(self, frame: TactileFrame) -> None:
+    def rectify_ahead(self, frame: TactileFrame) -> None:
         """Rectify a frame that :meth:`observe` will be given; the one method that another thread may call."""
         if self._rectifier is not None and frame.pixels.shape == self._rectifier.camera.raw.shape:
             self._ahead = (*self._ahead[1 - _AHEAD_N :], (frame, *self._rectified(frame)))
 
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
-        ahead = [(image, cost_ms) for seen, image, cost_ms in self._ahead if seen is frame]
+        ahead = [(image, cost_ms) for known, image, cost_ms in self._ahead if known is frame]
         image, rectify_ms = ahead[0] if ahead else self._rectified(frame)
         rectified = time.perf_counter()
         field = self._tracker.update(image, frame.captured_ns)
@@ -63,7 +63,7 @@ class TactileFinger:
         else:
             slip = self._slip.update(marked if self._held else field)
             onset = self._onset.update(field)
-        slip = self._felt(slip, empty=untouched(marked))
+        slip = self._with_contact(slip, empty=untouched(marked))
         cost_ms = {
             "rectify": rectify_ms,
             "markers": (tracked - rectified) * 1e3,
@@ -72,7 +72,7 @@ class TactileFinger:
         onset_ns = None if onset is None else onset.captured_ns
         return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms)
 
-    def _felt(self, slip: SlipState, *, empty: bool) -> SlipState:
+    def _with_contact(self, slip: SlipState, *, empty: bool) -> SlipState:
         """The state, or "no_contact" where nothing touches the gel; the first one that stops the arm is always told.
 
         An object too flat and too lightly held to bulge the gel looks just like none: then only the word changes, and

@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from service.contract import FINGERS, ContractError, Finger, FrameSpec
+from service.contract.refusals import nearest
 from service.contract.toml import read_toml
 
 RAW = FrameSpec(height_px=320, width_px=427, rectified=False)
 RECTIFIED = FrameSpec(height_px=320, width_px=327)
 SCHEMA_VERSION = 1
+CAMERA_KEYS = ("raw_px", "rectified_px", "homography")
 _MIN_AREA_SHARE = 0.02  # of the raw frame, seen by the rectified one
 
 
@@ -52,11 +54,11 @@ class CameraCalibration:
     def _check_view(self, matrix: NDArray[np.float64]) -> None:
         width, height = self.rectified.width_px, self.rectified.height_px
         corners = np.array([(0, 0, 1), (width, 0, 1), (width, height, 1), (0, height, 1)], np.float64)
-        seen = corners @ np.linalg.inv(matrix).T
-        depth = seen[:, 2]
+        view = corners @ np.linalg.inv(matrix).T
+        depth = view[:, 2]
         if not (np.all(depth > 0) or np.all(depth < 0)) or np.abs(depth).min() < 1e-9 * np.abs(depth).max():
             raise CalibrationError("homography puts the horizon inside the rectified frame")
-        quad = (seen[:, :2] / depth[:, None]).astype(np.float32)
+        quad = (view[:, :2] / depth[:, None]).astype(np.float32)
         frame = np.array(
             [(0, 0), (self.raw.width_px, 0), (self.raw.width_px, self.raw.height_px), (0, self.raw.height_px)],
             np.float32,
@@ -90,9 +92,9 @@ class Calibration:
             raise CalibrationError(
                 f"{path} has schema_version {table.get('schema_version')!r}, expected {SCHEMA_VERSION}"
             )
-        strangers = set(table) - {"schema_version", *FINGERS}
-        if strangers:
-            raise CalibrationError(f"{path} has unknown entries {sorted(strangers)}, expected tables {list(FINGERS)}")
+        unknown = set(table) - {"schema_version", *FINGERS}
+        if unknown:
+            raise CalibrationError(f"{path}: {min(unknown)} is not used{nearest(min(unknown), FINGERS)}")
         return cls(*(_camera(table, finger, path) for finger in FINGERS))
 
     def save(self, path: str | Path) -> None:
@@ -114,9 +116,9 @@ def _camera(table: dict[str, Any], finger: Finger, path: str | Path) -> CameraCa
     entry = table.get(finger)
     if not isinstance(entry, dict):
         raise CalibrationError(f"{path} lacks the table [{finger}]")
-    strangers = set(entry) - {"raw_px", "rectified_px", "homography"}
-    if strangers:
-        raise CalibrationError(f"{path} [{finger}] has unknown entries {sorted(strangers)}")
+    unknown = set(entry) - {*CAMERA_KEYS}
+    if unknown:
+        raise CalibrationError(f"{path} [{finger}]: {min(unknown)} is not used{nearest(min(unknown), CAMERA_KEYS)}")
     try:
         raw, rectified = _spec(entry["raw_px"], rectified=False), _spec(entry["rectified_px"], rectified=True)
         rows = [[float(value) for value in row] for row in entry["homography"]]

@@ -29,13 +29,13 @@ def recover(root: Path) -> list[Path]:
     What cannot be closed is left as it is: an old recording must not keep the service from starting. A part that holds
     no insertion at all is renamed to ``insertion.mcap.unreadable`` and left for people.
     """
-    found = []
+    recovered = []
     for part in sorted(root.glob(f"*/{PART}")):
         with part.open("rb") as stream, contextlib.suppress(BlockingIOError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if _closed(part, stream):
-                found.append(part.with_name(FINAL))
-    return found
+                recovered.append(part.with_name(FINAL))
+    return recovered
 
 
 def _closed(part: Path, stream: IO[bytes]) -> bool:

@@ -22,8 +22,8 @@ def prune(root: Path, max_bytes: int) -> list[Path]:
 
     What is not named as a recording is not ours: neither removed nor counted.
     """
-    found = root.iterdir() if root.is_dir() else ()
-    folders = sorted(path for path in found if NAME.fullmatch(path.name) and path.is_dir())
+    entries = root.iterdir() if root.is_dir() else ()
+    folders = sorted(path for path in entries if NAME.fullmatch(path.name) and path.is_dir())
     sizes = [_size_bytes(folder) for folder in folders]
     removed: list[Path] = []
     total = sum(sizes)

@@ -23,9 +23,9 @@ HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be written down
 
 @dataclass(slots=True)
 class Insertion:
-    """Feeds a session, records what it is told and what it says, and passes its messages on.
+    """Feeds a session, records what it is sent and what it says, and passes its messages on.
 
-    Only the perception thread calls its methods, but for :meth:`look_ahead`. ``send`` is the driving client (None
+    Only the perception thread calls its methods, but for :meth:`rectify_ahead`. ``send`` is the driving client (None
     while it is away); ``publish`` takes (kind, content) for watchers and metrics, ``show`` each observation. The client
     hears first, then those who watch, then it is written down: each of the three wakes a thread that may take this
     one's core. What comes just before an answer is written down after it, ``HOLD_S`` later at most.
@@ -36,12 +36,12 @@ class Insertion:
     send: Send | None
     publish: Callable[[str, Any], None]
     show: Callable[[Observation], None] = ignore
-    heard_ns: int = field(default_factory=now_ns)
+    received_ns: int = field(default_factory=now_ns)
     closing: bool = False
     recorded_seq: dict[Finger, int] = field(default_factory=dict)
     _observed: list[Observation] = field(default_factory=list)
     _later: deque[Callable[[], None]] = field(default_factory=deque)
-    _told: bool = False
+    _sent: bool = False
     _settled_ns: int = field(default_factory=now_ns)
 
     def __post_init__(self) -> None:
@@ -56,9 +56,9 @@ class Insertion:
 
     def message(self, message: Any) -> None:
         """A message of the driving client."""
-        now = self.heard_ns = now_ns()
+        now = self.received_ns = now_ns()
         if message.type != "heartbeat":
-            self._note(lambda recorder: _note_heard(recorder, message, now))
+            self._note(lambda recorder: _record_received(recorder, message, now))
         self._emit(self.session.handle(message, now), now)
         self._settle()
 
@@ -69,18 +69,18 @@ class Insertion:
         self.session.prime(frame.frame)
         self._settle()
 
-    def look_ahead(self, frame: TactileFrame) -> None:
+    def rectify_ahead(self, frame: TactileFrame) -> None:
         """Called in a camera's thread: what can be done of a frame's perception before its turn has come."""
         watch = self.session.left if frame.finger == "left" else self.session.right
         if self.wants_frames and isinstance(watch, TactileFinger):
-            watch.look_ahead(frame)
+            watch.rectify_ahead(frame)
 
     def frame(self, frame: CameraFrame, pair: FramePair | None) -> None:
         """A camera frame, and the pair it completes, if any."""
         now = now_ns()
         slip: Replies = []
         try:
-            slip = self._tell(self.session.on_frame(frame.frame, now))
+            slip = self._send_all(self.session.on_frame(frame.frame, now))
             self._show()
         finally:
             self._record(frame)
@@ -135,10 +135,10 @@ class Insertion:
             self._settle()
 
     def _settle(self) -> None:
-        """Tell those who watch, and write down what waits to be; first let go of what was just told to the client."""
-        if self._told and self._later:
+        """Tell those who watch, and write down what waits to be; first let go of what was just sent to the client."""
+        if self._sent and self._later:
             time.sleep(LET_GO_S)
-        self._told, self._settled_ns = False, now_ns()
+        self._sent, self._settled_ns = False, now_ns()
         while self._later:
             self._later.popleft()()
 
@@ -156,9 +156,9 @@ class Insertion:
     def _call(self, value: dict[str, Any], now: int) -> None:
         self._note(lambda recorder: recorder.call(value, now))
 
-    def _write(self, told: Replies, now: int) -> None:
-        for reply in () if self.closing else told:
-            self._note(partial(_note_said, reply=reply, now=now))
+    def _write(self, sent: Replies, now: int) -> None:
+        for reply in () if self.closing else sent:
+            self._note(partial(_record_sent, reply=reply, now=now))
 
     # ---- what is said -----------------------------------------------------------------------------------------------
 
@@ -171,19 +171,19 @@ class Insertion:
                 self.closing = True
                 self.publish("finished", answer)
             else:
-                self._write(self._tell([answer]), now)
+                self._write(self._send_all([answer]), now)
 
-    def _tell(self, replies: Replies) -> Replies:
+    def _send_all(self, replies: Replies) -> Replies:
         """Send replies to the client, later to those who watch; returns what there is to write down, as it was sent."""
-        told: Replies = []
+        sent: Replies = []
         for answer in replies:
             reply = with_current_age(answer)
             self._deliver(reply)
             if not isinstance(reply, wire.ServiceHeartbeat):
-                self._told = True
+                self._sent = True
                 self._later.append(partial(self.publish, "message", reply))
-                told.append(reply)
-        return told
+                sent.append(reply)
+        return sent
 
     def _show(self) -> None:
         """Pass on what was observed; shown to those who watch, and recorded."""
@@ -197,13 +197,13 @@ class Insertion:
             self.send(reply)
 
 
-def _note_heard(recorder: Recorder, message: Any, now: int) -> None:
+def _record_received(recorder: Recorder, message: Any, now: int) -> None:
     content = message.model_dump(mode="json")
     recorder.message("client", content, now)
     recorder.call({"call": "message", "message": content}, now)
 
 
-def _note_said(recorder: Recorder, reply: ServiceMessage, now: int) -> None:
+def _record_sent(recorder: Recorder, reply: ServiceMessage, now: int) -> None:
     recorder.message("service", reply.model_dump(mode="json"), now)
 
 

@@ -27,7 +27,7 @@ REMEMBERED_N = 256  # ended insertions whose `finished` is told again to a clien
 
 
 @dataclass(slots=True)
-class Desk:
+class InsertionManager:
     """Opens, hands over and closes insertions; ``models`` is what the next one decides with."""
 
     settings: Settings
@@ -108,7 +108,7 @@ class Desk:
         """Deadlines of the insertion and of its client."""
         if self.active:
             self.active.tick()
-        if self.active and (now_ns - self.active.heard_ns) * 1e-9 > self.settings.client_timeout_s:
+        if self.active and (now_ns - self.active.received_ns) * 1e-9 > self.settings.client_timeout_s:
             self.abort("the driving client fell silent")
 
     def abort(self, reason: str) -> None:
@@ -120,7 +120,7 @@ class Desk:
     def _open(self, hello: wire.ClientHello) -> Insertion:
         session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
         session.cameras, session.submit = self.camera_entries, self.submit
-        session.deadlines, session.looks = self.settings.deadlines, self.settings.full_depth_look
+        session.deadlines, session.checks_full_depth = self.settings.deadlines, self.settings.full_depth_look
         recorder = self._recorder(hello.insertion_id, session)
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation)
         session.on_command = lambda command: self.hub.publish("command", command)

@@ -13,7 +13,7 @@ from service.contract import FINGERS, Finger, FramePair, TactileFrame, wire
 from service.contract.wire import CameraEntry, ControllerName, Limits, ServiceMessage
 from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.controllers import Command, make_controller
-from service.decision.decider import Decision, Judge
+from service.decision.decider import Decider, Decision
 from service.decision.models import ModelSet
 from service.decision.work import Work, plan_work, slip_message
 from service.perception.observation import FingerWatch, Observation, PairObservation, belongs
@@ -29,7 +29,7 @@ def no_cameras() -> tuple[CameraEntry, ...]:
 
 
 def ignore(_: Any) -> None:
-    """Observer of a session that nobody watches."""
+    """The observer of a session that has none."""
 
 
 @dataclass(slots=True)
@@ -38,7 +38,8 @@ class InsertionSession:
 
     ``submit`` takes network work to another thread, whose result comes back through :meth:`on_result`; without it the
     work runs at once. ``on_observation`` sees each observation, ``on_attempt`` each attempt when it is decided or
-    ends, both for recording and display. ``looks``: full depth is claimed only where the gels agree. Not thread safe.
+    ends, both for recording and display. With ``checks_full_depth`` full depth counts only where the gels agree.
+    Not thread safe.
     """
 
     models: ModelSet
@@ -52,13 +53,13 @@ class InsertionSession:
     on_observation: Callable[[Observation], None] = ignore
     on_attempt: Callable[[Attempt], None] = ignore
     on_command: Callable[[Command], None] = ignore
-    looks: bool = True
+    checks_full_depth: bool = True
     insertion_id: str | None = None
     attempt: Attempt | None = None
     finished: wire.Finished | None = None
     recording: str | None = None
-    _judge: Judge | None = None
-    _seen: dict[Finger, Observation] = field(default_factory=dict)
+    _decider: Decider | None = None
+    _observations: dict[Finger, Observation] = field(default_factory=dict)
     _newest_ns: dict[Finger, int] = field(default_factory=dict)
     _generation: int = 0
 
@@ -117,9 +118,9 @@ class InsertionSession:
         elif message.attempt != last + 1 or not decided:
             state = "decided" if decided else "not decided yet"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
-        if self._judge is None:
+        if self._decider is None:
             controller = make_controller(self.controller_name, self.limits, message.grasp_height_mm)
-            self._judge = Judge(message.insertion_id, self.models, controller, self.deadlines)
+            self._decider = Decider(message.insertion_id, self.models, controller, self.deadlines)
         self._generation += 1
         self.attempt = Attempt(message, now_ns, self._generation)
         return []
@@ -150,22 +151,22 @@ class InsertionSession:
 
     @property
     def wants_frames(self) -> bool:
-        """Whether an attempt is under way; frames between attempts (the arm moves freely) tell nothing."""
+        """Whether an attempt is under way; frames between attempts, while the arm moves freely, are of no use."""
         return self.attempt is not None and self.attempt.stage is not Stage.DECIDED and self.finished is None
 
     @property
     def watches_slip(self) -> bool:
-        """Whether the arm may be moving: a slip seen late would be a collision."""
+        """Whether the arm may be moving, so that a late slip message would mean a collision."""
         attempt = self.attempt
         return attempt is not None and attempt.stage is Stage.ARMED and not attempt.slip_sent
 
     def prime(self, frame: TactileFrame) -> None:
-        """Let a finger's tracker find its grid before time matters; the search costs some 0.2 s, following it 2 ms."""
+        """Let a finger's tracker find its grid before time matters: the search takes some 0.2 s, tracking 2 ms."""
         watch = self.left if frame.finger == "left" else self.right
         watch.observe(frame)
 
     def on_frame(self, frame: TactileFrame, now_ns: int) -> Replies:
-        """Perceive one finger's frame and say at once if it slips; the slip path never waits for the other finger."""
+        """Perceive one finger's frame and report slip at once; the slip path never waits for the other finger."""
         self._newest_ns[frame.finger] = frame.captured_ns
         attempt = self.attempt
         if attempt is None or not self.wants_frames:
@@ -173,7 +174,7 @@ class InsertionSession:
         watch = self.left if frame.finger == "left" else self.right
         attempt.rearm(watch, frame)
         observation = watch.observe(frame)
-        self._seen[frame.finger] = observation
+        self._observations[frame.finger] = observation
         self.on_observation(observation)
         if attempt.stage is not Stage.ARMED or not observation.slip.stop or attempt.slip_sent:
             return []
@@ -181,17 +182,17 @@ class InsertionSession:
         return [slip_message(str(self.insertion_id), attempt, observation, now_ns)]
 
     def on_pair(self, pair: FramePair, now_ns: int) -> Replies:
-        """Take in both fingers' frames of one instant: slip, reference, onset, and the frames of the decision."""
+        """Process both fingers' frames of one instant: slip, reference, onset, and the frames of the decision."""
         attempt = self.attempt
         if attempt is None or not self.wants_frames:
             self._newest_ns = {"left": pair.left.captured_ns, "right": pair.right.captured_ns}
             return []
         replies: Replies = []
         for frame in (pair.left, pair.right):
-            seen = self._seen.get(frame.finger)
-            if seen is None or not belongs(seen, pair):
+            observed = self._observations.get(frame.finger)
+            if observed is None or not belongs(observed, pair):
                 replies += self.on_frame(frame, now_ns)
-        both = PairObservation(self._seen["left"], self._seen["right"])
+        both = PairObservation(self._observations["left"], self._observations["right"])
         if attempt.stage is Stage.ARMING:
             armed = attempt.take_reference(both)
             return [*replies, armed] if armed else replies
@@ -217,7 +218,7 @@ class InsertionSession:
         return self.on_result(result, now_ns) if result else []
 
     def on_result(self, result: WorkResult, now_ns: int) -> Replies:
-        """Take back what the networks said; results of another attempt or an earlier arming are dropped."""
+        """Take a result of the networks; results of another attempt or an earlier arming are dropped."""
         attempt = self.attempt
         if attempt is None or result.generation != attempt.generation or self.finished is not None:
             return []
@@ -225,7 +226,7 @@ class InsertionSession:
         return self._conclude(now_ns)
 
     def on_camera_fault(self, code: str, detail: str) -> Replies:
-        """A camera went bad: the client must hold, and an attempt under way needs a new reference."""
+        """A camera failed: the client must hold, and an attempt under way needs a new reference."""
         attempt = self.attempt
         if attempt is None or not self.wants_frames:
             return []
@@ -251,7 +252,7 @@ class InsertionSession:
         return self._check_age(attempt, now_ns)
 
     def _age_ms(self, now_ns: int) -> float | None:
-        """Of the newest frame of the finger that is further behind: slip is not seen by one for the other."""
+        """Age of the newest frame of the finger that is further behind; neither finger detects slip for the other."""
         return (now_ns - min(self._newest_ns.values())) / 1e6 if len(self._newest_ns) == len(FINGERS) else None
 
     def _check_age(self, attempt: Attempt, now_ns: int) -> Replies:
@@ -263,17 +264,21 @@ class InsertionSession:
         return [self._fault("stale_frames", f"a finger's newest frame is {age_ms:.0f} ms old; hold until it is back")]
 
     def _conclude(self, now_ns: int) -> Replies:
-        if self.attempt is None or self._judge is None:
+        if self.attempt is None or self._decider is None:
             return []
         if self.attempt.outcome == "inserted":
-            return self._claimed(self.attempt, self._judge, now_ns)
-        decision = self._judge.conclude(self.attempt, now_ns)
-        if self._judge.command:
-            self.on_command(self._judge.command)
+            return self._conclude_full_depth(self.attempt, self._decider, now_ns)
+        decision = self._decider.conclude(self.attempt, now_ns)
+        if self._decider.command:
+            self.on_command(self._decider.command)
         return [] if decision is None else self._decided(self.attempt, decision)
 
-    def _claimed(self, attempt: Attempt, judge: Judge, now_ns: int) -> Replies:
-        against = judge.claim(attempt, now_ns, self.limits.max_frame_age_ms) if self.looks else ()
+    def _conclude_full_depth(self, attempt: Attempt, decider: Decider, now_ns: int) -> Replies:
+        against = (
+            decider.full_depth_objections(attempt, now_ns, self.limits.max_frame_age_ms)
+            if self.checks_full_depth
+            else ()
+        )
         return [] if against is None else [*against, *self._end(attempt, "failed" if against else "inserted")]
 
     def _decided(self, attempt: Attempt, decision: Decision) -> Replies:

@@ -26,9 +26,9 @@ from service.perception.rectification import Calibration
 from service.recordings.recovery import recover
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
-from service.session.manager import Desk
+from service.session.manager import InsertionManager
 from service.session.memory import give_back
-from service.session.warm_up import rehearse
+from service.session.warm_up import warm_up
 from service.settings import Settings
 
 BACKLOG_FRAMES = 8  # two fingers' worth of about 4 frames; older ones are dropped
@@ -67,7 +67,7 @@ class Station:
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._networks = ThreadPoolExecutor(1, "networks")  # slip detection never waits for a network
-        self.desk = Desk(settings, models, calibration, self.cameras, self.hub, self._submit)
+        self.manager = InsertionManager(settings, models, calibration, self.cameras, self.hub, self._submit)
         self._thread = threading.Thread(target=self._run, name="perception", daemon=True)
 
     # ---- life ------------------------------------------------------------------------------------------------------
@@ -88,12 +88,12 @@ class Station:
         for finger, camera in self.cameras.items():
             self._check_size(finger, camera.latest.frame.pixels.shape if camera.latest else ())
         frames = [camera.latest.frame for camera in self.cameras.values() if camera.latest]
-        rehearse(make_session(self.models, self.desk.calibration), frames)
+        warm_up(make_session(self.models, self.manager.calibration), frames)
 
     def _check_size(self, finger: Finger, shape: tuple[int, ...]) -> None:
         card = self.models.card.frame
         accepted = [card.shape]
-        calibration = self.desk.calibration
+        calibration = self.manager.calibration
         if calibration:
             accepted.append(calibration.camera(finger).raw.shape)
         if shape not in accepted:
@@ -103,7 +103,7 @@ class Station:
 
     def stop(self) -> None:
         """Abort a running insertion, close its recording, end all threads."""
-        self.post(lambda: self.desk.abort("service stops"))
+        self.post(lambda: self.manager.abort("service stops"))
         self._inbox.put(None)
         self._thread.join(10.0)
         for camera in self.cameras.values():
@@ -113,12 +113,12 @@ class Station:
     @property
     def models(self) -> ModelSet:
         """What the next insertion decides with."""
-        return self.desk.models
+        return self.manager.models
 
     @property
     def active(self) -> Insertion | None:
         """The insertion under way."""
-        return self.desk.active
+        return self.manager.active
 
     @property
     def ready(self) -> bool:
@@ -153,13 +153,13 @@ class Station:
         self.counters.perception_errors_n += 1
         with contextlib.suppress(Exception):
             self.hub.publish("error", detail)
-            self.desk.fault("internal", detail)
+            self.manager.fault("internal", detail)
 
     def _tick(self) -> None:
         now = self._ticked_ns = now_ns()
         for camera in self.cameras.values():
             camera.check_stall(now)
-        self.desk.tick(now)
+        self.manager.tick(now)
 
     def _submit(self, work: Work) -> None:
         """Do network work in its own thread, in order; its result comes back through the inbox."""
@@ -167,7 +167,7 @@ class Station:
 
     def _do(self, work: Work) -> None:
         if (result := work.run()) is not None:
-            self.post(lambda: self.desk.result(result))
+            self.post(lambda: self.manager.result(result))
 
     # ---- cameras ---------------------------------------------------------------------------------------------------
 
@@ -176,7 +176,7 @@ class Station:
 
     def _on_camera_frame(self, frame: CameraFrame) -> None:
         if active := self.active:
-            active.look_ahead(frame.frame)
+            active.rectify_ahead(frame.frame)
             pair = self.pairer.add(frame.frame)
             self._frames.append((frame, pair))
             self.post(self._next_frame)
@@ -212,7 +212,7 @@ class Station:
 
     def _on_camera_fault(self, finger: Finger, code: str, detail: str) -> None:
         self.hub.publish("camera_fault", {"finger": finger, "code": code, "detail": detail})
-        self.post(lambda: self.desk.fault(code, detail))
+        self.post(lambda: self.manager.fault(code, detail))
 
     def push(self, finger: Finger) -> PushSource:
         """The source a client pushes frames into; raises ContractError if this finger has a camera of its own."""
@@ -223,7 +223,7 @@ class Station:
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
         """Both cameras as the wire carries them."""
-        return self.desk.camera_entries()
+        return self.manager.camera_entries()
 
     def frame_age_ms(self) -> float | None:
         """Age of the newest frame of the finger that is further behind, None before the first."""
@@ -248,21 +248,21 @@ class Station:
             )
         if self.active is not None:
             raise ContractError("an insertion is under way; load models between insertions")
-        self.desk.models = fresh
+        self.manager.models = fresh
 
     # ---- clients ---------------------------------------------------------------------------------------------------
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
-        """A client wants to drive (see :meth:`Desk.connect`)."""
-        self.post(lambda: self.desk.connect(hello, send))
+        """A client wants to drive (see :meth:`InsertionManager.connect`)."""
+        self.post(lambda: self.manager.connect(hello, send))
 
     def receive(self, message: Any, send: Send) -> None:
         """A driving client says something."""
-        self.post(lambda: self.desk.receive(message, send))
+        self.post(lambda: self.manager.receive(message, send))
 
     def disconnect(self, send: Send) -> None:
         """The connection of a client is gone."""
-        self.post(lambda: self.desk.disconnect(send))
+        self.post(lambda: self.manager.disconnect(send))
 
 
 def open_station(settings: Settings) -> Station:

@@ -21,14 +21,14 @@ STILL_N = 3  # pairs at rest before the picture begins to move, by a pixel a fra
 NAME = "rehearsal"
 
 
-def rehearse(session: InsertionSession, frames: Sequence[TactileFrame]) -> None:
+def warm_up(session: InsertionSession, frames: Sequence[TactileFrame]) -> None:
     """Play an attempt through a session that nobody drives, then move every controller; nothing is kept.
 
     ``frames`` are what the cameras show now, one a finger. Raises ContractError if one is neither raw nor rectified.
     """
     if len(frames) == len(FramePair.__dataclass_fields__):
         with _recorder() as recorder:
-            _attempt(Insertion(session, recorder, _say, _nobody_watches), frames)
+            _attempt(Insertion(session, recorder, _serialise, _nobody_watches), frames)
         session.on_attempt = ignore  # it knows its insertion, and would be freed late
     _decide(session)
 
@@ -43,7 +43,7 @@ def _attempt(insertion: Insertion, frames: Sequence[TactileFrame]) -> None:
             insertion.message(wire.Stopped(insertion_id=NAME, attempt=1, depth_mm=5.0, outcome="blocked"))
         left, right = (_moved(frame, index) for frame in sorted(frames, key=lambda frame: frame.finger))
         for frame, pair in ((left, None), (right, FramePair(left, right))):
-            insertion.look_ahead(frame)
+            insertion.rectify_ahead(frame)
             insertion.frame(CameraFrame(frame, None), pair)
     insertion.message(wire.Abort(insertion_id=NAME, reason="rehearsed"))
 
@@ -67,7 +67,7 @@ def _decide(session: InsertionSession) -> None:
             command = make_controller(name, session.limits).decide(evidence, 1)
         except Refusal:
             continue  # of fingers that feel nothing no move has to follow
-        _say(wire.Fault(insertion_id=NAME, code=command.controller, detail=command.reason))
+        _serialise(wire.Fault(insertion_id=NAME, code=command.controller, detail=command.reason))
 
 
 @contextlib.contextmanager
@@ -84,7 +84,7 @@ def _recorder() -> Iterator[Recorder | None]:
                 recorder.close({})
 
 
-def _say(message: wire.ServiceMessage) -> None:
+def _serialise(message: wire.ServiceMessage) -> None:
     message.model_dump_json()
 
 

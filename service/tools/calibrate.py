@@ -20,7 +20,7 @@ from service.perception.rectification import RECTIFIED, CalibrationError, Camera
 
 PITCH_PX = 15.0  # of the rectified grid; what the published slip thresholds and the released networks go by
 MIN_MARKERS = (15, 15)
-MIN_FOUND = 0.9
+MIN_DETECTED = 0.9
 MAX_RESIDUAL_PX = 1.0
 WAIT_S = 10.0
 
@@ -40,28 +40,28 @@ def still_image(url: str, frames: int) -> NDArray[np.uint8]:
     timer.start()
     began = time.monotonic()
     try:
-        seen = [capture.image() for capture in islice(open_source(url).frames(stop), max(frames, 1))]
+        images = [capture.image() for capture in islice(open_source(url).frames(stop), max(frames, 1))]
     except OSError as error:
         raise CameraError(f"camera {url}: {error}") from error
     finally:
         timer.cancel()
-    if not seen:
+    if not images:
         raise CameraError(f"camera {url} gave no frame within {time.monotonic() - began:.0f} s")
-    if len({pixels.shape for pixels in seen}) > 1:
+    if len({pixels.shape for pixels in images}) > 1:
         raise CameraError(f"camera {url} changed its frame size while it was watched")
-    return np.asarray(np.median(np.stack(seen), axis=0), np.uint8)
+    return np.asarray(np.median(np.stack(images), axis=0), np.uint8)
 
 
 def fit_camera(image: NDArray[np.uint8], finger: Finger) -> Fit:
-    """The calibration of one camera from a still raw frame; raises CalibrationError if the grid is not fully seen."""
+    """The calibration of one camera from a still raw frame; raises CalibrationError if its grid is not visible."""
     lattice = find_lattice(image)
     if lattice is None:
         raise CalibrationError(f"{finger}: no marker grid in the frame; is it the right camera, lit and in focus?")
-    rows, cols = lattice.found.shape
-    if rows < MIN_MARKERS[0] or cols < MIN_MARKERS[1] or lattice.found.mean() < MIN_FOUND:
+    rows, cols = lattice.detected.shape
+    if rows < MIN_MARKERS[0] or cols < MIN_MARKERS[1] or lattice.detected.mean() < MIN_DETECTED:
         raise CalibrationError(
-            f"{finger}: saw {cols} x {rows} markers, {lattice.found.mean():.0%} of them;"
-            f" expected at least {MIN_MARKERS[1]} x {MIN_MARKERS[0]} and {MIN_FOUND:.0%}: clean the gel, touch nothing"
+            f"{finger}: {cols} x {rows} markers visible, {lattice.detected.mean():.0%} of them detected; expected at"
+            f" least {MIN_MARKERS[1]} x {MIN_MARKERS[0]} and {MIN_DETECTED:.0%}: clean the gel, touch nothing"
         )
     matrix = rectifying_homography(lattice, RECTIFIED.width_px, RECTIFIED.height_px, PITCH_PX)
     if matrix is None:
@@ -77,8 +77,8 @@ def fit_camera(image: NDArray[np.uint8], finger: Finger) -> Fit:
 
 
 def _residual_px(lattice: Lattice, matrix: NDArray[np.float64]) -> float:
-    rows, cols = lattice.found.shape
+    rows, cols = lattice.detected.shape
     mapped = cv2.perspectiveTransform(lattice.xy_px.astype(np.float64), matrix)
     ideal = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1) * PITCH_PX
     ideal += np.array([(RECTIFIED.width_px - 1) / 2, (RECTIFIED.height_px - 1) / 2])
-    return float(np.sqrt(np.square(mapped - ideal)[lattice.found].sum(-1).mean()))
+    return float(np.sqrt(np.square(mapped - ideal)[lattice.detected].sum(-1).mean()))

@@ -84,7 +84,7 @@ def comparable(message: dict[str, Any]) -> dict[str, Any]:
 
 def differences(recorded: list[dict[str, Any]], replayed: list[dict[str, Any]]) -> list[str]:
     """Where a replay differs, as lines; camera states in a hello are left out."""
-    found = []
+    differing = []
     for index in range(max(len(recorded), len(replayed))):
         then = comparable(recorded[index]) if index < len(recorded) else {"type": "nothing"}
         now = comparable(replayed[index]) if index < len(replayed) else {"type": "nothing"}
@@ -93,8 +93,8 @@ def differences(recorded: list[dict[str, Any]], replayed: list[dict[str, Any]]) 
         if then != now:
             keys = [key for key in then.keys() | now.keys() if then.get(key) != now.get(key)]
             changes = "; ".join(f"{key} {then.get(key)} -> {now.get(key)}" for key in sorted(keys))
-            found.append(f"message {index} ({then['type']}): {changes}")
-    return found
+            differing.append(f"message {index} ({then['type']}): {changes}")
+    return differing
 
 
 def open_replay(recording: Recording, models: ModelSet) -> Replay:
@@ -112,7 +112,9 @@ def open_replay(recording: Recording, models: ModelSet) -> Replay:
     limits = Limits.model_validate_json(recording.metadata["limits"])
     controller: Any = recording.metadata["controller"]
     session = make_session(models, calibration, controller, limits)
-    session.looks = recording.metadata.get("full_depth_look") == "True"  # older recordings do not name it: no look
+    session.checks_full_depth = (
+        recording.metadata.get("full_depth_look") == "True"
+    )  # older recordings do not name it: no look
     return Replay(recording, session, {finger: recording.frames(finger) for finger in FINGERS})
 
 
@@ -123,6 +125,6 @@ def redecide(path: Path, models_folder: Path | None = None) -> int:
     replay.run()
     recorded = [e.json()["message"] for e in recording.of("/messages") if e.json()["from"] == "service"]
     replayed = replay.replies[: len(recorded)] if recording.recovered else replay.replies
-    found = differences(recorded, replayed)
-    print("\n".join(found) or f"{len(recorded)} messages decided again, all the same bit for bit")
-    return 1 if found else 0
+    differing = differences(recorded, replayed)
+    print("\n".join(differing) or f"{len(recorded)} messages decided again, all the same bit for bit")
+    return 1 if differing else 0

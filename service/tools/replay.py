@@ -109,11 +109,11 @@ def replay(path: Path, options: ReplayOptions) -> list[SlipState]:
         if state.state != last:
             print(f"  {stamp_ns * 1e-9:8.2f} s  {state.state:<15} score {state.score:5.2f}  {state.reason}")
             last = state.state
-        picture.see(image, field, state)
+        picture.add(image, field, state)
     grid = tracker.grid_shape
-    found = f"grid of {grid[0]} rows x {grid[1]} columns" if grid else "no marker grid"
+    described = f"grid of {grid[0]} rows x {grid[1]} columns" if grid else "no marker grid"
     summary = ", ".join(f"{count} {status}" for status, count in tracks.items())
-    print(f"  {found}; {summary}; {1e3 * spent_s / len(states):.2f} ms CPU a frame")
+    print(f"  {described}; {summary}; {1e3 * spent_s / len(states):.2f} ms CPU a frame")
     print(f"  wrote {' and '.join(map(str, picture.close(states)))}")
     return states
 

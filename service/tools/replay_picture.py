@@ -26,7 +26,7 @@ class ReplayPicture:
         self._tiles: list[NDArray[np.uint8]] = []
         self._last = ""
 
-    def see(self, image: NDArray[np.uint8], field: MarkerField, state: SlipState) -> None:
+    def add(self, image: NDArray[np.uint8], field: MarkerField, state: SlipState) -> None:
         """One frame, uint8 [height, width, 3]; raises OSError if the video cannot be written."""
         event = state.state != self._last and len(self._tiles) < MAX_TILES
         self._last = state.state

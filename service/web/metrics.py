@@ -41,7 +41,7 @@ class Metrics:
         caught.labels("listener").set_function(lambda: station.hub.errors_n)
         ready.set_function(lambda: float(station.ready))
         self._counted: dict[Finger, int] = {}
-        station.hub.subscribe(self._heard)
+        station.hub.subscribe(self._on_event)
 
     def _age_s(self, finger: Finger) -> float:
         newest_ns = self._station.cameras[finger].newest_ns
@@ -55,7 +55,7 @@ class Metrics:
             self._frames.labels(finger).inc(self._counted[finger] - counted)
         return generate_latest(self.registry), CONTENT_TYPE_LATEST
 
-    def _heard(self, kind: str, content: Any) -> None:
+    def _on_event(self, kind: str, content: Any) -> None:
         self._count(kind, content)
         match content:
             case Observation():

@@ -30,8 +30,8 @@ class Rate:
             return True
         now_s = time.monotonic() if now_s is None else now_s
         most = max(1.0, self.per_s * BURST_S)
-        left, seen_s = self._left.pop(client, (most, now_s))
-        left = min(most, left + (now_s - seen_s) * self.per_s)
+        left, last_s = self._left.pop(client, (most, now_s))
+        left = min(most, left + (now_s - last_s) * self.per_s)
         self._left[client] = (left - 1 if left >= 1 else left, now_s)
         while len(self._left) > MAX_CLIENTS:
             self._left.popitem(last=False)

@@ -37,7 +37,7 @@ class Options:
     docs: Path = Path("runs/evaluation")
     """folder for the report"""
     models: Path = field(default_factory=released_models)
-    """folder with the ONNX files to judge; its folder `joint` holds the joint density, if there is one"""
+    """folder with the ONNX files to evaluate; its folder `joint` holds the joint density, if there is one"""
     paper_models: Path = Path("models/paper")
     """folder with the paper's recipe (AlexNet + LSTM); its row is left out while there is none"""
     objects: tuple[str, ...] = object_names()

@@ -18,8 +18,8 @@ from simulation.scene.worlds import known_object
 
 NAME = "closed_loop"
 FIELDS = """
-    Slip is decided by the service's detectors on the true marker field plus the tracker's measured error. Networks that
-    read markers get the same field; those that read pictures get frames drawn and rectified.
+    Slip is detected on the true marker field plus the tracker's measured error. Networks that read markers read the
+    same field; those that read pictures read frames drawn and rectified.
     """
 
 

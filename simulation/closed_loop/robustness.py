@@ -35,7 +35,7 @@ class Condition:
 
     @property
     def only_in_pictures(self) -> bool:
-        """Whether nobody can be disturbed by it who does not look at the pictures."""
+        """Whether it disturbs pictures alone, so that it has to be played with them."""
         return bool(self.dead) or bool(self.values and set(self.values) <= ONLY_IN_PICTURES)
 
     def changes(self, scene: Scene) -> dict[str, Any]:

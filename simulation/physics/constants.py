@@ -38,6 +38,8 @@ def scene_constants(scene: Scene, active: Active) -> records.Records:
         "table_friction": blocks.table_friction,
         "unknowns": 18 if active.free_blocks else 6,
     }
+    if (faces := body.held_faces) is not None:
+        values |= {"faceted": 1, "faces": faces}
     out = np.zeros(1, dtype=records.CONSTANTS)
     for name, value in values.items():
         out[name][0] = value

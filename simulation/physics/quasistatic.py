@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from simulation.physics import layer_pads
 from simulation.physics.constants import BASE_K, scene_constants
 from simulation.physics.grasp import close_fingers
+from simulation.physics.ground_truth import Pose, reasons_against
 from simulation.physics.inertia import coasting_of
 from simulation.physics.kernels import bristles, contact, load_step, records
 from simulation.physics.kernels.linear import rotation_into
@@ -257,6 +258,8 @@ class QuasiStaticCell:
     def look(self) -> CellState:
         """The state now, without moving."""
         turn, place = self._world()
+        centre = place + turn[:, 2] * float(self.constants["bottom"][0])
+        pose, motion = Pose(turn, centre, self.foot), block_motion(self.state, 0.5 * self.scene.blocks.gap_mm)
         bottom = float(np.min(self.foot @ turn[2, :2]) + turn[2, 2] * float(self.constants["bottom"][0]) + place[2])
         touching = (self.nodes["pressure"] > 0.0).reshape(2, -1).sum(axis=1)
         slipped = self.nodes["slipped"].reshape(2, -1).sum(axis=1)
@@ -268,9 +271,9 @@ class QuasiStaticCell:
             in_hand=np.concatenate([self.state["place"], rotation_vector(self.state["turn"])]),
             object_error=self._object_error(),
             bottom_z_mm=bottom,
-            block_motion=block_motion(self.state, 0.5 * self.scene.blocks.gap_mm),
+            block_motion=motion,
             in_contact=bool(np.any(self.slots["force"][: self.base_slot] > 0.0)),
-            inserted=bool(bottom < -15.0) and not self.grasp_lost,
+            inserted=not reasons_against(pose, motion, self.scene.blocks, grasp_lost=self.grasp_lost),
             grasp_lost=self.grasp_lost,
             residual_n=float(self.state["report"][0]),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -27,9 +28,10 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
     scale = draw(0.9, 1.2, 0.05)
     size_x = min(200.0, body.size_x_mm * scale)
     height = float(rng.uniform(25.0, 95.0))
-    changes = {
+    size_y = min(110.0, body.size_y_mm * scale * draw(0.96, 1.04, 0.04))
+    changes: dict[str, Any] = {
         "object.size_x_mm": size_x,
-        "object.size_y_mm": min(110.0, body.size_y_mm * scale * draw(0.96, 1.04, 0.04)),
+        "object.size_y_mm": size_y,
         "object.corner_radius_mm": min(50.0, body.corner_radius_mm * scale),
         "object.mass_kg": math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))),
         "object.centre_of_mass_height_mm": height * float(rng.uniform(0.4, 0.95)),
@@ -45,6 +47,9 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
         "gel.wear": draw(0.1, 0.4, 0.1),
         "x_range_mm": min(60.0, scene.x_range_mm * scale),
     }
+    if body.vertices_mm:
+        scales = size_x / body.size_x_mm, size_y / body.size_y_mm
+        changes["object.vertices_mm"] = [(x * scales[0], y * scales[1]) for x, y in body.vertices_mm]
     if body.shape == "hexagon" or (body.shape == "ellipse" and body.size_x_mm == body.size_y_mm):
         changes["object.size_y_mm"] = size_x  # what is regular or round stays so
     return scene.varied(changes)

@@ -17,13 +17,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from service.contract.refusals import describe
 from simulation.scene import shapes
 
-YOUNGER_KEYS = (
-    ("camera", "readout_ms"),
-    ("effects", "inertia"),
-    ("effects", "rolling_shutter"),
-    ("object", "texture_period_mm"),
-    ("object", "texture_gain"),
-)
+YOUNGER_KEYS = {
+    "blocks": ("insertion_depth_mm",),
+    "object": ("vertices_mm", "texture_period_mm", "texture_gain"),
+    "camera": ("readout_ms",),
+    "effects": ("inertia", "rolling_shutter"),
+}
 RECORD = ("training", "order", "paper", "target")  # keys that change nothing of the cell
 Switch = Literal["auto", "on", "off"]
 
@@ -41,10 +40,12 @@ class Part(BaseModel):
 class HeldObject(Part):
     """The object: footprint at its flat bottom, section where it is held (the same unless given), weight.
 
+    A polygon states its convex bottom by vertices_mm, counter-clockwise; its sizes are their extent.
     The texture's period and gain (contrast of its relief, 0..1) follow from its name unless given.
     """
 
-    shape: shapes.Shape
+    shape: shapes.Outline
+    vertices_mm: tuple[tuple[float, float], ...] | None = Field(default=None, min_length=3, max_length=32)
     size_x_mm: float = Field(gt=5.0, le=200.0)
     size_y_mm: float = Field(gt=5.0, le=110.0)
     corner_radius_mm: float = Field(default=0.0, ge=0.0, le=50.0)
@@ -58,23 +59,46 @@ class HeldObject(Part):
     texture_period_mm: float | None = Field(default=None, ge=0.1, le=10.0)
     texture_gain: float | None = Field(default=None, ge=0.0, le=0.5)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _sizes_of_a_polygon(cls, data: Any) -> Any:
+        if not (isinstance(data, dict) and data.get("vertices_mm")):
+            return data
+        try:
+            x, y = np.ptp(np.asarray(data["vertices_mm"], np.float64), axis=0)
+        except (ValueError, TypeError):
+            return data  # the field itself says what is wrong
+        return data | {"size_x_mm": float(x), "size_y_mm": float(y)}
+
     @property
     def footprint_mm(self) -> NDArray[np.float64]:
         """Bottom polygon [n, 2], mm, object frame."""
+        if self.vertices_mm:
+            return shapes.centred(self.vertices_mm)
         return shapes.footprint(self.shape, self.size_x_mm, self.size_y_mm, self.corner_radius_mm)
 
     @property
     def held_profile(self) -> NDArray[np.float64]:
         """Held surface as in `shapes.held_profile`, array [5], mm."""
+        if self.held_shape is None and self.vertices_mm:
+            return np.array([shapes.crest_mm(self.vertices_mm), 0.5 * self.size_x_mm, 1.0, 1.0, 0.0])
         if self.held_shape is None:
             return shapes.held_profile(self.shape, self.size_x_mm, self.size_y_mm, self.corner_radius_mm)
         size_x = self.held_size_x_mm or self.size_x_mm
         size_y = self.held_size_y_mm or self.size_y_mm
         return shapes.held_profile(self.held_shape, size_x, size_y, self.held_corner_radius_mm)
 
+    @property
+    def held_faces(self) -> NDArray[np.float64] | None:
+        """Held sides of a polygon as in `shapes.faces`; None where `held_profile` says it all."""
+        return shapes.faces(self.vertices_mm) if self.vertices_mm and self.held_shape is None else None
+
 
 class Blocks(Part):
-    """The two blocks that leave the gap. `free` lets them slide on the table and tip."""
+    """The two blocks that leave the gap. `free` lets them slide on the table and tip.
+
+    ``insertion_depth_mm``: how deep all of an object's bottom face must be below their tops to count as inserted.
+    """
 
     gap_mm: float = Field(gt=5.0, le=250.0)
     free: bool = False
@@ -85,6 +109,7 @@ class Blocks(Part):
     stiffness_n_per_mm: float = Field(default=1000.0, ge=5.0, le=50000.0)
     friction: float = Field(default=0.25, ge=0.0, le=2.0)
     table_friction: float = Field(default=0.4, ge=0.0, le=2.0)
+    insertion_depth_mm: float = Field(default=15.0, ge=1.0, le=100.0)
 
 
 class Gel(Part):
@@ -191,6 +216,17 @@ class Scene(Part):
     theta_range_deg: float = Field(default=15.0, gt=0.0, le=45.0)
 
     @model_validator(mode="after")
+    def _polygon_can_exist(self) -> Self:
+        if (self.object.shape == "polygon") != (self.object.vertices_mm is not None):
+            raise ValueError("object.vertices_mm: expected with shape = 'polygon', and with no other shape")
+        corners = self.object.vertices_mm
+        if corners and not shapes.is_convex(corners):
+            raise ValueError("object.vertices_mm: expected corners of a convex polygon, counter-clockwise")
+        if corners and self.object.corner_radius_mm > 0.0:
+            raise ValueError("object.corner_radius_mm: a polygon has none")
+        return self
+
+    @model_validator(mode="after")
     def _can_exist(self) -> Self:
         body = self.object
         if self.blocks.gap_mm <= body.size_x_mm:
@@ -225,10 +261,10 @@ class Scene(Part):
         A key younger than the first data sets counts only where it is set, so that they keep their scenes.
         """
         left_out: dict[str, Any] = dict.fromkeys(RECORD, True)
-        for part, key in YOUNGER_KEYS:
+        for part, keys in YOUNGER_KEYS.items():
             values = getattr(self, part)
-            if getattr(values, key) == type(values).model_fields[key].default:
-                left_out.setdefault(part, set()).add(key)
+            fields = type(values).model_fields
+            left_out[part] = {key for key in keys if getattr(values, key) == fields[key].default}
         return self.model_dump_json(exclude=left_out)
 
     @property
@@ -238,7 +274,8 @@ class Scene(Part):
 
     def fits(self, x_mm: float, theta_deg: float) -> bool:
         """Whether a vertical descent from this error inserts without touching (paper_facts' criterion)."""
-        return abs(x_mm) + shapes.half_width_mm(self.object.footprint_mm, theta_deg) <= 0.5 * self.blocks.gap_mm
+        foot = self.object.footprint_mm if x_mm >= 0.0 else -self.object.footprint_mm
+        return abs(x_mm) + shapes.half_width_mm(foot, theta_deg) <= 0.5 * self.blocks.gap_mm
 
     def varied(self, changes: Mapping[str, Any]) -> Scene:
         """A copy with dotted keys replaced, e.g. {"gel.friction": 0.5}. Raises SceneError."""

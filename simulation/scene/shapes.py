@@ -8,18 +8,25 @@ the height y(x) of the surface that the fingers touch; the object is a prism the
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Shape = Literal["rectangle", "ellipse", "hexagon"]
+Outline = Literal["rectangle", "ellipse", "hexagon", "polygon"]
+Vertices = Sequence[tuple[float, float]]
 Array = NDArray[np.float64]
 
+MAX_FACES = 34  # of one held side of a polygon: its edges and a wall at either end
+WALL_SLOPE = 5.0  # what is upright would have no slope
+GRIP_HALF_MM = 10.0  # about half of a gel's width: what the fingers centre
+FAR_MM = 1e6
 CURVE_POINTS = 120  # a 120-gon errs by 0.009 mm on a 51 mm circle, far under any clearance
 
 
-def footprint(shape: Shape, size_x_mm: float, size_y_mm: float, corner_radius_mm: float) -> Array:
+def footprint(shape: Outline, size_x_mm: float, size_y_mm: float, corner_radius_mm: float) -> Array:
     """Convex polygon [n, 2] in mm, counter-clockwise. Curves get tangent polygons of the right x extent."""
     if shape == "ellipse":
         angles = 2.0 * np.pi * np.arange(CURVE_POINTS) / CURVE_POINTS
@@ -39,7 +46,7 @@ def footprint(shape: Shape, size_x_mm: float, size_y_mm: float, corner_radius_mm
     return np.concatenate(corners)
 
 
-def held_profile(shape: Shape, size_x_mm: float, size_y_mm: float, corner_radius_mm: float) -> Array:
+def held_profile(shape: Outline, size_x_mm: float, size_y_mm: float, corner_radius_mm: float) -> Array:
     """Parameters (crest, flat half width, arc radius x, arc radius y, slope) in mm of the held surface, array [5].
 
     y(x) = crest for |x| within the flat part; beyond it an elliptic arc, or a plane of the given slope where slope > 0.
@@ -50,6 +57,62 @@ def held_profile(shape: Shape, size_x_mm: float, size_y_mm: float, corner_radius
         return np.array([0.25 * math.sqrt(3.0) * size_x_mm, 0.25 * size_x_mm, 1.0, 1.0, math.sqrt(3.0)])
     radius = max(corner_radius_mm, 0.2)
     return np.array([0.5 * size_y_mm, 0.5 * size_x_mm - radius, radius, radius, 0.0])
+
+
+def centred(vertices: Vertices) -> Array:
+    """A polygon's vertices [n, 2], mm, moved to where the fingers hold it.
+
+    The middle of its extent across the gap is at x = 0, and both fingers touch it equally far from y = 0.
+    """
+    polygon: Array = np.asarray(vertices, np.float64)
+    polygon = polygon - [0.5 * (polygon[:, 0].max() + polygon[:, 0].min()), 0.0]
+    crests = np.array([_height(lines, polygon).max() for lines in _sides(polygon)])
+    return np.asarray(polygon - [0.0, 0.5 * (crests[0] - crests[1])])
+
+
+def crest_mm(vertices: Vertices) -> float:
+    """How far from y = 0 either finger touches a polygon that it holds."""
+    polygon = centred(vertices)
+    return float(_height(_sides(polygon)[0], polygon).max())
+
+
+def faces(vertices: Vertices) -> Array:
+    """Held sides (+y, -y) of a polygon, [2, MAX_FACES, 2]: lines (height at x = 0 in mm, slope), the lowest counts."""
+    lines: Array = np.zeros((2, MAX_FACES, 2))
+    lines[..., 0] = FAR_MM
+    for side, found in zip(lines, _sides(centred(vertices)), strict=True):
+        side[: len(found)] = found
+    return lines
+
+
+def _sides(polygon: Array) -> list[Array]:
+    """Lines [k, 2] of both sides of a convex polygon: its edges there and a steep wall at either end."""
+    ahead = np.roll(polygon, -1, axis=0)
+    return [_side(polygon, ahead), _side(-polygon, -ahead) * (1.0, -1.0)]
+
+
+def _side(start: Array, end: Array) -> Array:
+    upper = start[:, 0] - end[:, 0] > 1e-9
+    slope = (end - start)[upper, 1] / (end - start)[upper, 0]
+    (right, top_right), (left, top_left) = start[upper][start[upper, 0].argmax()], end[upper][end[upper, 0].argmin()]
+    down, up = min(-WALL_SLOPE, slope.min()), max(WALL_SLOPE, slope.max())
+    edges = np.stack([start[upper, 1] - slope * start[upper, 0], slope], axis=1)
+    return np.concatenate([edges, [(top_right - down * right, down), (top_left - up * left, up)]])
+
+
+def _height(lines: Array, polygon: Array) -> Array:
+    """Height of a held side wherever it can be highest between the fingers."""
+    x = np.concatenate([polygon[np.abs(polygon[:, 0]) < GRIP_HALF_MM, 0], [-GRIP_HALF_MM, GRIP_HALF_MM]])
+    return np.asarray((lines[:, 0] + np.multiply.outer(x, lines[:, 1])).min(axis=1))
+
+
+def is_convex(vertices: Vertices) -> bool:
+    """Whether the vertices go once around a convex polygon, counter-clockwise, with no corner of 180 deg."""
+    polygon: Array = np.asarray(vertices, np.float64)
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    ahead = np.roll(edges, -1, axis=0)
+    turns = np.arctan2(edges[:, 0] * ahead[:, 1] - edges[:, 1] * ahead[:, 0], (edges * ahead).sum(axis=1))
+    return bool((turns > 1e-9).all() and abs(turns.sum() - 2.0 * np.pi) < 1e-6)
 
 
 def half_width_mm(polygon: Array, theta_deg: float) -> float:

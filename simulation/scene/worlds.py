@@ -1,7 +1,7 @@
 """Reads objects and worlds from TOML; a scene is a world with an object in it.
 
-An object file says what is held: its `[object]` and, where they matter, `[blocks]`, `[start]` and any other table of a
-scene. A world file says everything about the cell but the object, and wins where both speak. The folder
+An object file states what is held: its `[object]` and, where they matter, `[blocks]`, `[start]` and any other table of
+a scene. A world file states everything about the cell but the object, and wins where both do. The folder
 `simulation/objects` is the registry of the objects that are known by name.
 """
 
@@ -30,7 +30,6 @@ NOT_YET = {
     "camera": {"latency_ms"},
     "world": {"tcp_offset_mm", "frame_yaw_deg", "camera_scale", "camera_roll_deg", "blocks_up_mm", "swapped_fingers"}
     | {"mirrored", "x_sign", "yaw_sign"},
-    "object": {"vertices_mm"},
 }
 
 
@@ -48,7 +47,7 @@ class Motion(Part):
 
 
 class Unstated(Part):
-    """What nobody tells the software. The errors are added to the gap and to the height of the grasp that it is given.
+    """What the software is not given. The errors are added to the gap and to the height of the grasp that it is given.
 
     A stop takes effect ``stop_lag_s`` after it was ordered.
     """
@@ -71,7 +70,7 @@ TOP_LEVEL = {"motion.descent_speed_mm_s": "speed_mm_s"}
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A cell without its object: dotted keys of a scene with their values, and what the software is not told."""
+    """A cell without its object: dotted keys of a scene with their values, and what the software is not given."""
 
     name: str = "as_trained"
     changes: Mapping[str, Any] = field(default_factory=dict)
@@ -117,7 +116,9 @@ def load_world(path: str | Path) -> World:
 
 
 def _checked(path: Path, table: str, model: type[Part], values: Mapping[str, Any]) -> Part:
-    _refuse_not_yet(path, table, values)
+    for key in values:
+        if key in NOT_YET.get(table, ()):
+            raise SceneError(f"{path}: {table}.{key}: not supported yet")
     if model is Blocks:
         if "gap_mm" in values:
             raise SceneError(f"{path}: blocks.gap_mm: the gap stands in the object's file, not in the world's")
@@ -130,12 +131,6 @@ def _validated(path: Path, table: str, model: type[Part], values: Mapping[str, A
         return model.model_validate(values)
     except ValidationError as error:
         raise SceneError(f"{path}: {table}.{describe(error, model)}") from error
-
-
-def _refuse_not_yet(path: Path, table: str, values: Mapping[str, Any]) -> None:
-    for key in values:
-        if key in NOT_YET.get(table, ()):
-            raise SceneError(f"{path}: {table}.{key}: not supported yet")
 
 
 def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
@@ -156,7 +151,6 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
     data.setdefault("name", path.stem)
     for key, value in overrides.items():
         put(data, key.replace("__", "."), value)
-    _refuse_not_yet(path, "object", _table(data, "object"))
     if "start" in data:
         start = _validated(path, "start", Start, data.pop("start"))
         data |= start.model_dump(include=start.model_fields_set)

@@ -6,11 +6,11 @@ import torch
 from filelock import FileLock
 
 from export.onnx.to_onnx import export_checkpoint
-from training.config import NetworkConfig
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
 from training.metrics.figures import Scales
 from training.networks import build
+from training.networks.settings import NetworkConfig
 
 EXPORTED = ("direction.step", "direction.sequence", "magnitude.step", "joint.step", "pair.step")
 

@@ -27,9 +27,9 @@ from tests.hard_cases.registry import ROOT, Guard, case
 def single_against_double_precision(seed: int) -> float:
     import torch
 
-    from training.config import NetworkConfig
     from training.data.labels import CLASSES
     from training.networks import build
+    from training.networks.settings import NetworkConfig
 
     torch.manual_seed(seed)
     network = build(NetworkConfig(), len(CLASSES)).eval()

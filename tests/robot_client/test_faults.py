@@ -204,9 +204,8 @@ async def break_it(name, phase, folder):
     fault = FAULTS[name]
     overrides = {
         "timeouts": {"arming_s": 1.0, "deciding_s": 1.5, "motion_s": 3.0},
-        "robot": {"rws": {"stop_timeout_s": 0.5}},
+        "robot": {"max_age_s": 0.25, "rws": {"stop_timeout_s": 0.5}},
     }
-    overrides["egm"] = {"max_age_s": 0.25}
     log = folder / f"{name}-{phase}.jsonl".replace(" ", "_")
     async with bench(overrides=overrides) as cell:
         cell.service.delays_s = {"arm": 0.3, "stopped": 0.3}
@@ -246,7 +245,7 @@ async def break_all(cases, folder, together, *, slack=1.0):
 
     async def one(name, phase):
         async with gate:
-            for turn in range(4):  # what a machine too busy does to the story is no verdict on the fault
+            for turn in range(4):  # a machine that is too busy spoils the run, not the driver
                 result = await asyncio.create_task(break_it(name, phase, folder / str(turn)))
                 fault, injector, state, *_ = result
                 if injector.injected_s and (fault.expect in state.reason or injector.stalled_s < 0.1):
@@ -260,7 +259,7 @@ async def break_all(cases, folder, together, *, slack=1.0):
 
 
 def test_faults_end_in_a_hold_and_say_why(tmp_path):
-    """The times themselves are judged in the slow test below; here a busy machine may take ten times as long."""
+    """The times themselves are checked in the slow test below; here a busy machine may take ten times as long."""
     asyncio.run(break_all(FAST, tmp_path, together=5, slack=10.0))
 
 

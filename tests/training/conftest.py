@@ -1,7 +1,8 @@
 import pytest
 
 from tests.training.synthetic import SyntheticSource
-from training.config import DataConfig, NetworkConfig, RunConfig, StageConfig
+from training.config import DataConfig, RunConfig, StageConfig
+from training.networks.settings import NetworkConfig
 
 
 @pytest.fixture(scope="session")

@@ -39,7 +39,7 @@ def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = No
         config: the recipe's TOML file, see training/configs/alexnet_lstm.toml.
         data: dataset folder, instead of the one the config names.
     """
-    from training.data.recipe_data import RecipeConfig
+    from training.config import RecipeConfig
     from training.fit.recipe import train_recipe
 
     loaded = RecipeConfig.load(config)
@@ -56,7 +56,7 @@ def share_backbone(config: Annotated[Path, tyro.conf.Positional], data: Path | N
         config: the recipe's TOML file.
         data: dataset folder, instead of the one the config names.
     """
-    from training.data.recipe_data import RecipeConfig
+    from training.config import RecipeConfig
     from training.fit.shared import share_backbone as share
 
     loaded = RecipeConfig.load(config)

@@ -8,9 +8,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from training.config import FRAMES_PER_DECISION, JITTER, WINDOW
+from training.config import JITTER, WINDOW
 from training.data.dataset import Trials
 from training.data.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
+from training.networks.settings import FRAMES_PER_DECISION
 
 GAP_BLUR_MM, HEIGHT_BLUR_MM = 0.3, 1.5  # of what a cell engineer measures
 LAG_FRAMES = 0.25  # how far behind its time stamp a marker may be seen: it is found in the middle of its exposure

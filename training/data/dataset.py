@@ -15,8 +15,9 @@ from rich.progress import track
 
 from service.contract import ContractError
 from service.perception.markers.sequence import track_pairs
-from training.config import FRAMES_PER_DECISION, JITTER, WINDOW, DataConfig
+from training.config import JITTER, WINDOW, DataConfig
 from training.networks.preprocessing import pool_frames
+from training.networks.settings import FRAMES_PER_DECISION
 
 SPLITS = ("train", "validation", "test")
 Reads = Literal["pictures", "markers"]

@@ -11,10 +11,10 @@ from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
 from service.contract import ContractError
-from training.config import NetworkConfig
 from training.data.labels import CLASSES
 from training.metrics.figures import Scales
-from training.networks import build_any
+from training.networks import build
+from training.networks.settings import NetworkConfig
 
 _FORMAT = 1
 
@@ -84,7 +84,7 @@ class Checkpoint:
 
     def build(self, expected: NetworkConfig | None = None) -> Any:
         """The network with its weights, in evaluation mode; raise ContractError if they do not fit ``expected``."""
-        network = build_any(expected or self.network, len(CLASSES))
+        network = build(expected or self.network, len(CLASSES))
         try:
             network.load_state_dict(self.weights)
         except RuntimeError as error:

@@ -96,6 +96,7 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
     total = config.epochs * stage.batches_per_epoch
     schedule = LambdaLR(optimiser, lambda step: _rate(step, total))
     at = _resume(path, network, optimiser, schedule)
+    loss_of = parallel.averaged(network, stage.loss)
     started = time.monotonic() - 60 * at.minutes
     scalars: dict[str, float] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
@@ -104,7 +105,7 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
         while not at.over(config):
             rng = np.random.default_rng(parallel.seeds(seed, at.epoch))
             torch.manual_seed(seed * 1000 + at.epoch + 7919 * parallel.rank())
-            loss = _epoch(network, stage, optimiser, schedule, rng, lambda: progress.advance(task))
+            loss = _epoch(network, stage, loss_of, optimiser, schedule, rng, lambda: progress.advance(task))
             scalars = {"loss": loss, **_validate(network, stage), "minutes": (time.monotonic() - started) / 60}
             scalars = parallel.agreed(scalars)
             log.write(stage.name, at.epoch, scalars)
@@ -121,6 +122,7 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
 def _epoch(
     network: nn.Module,
     stage: Stage,
+    loss_of: Callable[[Any], Tensor],
     optimiser: Optimizer,
     schedule: LambdaLR,
     rng: np.random.Generator,
@@ -129,12 +131,11 @@ def _epoch(
     network.train()
     losses = []
     for batch in stage.batches(rng):
-        loss = stage.loss(batch)
+        loss = loss_of(batch)
         if not torch.isfinite(loss):
             raise ContractError(f"stage {stage.name}: the loss is {float(loss)}, expected a finite number")
         optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        parallel.average_gradients(stage.parameters)
         nn.utils.clip_grad_norm_(stage.parameters, MAX_GRADIENT)
         optimiser.step()
         schedule.step()

@@ -17,16 +17,18 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from reporting.machine import commit
-from training.config import FRAMES_PER_DECISION, JITTER, NetworkConfig, StageConfig, pin, refuse_another
+from training.config import JITTER, RecipeConfig, StageConfig, pin, refuse_another
 from training.data.dataset import SPLITS, Source, data_sha256, load_table, open_source
 from training.data.labels import CLASSES, class_of
-from training.data.recipe_data import RecipeConfig, Rows, chosen_trials, decision_frames, load_rows
+from training.data.recipe_data import Rows, chosen_trials, decision_frames, load_rows
 from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Log, Stage, fit
 from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
+from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
 
 FIELD_SIZE = 3 * 20 * 21
+NETWORK = NetworkConfig(kind="alexnet_lstm")
 
 
 def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoint:
@@ -40,7 +42,7 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
     digest = data_sha256(source)
     table = load_table(source, Path(config.cache) / digest[:16], len(source))
     pin(folder, config, digest)
-    pair = AlexNetPair(len(CLASSES))
+    pair = AlexNetPair(NETWORK, len(CLASSES))
     log = Log(folder)
     try:
         if config.imagenet:
@@ -169,7 +171,7 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
     checkpoint = Checkpoint(
         name=config.name,
-        network=NetworkConfig(kind="alexnet_lstm"),
+        network=NETWORK,
         weights={name: value.detach().clone() for name, value in pair.state_dict().items()},
         scales=scales,
         joint_scales=scales,

@@ -15,9 +15,9 @@ from rich.progress import track
 from torch import Tensor
 
 from service.contract import ContractError
-from training.config import StageConfig, pin, refuse_other_grounds
+from training.config import RecipeConfig, StageConfig, pin, refuse_other_grounds
 from training.data.dataset import Source, data_sha256, load_table, open_source
-from training.data.recipe_data import RecipeConfig, Rows, load_rows
+from training.data.recipe_data import Rows, load_rows
 from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Log, Stage, fit
 from training.fit.recipe import finish

@@ -27,8 +27,7 @@ from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Log, Stage, fit
 from training.metrics.figures import Predictions, Scales, by_object, calibrate, cross_calibrated, figures, rescaled
 from training.metrics.joint import calibrate_density, calibrated_density, cross_calibrated_density
-from training.networks import build
-from training.networks.compact import CompactNetwork
+from training.networks import build, network_class, reads
 from training.networks.decider import Decider
 
 EVALUATION_BATCH = 32
@@ -63,7 +62,7 @@ class Trainer:
     def front_loss(self, pair: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         """Mean square error of the field change, in normalised units."""
         frame, reference, change = pair
-        assert isinstance(self.network, CompactNetwork)
+        assert self.network.front is not None
         return functional.mse_loss(self.network.front(frame, reference), self._scaled(change))
 
     def trunk_loss(self, batch: Batch) -> Tensor:
@@ -137,8 +136,8 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
 
     Under torchrun every process takes an equal share of the trials; the first one writes.
     """
-    if config.network.kind == "alexnet_lstm":
-        raise ContractError("network.kind is alexnet_lstm, which `python -m training recipe` trains")
+    if not issubclass(network_class(config.network.kind), Decider):
+        raise ContractError(f"network.kind is {config.network.kind}, which `python -m training recipe` trains")
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     folder = config.folder
@@ -146,7 +145,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
     with parallel.group():
         with parallel.first_goes_first():
             refuse_another(folder, config)
-            trials = load_trials(config.data, source, config.network.reads)
+            trials = load_trials(config.data, source, reads(config.network.kind))
             grounds = trials.sha256 + (_start(config).weights_sha256() if config.start_from else "")
             pin(folder, config, grounds)  # not before: a mistyped data folder must not claim the run's
         trainer = _prepare(config, trials)
@@ -170,7 +169,7 @@ def _prepare(config: RunConfig, trials: Trials) -> Trainer:
     for split in ("train", "validation"):
         if not len(trials.of(split)):
             raise ContractError(f"the dataset has no collisions in its {split} split")
-    network = build(config.network, len(CLASSES))
+    network: Decider = build(config.network, len(CLASSES))
     if config.start_from is not None:
         network.load_state_dict(_start(config).build(config.network).state_dict())
     else:
@@ -206,7 +205,7 @@ def _stages(trainer: Trainer) -> list[Stage]:
         loss=trainer.trunk_loss,
         validate=lambda: trainer.score(held, pictures=False),
     )
-    if not isinstance(network, CompactNetwork):
+    if network.front is None:
         return [trunk]
     front = Stage(
         "front",

@@ -12,6 +12,7 @@ from torch.nn import functional
 from service.contract import ContractError
 from training.networks.forms import Role
 from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
+from training.networks.settings import NetworkConfig
 
 INPUT_PX = 224
 FEATURES, HIDDEN, LSTM = 9216, 4096, 170
@@ -125,9 +126,10 @@ class AlexNetLstm(nn.Module):
 class AlexNetPair(nn.Module):
     """DirectionNN and MagnitudeNN of the paper, trained independently, kept in one checkpoint."""
 
+    reads_markers = False
     roles: tuple[Role, ...] = ("direction", "magnitude", "pair")
 
-    def __init__(self, classes: int) -> None:
+    def __init__(self, _settings: NetworkConfig, classes: int) -> None:
         super().__init__()
         self.direction = AlexNetLstm(classes)
         self.magnitude = AlexNetLstm(2)

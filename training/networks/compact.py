@@ -8,9 +8,9 @@ lets the trunk train on every trial without drawing a picture; both are tuned to
 import torch
 from torch import Tensor, nn
 
-from training.config import NetworkConfig
 from training.networks.decider import FIELD_CHANNELS, MARKER_COLS, MARKER_ROWS, Decider
 from training.networks.preprocessing import BLOCK_MEAN, CHANNELS, block_sums
+from training.networks.settings import NetworkConfig
 
 GREY_SPAN = 32.0
 
@@ -40,6 +40,8 @@ class Front(nn.Module):
 
 class CompactNetwork(Decider):
     """Pictures, by way of the front."""
+
+    front: Front
 
     def __init__(self, settings: NetworkConfig, classes: int) -> None:
         super().__init__(settings, classes)

@@ -9,10 +9,10 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-from training.config import NetworkConfig
 from training.networks.affine import AffineFit
 from training.networks.density import MixtureDensity
 from training.networks.forms import Role
+from training.networks.settings import NetworkConfig
 
 FIELD_CHANNELS = 3
 MARKER_ROWS, MARKER_COLS = 20, 21
@@ -82,6 +82,8 @@ class Decider(nn.Module):
         self.direction = nn.Linear(settings.state_size, classes)
         self.magnitude = nn.Linear(settings.state_size, 4)
         self.density = MixtureDensity(settings.state_size)
+        self.front: nn.Module | None = None
+        """Reads a network's pictures, and is trained first, on true fields."""
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
 
     def set_scales(self, fields: Tensor) -> None:

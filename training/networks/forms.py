@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 import torch
 from torch import Tensor, nn
 
-from training.config import FRAMES_PER_DECISION
+from training.networks.settings import FRAMES_PER_DECISION
 
 Role = Literal["direction", "magnitude", "joint", "pair"]
 

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.config import FRAMES_PER_DECISION, JITTER, StageConfig
+from training.config import JITTER, StageConfig
 from training.data.batches import told_in_training
 from training.data.dataset import SPLITS, Trials
 from training.data.labels import CLASSES, HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
 from training.fit.loop import Log, Stage, fit
 from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
 from training.networks.decider import ERROR_SCALE, geometry_of
+from training.networks.settings import FRAMES_PER_DECISION
 
 STAGE = StageConfig(epochs=60, batch=64, learning_rate=3e-3, patience=15)
 # Hand frame: place x, y, z in mm, turn about x, y, z in rad

@@ -27,6 +27,7 @@ from training.metrics.figures import (
     probabilities,
     rescaled,
 )
+from training.networks import reads
 from training.report.oracle import oracle_figures
 from training.report.stress import STRESS_FILE
 
@@ -56,7 +57,7 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
     checkpoint = Checkpoint.load(run / "checkpoint.pt")
     baseline = recipe_part(recipe, checkpoint.training_data_sha256)  # a wrong folder is refused before all the scoring
     torch.set_num_threads(config.threads)
-    trials = load_trials(config.data, source, config.network.reads)
+    trials = load_trials(config.data, source, reads(config.network.kind))
     trainer = Trainer(config, trials, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
     held = trials.of("validation", rendered=True)[:MOST_SCORED]
     if not len(held):
@@ -102,7 +103,7 @@ def _networks(checkpoint: Checkpoint, trials: Trials, limits: Rows) -> Iterator[
     kept = {name: row for name, row in rows.items() if name.startswith(joint) and name.endswith("/all")}
     yield _table({name.removeprefix(joint): row for name, row in kept.items()})
     yield "## The information limit"
-    yield TRUE_FIELDS[checkpoint.network.reads]
+    yield TRUE_FIELDS[reads(checkpoint.network.kind)]
     yield """
         The oracle is a network of the same size that gets the object's true motion in the hand, which is all that a gel
         can show. What it gets wrong is no fault of a tactile network.

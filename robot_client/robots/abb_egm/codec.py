@@ -120,7 +120,7 @@ def encode_guidance(guidance: Guidance) -> bytes:
     if guidance.speed:
         _check_finite("speed reference", guidance.speed)
         message.speedRef.cartesians.value.extend(guidance.speed)
-    return message.SerializeToString()
+    return bytes(message.SerializeToString())
 
 
 def decode_guidance(datagram: bytes) -> Guidance:
@@ -155,7 +155,7 @@ def encode_robot(state: RobotState) -> bytes:
         pb.EgmRapidCtrlExecState.RAPID_RUNNING if running else pb.EgmRapidCtrlExecState.RAPID_STOPPED
     )
     message.utilizationRate = 0.0
-    return message.SerializeToString()
+    return bytes(message.SerializeToString())
 
 
 def decode_robot(datagram: bytes) -> RobotState:

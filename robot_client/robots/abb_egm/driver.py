@@ -133,12 +133,8 @@ class EgmArm:
         return {**robot, "guidance": self._check_port}
 
     async def _check_port(self) -> list[Finding]:
+        _listen(self.settings).close()  # its refusal is the finding
         where = f"UDP {self.settings.bind}:{self.settings.port}"
-        with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-            try:
-                probe.bind((self.settings.bind, self.settings.port))
-            except OSError as error:
-                return [Finding(False, f"{where} cannot be listened on: {error}")]
         return [Finding(True, f"{where} is free; the controller's UCdevice must send to it")]
 
     # ---- wire -----------------------------------------------------------------------------------------------------
@@ -190,7 +186,7 @@ class EgmArm:
         self._report(measured, now_s)
 
     def _begin(self, state: codec.RobotState, measured: WorkPose, tilt_deg: float) -> bool:
-        """Take up guidance where the arm stands. Targets hang upright: to a tilted tool the first would be a turn."""
+        """Begin guidance where the arm stands. Targets are upright, so the first one would turn a tilted tool."""
         if not self._watch.ready(state):
             return False
         if tilt_deg > self.limits.max_tilt_deg:
@@ -283,7 +279,7 @@ def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> 
 
 
 def _address_of(url: str) -> str | None:
-    """The address of a URL's host, as datagrams carry it; None where it has none: then RWS finds no robot either."""
+    """The address of a URL's host, as datagrams carry it; None if it has none; then RWS fails, too."""
     try:
         return socket.gethostbyname(urlsplit(url).hostname or "")
     except OSError:

@@ -155,7 +155,7 @@ class SocketArm:
             self._guard.write(codec.encode_guard(kind, number))
 
     async def _beat(self) -> None:
-        """Ask where the arm is; the guard's dead man lives on these, our watchdog on their answers."""
+        """Ask where the arm is: requests keep the guard's dead man alive, answers our watchdog."""
         while True:
             await asyncio.sleep(self.settings.poll_s)
             self._ask_guard("H", self._next())
@@ -208,7 +208,7 @@ class SocketArm:
         elif answer.number == self._move and self._waiting == "arrived":
             if answer.result == "stopped":
                 self._fail("guard", "the guard stopped the arm without being asked")
-            else:  # where it is now is the next question's answer, not the last one's
+            else:  # the position after the move comes with the next answer
                 self._waiting, self._asked = "fresh position", self._next()
                 self._ask_guard("H", self._asked)
 
@@ -217,7 +217,7 @@ class SocketArm:
         if self._waiting == "fresh position" and state.number == self._asked:
             self._waiting = None
             self._report(Arrived(at_s=now_s, pose=here))
-        # A move that is still on its way would begin with the release of the next one: it is waited for.
+        # Wait for the answer to a move that is still on its way: the next release would start it.
         if self._waiting != "standstill" or not state.stopped or self._sent is not None:
             return
         if self._still is None or (

@@ -17,13 +17,13 @@ DIAMETERS_PX = (4.0, 5.0, 6.5, 8.5, 11.0, 14.5, 19.0, 25.0)
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
-    """A grid of markers: ``xy_px`` float32 [rows, cols, 2], finite everywhere, measured where ``found``.
+    """A grid of markers: ``xy_px`` float32 [rows, cols, 2], finite everywhere, measured where ``detected``.
 
     ``basis_px`` [2, 2]: mean step to the next column and to the next row. ``diameter_px`` of the detector that saw it.
     """
 
     xy_px: FloatArray
-    found: BoolArray
+    detected: BoolArray
     basis_px: FloatArray
     diameter_px: float
     strength: float
@@ -118,15 +118,15 @@ def find_lattice(image: NDArray[np.uint8], diameters_px: tuple[float, ...] = DIA
     best: Lattice | None = None
     for diameter in diameters_px:
         shrink = max(1, int(diameter / 6))
-        found = _at_scale(image, diameter, shrink)
-        if found is not None and (best is None or _merit(found) > _merit(best)):
-            best = found
+        detected = _at_scale(image, diameter, shrink)
+        if detected is not None and (best is None or _merit(detected) > _merit(best)):
+            best = detected
     return best
 
 
 def _merit(lattice: Lattice) -> float:
     """Markers explained, times the matched filter's signal to noise (amplitude times width) at this scale."""
-    return float(lattice.found.sum()) * lattice.strength * lattice.diameter_px
+    return float(lattice.detected.sum()) * lattice.strength * lattice.diameter_px
 
 
 def _at_scale(image: NDArray[np.uint8], diameter: float, shrink: int) -> Lattice | None:
@@ -169,20 +169,20 @@ def assemble(spots: Candidates, basis: FloatArray, diameter_px: float) -> Lattic
 def _crop(spots: Candidates, index: NDArray[np.intp], reached: BoolArray, diameter_px: float) -> Lattice | None:
     cells = index[reached] - index[reached].min(0)
     cols, rows = (cells.max(0) + 1).tolist()
-    found = np.zeros((rows, cols), np.bool_)
-    found[cells[:, 1], cells[:, 0]] = True
+    detected = np.zeros((rows, cols), np.bool_)
+    detected[cells[:, 1], cells[:, 0]] = True
     xy = np.zeros((rows, cols, 2), np.float32)
     xy[cells[:, 1], cells[:, 0]] = spots.xy_px[reached]
     strength = np.zeros((rows, cols), np.float32)
     strength[cells[:, 1], cells[:, 0]] = spots.strength[reached]
     # Stray spots beyond the gel grow thin extra rows; a row is one only if a third of it is there.
-    row_ok = _run(found.mean(1) > 0.34)
-    col_ok = _run(found[row_ok].mean(0) > 0.34)
-    found, xy, strength = found[row_ok, col_ok], xy[row_ok, col_ok], strength[row_ok, col_ok]
-    if min(found.shape) < 5 or found.mean() < 0.6:
+    row_ok = _run(detected.mean(1) > 0.34)
+    col_ok = _run(detected[row_ok].mean(0) > 0.34)
+    detected, xy, strength = detected[row_ok, col_ok], xy[row_ok, col_ok], strength[row_ok, col_ok]
+    if min(detected.shape) < 5 or detected.mean() < 0.6:
         return None
-    filled, basis = fill_gaps(xy, found)
-    return Lattice(filled, found, basis, diameter_px, float(np.median(strength[found])))
+    filled, basis = fill_gaps(xy, detected)
+    return Lattice(filled, detected, basis, diameter_px, float(np.median(strength[detected])))
 
 
 def _run(good: BoolArray) -> slice:
@@ -195,16 +195,16 @@ def _run(good: BoolArray) -> slice:
     return slice(int(starts[longest]), int(ends[longest]))
 
 
-def fill_gaps(xy: FloatArray, found: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Nodes not found get the place a cubic surface through the found ones gives them; also the mean basis [2, 2]."""
-    rows, cols = found.shape
+def fill_gaps(xy: FloatArray, detected: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Nodes not detected are placed on a cubic surface through the detected ones; also the mean basis [2, 2]."""
+    rows, cols = detected.shape
     v, u = np.mgrid[0:rows, 0:cols].astype(np.float64)
     u, v = u / max(cols - 1, 1) - 0.5, v / max(rows - 1, 1) - 0.5
-    order = 3 if found.sum() >= 40 else 1
+    order = 3 if detected.sum() >= 40 else 1
     terms = np.stack([u**i * v**j for i in range(order + 1) for j in range(order + 1 - i)], -1)
-    weights = np.linalg.lstsq(terms[found], xy[found].astype(np.float64), rcond=None)[0]
+    weights = np.linalg.lstsq(terms[detected], xy[detected].astype(np.float64), rcond=None)[0]
     smooth = (terms @ weights).astype(np.float32)
-    filled = np.where(found[..., None], xy, smooth)
+    filled = np.where(detected[..., None], xy, smooth)
     basis = np.stack([np.diff(smooth, axis=1).mean((0, 1)), np.diff(smooth, axis=0).mean((0, 1))])
     return filled, basis.astype(np.float32)
 
@@ -216,11 +216,11 @@ def rectifying_homography(
 
     None if the nodes do not determine one. The pitch is, unless given, the largest that leaves half a pitch of margin.
     """
-    rows, cols = lattice.found.shape
+    rows, cols = lattice.detected.shape
     pitch = min(width_px / cols, height_px / rows) if pitch_px is None else pitch_px
     ideal = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1) * pitch
     ideal += np.array([(width_px - 1) / 2, (height_px - 1) / 2])
     matrix, _ = cv2.findHomography(
-        lattice.xy_px[lattice.found], ideal[lattice.found].astype(np.float32), cv2.RANSAC, 2.0
+        lattice.xy_px[lattice.detected], ideal[lattice.detected].astype(np.float32), cv2.RANSAC, 2.0
     )
     return None if matrix is None or not np.isfinite(matrix).all() else np.asarray(matrix, np.float64)

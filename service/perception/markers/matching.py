@@ -40,7 +40,7 @@ class View:
     height_px: int
     margin_px: float
 
-    def sees(self, xy: FloatArray) -> BoolArray:
+    def contains(self, xy: FloatArray) -> BoolArray:
         """Where a marker at ``xy`` [..., 2] would be visible."""
         inside: BoolArray = self.room_px(xy) > self.margin_px
         return inside
@@ -68,14 +68,14 @@ def nearest_spot(predicted: FloatArray, points: FloatArray, reach: float) -> NDA
     squared = np.where(around >= 0, np.square(offset).sum(-1), np.inf)
     best = squared.argmin(1)
     rank = np.arange(len(best))
-    found, cost = around[rank, best], squared[rank, best]
-    found = np.where(cost < reach * reach, found, -1)
+    nearest, cost = around[rank, best], squared[rank, best]
+    nearest = np.where(cost < reach * reach, nearest, -1)
     # A spot claimed twice belongs to the nearer node.
     claim = np.full(len(points), np.inf)
-    hit = found >= 0
-    np.minimum.at(claim, found[hit], cost[hit])
-    found[hit] = np.where(cost[hit] <= claim[found[hit]], found[hit], -1)
-    return found.reshape(rows, cols)
+    hit = nearest >= 0
+    np.minimum.at(claim, nearest[hit], cost[hit])
+    nearest[hit] = np.where(cost[hit] <= claim[nearest[hit]], nearest[hit], -1)
+    return nearest.reshape(rows, cols)
 
 
 def match(
@@ -86,10 +86,10 @@ def match(
     ``rest`` is the undeformed grid and ``previous`` the last positions, the reference of the smoothness check.
     """
     spot = nearest_spot(predicted, points, _SEARCH * pitch)
-    return judge(spot, rest, points, pitch, view, previous)
+    return score_match(spot, rest, points, pitch, view, previous)
 
 
-def judge(
+def score_match(
     spot: NDArray[np.intp], rest: FloatArray, points: FloatArray, pitch: float, view: View, previous: FloatArray
 ) -> Match:
     """Turn an assignment of spots to nodes into a :class:`Match`, dropping torn nodes and filling gaps."""
@@ -106,7 +106,7 @@ def judge(
     guess = previous + smooth
     xy = np.where(valid[..., None], xy, guess).astype(np.float32)
     scatter = np.square(step - smooth).sum(-1) / (_FINGERPRINT * pitch) ** 2
-    in_view = view.sees(xy)
+    in_view = view.contains(xy)
     cost = np.where(valid, np.minimum(scatter, _CAP), _CAP)[in_view | valid].sum()
     stray = len(points) - int(valid.sum())
     total = max(1, int((in_view | valid).sum()))
@@ -145,7 +145,7 @@ def reindex(
         return prior
 
     def place(spot: NDArray[np.intp]) -> Match:
-        return judge(spot, rest, points, pitch, view, previous)
+        return score_match(spot, rest, points, pitch, view, previous)
 
     # The grid cell of the seed under least motion; placements up to two steps off are the rivals. Where none of them
     # fits a grid that is there almost whole, it has jumped by three.

@@ -63,7 +63,7 @@ class MarkerTracker:
     @property
     def grid_shape(self) -> tuple[int, int] | None:
         """(rows, cols) of the grid, None before it was found."""
-        return None if self._lattice is None else (self._lattice.found.shape[0], self._lattice.found.shape[1])
+        return None if self._lattice is None else (self._lattice.detected.shape[0], self._lattice.detected.shape[1])
 
     def update(self, image: NDArray[np.uint8] | None, captured_ns: int) -> MarkerField:
         """Track one rectified frame, uint8 [height, width, 3] BGR or [height, width]; None stands for a missing one."""
@@ -110,7 +110,7 @@ class MarkerTracker:
         if len(spots.strength) < 4:
             return self._lost(captured_ns, f"{len(spots.strength)} markers in sight")
         best = self._best_match(spots.xy_px, view, captured_ns)
-        visible = view.sees(best.xy_px)
+        visible = view.contains(best.xy_px)
         share = best.valid.sum() / max(1, min(int(visible.sum()), best.valid.size))
         if share < self.settings.lost_share or not visible.any():
             return self._lost(captured_ns, f"{best.valid.sum()} of {best.valid.size} markers matched")
@@ -142,7 +142,7 @@ class MarkerTracker:
         assert self._lattice is not None
         if len(spots.strength) == 0:
             return spots
-        typical = float(spots.strength[min(len(spots.strength) - 1, self._lattice.found.size // 2)])
+        typical = float(spots.strength[min(len(spots.strength) - 1, self._lattice.detected.size // 2)])
         keep = spots.strength > self.settings.threshold * typical
         return spots.only(keep)
 

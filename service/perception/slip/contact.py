@@ -22,12 +22,12 @@ class ContactSettings:
 
     ``home_pitch`` holds against a learnt frame (real gels come home to 0.016, a flat object held with 2 N moves them by
     0.02), ``print_pitch`` against a regular grid of unknown place, size and turn, which a press from 8 N on leaves.
-    ``seen_share``: of the markers, below which nothing is said.
+    ``valid_share``: of the markers, below which nothing is said.
     """
 
     home_pitch: float = 0.018
     print_pitch: float = 0.012
-    seen_share: float = 0.6
+    valid_share: float = 0.6
 
 
 class FreeGel:
@@ -62,7 +62,7 @@ class FreeGel:
             if home.valid.shape != may.shape:
                 return None
             may = may & home.valid
-        if may.sum() < max(12, self.settings.seen_share * may.size):
+        if may.sum() < max(12, self.settings.valid_share * may.size):
             return None
         now = (field.rest_px + field.displacement_px)[may].astype(np.float64)
         if home is None:

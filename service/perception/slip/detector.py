@@ -53,7 +53,7 @@ class SlipDetector:
         self._noise: deque[tuple[int, float]] = deque()  # capture stamp and how far the core deviates, px
         self._way: list[tuple[int, float]] = []  # capture stamp and how far the patch was carried, px
         self._fastest = 0.0
-        self._seen_ns = field.captured_ns
+        self._tracked_ns = field.captured_ns
         if untouched(field):
             self._reference = None
             self._last = self._plain("no_contact", field, "nothing touches the gel")
@@ -64,7 +64,7 @@ class SlipDetector:
         return self._last
 
     def update(self, field: MarkerField) -> SlipState:
-        """Judge one field; never raises for its content."""
+        """Classify one field; never raises for its content."""
         if self._reference is None and untouched(field):
             state = self._plain("no_contact", field, "nothing touches the gel")
         elif self._reference is None or field.valid.shape != self._reference.valid.shape:
@@ -72,15 +72,15 @@ class SlipDetector:
         elif field.status == "duplicate" and self._last is not None:
             return self._last
         elif not field.usable:
-            lost = (field.captured_ns - self._seen_ns) * 1e-9 > self.settings.lost_after_s
+            lost = (field.captured_ns - self._tracked_ns) * 1e-9 > self.settings.lost_after_s
             state = self._plain("lost" if lost else "unknown", field, field.reason or field.status)
         else:
-            self._seen_ns = field.captured_ns
-            state = self._judge(field, self._reference)
+            self._tracked_ns = field.captured_ns
+            state = self._assess(field, self._reference)
         self._last = state
         return state
 
-    def _judge(self, field: MarkerField, reference: MarkerField) -> SlipState:
+    def _assess(self, field: MarkerField, reference: MarkerField) -> SlipState:
         limits, pitch = self.settings, field.pitch_px
         before = (reference.rest_px + reference.displacement_px).astype(np.float64)
         after = (field.rest_px + field.displacement_px).astype(np.float64)
@@ -150,7 +150,7 @@ class SlipDetector:
         ranked = np.sort(excess, axis=None)
         score = float(ranked[-need] / limit) if known >= need else 0.0
         self._slipped |= slipping
-        return self._verdict(field, motion, residual, slipping, score, known)
+        return self._state(field, motion, residual, slipping, score, known)
 
     def _unsteady(self, field: MarkerField, lag: Float64, moved: Float64, may: BoolArray) -> float:
         """How far the sticking core deviates from what its motion and elastic shares explain, px, of late.
@@ -171,17 +171,17 @@ class SlipDetector:
         limits = self.settings
         elastic = np.where(self._weight > 0, self._lagged / np.maximum(self._weight, 1e-9), 0.0)
         excess = lag - elastic * moved
-        seen = may & (moved > limits.contact_pitch * pitch) & ~self._slipped
-        joins = seen & ~self._stuck & (lag < limits.follow_share * moved)
+        carried_far = may & (moved > limits.contact_pitch * pitch) & ~self._slipped
+        joins = carried_far & ~self._stuck & (lag < limits.follow_share * moved)
         self._stuck |= joins
         early = moved < limits.learn_pitch * pitch
-        steady = joins | (seen & self._stuck & (early | (excess < limits.learn_share * moved)))
+        steady = joins | (carried_far & self._stuck & (early | (excess < limits.learn_share * moved)))
         self._lagged += np.where(steady, lag * moved, 0)
         self._weight += np.where(steady, moved * moved, 0)
         excess = np.where(joins, 0.0, excess)
         return np.where(self._stuck & may, excess, 0.0)
 
-    def _verdict(
+    def _state(
         self, field: MarkerField, motion: Motion, residual: Float64, slipping: BoolArray, score: float, known: int
     ) -> SlipState:
         limits, pitch = self.settings, field.pitch_px

@@ -49,7 +49,7 @@ class GraspWatch:
         self._free = False
 
     def update(self, field: MarkerField) -> SlipState:
-        """Judge one field; until the grasp has settled the state is "grasping", without one "no_contact"."""
+        """Classify one field; until the grasp has settled the state is "grasping", without one "no_contact"."""
         field = self.free.mark(field)
         settled = self._settled(field)
         reference = self.detector.reference

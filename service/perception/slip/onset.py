@@ -55,7 +55,7 @@ class OnsetDetector:
         return self._onset
 
     def update(self, field: MarkerField) -> Onset | None:
-        """Judge one field; fields without new evidence count as frames but change nothing."""
+        """Classify one field; fields without new evidence count as frames but change nothing."""
         self._index += 1
         reference = self._reference
         if self._onset or reference is None or not field.usable or field.valid.shape != reference.valid.shape:

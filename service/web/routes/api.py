@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query, Request
 from service import __version__
 from service.contract import FINGERS, ContractError, decode_frame
 from service.decision.evidence import DecisionRun
-from service.decision.network_input import seen_in
+from service.decision.network_input import network_frames
 from service.session.station import Station
 from service.web import asyncapi
 from service.web.access import Access
@@ -32,9 +32,9 @@ def decide(
     """What the networks say of a recorded sequence uint8 [n, 2, H, W, 3]; the first pair is the reference."""
     card = station.models.card
     frames = frames[: card.frames_per_decision]
-    seen = seen_in(card, frames)
-    run = DecisionRun(station.models, seen[0], gap_width_mm, grasp_height_mm)
-    for pair in seen:
+    inputs = network_frames(card, frames)
+    run = DecisionRun(station.models, inputs[0], gap_width_mm, grasp_height_mm)
+    for pair in inputs:
         run.step(pair)
     evidence = run.evidence()
     return {
@@ -61,7 +61,7 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.get("/insertions", dependencies=watch)
     async def insertions() -> dict[str, Any]:
         active = station.active
-        return {"active": active.session.insertion_id if active else None, "count": station.desk.opened_n}
+        return {"active": active.session.insertion_id if active else None, "count": station.manager.opened_n}
 
     @routes.post("/decisions", dependencies=drive, openapi_extra=BINARY_BODY)
     async def decisions(

@@ -71,13 +71,13 @@ async def newest_frames(station: Station, finger: Finger, max_hz: float) -> Asyn
     loop = asyncio.get_running_loop()
     arrived = asyncio.Event()
 
-    def heard(kind: str, content: Any) -> None:
+    def on_event(kind: str, content: Any) -> None:
         if kind == "frame" and content.frame.finger == finger:
             with contextlib.suppress(RuntimeError):  # the loop is gone: so is the viewer
                 loop.call_soon_threadsafe(arrived.set)
 
     station.viewers_n += 1
-    remove = station.hub.subscribe(heard)
+    remove = station.hub.subscribe(on_event)
     try:
         while True:
             await arrived.wait()

@@ -92,8 +92,8 @@ def router(station: Station, access: Access) -> APIRouter:
         connection = Connection(socket)
         ending = Ending(GOING_AWAY, "the service stops")
         try:
-            talk = _talk(socket, connection, station, access)
-            ending = await until_one_ends(socket, connection.pump(), talk, connection.overrun())
+            serving = _serve(socket, connection, station, access)
+            ending = await until_one_ends(socket, connection.pump(), serving, connection.overrun())
         finally:
             station.disconnect(connection.send)
             log.info("client gone", insertion=connection.insertion_id, code=ending.code, reason=ending.reason)
@@ -102,7 +102,7 @@ def router(station: Station, access: Access) -> APIRouter:
     return routes
 
 
-async def _talk(socket: WebSocket, connection: Connection, station: Station, access: Access) -> Ending:
+async def _serve(socket: WebSocket, connection: Connection, station: Station, access: Access) -> Ending:
     """Read messages until the client leaves; anything that is no message is answered by a fault."""
     try:
         hello = wire.parse_client(await asyncio.wait_for(_text(socket), HELLO_TIMEOUT_S))

@@ -93,7 +93,7 @@ def health_of(station: Station) -> dict[str, Any]:
         "cameras": {f: station.cameras[f].entry.model_dump() for f in FINGERS},
         "driver": active.session.insertion_id if active else None,
         "frames_dropped_n": station.counters.frames_dropped_n,
-        "insertions_n": station.desk.opened_n,
+        "insertions_n": station.manager.opened_n,
     }
 
 
@@ -128,7 +128,7 @@ async def _events(socket: WebSocket, station: Station) -> Ending:
         with contextlib.suppress(asyncio.QueueFull):
             waiting.put_nowait(event)
 
-    def heard(kind: str, content: Any) -> None:
+    def on_event(kind: str, content: Any) -> None:
         if kind == "message":
             event = {"kind": kind, "content": content.model_dump(mode="json")}
         elif kind == "command" and (belief := belief_of(content)):
@@ -142,7 +142,7 @@ async def _events(socket: WebSocket, station: Station) -> Ending:
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(put, event)
 
-    remove = station.hub.subscribe(heard)
+    remove = station.hub.subscribe(on_event)
     try:
         while True:
             await socket.send_json(await waiting.get())

@@ -32,15 +32,15 @@ class JPEG(Response):
 
 def list_recordings(root: Path) -> list[dict[str, Any]]:
     """Finished insertions, newest first."""
-    found = []
+    listed = []
     for folder in sorted((p for p in root.iterdir() if NAME.fullmatch(p.name)), reverse=True):
         with contextlib.suppress(OSError, ValueError):  # unfinished, or removed meanwhile
             summary = json.loads((folder / "summary.json").read_text())
             stamp = datetime.strptime(folder.name[:15], "%Y%m%dT%H%M%S")  # noqa: DTZ007 - shown as it is, UTC
             decided = sorted(int(p.stem[-2:]) for p in folder.glob("attempt_*.npz"))
             facts = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}", "decided": decided}
-            found.append(facts | summary)
-    return found
+            listed.append(facts | summary)
+    return listed
 
 
 def recording_folder(root: Path, name: str) -> Path:

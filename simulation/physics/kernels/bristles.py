@@ -53,13 +53,27 @@ def surface(profile: Any, x: float) -> tuple[float, float]:
 
 
 @njit(cache=True)
+def faceted(faces: Any, side: int, x: float) -> tuple[float, float]:
+    """Height and slope of a polygon's held side (0: +y, 1: -y) at x, mm."""
+    height, slope = faces[side, 0, 0] + faces[side, 0, 1] * x, faces[side, 0, 1]
+    for k in range(1, faces.shape[1]):
+        at = faces[side, k, 0] + faces[side, k, 1] * x
+        if at < height:
+            height, slope = at, faces[side, k, 1]
+    return height, slope
+
+
+@njit(cache=True)
 def indentation(constants: Any, node: Any, trial: Any) -> tuple[float, float]:
     """Indentation at a node, mm, and the held surface's slope there, for the object's trial pose in hand."""
     turn, place = trial.turn, trial.place
     dx, dy, dz = node.x - place[0], 0.5 * node.side * trial.opening - place[1], node.z - place[2]
     local_x = turn[0, 0] * dx + turn[1, 0] * dy + turn[2, 0] * dz
     local_y = turn[0, 1] * dx + turn[1, 1] * dy + turn[2, 1] * dz
-    height, slope = surface(constants.profile, local_x)
+    if constants.faceted:
+        height, slope = faceted(constants.faces, 0 if node.side > 0 else 1, local_x)
+    else:
+        height, slope = surface(constants.profile, local_x)
     return height - node.side * local_y - node.crown, slope
 
 

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.scene.shapes import MAX_FACES
+
 N = 18  # unknowns: object, block 0, block 1, six each; only the first six where blocks are fixed
 
 CONSTANTS = np.dtype(
@@ -20,6 +22,8 @@ CONSTANTS = np.dtype(
         ("kt", "f8"),
         ("friction", "f8"),  # pad on object
         ("profile", "f8", (5,)),  # held surface, see shapes.held_profile
+        ("faceted", "i8"),  # whether the faces count instead of the profile
+        ("faces", "f8", (2, MAX_FACES, 2)),  # held sides of a polygon, see shapes.faces
         ("bottom", "f8"),  # z of the object's bottom in its own frame
         ("weight", "f8"),
         ("mass_height", "f8"),  # z of the centre of mass in the object's frame

@@ -28,7 +28,7 @@ class _FromFirstFrame:
             if self.lattice is None:
                 return empty_field(captured_ns, "no_grid", "no grid")
             self.xy = self.lattice.xy_px.reshape(-1, 2).copy()
-            self.valid = self.lattice.found.reshape(-1).copy()
+            self.valid = self.lattice.detected.reshape(-1).copy()
         self.follow(image)
         rest = self.lattice.xy_px
         moved = self.xy.reshape(rest.shape) - rest

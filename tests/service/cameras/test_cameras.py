@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from service.cameras.capture import RETRY_S, Camera, CameraError, CameraFrame, Capture, now_ns
-from service.cameras.sources import MjpegSource, PushSource, RecordingSource, V4l2Source, open_source, told_stamp_ns
+from service.cameras.sources import MjpegSource, PushSource, RecordingSource, V4l2Source, header_stamp_ns, open_source
 from service.contract import TactileFrame
 from tests.service.mjpeg import FakeFinger
 
@@ -241,10 +241,10 @@ def test_the_newest_pushed_frames_are_kept_and_one_client_pushes() -> None:
 
 def test_a_stamp_of_this_machines_clock_is_believed_and_no_other() -> None:
     now = 5_000_000_000_000
-    assert told_stamp_ns(b"X-Timestamp: 4999.980000000\r\n", now) == 4_999_980_000_000
-    assert told_stamp_ns(b"X-Timestamp: 1700000000.5\r\n", now) == now
-    assert told_stamp_ns(b"X-Timestamp: 4000.5\r\n", now) == now
-    assert told_stamp_ns(b"Content-Length: 3\r\n", now) == now
+    assert header_stamp_ns(b"X-Timestamp: 4999.980000000\r\n", now) == 4_999_980_000_000
+    assert header_stamp_ns(b"X-Timestamp: 1700000000.5\r\n", now) == now
+    assert header_stamp_ns(b"X-Timestamp: 4000.5\r\n", now) == now
+    assert header_stamp_ns(b"Content-Length: 3\r\n", now) == now
 
 
 class Parts:

@@ -1,4 +1,4 @@
-"""Full depth is an insertion only where the gels agree: told by a whole session and by the look itself."""
+"""Full depth is an insertion only where the gels agree: told by a whole session and by the evidence itself."""
 
 import math
 import threading
@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from service.contract import FramePair, TactileFrame, wire
 from service.decision.models import ModelSet, load_models
-from service.decision.seating import LEAST_PITCH, Look, Push, borne, look, push_of
+from service.decision.seating import LEAST_PITCH, Push, SeatingEvidence, push_of, seating_evidence, strongest_push
 from service.observability.hub import Hub
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation, PairObservation
 from service.perception.slip.detector import SlipDetector
 from service.session.factory import make_session
-from service.session.manager import Desk
+from service.session.manager import InsertionManager
 from service.session.state_machine import InsertionSession
 from service.settings import Settings
 from tests.service import drawn, tiny_models
@@ -72,7 +72,7 @@ def test_an_object_that_came_along_is_claimed_at_once(session: InsertionSession,
 
 
 def test_where_the_look_is_switched_off_depth_alone_is_the_claim(session: InsertionSession) -> None:
-    session.looks = False
+    session.checks_full_depth = False
     (finished,) = session.handle(stopped(), descend(session, onset=8))
     assert finished.outcome == "inserted"
 
@@ -108,7 +108,7 @@ def test_a_frozen_camera_never_makes_a_claim(session: InsertionSession) -> None:
     assert [getattr(m, "code", m.type) for m in said] == ["not_seen", "finished"]
 
 
-# ---- the look itself -----------------------------------------------------------------------------------------------
+# ---- the evidence itself --------------------------------------------------------------------------------------
 
 
 def pair_of(up_px: tuple[float, float], spoil: float = 0.0, at: tuple[int, int] = (0, 0)) -> PairObservation:
@@ -132,7 +132,7 @@ def test_the_push_is_the_weaker_fingers_and_what_the_grasp_bears_both_fingers() 
     push = push_of(pair_of((3.0, 6.0)), REST)
     assert push.weaker_pitch == pytest.approx(0.2)
     assert push.mean_pitch == pytest.approx(0.3)
-    assert borne([push, push_of(pair_of((1.0, 1.0)), REST)]) == pytest.approx(0.3)
+    assert strongest_push([push, push_of(pair_of((1.0, 1.0)), REST)]) == pytest.approx(0.3)
 
 
 @given(st.sampled_from([math.nan, math.inf, -math.inf]), st.integers(0, 19), st.integers(0, 20), st.floats(-40.0, 40.0))
@@ -141,7 +141,7 @@ def test_no_claim_is_ever_made_of_a_field_that_is_not_finite(
 ) -> None:
     good = [Push(k * 33_000_000, 0.0, 0.0) for k in range(20)]
     spoilt = push_of(pair_of((rest_of_it_px, rest_of_it_px), bad, (row, column)), REST)
-    assert not look([*good, spoilt._replace(captured_ns=10**9)], 0, 0.5).seated
+    assert not seating_evidence([*good, spoilt._replace(captured_ns=10**9)], 0, 0.5).seated
 
 
 @pytest.mark.parametrize("status", ["lost", "duplicate", "no_grid"])
@@ -158,7 +158,7 @@ def test_a_finger_that_shows_half_of_its_markers_tells_nothing() -> None:
 
 
 def test_no_frame_is_no_claim() -> None:
-    assert not look([], 0, 0.0).seated
+    assert not seating_evidence([], 0, 0.0).seated
 
 
 @given(st.lists(st.floats(0.25, 0.6), min_size=40, max_size=90), st.data())
@@ -169,18 +169,18 @@ def test_a_grasp_that_slides_is_seen_whatever_single_frames_miss(pushes: list[fl
         Push(index * 33_000_000, math.nan if index in missed and index % 2 else 0.0 if index in missed else push, push)
         for index, push in enumerate(pushes)
     ]
-    assert not look(seen, 0, 0.5).seated
+    assert not seating_evidence(seen, 0, 0.5).seated
 
 
 @given(st.floats(0.0, 0.9 * LEAST_PITCH), st.floats(0.0, 1.0))
 def test_what_the_walls_of_a_gap_leave_is_claimed_whatever_the_grasp_bears(rub: float, bears: float) -> None:
-    assert look([Push(k * 33_000_000, rub, rub) for k in range(75)], 0, bears).seated
+    assert seating_evidence([Push(k * 33_000_000, rub, rub) for k in range(75)], 0, bears).seated
 
 
 def test_the_operator_reads_the_push_and_what_it_is_compared_with() -> None:
-    told = str(Look(0.48, 0.5))
+    told = str(SeatingEvidence(0.48, 0.5))
     assert "0.48 marker pitches, 96% of the strongest they bore (in a gap: below 0.25)" in told
-    assert "strongest" not in str(Look(0.48, 0.0))
+    assert "strongest" not in str(SeatingEvidence(0.48, 0.0))
 
 
 # ---- the wait for the answer ---------------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ def test_the_operator_reads_the_push_and_what_it_is_compared_with() -> None:
 def test_a_client_that_waits_for_the_end_of_its_recording_hears_heartbeats(models: ModelSet, tmp_path: Path) -> None:
     """Its insertion is over and `finished` comes when the recording is whole: silence would be a lost link."""
     settings = Settings(camera_left="push:", camera_right="push:", recordings=tmp_path)
-    desk = Desk(settings, models, None, {}, Hub(), lambda _: None)
+    desk = InsertionManager(settings, models, None, {}, Hub(), lambda _: None)
     said: list[wire.ServiceMessage] = []
     desk.connect(wire.ClientHello(insertion_id=ID, client="test"), said.append)
     desk.receive(wire.Abort(insertion_id=ID, reason="test"), said.append)

@@ -62,7 +62,7 @@ def test_an_attempt_with_nothing_in_hand_says_so_and_is_not_decided(tmp_path) ->
 def test_a_frame_looked_ahead_at_is_not_rectified_again(monkeypatch: pytest.MonkeyPatch) -> None:
     finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), drawn.calibration().camera("left"))
     frame = TactileFrame("left", 0, 0, drawn.raw("left", 0, 3, 6))
-    finger.look_ahead(frame)
+    finger.rectify_ahead(frame)
     monkeypatch.setattr(Rectifier, "apply", lambda *_: pytest.fail("rectified twice"))
     assert finger.observe(frame).field.valid.any()
 
@@ -73,7 +73,7 @@ def test_a_frame_rectified_before_its_turn_is_perceived_just_the_same() -> None:
     plain, ahead = (TactileFinger("left", spec, camera) for _ in range(2))
     frames = [TactileFrame("left", k, k * drawn.PERIOD_NS, drawn.raw("left", k, 3, 6)) for k in range(8)]
     for frame in frames:
-        ahead.look_ahead(frame)
+        ahead.rectify_ahead(frame)
     for frame in frames:
         one, other = plain.observe(frame), ahead.observe(frame)
         np.testing.assert_array_equal(one.image, other.image)

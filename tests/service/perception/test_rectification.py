@@ -40,7 +40,7 @@ def test_an_unusable_homography_is_refused(matrix):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda text: text.replace("[left]", "[middle]"), "unknown entries"),
+        (lambda text: text.replace("[left]", "[middle]"), "middle is not used; allowed: left, right"),
         (lambda text: text.replace("schema_version = 1", "schema_version = 9"), "schema_version"),
         (lambda text: text.replace("raw_px = [427, 320]", "raw_px = [427]", 1), "left"),
         (lambda text: text.replace("raw_px = [427, 320]", "", 1), "lacks 'raw_px'"),

@@ -12,7 +12,7 @@ from service.contract import FINGERS, Finger, TactileFrame, wire
 from service.decision.models import ModelSet, load_models
 from service.observability.hub import Hub
 from service.recordings.reader import Recording
-from service.session.manager import Desk
+from service.session.manager import InsertionManager
 from service.settings import Settings
 from tests.service import drawn
 
@@ -29,28 +29,28 @@ def camera(finger: Finger, size: tuple[int, int]) -> SimpleNamespace:
     return SimpleNamespace(latest=CameraFrame(TactileFrame(finger, 0, 1, pixels), None), entry=entry)
 
 
-def desk(models: ModelSet, folder: Path, size: tuple[int, int] = (427, 320)) -> Desk:
+def manager(models: ModelSet, folder: Path, size: tuple[int, int] = (427, 320)) -> InsertionManager:
     calibration = folder / "calibration.toml"
     drawn.calibration().save(calibration)
     settings = Settings(
         models=folder, camera_left="push:", camera_right="push:", recordings=folder / "r", calibration=calibration
     )
     cameras = {finger: camera(finger, size) for finger in FINGERS}
-    return Desk(settings, models, drawn.calibration(), cameras, Hub(), lambda _: None)
+    return InsertionManager(settings, models, drawn.calibration(), cameras, Hub(), lambda _: None)
 
 
 class Client:
     """The driving end of a connection."""
 
-    def __init__(self, desk: Desk) -> None:
-        self.desk = desk
+    def __init__(self, manager: InsertionManager) -> None:
+        self.manager = manager
         self.heard: list[wire.ServiceMessage] = []
 
     def send(self, message: wire.ServiceMessage) -> None:
         self.heard.append(message)
 
     def connect(self, insertion_id: str = "one") -> wire.ServiceMessage:
-        self.desk.connect(wire.ClientHello(insertion_id=insertion_id, client="test"), self.send)
+        self.manager.connect(wire.ClientHello(insertion_id=insertion_id, client="test"), self.send)
         return self.heard[-1]
 
 
@@ -62,7 +62,7 @@ def wait_for_recorders() -> None:
 
 
 def test_a_client_is_told_that_a_camera_has_another_size_now(models: ModelSet, tmp_path: Path) -> None:
-    tried = desk(models, tmp_path, size=(640, 480))
+    tried = manager(models, tmp_path, size=(640, 480))
     for _ in range(2):
         fault = Client(tried).connect()
         assert (fault.type, fault.code, fault.fatal) == ("fault", "not_ready", True)
@@ -76,7 +76,7 @@ def test_a_client_is_told_that_a_camera_has_another_size_now(models: ModelSet, t
 def test_a_recording_keeps_the_calibration_that_the_service_began_with(
     text: str | None, models: ModelSet, tmp_path: Path
 ) -> None:
-    opened = desk(models, tmp_path)
+    opened = manager(models, tmp_path)
     path = tmp_path / "calibration.toml"
     began_with = path.read_text()
     path.unlink()
@@ -93,7 +93,7 @@ def test_a_recording_keeps_the_calibration_that_the_service_began_with(
 def test_a_client_that_loses_its_insertion_to_another_connection_is_told_at_once(
     models: ModelSet, tmp_path: Path
 ) -> None:
-    shared = desk(models, tmp_path)
+    shared = manager(models, tmp_path)
     first, second = Client(shared), Client(shared)
     assert first.connect().type == second.connect().type == "hello"
     lost = first.heard[-1]
@@ -106,7 +106,7 @@ def test_a_client_that_loses_its_insertion_to_another_connection_is_told_at_once
 
 
 def test_asking_for_the_end_of_an_insertion_ends_no_other_one(models: ModelSet, tmp_path: Path) -> None:
-    shared = desk(models, tmp_path)
+    shared = manager(models, tmp_path)
     Client(shared).connect("first")
     shared.abort("done")
     driver = Client(shared)

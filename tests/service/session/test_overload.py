@@ -44,7 +44,7 @@ class Clock:
         self.pass_time(self.step_ns)
         self.ages.append(self.now_ns - frame.frame.captured_ns)
 
-    def look_ahead(self, frame: TactileFrame) -> None:
+    def rectify_ahead(self, frame: TactileFrame) -> None:
         """Rectifying costs the camera's thread, not this one."""
 
     def pass_time(self, ns: int) -> None:
@@ -64,7 +64,7 @@ def perceive(station: Station, period_ns: int, step_ns: int, *, watches_slip: bo
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("service.session.station.now_ns", lambda: clock.now_ns)
         patch.setattr("service.session.station.Camera.frame_rate_hz", property(lambda _: 1e9 / period_ns))
-        patch.setattr(station.desk, "active", clock)
+        patch.setattr(station.manager, "active", clock)
         patch.setattr(station, "_tick_if_due", lambda: None)
         station._frames.clear()
         while clock.arrivals or station._frames:

@@ -6,14 +6,14 @@ import pytest
 from service.contract import ContractError, TactileFrame, wire
 from service.decision.models import load_models
 from service.session.factory import make_session
-from service.session.warm_up import rehearse
+from service.session.warm_up import warm_up
 from tests.service import drawn
 
 
 @pytest.fixture
 def said(monkeypatch: pytest.MonkeyPatch) -> list[wire.ServiceMessage]:
     heard: list[wire.ServiceMessage] = []
-    monkeypatch.setattr("service.session.warm_up._say", heard.append)
+    monkeypatch.setattr("service.session.warm_up._serialise", heard.append)
     return heard
 
 
@@ -22,7 +22,7 @@ def test_a_rehearsal_plays_an_attempt_to_its_answer_and_every_controller(
 ) -> None:
     session = make_session(load_models(models_folder), drawn.calibration())
     pair = drawn.pair(0)
-    rehearse(session, [pair.right, pair.left])
+    warm_up(session, [pair.right, pair.left])
     kinds = [message.type for message in said]
     assert kinds[:2] == ["hello", "armed"]
     assert kinds.count("correction") == 1, [message for message in said if message.type == "no_decision"]
@@ -33,7 +33,7 @@ def test_without_cameras_networks_and_controllers_are_rehearsed_all_the_same(
     models_folder: Path, said: list[wire.ServiceMessage]
 ) -> None:
     session = make_session(load_models(models_folder), drawn.calibration())
-    rehearse(session, [])
+    warm_up(session, [])
     assert [message.code for message in said] == ["heuristic", "belief"]
     assert session.insertion_id is None
 
@@ -42,7 +42,7 @@ def test_cameras_that_show_no_markers_do_not_keep_the_service_from_starting(
     models_folder: Path, said: list[wire.ServiceMessage]
 ) -> None:
     session = make_session(load_models(models_folder), drawn.calibration())
-    rehearse(session, [TactileFrame(f, 0, 0, np.zeros((320, 427, 3), np.uint8)) for f in ("left", "right")])
+    warm_up(session, [TactileFrame(f, 0, 0, np.zeros((320, 427, 3), np.uint8)) for f in ("left", "right")])
     assert "correction" not in [message.type for message in said]
 
 
@@ -50,4 +50,4 @@ def test_a_frame_of_the_wrong_size_is_named(models_folder: Path) -> None:
     session = make_session(load_models(models_folder), drawn.calibration())
     wrong = [TactileFrame(finger, 0, 0, np.zeros((480, 640, 3), np.uint8)) for finger in ("left", "right")]
     with pytest.raises(ContractError, match="frame is"):
-        rehearse(session, wrong)
+        warm_up(session, wrong)

@@ -30,7 +30,7 @@ def test_the_homography_of_a_simulated_camera_is_found(seed: int):
     fit = fit_camera(still(camera), "left")
     found = cv2.perspectiveTransform(INSIDE_PX, fit.camera.homography)
     true = cv2.perspectiveTransform(INSIDE_PX, np.asarray(camera.homography))
-    assert fit.lattice.found.shape == (20, 21)
+    assert fit.lattice.detected.shape == (20, 21)
     assert np.abs(found - true).max() < 1.5
 
 

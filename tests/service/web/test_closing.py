@@ -63,9 +63,9 @@ def test_every_end_of_a_driving_connection_has_a_reason_and_a_line_in_the_log(li
 
 
 def test_a_client_of_another_protocol_opens_no_insertion(live: LiveService) -> None:
-    before = live.station.desk.opened_n, sorted(live.recordings.iterdir())
+    before = live.station.manager.opened_n, sorted(live.recordings.iterdir())
     first_words(live, wire.ClientHello(insertion_id="older", client="x", protocol=99).model_dump_json())
-    assert (live.station.desk.opened_n, sorted(live.recordings.iterdir())) == before
+    assert (live.station.manager.opened_n, sorted(live.recordings.iterdir())) == before
     assert live.station.active is None
 
 

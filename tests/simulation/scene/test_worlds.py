@@ -10,6 +10,11 @@ from simulation.scene.worlds import World, files_in, load_scene, load_world, obj
 
 BOX = '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n'
 TIN = '[object]\nshape = "ellipse"\nsize_x_mm = 44.0\nsize_y_mm = 44.0\nmass_kg = 0.08\n'
+PENTAGON = """
+[object]
+shape = "polygon"
+vertices_mm = [[30.0, -22.0], [30.0, 15.0], [0.0, 38.0], [-30.0, 15.0], [-30.0, -22.0]]
+"""
 SLIPPERY = """
 [gel]
 tier = "layer"
@@ -41,10 +46,10 @@ def write(folder: Path, name: str, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", [*object_names(), "box", "tin"])
+@pytest.mark.parametrize("name", [*object_names(), "box", "tin", "pentagon"])
 def test_every_world_can_be_played_with_every_object(tmp_path: Path, name: str) -> None:
-    files = {"box": write(tmp_path, "box", BOX), "tin": write(tmp_path, "tin", TIN)}
-    alone = load_scene(files.get(name, name))
+    new = {"box": BOX, "tin": TIN, "pentagon": PENTAGON}
+    alone = load_scene(write(tmp_path, name, new[name]) if name in new else name)
     joined = load_world(write(tmp_path, "slippery", SLIPPERY)).around(alone)
     assert (joined.gel.tier, joined.gel.friction, joined.grasp.force_n) == ("layer", 0.55, 15.0)
     assert (joined.blocks.friction, joined.blocks.free, joined.blocks.gap_mm) == (0.45, False, alone.blocks.gap_mm)
@@ -53,7 +58,7 @@ def test_every_world_can_be_played_with_every_object(tmp_path: Path, name: str) 
     assert World().around(alone) == alone
 
 
-@pytest.mark.parametrize(("text", "gap_mm", "x_mm"), [(BOX, 64.0, 15.0), (TIN, 48.0, 13.2)])
+@pytest.mark.parametrize(("text", "gap_mm", "x_mm"), [(BOX, 64.0, 15.0), (TIN, 48.0, 13.2), (PENTAGON, 64.0, 15.0)])
 def test_gap_and_start_follow_from_the_width_where_the_file_leaves_them_out(tmp_path, text, gap_mm, x_mm) -> None:
     scene = load_scene(write(tmp_path, "new", text))
     assert (scene.blocks.gap_mm, scene.x_range_mm, scene.theta_range_deg) == pytest.approx((gap_mm, x_mm, 15.0))
@@ -94,7 +99,11 @@ def test_a_world_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text:
         (BOX.replace("rectangle", "rectangel"), "object.shape: Input should be"),
         (BOX.replace("size_y_mm", "sizey_mm"), "object.sizey_mm: unknown key; did you mean 'size_y_mm'?"),
         (BOX + "colour = 1\n", "object.colour: unknown key"),
-        (BOX + "vertices_mm = []\n", "object.vertices_mm: not supported yet"),
+        (BOX + "vertices_mm = [[0, 0], [9, 0], [9, 9]]\n", "object.vertices_mm: expected with shape = 'polygon'"),
+        (BOX.replace("rectangle", "polygon"), "object.vertices_mm: expected with shape = 'polygon'"),
+        (PENTAGON.replace("[0.0, 38.0]", "[0.0, 10.0]"), "object.vertices_mm: expected corners of a convex polygon"),
+        (PENTAGON.replace("[0.0, 38.0]", "[0.0]"), "object.vertices_mm"),
+        (PENTAGON + "corner_radius_mm = 1.0\n", "object.corner_radius_mm: a polygon has none"),
         (BOX + "[start]\nx_range = 3.0\n", "start.x_range: unknown key; did you mean 'x_range_mm'?"),
         (BOX + "[start]\nx_range_mm = -3.0\n", "start.x_range_mm: expected a number > 0.0 and <= 60.0"),
         (BOX + "[blocks]\ngap_mm = 60.0\n", "blocks.gap_mm: 60.0 must exceed object.size_x_mm 60.0"),

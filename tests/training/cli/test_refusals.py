@@ -14,12 +14,12 @@ from simulation.data.dataset import DatasetWriter
 from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 from training.cli.commands import main
-from training.config import NetworkConfig
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import train
 from training.metrics.figures import Scales
 from training.networks import build
+from training.networks.settings import NetworkConfig
 
 SHARD = "rectangle-00001.parquet"
 CONFIG = """name = "mine"

@@ -5,11 +5,12 @@ import pytest
 
 from service.contract import ContractError
 from tests.training.synthetic import SyntheticSource
-from training.config import FRAMES_PER_DECISION, WINDOW, DataConfig
+from training.config import WINDOW, DataConfig
 from training.data.batches import decisions, mirror_fields
 from training.data.dataset import load_trials, reader_sha256
 from training.data.labels import class_of
 from training.networks.preprocessing import pool_frames
+from training.networks.settings import FRAMES_PER_DECISION
 
 
 @pytest.fixture(scope="module")

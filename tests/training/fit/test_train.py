@@ -6,11 +6,12 @@ import torch
 
 from service.contract import ContractError
 from tests.training.synthetic import SyntheticSource
-from training.config import NetworkConfig, RunConfig, StageConfig
+from training.config import RunConfig, StageConfig
 from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Log, Stage, fit
 from training.fit.train import train
 from training.networks.forms import SequenceForm, StepForm
+from training.networks.settings import NetworkConfig
 
 
 def test_the_trunk_learns_a_learnable_motion(config):

@@ -6,12 +6,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from training.config import NetworkConfig
 from training.data.labels import CLASSES
 from training.networks import build
 from training.networks.alexnet import LSTM, AlexNetLstm, AlexNetPair, SharedBackbone
 from training.networks.decider import STATE_REACH
 from training.networks.forms import StepForm, within_reach
+from training.networks.settings import NetworkConfig
 
 END = float(np.float32(STATE_REACH))
 reached = st.floats(-END, END, width=32)
@@ -60,7 +60,7 @@ def test_no_hidden_unit_of_the_papers_cell_leaves_its_reach():
 
 
 def test_both_networks_behind_one_backbone_keep_either_ones_reach():
-    pair = AlexNetPair(len(CLASSES))
+    pair = AlexNetPair(NetworkConfig(kind="alexnet_lstm"), len(CLASSES))
     pair.magnitude.load_state_dict({**pair.magnitude.state_dict(), **_backbone(pair)})
     shared = SharedBackbone(pair)
     assert torch.equal(shared.state_reach, torch.cat([pair.direction.state_reach, pair.magnitude.state_reach]))

@@ -3,12 +3,12 @@
 import numpy as np
 import torch
 
-from training.config import NetworkConfig
 from training.data.dataset import load_trials
 from training.data.labels import CLASSES
 from training.fit.train import train
 from training.networks import build
 from training.networks.forms import SequenceForm, StepForm
+from training.networks.settings import NetworkConfig
 
 KIND = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
 
@@ -16,7 +16,7 @@ KIND = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=
 def test_it_trains_on_true_fields_and_is_scored_on_tracked_pictures(config, source):
     run = config.model_copy(update={"network": KIND})
     checkpoint = train(run, source)
-    tracked = load_trials(run.data, source, KIND.reads).drawn
+    tracked = load_trials(run.data, source, "markers").drawn
     assert tracked.shape[2:] == (2, 20, 21, 3)
     assert 0.9 < tracked[..., 2].mean() <= 1.0
     assert checkpoint.build().reads_markers
@@ -25,7 +25,7 @@ def test_it_trains_on_true_fields_and_is_scored_on_tracked_pictures(config, sour
 
 def test_tracked_markers_read_as_the_true_field_does(config, source):
     run = config.model_copy(update={"network": KIND})
-    trials = load_trials(run.data, source, KIND.reads)
+    trials = load_trials(run.data, source, "markers")
     network = build(KIND, len(CLASSES))
     chosen = trials.of("validation", rendered=True)
     seen = network.read_drawn(torch.from_numpy(trials.drawn[trials.picture[chosen]]))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from service.contract import MarkerSpec
 from service.decision.evidence import Refusal
-from service.decision.network_input import seen_in
+from service.decision.network_input import network_frames
 from service.perception.markers.field import LATTICE, MarkerField, empty_field, field_from_gel, marker_array
 from service.perception.markers.sequence import track_pairs
 from tests.service import tiny_models
@@ -67,7 +67,7 @@ def test_pictures_without_markers_are_no_input_for_a_network_that_reads_markers(
     with pytest.raises(ValueError, match="expected 20 x 21"):
         track_pairs(black)
     with pytest.raises(Refusal, match="expected 20 x 21"):
-        seen_in(card, black)
+        network_frames(card, black)
     assert card.input_shape == (20, 21, 3)
     for pair in (np.zeros((2, 20, 21, 3)), np.full((2, 20, 21, 3), np.nan, np.float32), black[0]):
         with pytest.raises(ValueError, match=r"float32|not finite"):
