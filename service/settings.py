@@ -117,12 +117,10 @@ class Settings(BaseSettings):
 
     @property
     def deadlines(self) -> Deadlines:
-        """How long each stage of an attempt may take."""
         return Deadlines(self.reference_timeout_s, self.frames_timeout_s, self.decision_timeout_s)
 
     @property
     def limits(self) -> Limits:
-        """As the hello message carries them."""
         return Limits(
             max_dx_mm=self.max_dx_mm, max_dtheta_deg=self.max_dtheta_deg, max_frame_age_ms=self.max_frame_age_ms
         )

@@ -111,13 +111,13 @@ def _example(network: Any, form: Form, batch: int) -> dict[str, torch.Tensor]:
         else golden_frames(PICTURES, FRAMES_PER_DECISION)
     )
     frames = torch.from_numpy(golden)
-    told = {"gap_width_mm": torch.full((batch, 1), 57.0), "grasp_height_mm": torch.full((batch, 1), 40.0)}
-    told = told if network.uses_geometry else {}
+    geometry = {"gap_width_mm": torch.full((batch, 1), 57.0), "grasp_height_mm": torch.full((batch, 1), 40.0)}
+    geometry = geometry if network.uses_geometry else {}
     if form == "sequence":
-        return {"frames": frames[None].repeat(batch, 1, 1, 1, 1, 1), **told}
+        return {"frames": frames[None].repeat(batch, 1, 1, 1, 1, 1), **geometry}
     state = torch.linspace(-0.5, 0.5, network.state_size).repeat(batch, 1)
     frame, reference = frames[5:6].repeat(batch, 1, 1, 1, 1), frames[:1].repeat(batch, 1, 1, 1, 1)
-    return {"frame": frame, "reference": reference, "state": state, **told}
+    return {"frame": frame, "reference": reference, "state": state, **geometry}
 
 
 def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: Path) -> None:

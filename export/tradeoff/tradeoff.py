@@ -36,15 +36,13 @@ def tradeoff(
     about: dict[str, Any],
     docs: Path,
     seconds: float,
-    kept: Path | None = None,
 ) -> Points:
     """Measure every candidate, add trackers and physics from their reports, write ``tradeoff.*`` into docs.
 
-    ``about`` names the decisions (split, dataset) and the refused builds, and goes into the report. ``kept`` is a
-    file of answers of earlier runs on the same decisions: a network whose files did not change is not run again.
+    ``about`` names the decisions (split, dataset) and the refused builds, and goes into the report.
     """
     candidates = find_candidates(folders)
-    scores = score(candidates, decisions, kept)
+    scores = score(candidates, decisions)
     networks: list[Point] = []
     crowding: list[float] = []
     for candidate in track(candidates, description="timing", transient=True):

@@ -102,7 +102,6 @@ class Camera:
         self._thread = threading.Thread(target=self._run, name=f"camera-{finger}", daemon=True)
 
     def start(self) -> None:
-        """Begin to capture."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -121,7 +120,6 @@ class Camera:
 
     @property
     def entry(self) -> CameraEntry:
-        """As the wire carries it."""
         return CameraEntry(
             finger=self.finger, source=self.source.name, state=self.state, frame_rate_hz=self.frame_rate_hz
         )

@@ -24,7 +24,7 @@ _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
 _STAMP = re.compile(rb"(?im)^x-timestamp:\s*(\d+)\.(\d{1,9})\s*$")
 _SAME_CLOCK_NS = 1_000_000_000
 SCHEMES = ("http:", "v4l2:", "file:", "push:")
-_IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
+IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 
 
 class MjpegSource:
@@ -126,7 +126,6 @@ class V4l2Source:
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
-        """Open the device and yield its frames."""
         capture = cv2.VideoCapture(self._device, cv2.CAP_V4L2)
         try:
             if not capture.isOpened():
@@ -155,11 +154,10 @@ class RecordingSource:
             raise CameraError(f"recording {path} does not exist")
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
-        """Play in a loop until stopped."""
         while not stop.is_set():
             played = 0
             due = time.monotonic()
-            for pixels, rate_hz in self._images():
+            for pixels, rate_hz in clip_images(self._path):
                 due += 1.0 / (self._frame_rate_hz or rate_hz)
                 if stop.wait(max(0.0, due - time.monotonic())):
                     return
@@ -168,20 +166,22 @@ class RecordingSource:
             if not played:
                 raise CameraError(f"{self._path} holds no image that can be read")
 
-    def _images(self) -> Iterator[tuple[NDArray[np.uint8], float]]:
-        if self._path.is_dir():
-            for path in sorted(p for p in self._path.iterdir() if p.suffix.lower() in _IMAGES):
-                image = cv2.imread(str(path))
-                if image is not None:
-                    yield np.asarray(image, np.uint8), 30.0
-            return
-        capture = cv2.VideoCapture(str(self._path))
-        try:
-            rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
-            while (read := capture.read())[0]:
-                yield np.asarray(read[1], np.uint8), rate_hz
-        finally:
-            capture.release()
+
+def clip_images(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
+    """BGR image and frames a second of each frame of a video, or of a folder of images by name (30 a second)."""
+    if path.is_dir():
+        for file in sorted(child for child in path.iterdir() if child.suffix.lower() in IMAGES):
+            image = cv2.imread(str(file))
+            if image is not None:
+                yield np.asarray(image, np.uint8), 30.0
+        return
+    capture = cv2.VideoCapture(str(path))
+    try:
+        rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
+        while (read := capture.read())[0]:
+            yield np.asarray(read[1], np.uint8), rate_hz
+    finally:
+        capture.release()
 
 
 class PushSource:
@@ -198,7 +198,6 @@ class PushSource:
         return self._pusher.acquire(blocking=False)
 
     def release(self) -> None:
-        """The pushing client is gone."""
         self._pusher.release()
 
     def push(self, frame: TactileFrame) -> None:

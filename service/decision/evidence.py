@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.contract import ContractError, ErrorClass, ModelCard
 from service.contract.wire import Estimate
-from service.decision.models import Array, ModelSet, StepModel
+from service.decision.models import Array, LoadedModel, ModelSet
 
 Floats = NDArray[np.float64]
 RefusalReason = Literal["no_motion", "out_of_distribution", "low_confidence", "non_finite", "stale", "too_few_frames"]
@@ -57,7 +57,6 @@ class Evidence:
 
     @property
     def best(self) -> ErrorClass:
-        """The most probable class."""
         return self.classes[int(np.argmax(self.probabilities))]
 
     @property
@@ -66,7 +65,6 @@ class Evidence:
         return float(np.max(self.probabilities))
 
     def class_probabilities(self) -> dict[str, float]:
-        """By class name, as the wire carries them."""
         return {entry.name: float(p) for entry, p in zip(self.classes, self.probabilities, strict=True)}
 
     def estimate(self) -> Estimate:
@@ -115,7 +113,9 @@ class DecisionRun:
         self.step_ms = (time.perf_counter() - started) * 1e3
         self.frames_n += 1
 
-    def _advance(self, index: int, step: StepModel, frame: NDArray[np.uint8] | NDArray[np.float32]) -> dict[str, Array]:
+    def _advance(
+        self, index: int, step: LoadedModel, frame: NDArray[np.uint8] | NDArray[np.float32]
+    ) -> dict[str, Array]:
         outputs, self._states[index] = step.step(frame, self._reference, self._states[index], *self._geometry)
         return outputs
 

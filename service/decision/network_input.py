@@ -13,7 +13,6 @@ from service.perception.observation import PairObservation
 
 
 def lattice_of(spec: MarkerSpec) -> Lattice:
-    """The lattice that a card's network reads."""
     return Lattice(spec.rows, spec.columns, spec.pitch_px, spec.first_px)
 
 

@@ -40,7 +40,6 @@ class Hub:
         return remove
 
     def publish(self, kind: str, content: Any) -> None:
-        """Tell every listener."""
         for listener in self._listeners:
             try:
                 listener(kind, content)
@@ -49,11 +48,9 @@ class Hub:
                 log.error("listener", event_kind=kind, error=repr(error))  # noqa: TRY400 - one line, not a page, a frame
 
     def frame(self, frame: CameraFrame) -> None:
-        """A new camera frame."""
         self.frames[frame.frame.finger] = frame
         self.publish("frame", frame)
 
     def observation(self, observation: Observation) -> None:
-        """A frame was perceived."""
         self.observations[observation.finger] = observation
         self.publish("observation", observation)

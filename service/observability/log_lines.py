@@ -28,7 +28,6 @@ class LogLines:
         self._thread.start()
 
     def write(self, line: str) -> None:
-        """Queue a line."""
         try:
             self._lines.put_nowait(line)
         except queue.Full:

@@ -14,7 +14,6 @@ from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector, SlipState, untouched
 from service.perception.slip.onset import OnsetDetector
 
-_AHEAD_N = 4  # frames rectified before their turn, at most; more wait only where frames are dropped anyway
 _PRESSED = 2.0  # times what an untouched gel may show; from there on a held object is surely told from none
 
 
@@ -32,7 +31,6 @@ class TactileFinger:
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
         self._free = FreeGel()
-        self._ahead: tuple[tuple[TactileFrame, NDArray[np.uint8], float], ...] = ()
         self._rearm = False
         self._held = False
         self._stopped = False
@@ -41,15 +39,9 @@ class TactileFinger:
         """The next frame becomes the reference of slip and onset; the tracker goes on."""
         self._rearm = True
 
-    def rectify_ahead(self, frame: TactileFrame) -> None:
-        """Rectify a frame that :meth:`observe` will be given; the one method that another thread may call."""
-        if self._rectifier is not None and frame.pixels.shape == self._rectifier.camera.raw.shape:
-            self._ahead = (*self._ahead[1 - _AHEAD_N :], (frame, *self._rectified(frame)))
-
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
-        ahead = [(image, cost_ms) for known, image, cost_ms in self._ahead if known is frame]
-        image, rectify_ms = ahead[0] if ahead else self._rectified(frame)
+        image, rectify_ms = self._rectified(frame)
         rectified = time.perf_counter()
         field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()

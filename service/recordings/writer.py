@@ -143,12 +143,10 @@ class Recorder:
         return self.folder / FINAL
 
     def frame(self, frame: CameraFrame) -> None:
-        """Record a camera frame as it came."""
         kind, values = image_message(frame)
         self._put_bulk(f"/{frame.frame.finger}/image", kind, values, frame.frame)
 
     def observation(self, observation: Observation) -> None:
-        """Record markers and slip of one frame."""
         self._put_bulk(f"/{observation.finger}/markers", Markers, markers_message(observation), observation)
 
     def message(self, sender: str, message: Mapping[str, Any], now_ns: int) -> None:

@@ -8,10 +8,9 @@ from functools import partial
 from typing import Any
 
 from service.cameras.capture import CameraFrame, now_ns
-from service.contract import Finger, FramePair, TactileFrame, wire
+from service.contract import Finger, FramePair, wire
 from service.contract.wire import ServiceMessage
 from service.decision.attempt import Attempt, Stage, WorkResult
-from service.perception.finger import TactileFinger
 from service.perception.observation import Observation
 from service.recordings.writer import Recorder
 from service.session.state_machine import InsertionSession, Replies, ignore
@@ -25,7 +24,7 @@ HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be written down
 class Insertion:
     """Feeds a session, records what it is sent and what it says, and passes its messages on.
 
-    Only the perception thread calls its methods, but for :meth:`rectify_ahead`. ``send`` is the driving client (None
+    Only the perception thread calls its methods. ``send`` is the driving client (None
     while it is away); ``publish`` takes (kind, content) for watchers and metrics, ``show`` each observation. The client
     hears first, then those who watch, then it is written down: each of the three wakes a thread that may take this
     one's core. What comes just before an answer is written down after it, ``HOLD_S`` later at most.
@@ -45,7 +44,6 @@ class Insertion:
     _settled_ns: int = field(default_factory=now_ns)
 
     def __post_init__(self) -> None:
-        """Listen to the session."""
         self.session.on_attempt = self.attempt_decided
         self.session.on_observation = self._observed.append
 
@@ -55,7 +53,6 @@ class Insertion:
         return self.session.wants_frames
 
     def message(self, message: Any) -> None:
-        """A message of the driving client."""
         now = self.received_ns = now_ns()
         if message.type != "heartbeat":
             self._note(lambda recorder: _record_received(recorder, message, now))
@@ -68,12 +65,6 @@ class Insertion:
         self._call({"call": "prime", "finger": frame.frame.finger, "seq": frame.frame.seq}, now_ns())
         self.session.prime(frame.frame)
         self._settle()
-
-    def rectify_ahead(self, frame: TactileFrame) -> None:
-        """Called in a camera's thread: what can be done of a frame's perception before its turn has come."""
-        watch = self.session.left if frame.finger == "left" else self.session.right
-        if self.wants_frames and isinstance(watch, TactileFinger):
-            watch.rectify_ahead(frame)
 
     def frame(self, frame: CameraFrame, pair: FramePair | None) -> None:
         """A camera frame, and the pair it completes, if any."""
@@ -96,14 +87,12 @@ class Insertion:
         self._settle_unless_near(now, paired=pair is not None)
 
     def result(self, result: WorkResult) -> None:
-        """What the networks said."""
         now = now_ns()
         self._call({"call": "result", "generation": result.generation}, now)
         self._emit(self.session.on_result(result, now), now)
         self._settle()
 
     def tick(self) -> None:
-        """Time passed: deadlines."""
         now = now_ns()
         replies = self.session.on_tick(now)
         if replies:
@@ -112,7 +101,6 @@ class Insertion:
         self._settle_unless_near(now, paired=False)
 
     def camera_fault(self, code: str, detail: str) -> None:
-        """A camera went bad in the middle of an insertion."""
         now = now_ns()
         self._call({"call": "camera_fault", "code": code, "detail": detail}, now)
         self._emit(self.session.on_camera_fault(code, detail), now)

@@ -46,7 +46,6 @@ class InsertionManager:
         self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
-        """Both cameras as the wire carries them."""
         return tuple(camera.entry for camera in self.cameras.values())
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
@@ -95,17 +94,14 @@ class InsertionManager:
             self.active.send = None
 
     def result(self, result: Any) -> None:
-        """The networks are done with an attempt."""
         if self.active:
             self.active.result(result)
 
     def fault(self, code: str, detail: str) -> None:
-        """A camera or the perception itself failed."""
         if self.active:
             self.active.camera_fault(code, detail)
 
     def tick(self, now_ns: int) -> None:
-        """Deadlines of the insertion and of its client."""
         if self.active:
             self.active.tick()
         if self.active and (now_ns - self.active.received_ns) * 1e-9 > self.settings.client_timeout_s:

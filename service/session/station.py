@@ -73,7 +73,6 @@ class Station:
     # ---- life ------------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start every thread."""
         self._thread.start()
         for camera in self.cameras.values():
             camera.start()
@@ -112,12 +111,10 @@ class Station:
 
     @property
     def models(self) -> ModelSet:
-        """What the next insertion decides with."""
         return self.manager.models
 
     @property
     def active(self) -> Insertion | None:
-        """The insertion under way."""
         return self.manager.active
 
     @property
@@ -175,8 +172,7 @@ class Station:
         return self.active is not None or self.viewers_n > 0
 
     def _on_camera_frame(self, frame: CameraFrame) -> None:
-        if active := self.active:
-            active.rectify_ahead(frame.frame)
+        if self.active:
             pair = self.pairer.add(frame.frame)
             self._frames.append((frame, pair))
             self.post(self._next_frame)
@@ -222,7 +218,6 @@ class Station:
         return source
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
-        """Both cameras as the wire carries them."""
         return self.manager.camera_entries()
 
     def frame_age_ms(self) -> float | None:
@@ -257,11 +252,9 @@ class Station:
         self.post(lambda: self.manager.connect(hello, send))
 
     def receive(self, message: Any, send: Send) -> None:
-        """A driving client says something."""
         self.post(lambda: self.manager.receive(message, send))
 
     def disconnect(self, send: Send) -> None:
-        """The connection of a client is gone."""
         self.post(lambda: self.manager.disconnect(send))
 
 

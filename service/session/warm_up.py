@@ -43,7 +43,6 @@ def _attempt(insertion: Insertion, frames: Sequence[TactileFrame]) -> None:
             insertion.message(wire.Stopped(insertion_id=NAME, attempt=1, depth_mm=5.0, outcome="blocked"))
         left, right = (_moved(frame, index) for frame in sorted(frames, key=lambda frame: frame.finger))
         for frame, pair in ((left, None), (right, FramePair(left, right))):
-            insertion.rectify_ahead(frame)
             insertion.frame(CameraFrame(frame, None), pair)
     insertion.message(wire.Abort(insertion_id=NAME, reason="rehearsed"))
 

@@ -35,7 +35,6 @@ class Replay:
     replies: list[dict[str, Any]] = field(default_factory=list)
 
     def run(self) -> None:
-        """Make every recorded call."""
         self.session.submit = self.work.append
         for entry in self.recording.of("/calls"):
             call = entry.json()

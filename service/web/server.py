@@ -56,7 +56,6 @@ class PunctualH11(H11Protocol):
     """HTTP/1.1 whose clients cannot hold a connection with half a request; uvicorn has no option for that."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """A client connected: the clock runs."""
         super().connection_made(transport)
         self.loop.call_later(HEAD_TIMEOUT_S, self._close_if_silent, None)
 

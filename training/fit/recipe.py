@@ -23,7 +23,7 @@ from training.data.labels import CLASSES, class_of
 from training.data.recipe_data import Rows, chosen_trials, decision_frames, load_rows
 from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Log, Stage, fit
-from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
+from training.metrics.figures import Predictions, by_split
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
 
@@ -159,16 +159,12 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
     spread = np.sqrt(np.square(held.error - held.truth).mean(0))
     pair.magnitude.log_sigma.copy_(torch.from_numpy(np.log(spread)))
     held = _predict(pair, rows, rows.of("validation"))
-    scales = calibrate(held)
-    tables: dict[str, dict[str, float]] = {}
-    for split in SPLITS:
-        chosen = rows.of(split)
-        chosen = chosen[~rows.crop[chosen]]
-        if not len(chosen):
-            continue
-        said = _predict(pair, rows, chosen)
-        fair = cross_calibrated(said, rows.groups[chosen]) if split == "validation" else rescaled(said, scales)
-        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    scales = held.calibration()
+    doubled = np.flatnonzero(rows.crop)
+    scored = {split: chosen for split in SPLITS if len(chosen := np.setdiff1d(rows.of(split), doubled))}
+    tables = by_split(
+        {split: (_predict(pair, rows, chosen), rows.groups[chosen]) for split, chosen in scored.items()}, scales
+    )
     checkpoint = Checkpoint(
         name=config.name,
         network=NETWORK,
@@ -186,13 +182,11 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
 
 
 def _predict(pair: AlexNetPair, rows: Rows, chosen: NDArray[np.int64]) -> Predictions:
-    logits, errors, sigmas = [], [], []
+    parts = []
     with torch.inference_mode():
         for part in np.array_split(chosen, -(-len(chosen) // 32)):
             convolved = _batch(rows, part)
-            logits.append(pair.direction.logits(pair.direction.read(convolved)))
-            estimate = pair.magnitude.error(pair.magnitude.read(convolved))
-            errors.append(estimate[0])
-            sigmas.append(estimate[1])
-    said, error, log_sigma = (torch.cat(parts).double().numpy() for parts in (logits, errors, sigmas))
-    return Predictions(said, error, log_sigma, rows.error[chosen].astype(np.float64), rows.objects[chosen])
+            direction = pair.direction.logits(pair.direction.read(convolved))
+            parts.append((direction, *pair.magnitude.error(pair.magnitude.read(convolved))))
+    logits, error, log_sigma = (torch.cat(column).double().numpy() for column in zip(*parts, strict=True))
+    return Predictions(logits, error, log_sigma, rows.error[chosen].astype(np.float64), rows.objects[chosen])

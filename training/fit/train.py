@@ -6,7 +6,7 @@
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,8 +25,8 @@ from training.data.labels import CLASSES, class_of
 from training.fit import parallel
 from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Log, Stage, fit
-from training.metrics.figures import Predictions, Scales, by_object, calibrate, cross_calibrated, figures, rescaled
-from training.metrics.joint import calibrate_density, calibrated_density, cross_calibrated_density
+from training.metrics.figures import Predictions, Sample, Scales, by_split, figures
+from training.metrics.joint import Densities
 from training.networks import build, network_class, reads
 from training.networks.decider import Decider
 
@@ -92,25 +92,25 @@ class Trainer:
         return torch.cat(states)
 
     def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
-        """What the pair says of trials."""
+        """The pair's predictions of trials."""
         state = self.states(chosen, pictures=pictures)
         with torch.inference_mode():
-            said = (self.network.logits(state), *self.network.error(state))
-        logits, error, log_sigma = (value.double().numpy() for value in said)
+            outputs = (self.network.logits(state), *self.network.error(state))
+        logits, error, log_sigma = (value.double().numpy() for value in outputs)
         truth = self.trials.error[chosen].astype(np.float64)
         return Predictions(logits, error, log_sigma, truth, self.trials.objects[chosen])
 
-    def predict_density(self, chosen: NDArray[np.int64], *, pictures: bool) -> NDArray[np.float64]:
-        """Log density on the joint grid [N, 41, 40]."""
+    def predict_density(self, chosen: NDArray[np.int64], *, pictures: bool) -> Densities:
+        """The joint densities of trials."""
         state = self.states(chosen, pictures=pictures)
         with torch.inference_mode():
-            density: NDArray[np.float64] = self.network.log_density(state).double().numpy()
-        return density
+            density = self.network.log_density(state).double().numpy()
+        return Densities(density, self.trials.error[chosen], self.trials.objects[chosen])
 
     def score(self, chosen: NDArray[np.int64], *, pictures: bool) -> dict[str, float]:
         """Validation scalars; ``score`` is the loss without class weights."""
         predictions = self.predict(chosen, pictures=pictures)
-        table = figures(rescaled(predictions, calibrate(predictions)))
+        table = figures(predictions.rescaled(predictions.calibration()))
         z = (predictions.error - predictions.truth) * np.exp(-predictions.log_sigma)
         likelihood = float((0.5 * z**2 + predictions.log_sigma).mean())
         kept = {name: table[name] for name in ("accuracy", "nll", "rmse_x_mm", "rmse_theta_deg")}
@@ -238,8 +238,8 @@ def _run(trainer: Trainer, stage: Stage, folder: Path, log: Log) -> dict[str, fl
 def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     """Calibrate on validation, score every split on pictures where there are any, save."""
     pictures = len(trainer.trials.of("validation", rendered=True)) > 0
-    scales, tables = _scored(trainer, pictures=pictures)
-    joint_scales, joint_tables = _scored_joint(trainer, pictures=pictures)
+    scales, tables = _scored(trainer, trainer.predict, pictures=pictures)
+    joint_scales, joint_tables = _scored(trainer, trainer.predict_density, pictures=pictures)
     checkpoint = Checkpoint(
         name=trainer.config.name,
         network=trainer.config.network,
@@ -257,39 +257,14 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     return checkpoint
 
 
-def _scored(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict[str, float]]]:
-    """Calibration of the pair and its figures by split and object; validation is cross-calibrated."""
+def _scored(
+    trainer: Trainer, predict: Callable[..., Sample], *, pictures: bool
+) -> tuple[Scales, dict[str, dict[str, float]]]:
+    """Calibration on all validation trials, and figures by split and object."""
     trials = trainer.trials
-    scales = calibrate(trainer.predict(trials.of("validation", rendered=pictures), pictures=pictures))
-    tables: dict[str, dict[str, float]] = {}
-    for split, chosen in _samples(trials, pictures=pictures):
-        said = trainer.predict(chosen, pictures=pictures)
-        fair = cross_calibrated(said, trials.groups[chosen]) if split == "validation" else rescaled(said, scales)
-        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
-    return scales, tables
-
-
-def _scored_joint(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict[str, float]]]:
-    """The same for the joint density."""
-    trials = trainer.trials
-    held = trials.of("validation", rendered=pictures)
-    density = trainer.predict_density(held, pictures=pictures)
-    scales = calibrate_density(density, trials.error[held], trials.objects[held])
-    tables: dict[str, dict[str, float]] = {}
-    for split, chosen in _samples(trials, pictures=pictures):
-        density = trainer.predict_density(chosen, pictures=pictures)
-        stated = (density, trials.error[chosen], trials.objects[chosen])
-        fair = (
-            cross_calibrated_density(*stated, trials.groups[chosen])
-            if split == "validation"
-            else calibrated_density(*stated, scales)
-        )
-        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
-    return scales, tables
-
-
-def _samples(trials: Trials, *, pictures: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    for split in SPLITS:
-        chosen = trials.of(split, rendered=pictures)[:MOST_SCORED]
-        if len(chosen):
-            yield split, chosen
+    scales = predict(trials.of("validation", rendered=pictures), pictures=pictures).calibration()
+    chosen = {split: trials.of(split, rendered=pictures)[:MOST_SCORED] for split in SPLITS}
+    samples = {
+        split: (predict(rows, pictures=pictures), trials.groups[rows]) for split, rows in chosen.items() if len(rows)
+    }
+    return scales, by_split(samples, scales)

@@ -18,7 +18,7 @@ from training.data.batches import told_in_training
 from training.data.dataset import SPLITS, Trials
 from training.data.labels import CLASSES, HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
 from training.fit.loop import Log, Stage, fit
-from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
+from training.metrics.figures import Predictions, by_split
 from training.networks.decider import ERROR_SCALE, geometry_of
 from training.networks.settings import FRAMES_PER_DECISION
 
@@ -91,14 +91,10 @@ def oracle_figures(trials: Trials, folder: Path, seed: int = 0) -> dict[str, dic
 
 
 def _scored(oracle: MotionOracle, trials: Trials) -> dict[str, dict[str, float]]:
-    said = {split: _predictions(oracle, trials, trials.of(split)) for split in SPLITS[1:] if len(trials.of(split))}
-    scales = calibrate(said["validation"])
-    rows: dict[str, dict[str, float]] = {}
-    for split, predictions in said.items():
-        groups = trials.groups[trials.of(split)]
-        fair = cross_calibrated(predictions, groups) if split == "validation" else rescaled(predictions, scales)
-        rows |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
-    return rows
+    chosen = {split: rows for split in SPLITS[1:] if len(rows := trials.of(split))}
+    samples = {split: _predictions(oracle, trials, rows) for split, rows in chosen.items()}
+    groups = {split: trials.groups[rows] for split, rows in chosen.items()}
+    return by_split({split: (samples[split], groups[split]) for split in chosen}, samples["validation"].calibration())
 
 
 def _predictions(oracle: MotionOracle, trials: Trials, chosen: NDArray[np.int64]) -> Predictions:

@@ -19,13 +19,11 @@ from training.fit.checkpoint import Checkpoint
 from training.fit.train import MOST_SCORED, Trainer
 from training.metrics.figures import (
     Predictions,
-    calibrate,
     calibration_curve,
     confusion,
     cross_calibrated,
     figures,
     probabilities,
-    rescaled,
 )
 from training.networks import reads
 from training.report.oracle import oracle_figures
@@ -72,12 +70,12 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
 def _limits(trainer: Trainer) -> Rows:
     """The same decision from the true marker fields instead of pictures, calibrated as the rows above are."""
     trials, rows = trainer.trials, {}
-    scales = calibrate(trainer.predict(trials.of("validation", rendered=True)[:MOST_SCORED], pictures=False))
+    scales = trainer.predict(trials.of("validation", rendered=True)[:MOST_SCORED], pictures=False).calibration()
     for split in ("validation", "test"):
         chosen = trials.of(split, rendered=True)[:MOST_SCORED]
         if len(chosen):
             raw = trainer.predict(chosen, pictures=False)
-            fair = cross_calibrated(raw, trials.groups[chosen]) if split == "validation" else rescaled(raw, scales)
+            fair = cross_calibrated(raw, trials.groups[chosen]) if split == "validation" else raw.rescaled(scales)
             rows[f"{split}/true fields"] = figures(fair)
     return rows
 

@@ -38,7 +38,6 @@ class OnsetDetector:
         self.disarm()
 
     def disarm(self) -> None:
-        """Forget the reference."""
         self._reference: MarkerField | None = None
         self._onset: Onset | None = None
         self._rest: list[float] = []

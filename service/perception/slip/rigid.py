@@ -30,7 +30,6 @@ class Motion:
 
 
 def still(pivot: Float64) -> Motion:
-    """No motion at all."""
     return Motion(0.0, 1.0, pivot, np.zeros(2))
 
 

@@ -23,13 +23,10 @@ MaxHz = Annotated[float, Query(gt=0, le=240, allow_inf_nan=False, description="a
 
 
 class Mjpeg(StreamingResponse):
-    """Parts of JPEG, one a frame."""
-
     media_type = f"multipart/x-mixed-replace; boundary={BOUNDARY}"
 
 
 def router(station: Station, access: Access) -> APIRouter:
-    """Routes under ``/v1/cameras``."""
     routes = APIRouter(prefix="/v1/cameras", tags=["cameras"])
     watch = [access.require("watch")]
 
@@ -96,7 +93,6 @@ async def _jpeg(frame: CameraFrame) -> bytes:
 
 
 def encode_jpeg(frame: CameraFrame) -> bytes:
-    """A frame as JPEG."""
     return bytes(cv2.imencode(".jpg", frame.frame.pixels)[1].tobytes())
 
 

@@ -29,7 +29,6 @@ _display = ThreadPoolExecutor(1, "display")  # drawing for people never delays d
 
 
 def static_files() -> StaticFiles:
-    """The page's modules."""
     return StaticFiles(directory=FOLDER)
 
 
@@ -86,7 +85,6 @@ def belief_of(command: Command) -> dict[str, Any] | None:
 
 
 def health_of(station: Station) -> dict[str, Any]:
-    """Cameras, the driving client, drops."""
     active = station.active
     return {
         "ready": station.ready,

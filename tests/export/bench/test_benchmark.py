@@ -85,17 +85,17 @@ def test_torch_is_rebuilt_from_the_released_file_alone(models):
 
 
 @pytest.mark.parametrize("name", ["direction", "magnitude", "joint/joint", "pictures/magnitude"])
-def test_the_torch_twin_of_a_released_step_says_what_the_file_says(name):
+def test_torch_computes_what_a_released_step_does(name):
     model = open_model(Path("models") / f"{name}.step.onnx")
-    said = model(example_inputs(model)).values()
-    for ours, theirs in zip(said, peer("torch", model)(), strict=True):
+    outputs = model(example_inputs(model)).values()
+    for ours, theirs in zip(outputs, peer("torch", model)(), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
 
 
-def test_a_file_whose_weights_are_strangers_has_no_torch_twin(models):
+def test_torch_rebuilds_no_int8_file(models):
     model = open_model(models / "direction.step.onnx")
     int8 = model.card.model_copy(update={"quantisation": "int8"})
-    with pytest.raises(PeerAbsentError, match="torch has no int8 twin"):
+    with pytest.raises(PeerAbsentError, match="torch has no int8 build"):
         rebuild(type(model)(model.file, int8, model.run))
 
 

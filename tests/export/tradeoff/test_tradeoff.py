@@ -84,16 +84,9 @@ def test_stopping_after_eight_frames_is_the_whole_decision(models, decisions):
     assert pair.answers(decisions)[0][8].chosen == whole.argmax()
 
 
-def test_a_network_is_not_asked_twice_and_its_answers_are_kept(models, decisions, tmp_path):
-    (joint,) = find_candidates([models.parent / "joint"])
-    kept = tmp_path / "answers.json"
-    first = score([joint], decisions, kept)
-    assert score([joint], [], kept) == first
+def test_nothing_is_scored_on_no_decision(models):
     with pytest.raises(ContractError, match="no decision"):
-        score(find_candidates([models]), [], kept)
-    kept.write_text("[1]")
-    with pytest.raises(ContractError, match=r"answers\.json does not hold earlier answers"):
-        score([joint], decisions, kept)
+        score(find_candidates([models]), [])
 
 
 def test_a_build_is_compared_by_the_commands_of_its_source(models, decisions, tmp_path):

@@ -7,7 +7,7 @@ from service.contract import FrameSpec, TactileFrame, wire
 from service.decision.models import load_models
 from service.perception.finger import TactileFinger
 from service.perception.observation import Observation
-from service.perception.rectification import Calibration, CameraCalibration, Rectifier
+from service.perception.rectification import Calibration, CameraCalibration
 from service.session.factory import make_session
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -57,25 +57,3 @@ def test_an_attempt_with_nothing_in_hand_says_so_and_is_not_decided(tmp_path) ->
     assert states == {"no_contact"}
     assert [message.type for message in said] == ["armed", "no_decision"]
     assert (said[-1].reason, said[-1].detail) == ("no_motion", "nothing touches the gels")
-
-
-def test_a_frame_looked_ahead_at_is_not_rectified_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), drawn.calibration().camera("left"))
-    frame = TactileFrame("left", 0, 0, drawn.raw("left", 0, 3, 6))
-    finger.rectify_ahead(frame)
-    monkeypatch.setattr(Rectifier, "apply", lambda *_: pytest.fail("rectified twice"))
-    assert finger.observe(frame).field.valid.any()
-
-
-def test_a_frame_rectified_before_its_turn_is_perceived_just_the_same() -> None:
-    """Also where more were looked ahead at than are kept."""
-    spec, camera = FrameSpec(height_px=320, width_px=327), drawn.calibration().camera("left")
-    plain, ahead = (TactileFinger("left", spec, camera) for _ in range(2))
-    frames = [TactileFrame("left", k, k * drawn.PERIOD_NS, drawn.raw("left", k, 3, 6)) for k in range(8)]
-    for frame in frames:
-        ahead.rectify_ahead(frame)
-    for frame in frames:
-        one, other = plain.observe(frame), ahead.observe(frame)
-        np.testing.assert_array_equal(one.image, other.image)
-        np.testing.assert_array_equal(one.field.displacement_px, other.field.displacement_px)
-        assert other.cost_ms["rectify"] > 0
