@@ -37,7 +37,7 @@ class Calibration(Contract):
 
 
 class SelfTest(Contract):
-    """What the network said of fixed frames where it was released; see :mod:`service.contract.self_test`."""
+    """The outputs on fixed frames where the network was released; see :mod:`service.contract.self_test`."""
 
     outputs: dict[str, tuple[float, ...]]
     tolerance: Positive

@@ -1,7 +1,7 @@
-"""A network's own test: what it said of fixed frames where it was released, asked again wherever it is loaded.
+"""A network's self-test: its outputs on fixed frames where it was released, compared wherever it is loaded.
 
-An int8 build that saturates on a processor without VNNI, or a runtime that computes otherwise, is wrong silently; this
-makes it loud. The frames are integers from integers, so every machine makes the same ones.
+An int8 build that saturates on a processor without VNNI, or a runtime that computes differently, is silently wrong;
+this test shows it. The frames are integers made from integers, so they are the same on every machine.
 """
 
 from collections.abc import Callable, Mapping
@@ -73,7 +73,7 @@ def make_self_test(card: ModelCard, run: Run) -> SelfTest:
 
 
 def check_self_test(card: ModelCard, run: Run, source: str) -> None:
-    """Raise ContractError, naming output and difference, if a network computes otherwise here than where it came from.
+    """Raise ContractError, naming output and difference, if a network computes differently than where it was released.
 
     A card without a test passes unless it is int8: those builds are the ones that go wrong by processor.
     """

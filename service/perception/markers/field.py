@@ -55,7 +55,7 @@ class MarkerField:
 
 
 def marker_array(field: MarkerField, lattice: Lattice = LATTICE) -> FloatArray:
-    """Float32 [rows, columns, 3] on a sensor's lattice: (du_px, dv_px, 1) of each marker, zeros where it was not seen.
+    """Float32 [rows, columns, 3] on a sensor's lattice: (du_px, dv_px, 1) of each marker, zeros where it is not valid.
 
     A tracker that found fewer rows or columns, at dark edges say, fills its part: the grid is laid where most of its
     nodes rest, since a firm grasp bulges the gel by more than half a pitch before the tracker first sees it. What

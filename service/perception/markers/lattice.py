@@ -10,7 +10,7 @@ from service.perception.markers.detect import Candidates, MarkerDetector
 from service.perception.markers.field import BoolArray, FloatArray
 
 _STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
-_LINK = 0.33  # a neighbour lies within this share of a pitch of where the last step says
+_LINK = 0.33  # a neighbour lies within this share of a pitch of where the last step points
 _AROUND = 12  # spots around one among which its neighbours in the grid are sought
 DIAMETERS_PX = (4.0, 5.0, 6.5, 8.5, 11.0, 14.5, 19.0, 25.0)
 
@@ -35,7 +35,7 @@ class Lattice:
 
 
 def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.intp], BoolArray]:
-    """Grid index (column, row) int [n, 2] of every point reachable from ``seed`` by lattice steps, and who was reached.
+    """Grid index (column, row) int [n, 2] of every point reachable from ``seed`` by lattice steps, and which are.
 
     ``basis`` [2, 2] starts the local basis, which then follows the grid's deformation from node to node.
     """
