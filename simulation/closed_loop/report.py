@@ -13,7 +13,7 @@ from reporting.table import Table, table
 from simulation.closed_loop.baselines import CONTROLLERS
 from simulation.closed_loop.figures import draw_confusion, draw_scatter
 from simulation.closed_loop.statistics import Row, estimates, in_order, summarise, title_of
-from simulation.scene.scene import Figures
+from simulation.scene.parts import Figures
 from simulation.scene.worlds import known_object
 
 NAME = "closed_loop"
