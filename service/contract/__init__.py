@@ -13,7 +13,8 @@ from service.contract.frames import (
     decode_frame,
     encode_frame,
 )
-from service.contract.model_card import CARD_KEY, Calibration, ErrorClass, MarkerSpec, ModelCard
+from service.contract.model_card import CARD_KEY, Calibration, ErrorClass, ModelCard
+from service.contract.sensor import MarkerSpec, Sensor
 
 __all__ = [
     "CARD_KEY",
@@ -26,6 +27,7 @@ __all__ = [
     "FrameSpec",
     "MarkerSpec",
     "ModelCard",
+    "Sensor",
     "TactileFrame",
     "decode_frame",
     "encode_frame",

@@ -12,8 +12,8 @@
 - ``attempt_01.npz``, ``attempt_02.npz``, ... for each blocked attempt, read with ``numpy.load``:
 
   ===================  ==========================================================================================
-  ``frames``           uint8 [n, 2, 320, 327, 3] BGR, rectified; the n <= 8 pairs of the decision, left finger first
-  ``reference``        uint8 [2, 320, 327, 3] BGR, rectified; what the networks subtract
+  ``frames``           uint8 [n, 2, H, W, 3] BGR, rectified; the n <= 8 pairs of the decision, left finger first
+  ``reference``        uint8 [2, H, W, 3] BGR, rectified; what the networks subtract
   ``frame_seq``        int64 [n], pair numbers; ``captured_ns`` int64 [n], monotonic
   ``rest_px``          float32 [2, rows, cols, 2] marker positions at rest (u, v) in the rectified image
   ``displacement_px``  float32 [2, rows, cols, 2] marker displacement in the last of the pairs

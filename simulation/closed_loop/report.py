@@ -11,7 +11,7 @@ from typing import Any
 from simulation.closed_loop.baselines import CONTROLLERS
 from simulation.closed_loop.figures import draw_confusion, draw_scatter
 from simulation.closed_loop.statistics import Row, estimates, in_order, summarise, title_of, wilson
-from simulation.scene.scene import Figures
+from simulation.scene.parts import Figures
 from simulation.scene.worlds import known_object
 
 NAME = "closed_loop"

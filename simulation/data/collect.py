@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from reporting.files import write_durably
-from service.contract import FINGERS
+from service.contract import FINGERS, Sensor
 from simulation.data.dataset import DatasetError, ShardEntry, Trial, encode_shard, split_of
 from simulation.data.manifest import shard_file_name
 from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
@@ -48,6 +48,7 @@ class Plan:
     seed: int
     held_out_share: float
     slip_truth: bool = False
+    sensor: Sensor | None = None
 
     @property
     def file_name(self) -> str:
@@ -69,6 +70,11 @@ class Fixture:
     held_out: bool
     appearances: tuple[Appearance, Appearance]
     cell_seed: int
+
+
+def scene_of(name: str, sensor: Sensor | None) -> Scene:
+    """The scene to collect from, with another sensor than its own if one is given."""
+    return load_scene(name, **({"camera__sensor": sensor} if sensor else {}))
 
 
 def scene_sha256(scene: Scene) -> str:
@@ -191,7 +197,7 @@ def make_shard(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> Shard
 
 def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[ShardEntry, bytes]:
     """As :func:`make_shard`, but the bytes are handed back: for workers on other machines."""
-    base = load_scene(plan.scene_name)
+    base = scene_of(plan.scene_name, plan.sensor)
     kept: list[Trial] = []
     outcomes: Counter[str] = Counter()
     for fixture, poke, seed, probe in pokes(plan, base):

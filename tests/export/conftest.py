@@ -6,6 +6,7 @@ import torch
 from filelock import FileLock
 
 from export.onnx.to_onnx import export_checkpoint
+from service.contract import Sensor
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
 from training.metrics.figures import Scales
@@ -31,7 +32,7 @@ def export_tiny(folder, only=()):
     """Export takes two seconds a file; most tests need no second file in sequence form."""
     torch.manual_seed(0)
     settings = NetworkConfig(front_width=8, trunk_width=8, feature_size=16, state_size=16)
-    weights = build(settings, len(CLASSES)).state_dict()
+    weights = build(settings, len(CLASSES), Sensor.load()).state_dict()
     figures = {"validation/all": {"accuracy": 0.5}}
     scales = Scales(1.5, 1.1, 0.9)
     Checkpoint("tiny", settings, weights, scales, Scales(), figures, "0" * 64, "abc", {"seed": 0}).save(folder / "c.pt")

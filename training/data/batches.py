@@ -22,9 +22,9 @@ HEIGHT_UNKNOWN_SHARE = 0.15  # of training decisions without a grasp height: cel
 class Batch:
     """A batch of decisions.
 
-    ``fields`` float32 [B, 8, 2, 3, 20, 21], change against the first frame in physical units; ``drawn`` float32 [B, 8,
-    2, ...], block sums of pictures or markers tracked in them, or None; ``error`` [B, 2]; ``label`` [B]; ``told``
-    [B, 2], gap width and grasp height in mm, 0 where it is not known.
+    ``fields`` float32 [B, 8, 2, 3, rows, columns], change against the first frame in physical units; ``drawn`` float32
+    [B, 8, 2, ...], block sums of pictures or markers tracked in them, or None; ``error`` [B, 2]; ``label`` [B];
+    ``told`` [B, 2], gap width and grasp height in mm, 0 where it is not known.
     """
 
     fields: Tensor
@@ -105,7 +105,7 @@ def epoch(
 def frame_pairs(
     trials: Trials, chosen: NDArray[np.int64], size: int, rng: np.random.Generator, pairs: int = 4
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Batches for the front: frame, reference (block sums [n, 2, 64, 65]) and field change [n, 3, 20, 21].
+    """Batches for the front: frame, reference (block sums [n, 2, h, w]) and field change [n, 3, rows, columns].
 
     Each trial gives ``pairs`` random (frame, reference) pairs, the reference being the earlier one; both fingers.
     """

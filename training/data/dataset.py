@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import track
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from service.perception.markers.sequence import track_pairs
 from training.config import JITTER, WINDOW, DataConfig
 from training.networks.preprocessing import pool_frames
@@ -37,7 +37,7 @@ class Source(Protocol):
         ...
 
     def frames(self, index: int, start: int, count: int) -> NDArray[np.uint8]:
-        """Rendered frames [count, 2, 320, 327, 3]."""
+        """Rendered frames [count, 2, H, W, 3]."""
         ...
 
 
@@ -46,10 +46,10 @@ class Trials:
     """Collided trials. All arrays share their first axis except ``drawn``, found through ``picture``.
 
     ``error`` float32 [N, 2] (mm, deg); ``told`` float32 [N, 2], gap width and grasp height in mm, 0 where it is not
-    known; ``fields`` float16 [N, WINDOW, 2, 20, 21, 3] (du_mm, dv_mm, N/mm2) from one
+    known; ``fields`` float16 [N, WINDOW, 2, rows, columns, 3] (du_mm, dv_mm, N/mm2) from one
     frame before the onset; ``motion`` float32 [N, WINDOW, 6], pose of the object in the hand (mm, rad); ``drawn``
-    what a network is shown of the pictures: block sums uint16 [M, WINDOW, 2, 2, 64, 65], or markers tracked in them
-    float32 [M, WINDOW, 2, 20, 21, 3]; ``picture`` int64 [N] row or -1.
+    what a network is shown of the pictures: block sums uint16 [M, WINDOW, 2, 2, h, w], or markers tracked in them
+    float32 [M, WINDOW, 2, rows, columns, 3]; ``picture`` int64 [N] row or -1.
     """
 
     error: NDArray[np.float32]
@@ -62,6 +62,7 @@ class Trials:
     picture: NDArray[np.int64]
     drawn: NDArray[Any]
     sha256: str
+    sensor: Sensor
 
     def __len__(self) -> int:
         return len(self.error)
@@ -103,8 +104,15 @@ def reader_sha256(source: Source, reads: Reads) -> str:
     """
     onset = min(max(int(source.trial(0).onset_frame or 0), 0), len(source.trial(0).gel) - FRAMES_PER_DECISION)
     frames = source.frames(0, onset, FRAMES_PER_DECISION)
-    kept = track_pairs(frames) if reads == "markers" else frames
+    kept = shown(frames, source.manifest.sensor, reads) if reads == "markers" else frames
     return hashlib.sha256(np.ascontiguousarray(kept).tobytes()).hexdigest()[:12]
+
+
+def shown(frames: NDArray[np.uint8], sensor: Sensor, reads: Reads) -> NDArray[Any]:
+    """What a network is shown of frames uint8 [n, 2, H, W, 3]: the markers tracked in them, or block sums."""
+    if reads == "markers":
+        return track_pairs(frames, sensor.markers, sensor.fps)
+    return pool_frames(frames, sensor)
 
 
 def load_trials(config: DataConfig, source: Source | None = None, reads: Reads = "pictures") -> Trials:
@@ -128,6 +136,7 @@ def load_trials(config: DataConfig, source: Source | None = None, reads: Reads =
         picture=picture,
         drawn=drawn,
         sha256=digest,
+        sensor=source.manifest.sensor,
     )
 
 
@@ -213,7 +222,7 @@ def _load_pictures(
         if not path.exists():
             frames = source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW)
             temporary = path.with_suffix(".tmp.npy")
-            np.save(temporary, track_pairs(frames) if reads == "markers" else pool_frames(frames))
+            np.save(temporary, shown(frames, source.manifest.sensor, reads))
             temporary.replace(path)
         kept.append(np.load(path))
     picture = np.full(len(table["split"]), -1, np.int64)

@@ -27,7 +27,6 @@ from training.metrics.figures import Predictions, by_split
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
 
-FIELD_SIZE = 3 * 20 * 21
 NETWORK = NetworkConfig(kind="alexnet_lstm")
 
 
@@ -66,10 +65,10 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
 class _FieldReader(nn.Module):
     """Convolutions with a linear read-out of the marker field: what they are pretrained with."""
 
-    def __init__(self, network: AlexNetLstm) -> None:
+    def __init__(self, network: AlexNetLstm, size: int) -> None:
         super().__init__()
         self.features = network.alexnet.features
-        self.read_out = nn.Linear(FEATURES, FIELD_SIZE)
+        self.read_out = nn.Linear(FEATURES, size)
 
     def forward(self, images: Tensor) -> Tensor:
         field: Tensor = self.read_out(self.features(images).flatten(1))
@@ -80,7 +79,7 @@ def _pretrain(
     config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair, log: Log
 ) -> None:
     """Difference frame -> change of the marker field, on training trials; both networks then start from the result."""
-    reader = _FieldReader(pair.direction)
+    reader = _FieldReader(pair.direction, int(np.prod(table["fields"].shape[3:])))
     chosen = chosen_trials(table, "train", config.pretraining_trials)
     held = chosen_trials(table, "validation", max(8, config.pretraining_trials // 10))
     fields = table["fields"][chosen].astype(np.float32)
@@ -175,6 +174,7 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         training_data_sha256=digest,
         git_commit=commit(),
         run=config.settings(),
+        sensor=rows.sensor,
     )
     checkpoint.save(config.folder / "checkpoint.pt")
     (config.folder / "figures.json").write_text(json.dumps(tables, indent=1))

@@ -17,7 +17,7 @@ Role = Literal["direction", "magnitude", "joint", "pair"]
 class Recurrent(Protocol):
     """What an exportable network offers.
 
-    ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3], or marker fields float32 [B, 2, 20, 21, 3].
+    ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3], or marker fields float32 [B, 2, rows, columns, 3].
     """
 
     state_size: int

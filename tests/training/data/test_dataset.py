@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from tests.training.synthetic import SyntheticSource
 from training.config import WINDOW, DataConfig
 from training.data.batches import decisions, mirror_fields
@@ -11,6 +11,8 @@ from training.data.dataset import load_trials, reader_sha256
 from training.data.labels import class_of
 from training.networks.preprocessing import pool_frames
 from training.networks.settings import FRAMES_PER_DECISION
+
+SENSOR = Sensor.load()
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +85,7 @@ def test_pictures_belong_to_their_trials(trials, small):
     index = int(trials.of("validation", rendered=True)[0])
     trial = next(i for i, t in enumerate(small.trials) if np.allclose((t.x_mm, t.theta_deg), trials.error[index]))
     start = small.trials[trial].onset_frame - 1
-    assert np.array_equal(trials.drawn[trials.picture[index]], pool_frames(small.frames(trial, start, WINDOW)))
+    assert np.array_equal(trials.drawn[trials.picture[index]], pool_frames(small.frames(trial, start, WINDOW), SENSOR))
 
 
 def test_no_group_is_shared_between_splits(trials):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from tests.training.synthetic import SyntheticSource
 from training.config import RunConfig, StageConfig
 from training.fit.checkpoint import Checkpoint
@@ -190,6 +190,6 @@ def test_a_dataset_without_collisions_is_refused(config):
 def test_network_stays_under_a_million_parameters():
     from training.networks import build
 
-    count = sum(parameter.numel() for parameter in build(NetworkConfig(), 9).parameters())
+    count = sum(parameter.numel() for parameter in build(NetworkConfig(), 9, Sensor.load()).parameters())
     assert count < 1_000_000
     assert np.isfinite(count)
