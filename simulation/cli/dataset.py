@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,10 +11,12 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
+from reporting.files import write_durably
 from service.contract import ContractError, Sensor
-from simulation.data import lerobot, mcap, workers
-from simulation.data.collect import Plan, scene_of, scene_sha256
-from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, Trial, slice_of
+from simulation.data import lerobot, mcap
+from simulation.data.collect import Plan, make_shard, scene_of, scene_sha256, shard_of
+from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, slice_of
+from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
 from simulation.optics import attempt_picture
@@ -92,13 +94,25 @@ def collect(arguments: list[str]) -> int:
             Plan(options.out, scene, shard, size, seed, share, options.slip_truth, manifest.sensor)
             for scene, shard in manifest.missing_shards()
         ]
-        if options.ray:
-            workers.collect_on_ray(writer, plans, options.ray)
-        else:
-            workers.collect(writer, plans, options.workers or os.cpu_count() or 1)
+        with progress("collisions", sum(plan.trials for plan in plans)) as show:
+            done = 0
+            for entry in _made(plans, options):
+                writer.commit(entry)
+                done += entry.trials
+                show(done)
         writer.finish()
     print(f"{writer.manifest.trials} collisions in {len(writer.manifest.shards)} shards under {options.out}")
     return 0
+
+
+def _made(plans: list[Plan], options: CollectOptions) -> Iterator[ShardEntry]:
+    """Every shard as it lies in the folder; from a cluster it comes as bytes."""
+    if not options.ray:
+        yield from results(make_shard, plans, options.workers)
+        return
+    for entry, data in results(shard_of, plans, ray=options.ray):
+        write_durably(options.out / entry.name, data)
+        yield entry
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ unfinished shards again and gets the same bits.
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -185,17 +185,17 @@ def trial_of(
     )
 
 
-def make_shard(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> ShardEntry:
+def make_shard(plan: Plan) -> ShardEntry:
     """Poke until ``plan.trials`` collisions are kept and write them; same plan, same bytes.
 
     Raises DatasetError if the scene hardly ever collides.
     """
-    entry, data = shard_of(plan, on_trial)
+    entry, data = shard_of(plan)
     write_durably(plan.folder / plan.file_name, data)
     return entry
 
 
-def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[ShardEntry, bytes]:
+def shard_of(plan: Plan) -> tuple[ShardEntry, bytes]:
     """As :func:`make_shard`, but the bytes are handed back: for workers on other machines."""
     base = scene_of(plan.scene_name, plan.sensor)
     kept: list[Trial] = []
@@ -206,7 +206,6 @@ def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[S
         outcomes[outcome if usable or outcome != "blocked" else "no_motion"] += 1
         if probe is not None and usable:
             kept.append(trial_of(fixture, poke, seed, probe, base.name, slip_truth=plan.slip_truth))
-            on_trial()
         if len(kept) == plan.trials:
             break
         if outcomes.total() >= _MAX_POKES_PER_TRIAL * plan.trials:

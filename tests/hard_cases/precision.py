@@ -35,12 +35,12 @@ def single_against_double_precision(seed: int) -> float:
     torch.manual_seed(seed)
     network = build(NetworkConfig(), len(CLASSES), Sensor.load()).eval()
     fields = torch.randn(4, 8, 2, 3, 20, 21)
-    told = torch.tensor([[56.0, 30.0]]).repeat(4, 1)
+    geometry = torch.tensor([[56.0, 30.0]]).repeat(4, 1)
     with torch.no_grad():
-        single = network.logits(network.read_fields(fields, told))
+        single = network.logits(network.read_fields(fields, geometry))
         torch.set_default_dtype(torch.float64)
         try:
-            double = network.double().logits(network.read_fields(fields.double(), told.double()))
+            double = network.double().logits(network.read_fields(fields.double(), geometry.double()))
         finally:
             torch.set_default_dtype(torch.float32)
     return float((single.double() - double).abs().max() / double.abs().max())

@@ -51,7 +51,7 @@ class Trainer:
     def decision_loss(self, fields: Tensor, batch: Batch) -> Tensor:
         """Cross entropy of the class, and negative log likelihood of the error under one Gaussian and the mixture."""
         network, weight = self.network, self.config.loss
-        state = network.read_fields(fields, batch.told)
+        state = network.read_fields(fields, batch.geometry)
         direction = functional.cross_entropy(network.logits(state), batch.label, self.class_weights)
         error, log_sigma = network.error(state)
         z = (error - batch.error) * torch.exp(-log_sigma)
@@ -88,7 +88,7 @@ class Trainer:
             for start in range(0, len(chosen), EVALUATION_BATCH):
                 batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
                 fields = self.normalised(batch) if batch.drawn is None else self.network.read_drawn(batch.drawn)
-                states.append(self.network.read_fields(fields, batch.told))
+                states.append(self.network.read_fields(fields, batch.geometry))
         return torch.cat(states)
 
     def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:

@@ -40,7 +40,7 @@ class AffineFit(nn.Module):
     def raw(self, fields: Tensor) -> Tensor:
         """[N, NUMBERS]: the affine motion of the whole field, and of the patch that moves with the object.
 
-        The latter is told by weights that rise with a marker's motion up to the field's mean. It comes once as it is
+        The patch is weighted by numbers that rise with a marker's motion up to the field's mean. It comes once as it is
         and once over its own size, which says which way the object goes before it has gone far; last the size's
         logarithm and the centres of both patches.
         """

@@ -100,7 +100,7 @@ class AlexNetLstm(nn.Module):
         images = difference_images(frame.flatten(0, 1), reference.flatten(0, 1))
         return self.alexnet.classifier(self.convolved(images)).reshape(-1, 2 * HIDDEN)  # type: ignore[no-any-return]
 
-    def advance(self, features: Tensor, told: Tensor | None, state: Tensor) -> Tensor:  # noqa: ARG002 the paper's networks know pictures alone
+    def advance(self, features: Tensor, geometry: Tensor | None, state: Tensor) -> Tensor:  # noqa: ARG002 the paper's networks know pictures alone
         """One step of the LSTM."""
         hidden, cell = self.lstm(features, (state[:, :LSTM], state[:, LSTM:]))
         return torch.cat([hidden, cell], 1)
@@ -119,7 +119,7 @@ class AlexNetLstm(nn.Module):
         return self.output(state[:, :LSTM])  # type: ignore[no-any-return]
 
     def error(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Error (mm, deg) of a MagnitudeNN; its log sigma is one constant, the spread seen on validation."""
+        """Error (mm, deg) of a MagnitudeNN; its log sigma is one constant, the spread on validation."""
         error = self.output(state[:, :LSTM])
         return error, self.log_sigma.expand_as(error)
 
@@ -177,12 +177,12 @@ class SharedBackbone(nn.Module):
         read = [network.alexnet.classifier(convolved) for network in self.readers]
         return torch.cat([features.reshape(-1, 2 * HIDDEN) for features in read], 1)
 
-    def advance(self, features: Tensor, told: Tensor | None, state: Tensor) -> Tensor:
+    def advance(self, features: Tensor, geometry: Tensor | None, state: Tensor) -> Tensor:
         """One step of both LSTMs."""
         ours, *others = features.chunk(len(self.readers), 1)
         theirs = others[0] if others else ours
         first, second = state.chunk(2, 1)
-        moved = self.direction.advance(ours, told, first), self.magnitude.advance(theirs, told, second)
+        moved = self.direction.advance(ours, geometry, first), self.magnitude.advance(theirs, geometry, second)
         return torch.cat(moved, 1)
 
     def logits(self, state: Tensor) -> Tensor:

@@ -22,19 +22,19 @@ AFFINE_FEATURES = 64
 LOG_SIGMA_SPAN = 3.0
 STATE_REACH = 1.001
 """A GRU's state is a mean of its last state and a tanh, so it cannot leave +-1 by more than rounding."""
-TOLD = 3
-"""Gap width, whether the grasp height is known, grasp height: what the cell says beside the pictures."""
+GEOMETRY_FEATURES = 3
+"""Gap width, whether the grasp height is known, grasp height: what the cell gives beside the pictures."""
 
 
-def geometry_of(told: Tensor) -> Tensor:
-    """Gap width and grasp height [B, 2] in mm, height 0 if unknown -> [B, TOLD] of order one."""
-    gap, height = told[:, :1], told[:, 1:]
+def geometry_features(geometry: Tensor) -> Tensor:
+    """Gap width and grasp height [B, 2] in mm, height 0 if unknown -> [B, GEOMETRY_FEATURES] of order one."""
+    gap, height = geometry[:, :1], geometry[:, 1:]
     known = (height > 0).to(height.dtype)
     return torch.cat([(gap - 56.0) / 10.0, known, known * (height - 60.0) / 30.0], 1)
 
 
 class Trunk(nn.Module):
-    """Normalised field changes of both fingers [B, 2, 3, rows, columns], what the cell told and state -> next state."""
+    """Normalised field changes of both fingers [B, 2, 3, rows, columns], gap and grasp, and state -> next state."""
 
     def __init__(self, settings: NetworkConfig, sensor: Sensor) -> None:
         super().__init__()
@@ -51,7 +51,7 @@ class Trunk(nn.Module):
         self.dropout = nn.Dropout(settings.dropout)
         self.affine = AffineFit(AFFINE_FEATURES, sensor) if settings.affine_fit else None
         features = 2 * settings.feature_size + (AFFINE_FEATURES if settings.affine_fit else 0)
-        self.cell = nn.GRUCell(features + TOLD, settings.state_size)
+        self.cell = nn.GRUCell(features + GEOMETRY_FEATURES, settings.state_size)
 
     def encode(self, fields: Tensor) -> Tensor:
         """Fields [N, 2, 3, rows, columns] -> features [N, F]: of the left finger, the right one, and both together."""
@@ -61,9 +61,9 @@ class Trunk(nn.Module):
         kept: Tensor = self.dropout(features.reshape(count, -1))
         return kept if self.affine is None else torch.cat([kept, self.affine(fields)], 1)
 
-    def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
-        """One step of the recurrent cell; ``told`` as in :func:`geometry_of`."""
-        following: Tensor = self.cell(torch.cat([features, geometry_of(told)], 1), state)
+    def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
+        """One step of the recurrent cell; ``geometry`` as for :func:`geometry_features`."""
+        following: Tensor = self.cell(torch.cat([features, geometry_features(geometry)], 1), state)
         return following
 
 
@@ -111,9 +111,9 @@ class Decider(nn.Module):
         """The network of one role: this one, roles share all but the head."""
         return self
 
-    def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
+    def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
         """One recurrent step."""
-        return self.trunk.advance(features, told, state)
+        return self.trunk.advance(features, geometry, state)
 
     def logits(self, state: Tensor) -> Tensor:
         """Class logits [B, classes]."""
@@ -130,11 +130,11 @@ class Decider(nn.Module):
         """Log density of the position error on the joint grid [B, 41, 40]."""
         return self.density.on_grid(state)
 
-    def read_fields(self, fields: Tensor, told: Tensor) -> Tensor:
+    def read_fields(self, fields: Tensor, geometry: Tensor) -> Tensor:
         """Decision state after normalised field changes [B, T, 2, 3, rows, columns]."""
         count, steps = fields.shape[:2]
         features = self.trunk.encode(fields.flatten(0, 1)).reshape(count, steps, -1)
         state = torch.zeros(count, self.state_size, device=fields.device)
         for step in range(steps):
-            state = self.advance(features[:, step], told, state)
+            state = self.advance(features[:, step], geometry, state)
         return state

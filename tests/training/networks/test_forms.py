@@ -42,10 +42,10 @@ def test_no_gated_cell_of_ours_leaves_its_reach():
     network = build(NetworkConfig(kind="markers", feature_size=16, state_size=16), len(CLASSES), Sensor.load()).eval()
     state = torch.empty(64, 16).uniform_(-1.0, 1.0)
     state[:2] = torch.tensor([[1.0], [-1.0]])
-    told = torch.tensor([[56.0, 30.0]]).expand(64, 2)
+    geometry = torch.tensor([[56.0, 30.0]]).expand(64, 2)
     with torch.no_grad():
         for _ in range(200):
-            state = network.advance(1e3 * torch.randn(64, 32), told, state)
+            state = network.advance(1e3 * torch.randn(64, 32), geometry, state)
             assert state.abs().max() <= STATE_REACH
 
 

@@ -44,9 +44,9 @@ def test_a_marker_that_was_not_seen_moves_nothing():
     then[0, 0, 5, 5] = torch.tensor([90.0, -40.0, 0.0])
     lost = then.clone()
     lost[0, 0, 5, 5, :2] = 0.0
-    told, state = torch.tensor([[56.0, 30.0]]), torch.zeros(1, KIND.state_size)
-    said = [network.advance(network.features(frame, first), told, state) for frame in (then, lost)]
-    assert torch.equal(*said)
+    geometry, state = torch.tensor([[56.0, 30.0]]), torch.zeros(1, KIND.state_size)
+    states = [network.advance(network.features(frame, first), geometry, state) for frame in (then, lost)]
+    assert torch.equal(*states)
 
 
 def test_both_forms_decide_alike():
