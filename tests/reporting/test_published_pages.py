@@ -10,6 +10,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {
     "accuracy": "simulation.studies.accuracy_report:accuracy_page",
     "hard_cases": "tests.hard_cases.__main__:hard_cases_page",
+    "mutants": "tests.mutants.__main__:mutants_page",
     "serving": "tests.benchmarks.serving_report:serving_page",
     "slip_report": "simulation.studies.slip.report:slip_page",
     "soak": "tests.service.soak.report:soak_page",
