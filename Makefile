@@ -66,7 +66,7 @@ lint: $(VENV)/ready ## format, lint, types and import rules; pre-commit runs the
 	$(BIN)/lint-imports
 
 test: lint ## lint, types, import rules and the fast tests
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 test-all: $(VENV)/ready ## the fast tests and the long ones; properties draw new examples each time
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest --timeout=1800

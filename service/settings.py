@@ -1,4 +1,4 @@
-"""What the service is told: command line over environment (``TACTILE_*``) over a TOML file (``--config``)."""
+"""The service's settings: command line over environment (``TACTILE_*``) over a TOML file (``--config``)."""
 
 import argparse
 import ipaddress
@@ -34,7 +34,7 @@ OTHER_VARIABLES = ("TACTILE_INSERTION_", "TACTILE_REAL_DATA", "TACTILE_SCREENSHO
 
 @dataclass(frozen=True, slots=True)
 class Deadlines:
-    """How long each stage of an attempt may take before the session says so."""
+    """How long each stage of an attempt may take."""
 
     reference_s: float = 2.0  # from `arm` to the first pair captured after it
     decision_frames_s: float = 2.0  # from `stopped` to the last frame the networks need
@@ -42,7 +42,7 @@ class Deadlines:
 
 
 class SettingsError(ContractError):
-    """The service was told something it cannot do; the text names the option."""
+    """Settings that cannot be used; the text names the option."""
 
 
 class Settings(BaseSettings):

@@ -16,8 +16,8 @@ from export.onnx.decisions import Decision, decided_class
 from export.onnx.golden import golden_frames
 from export.onnx.model import Arrays, Model, open_model
 from export.onnx.runtime import session
-from export.onnx.to_onnx import PICTURES
 from reporting.machine import commit, cpu_name
+from service.contract import Sensor
 from training.data.labels import class_of
 
 BATCH = 16
@@ -128,4 +128,4 @@ def _loadgen(model: Model, seconds: float, decisions: list[Decision]) -> dict[st
 def _golden_decisions() -> list[Decision]:
     """What calibrates the int8 builds where no collected data is named: the speed is the same."""
     truth = np.zeros(2, np.float32)
-    return [Decision(golden_frames(PICTURES, 8, seed), 56.0, 30.0, truth, "golden") for seed in range(2)]
+    return [Decision(golden_frames(Sensor.load().rectified, 8, seed), 56.0, 30.0, truth, "golden") for seed in range(2)]

@@ -113,7 +113,7 @@ def _empty(model: Model, weights: dict[str, Any]) -> Any:
         )
     except KeyError as error:
         raise PeerAbsentError(f"{model.file.name} has no weights named {error}; torch cannot rebuild it") from error
-    return build(settings, len(model.card.classes))
+    return build(settings, len(model.card.classes), model.card.profile)
 
 
 def _openvino(model: Model, inputs: Arrays) -> Peer:

@@ -31,8 +31,8 @@ class MjpegSource:
     """``multipart/x-mixed-replace`` JPEG parts over HTTP; stamped when the part's header arrives.
 
     A part's ``X-Timestamp`` (seconds) is its capture time instead where it lies within the last second of this
-    machine's monotonic clock: the camera server then runs here and stamps with the same clock. Once it was found to,
-    its stamps are believed however old: a picture that was held up for longer must not pass for a fresh one.
+    machine's monotonic clock: the camera server then runs here and stamps with the same clock. From then on its stamps
+    are trusted at any age, because a delayed picture must not pass for a fresh one.
     """
 
     def __init__(self, url: str) -> None:
@@ -104,7 +104,7 @@ class MjpegSource:
 
 
 def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
-    """The capture stamp a part's header tells, if it can be of this machine's monotonic clock; else its arrival.
+    """The capture stamp in a part's header if it can be of this machine's monotonic clock, else its arrival.
 
     ``same_clock``: earlier stamps of this stream were, so that an old one is old.
     """

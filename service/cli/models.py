@@ -1,4 +1,4 @@
-"""`python -m service models FOLDER`: what the service would load from a folder, and what each network says."""
+"""`python -m service models FOLDER`: what the service would load from a folder, and the card of each network."""
 
 import argparse
 from collections.abc import Sequence

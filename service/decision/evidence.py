@@ -1,4 +1,4 @@
-"""From the frames of one attempt to what the networks know of the position error."""
+"""From the frames of one attempt to the evidence on the position error."""
 
 import time
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Density:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What one attempt says: class probabilities, estimated error (mm, deg) and sigma (mm, deg; None if not given).
+    """The result of one attempt: class probabilities, estimated error (mm, deg) and sigma (mm, deg; None if not given).
 
     Raises Refusal where any of these is not finite: no evidence is made of such numbers.
     """
@@ -120,7 +120,7 @@ class DecisionRun:
         return outputs
 
     def evidence(self) -> Evidence:
-        """What the networks say after the last frame; raise Refusal if too few came or any output is not finite."""
+        """The evidence after the last frame; raise Refusal if too few came or any output is not finite."""
         needed = self._models.card.frames_per_decision
         if self.frames_n < needed:
             raise Refusal("too_few_frames", f"{self.frames_n} frame pairs since motion began, expected {needed}")

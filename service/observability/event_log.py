@@ -1,4 +1,4 @@
-"""The log: one structured line for each thing an operator or a post-mortem asks about, with its insertion's id."""
+"""The log: one structured line for each event that matters to an operator, with the insertion's id."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ log = structlog.get_logger()
 
 
 def log_events(hub: Hub) -> None:
-    """From now on, write what the hub tells. Frames and observations are counted in the metrics, not logged."""
+    """Log the hub's events from now on. Frames and observations are counted in the metrics, not logged."""
     hub.subscribe(_on_event)
 
 
@@ -29,7 +29,7 @@ def _on_event(kind: str, content: Any) -> None:
 
 
 def facts(message: wire.ServiceMessage) -> dict[str, Any]:
-    """The fields of a message that belong into a log line."""
+    """The fields of a message that a log line carries."""
     line: dict[str, Any] = {"insertion": message.insertion_id}
     match message:
         case wire.Slip():

@@ -1,4 +1,4 @@
-"""What is happening now, for everyone who watches: metrics, the dashboard, watching clients."""
+"""Current events for metrics, the dashboard and watching clients."""
 
 import threading
 from collections.abc import Callable
@@ -18,7 +18,7 @@ class Hub:
     """Passes events to listeners and keeps the newest frame and observation of each finger. Thread safe.
 
     Listeners are called in the publishing thread and must return at once (they hand over to their own loop). One that
-    raises is logged and counted: who watches an insertion cannot break it.
+    raises is logged and counted: a listener cannot break an insertion.
     """
 
     def __init__(self) -> None:

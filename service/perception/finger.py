@@ -1,4 +1,4 @@
-"""Perception of one finger as the session uses it: rectify, track, judge slip, notice the onset of motion."""
+"""Perception of one finger as the session uses it: rectification, tracking, slip and the onset of motion."""
 
 import time
 from dataclasses import replace
@@ -14,7 +14,7 @@ from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector, SlipState, untouched
 from service.perception.slip.onset import OnsetDetector
 
-_PRESSED = 2.0  # times what an untouched gel may show; from there on a held object is surely told from none
+_PRESSED = 2.0  # times what an untouched gel may show; from there on an object is certainly held
 
 
 class TactileFinger:
@@ -65,10 +65,10 @@ class TactileFinger:
         return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms)
 
     def _with_contact(self, slip: SlipState, *, empty: bool) -> SlipState:
-        """The state, or "no_contact" where nothing touches the gel; the first one that stops the arm is always told.
+        """The state, or "no_contact" where nothing touches the gel; the first state that stops the arm always passes.
 
-        An object too flat and too lightly held to bulge the gel looks just like none: then only the word changes, and
-        slip is watched from its reference all the same. From one that bulged it a gel back at home is a release.
+        An object too flat and too lightly held to bulge the gel looks like none: then only the word changes, and slip
+        is still measured from its reference. After an object that bulged the gel, a gel at rest is a release.
         """
         first, self._stopped = slip.stop and not self._stopped, slip.stop or self._stopped
         if first or not empty:

@@ -19,8 +19,6 @@ from service.contract.frames import Contract
 from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
 
-RAW = FrameSpec(height_px=320, width_px=427, rectified=False)
-RECTIFIED = FrameSpec(height_px=320, width_px=327)
 SCHEMA_VERSION = 1
 Size = Annotated[list[int], Field(min_length=2, max_length=2)]  # width, height
 _MIN_AREA_SHARE = 0.02  # of the raw frame, seen by the rectified one
@@ -39,8 +37,8 @@ class CameraCalibration:
     """
 
     homography: NDArray[np.float64]
-    raw: FrameSpec = RAW
-    rectified: FrameSpec = RECTIFIED
+    raw: FrameSpec
+    rectified: FrameSpec
 
     def __post_init__(self) -> None:
         matrix = np.asarray(self.homography, np.float64)

@@ -6,14 +6,14 @@
   :func:`service.recordings.recovery.recover` closes such a file at the next start). Channels: ``/left/image`` and
   ``/right/image`` (foxglove.CompressedImage, the camera's own JPEG, or foxglove.RawImage),
   ``/left/markers`` and ``/right/markers`` (tactile_insertion.Markers),
-  ``/messages`` (JSON: ``from`` client or service, ``message``), ``/calls`` (JSON: what the session was told, in order,
-  which is what makes a replay bit for bit), metadata ``insertion`` (id, models, controller, calibration, clock offset).
+  ``/messages`` (JSON: ``from`` client or service, ``message``), ``/calls`` (JSON: the calls of the session in order,
+  which make a replay exact to the bit), metadata ``insertion`` (id, models, controller, calibration, clock offset).
   Log times are wall-clock nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of the metadata.
 - ``attempt_01.npz``, ``attempt_02.npz``, ... for each blocked attempt, read with ``numpy.load``:
 
   ===================  ==========================================================================================
-  ``frames``           uint8 [n, 2, 320, 327, 3] BGR, rectified; the n <= 8 pairs of the decision, left finger first
-  ``reference``        uint8 [2, 320, 327, 3] BGR, rectified; what the networks subtract
+  ``frames``           uint8 [n, 2, H, W, 3] BGR, rectified; the n <= 8 pairs of the decision, left finger first
+  ``reference``        uint8 [2, H, W, 3] BGR, rectified; what the networks subtract
   ``frame_seq``        int64 [n], pair numbers; ``captured_ns`` int64 [n], monotonic
   ``rest_px``          float32 [2, rows, cols, 2] marker positions at rest (u, v) in the rectified image
   ``displacement_px``  float32 [2, rows, cols, 2] marker displacement in the last of the pairs
@@ -127,7 +127,7 @@ class Recorder:
         self.folder.mkdir(parents=True)
         self._offset_ns = time.time_ns() - time.monotonic_ns()
         self._stream = (self.folder / PART).open("wb")
-        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # says to a recovery that the writer lives
+        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # shows a recovery that the writer lives
         self._mcap = _Mcap(self._stream)
         facts = {"insertion_id": self.insertion_id, "started": started.isoformat()}
         self._mcap.metadata(

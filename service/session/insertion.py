@@ -1,4 +1,4 @@
-"""A running insertion: the session with its recorder, its driving client and everyone who watches."""
+"""A running insertion: the session with its recorder, its driving client and its watchers."""
 
 import time
 from collections import deque
@@ -16,18 +16,18 @@ from service.recordings.writer import Recorder
 from service.session.state_machine import InsertionSession, Replies, ignore
 
 Send = Callable[[ServiceMessage], None]
-LET_GO_S = 0.0005  # a thread that goes on computing keeps the interpreter from the one that sends
-HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be written down
+LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
+HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be recorded
 
 
 @dataclass(slots=True)
 class Insertion:
-    """Feeds a session, records what it is sent and what it says, and passes its messages on.
+    """Feeds a session, records its input and output, and passes its messages on.
 
-    Only the perception thread calls its methods. ``send`` is the driving client (None
-    while it is away); ``publish`` takes (kind, content) for watchers and metrics, ``show`` each observation. The client
-    hears first, then those who watch, then it is written down: each of the three wakes a thread that may take this
-    one's core. What comes just before an answer is written down after it, ``HOLD_S`` later at most.
+    Only the perception thread calls its methods. ``send`` is the driving client (None while it is away); ``publish``
+    takes (kind, content) for watchers and metrics, ``show`` each observation. A message goes to the client first,
+    then to watchers, then into the recording: each of the three wakes a thread that may take this one's core. What
+    comes just before an answer is recorded after it, at most ``HOLD_S`` later.
     """
 
     session: InsertionSession
@@ -107,14 +107,14 @@ class Insertion:
         self._settle()
 
     def attempt_decided(self, attempt: Attempt) -> None:
-        """Keep the frames the decision rests on; a decided attempt changes no more, so they are gathered in time."""
+        """Keep the frames of the decision; a decided attempt no longer changes, so they may be gathered later."""
         if attempt.decision is not None:
             self._note(lambda recorder: recorder.attempt(attempt.arm.attempt, attempt.arrays))
 
-    # ---- what can wait until the client has heard -------------------------------------------------------------------
+    # ---- what can wait until the client has its answer --------------------------------------------------------------
 
     def _settle_unless_near(self, now: int, *, paired: bool) -> None:
-        """Settle, but not where the next thing to happen may be the answer; nothing is held back for long."""
+        """Settle, unless the answer may come next; nothing waits for long."""
         attempt = self.session.attempt
         near = attempt is not None and attempt.stage is Stage.STOPPED
         if near and paired and attempt is not None:
@@ -123,7 +123,7 @@ class Insertion:
             self._settle()
 
     def _settle(self) -> None:
-        """Tell those who watch, and write down what waits to be; first let go of what was just sent to the client."""
+        """Publish and record what waits; first give way to the thread that sends to the client."""
         if self._sent and self._later:
             time.sleep(LET_GO_S)
         self._sent, self._settled_ns = False, now_ns()
@@ -135,7 +135,7 @@ class Insertion:
             self._later.append(partial(write, self.recorder))
 
     def _record(self, frame: CameraFrame) -> None:
-        """Record a frame once; a pair may hold one that came before the attempt or was dropped from the queue."""
+        """Record a frame once; a pair may hold one from before the attempt, or one dropped from the queue."""
         finger, seq = frame.frame.finger, frame.frame.seq
         if self.recorder and seq > self.recorded_seq.get(finger, -1):
             self.recorded_seq[finger] = seq
@@ -148,7 +148,7 @@ class Insertion:
         for reply in () if self.closing else sent:
             self._note(partial(_record_sent, reply=reply, now=now))
 
-    # ---- what is said -----------------------------------------------------------------------------------------------
+    # ---- messages ---------------------------------------------------------------------------------------------------
 
     def _emit(self, replies: Replies, now: int) -> None:
         for answer in replies:
@@ -162,7 +162,7 @@ class Insertion:
                 self._write(self._send_all([answer]), now)
 
     def _send_all(self, replies: Replies) -> Replies:
-        """Send replies to the client, later to those who watch; returns what there is to write down, as it was sent."""
+        """Send replies to the client and queue them for watchers; returns what to record, as it was sent."""
         sent: Replies = []
         for answer in replies:
             reply = with_current_age(answer)
@@ -174,7 +174,7 @@ class Insertion:
         return sent
 
     def _show(self) -> None:
-        """Pass on what was observed; shown to those who watch, and recorded."""
+        """Pass observations on to watchers and the recording."""
         for observation in self._observed:
             self.show(observation)
             self._note(partial(_note_observation, observation=observation))

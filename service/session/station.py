@@ -137,7 +137,7 @@ class Station:
             if call is None:
                 return
             self._try(call)
-            self._try(self._tick_if_due)  # who talks all the time must not keep deadlines from being looked at
+            self._try(self._tick_if_due)  # a client that sends all the time must not keep deadlines from being checked
 
     def _try(self, call: Callable[[], None]) -> None:
         try:
@@ -146,7 +146,7 @@ class Station:
             self._failed(f"{type(error).__name__}: {error}")
 
     def _failed(self, detail: str) -> None:
-        """A call raised: the client must hold, and this thread must live on."""
+        """A call raised: the client must hold, and this thread must go on."""
         self.counters.perception_errors_n += 1
         with contextlib.suppress(Exception):
             self.hub.publish("error", detail)
@@ -191,8 +191,8 @@ class Station:
     def _is_outdated(self) -> bool:
         """Whether the oldest waiting frame is older than a frame period while slip is watched and a newer one waits.
 
-        So the age of what slip is judged on stays within a frame and a step, however slow this machine is. While the
-        arm stands still nothing is urgent, and every frame is worth having for the decision.
+        So slip is detected on frames no older than a frame period and a step, however slow this machine is. While the
+        arm stands still nothing is urgent, and every frame helps the decision.
         """
         if len(self._frames) <= len(FINGERS) or not (self.active and self.active.session.watches_slip):
             return False

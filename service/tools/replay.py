@@ -24,12 +24,12 @@ VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 
 
 class ReplayError(ValueError):
-    """A clip that cannot be replayed; the text says what was found and what was expected."""
+    """A clip that cannot be replayed; the text gives what is there and what was expected."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """What the command line says; ``crop`` is left, top, width, height in pixels."""
+    """The options of the command line; ``crop`` is left, top, width, height in pixels."""
 
     path: Path
     plot: bool = False
@@ -42,7 +42,7 @@ class ReplayOptions:
 
 
 def clips_of(path: Path) -> list[Path]:
-    """The clips that a path stands for."""
+    """The clips of a path."""
     if not path.exists():
         raise ReplayError(f"no recording at {path}: expected a video, a folder of frames or a folder of videos")
     if path.is_file():

@@ -163,7 +163,8 @@ def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | Non
         return None
     with np.load(attempts[-1], allow_pickle=False) as data:
         answer = json.loads(str(data["decision"]))
-        frames, motion, valid = data["frames"], data["displacement_px"], data["valid"]
+        frames, valid = data["frames"], data["valid"]
+        motion = data["rest_px"], data["displacement_px"]
     number = int(attempts[-1].stem.split("_")[1])
     decision: attempt_picture.Decision = {
         "title": f"{result.object_name}: attempt {number} of {result.attempts}, simulated",

@@ -35,7 +35,8 @@ def poke_ms(scene: Scene) -> float:
 def frame_ms(scene: Scene) -> float:
     """Best CPU time of drawing one raw frame of a gel in motion, ms."""
     eye, best = Renderer(Appearance.draw(scene, "left", 0)), float("inf")
-    gel = np.full((20, 21, 3), 0.04, np.float32) * np.linspace(0.5, 1.0, 21, dtype=np.float32)[:, None]
+    rows, columns = scene.sensor.marker_rows, scene.sensor.marker_columns
+    gel = np.full((rows, columns, 3), 0.04, np.float32) * np.linspace(0.5, 1.0, columns, dtype=np.float32)[:, None]
     for seed in range(2 * REPEATS):
         start = time.process_time()
         eye.raw(gel, seed, 0.5 * gel)

@@ -136,11 +136,11 @@ class LockstepCell:
 
         Raises PhysicsError when the cell is lost for good.
         """
-        self.now_ns += round(1e9 / self.scene.camera.fps)
+        self.now_ns += round(1e9 / self.scene.fps)
         self.previous = self.state
         if self.moving:
             x, y, z, yaw = self.pose
-            target = max(self.bottom_z_mm, z - self.scene.speed_mm_s / self.scene.camera.fps)
+            target = max(self.bottom_z_mm, z - self.scene.speed_mm_s / self.scene.fps)
             if self._go(x, y, target, yaw):
                 self.moving = target > self.bottom_z_mm
         self.frame += 1

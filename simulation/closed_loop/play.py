@@ -41,7 +41,6 @@ from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
-from service.perception.rectification import CameraCalibration
 from service.session.state_machine import InsertionSession
 from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View
 from simulation.closed_loop.job import Job, Outcome, Perception
@@ -225,8 +224,7 @@ class Insertion:
 def _finger(models: ModelSet, cell: LockstepCell, index: int, perception: Perception) -> FingerWatch:
     if perception == "fields":
         return TrueFieldFinger(cell, FINGERS[index])
-    calibration = CameraCalibration(cell.renderers[index].homography)
-    return TactileFinger(FINGERS[index], models.card.frame, calibration)
+    return TactileFinger(FINGERS[index], models.card.frame, cell.renderers[index].calibration)
 
 
 def _empty_correction(refused: NoDecision) -> Correction:

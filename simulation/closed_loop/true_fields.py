@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from service.contract import FINGERS, Finger, TactileFrame
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation
-from service.perception.rectification import CameraCalibration, Rectifier
+from service.perception.rectification import Rectifier
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.onset import OnsetDetector
 from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
@@ -35,7 +35,7 @@ class LatePicture:
         self._pixels: Image | None = None
 
     def __array__(self, dtype: Any = None, *, copy: bool | None = None) -> Image:
-        """Uint8 [320, 327, 3]."""
+        """Uint8 [H, W, 3]."""
         if self._pixels is None:
             self._pixels = self._rectifier.apply(self._draw())
         return self._pixels
@@ -48,7 +48,7 @@ class TrueFieldFinger:
         self._cell = cell
         self._finger = finger
         self._index = FINGERS.index(finger)
-        self._rectifier = Rectifier(CameraCalibration(cell.renderers[self._index].homography))
+        self._rectifier = Rectifier(cell.renderers[self._index].calibration)
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
         self._rearm = False
@@ -62,7 +62,7 @@ class TrueFieldFinger:
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive the moment that the frame was taken at."""
         cell = self._cell
-        field = field_from_gel(self._exposed(), frame.captured_ns, marker_pitch_mm=cell.scene.marker_pitch_mm)
+        field = field_from_gel(self._exposed(), frame.captured_ns, cell.scene.sensor)
         rng = np.random.default_rng(hash_seed(cell.seed, cell.frame, self._index, 7))
         error = rng.normal(0.0, self._error_px, field.displacement_px.shape).astype(np.float32)
         field = dataclasses.replace(field, displacement_px=field.displacement_px + error, contact=None)

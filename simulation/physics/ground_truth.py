@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.scene.scene import Blocks
+from simulation.scene.parts import Blocks
 
 Array = NDArray[np.float64]
 

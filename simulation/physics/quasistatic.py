@@ -46,9 +46,8 @@ class QuasiStaticCell:
         self.foot = np.ascontiguousarray(scene.object.footprint_mm)
         self.readout = Readout(scene, coupled=self.active.gel_coupling)
         self.constants = scene_constants(scene, self.active)
-        pitch, camera = scene.marker_pitch_mm, scene.camera
-        height, width = camera.marker_rows * pitch, camera.marker_columns * pitch
-        self.nodes = bristles.make_nodes(scene.gel.node_rows, scene.gel.node_columns, height, width, scene.gel.crown_mm)
+        gel, size_mm = scene.gel, (scene.sensor.gel_height_mm, scene.sensor.gel_width_mm)
+        self.nodes = bristles.make_nodes(gel.node_rows, gel.node_columns, *size_mm, gel.crown_mm)
         self.layer = layer_pads.pads_of(scene, self.nodes, self.constants)
         self.coasting = coasting_of(scene) if self.active.inertia else None
         vertices = len(self.foot)

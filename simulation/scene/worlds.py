@@ -19,7 +19,8 @@ from pydantic import Field, ValidationError
 from service.contract import ContractError
 from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
-from simulation.scene.scene import Blocks, Camera, Gel, Grasp, HeldObject, Part, Scene, SceneError, parsed, put
+from simulation.scene.parts import Blocks, Camera, Gel, Grasp, HeldObject, Part
+from simulation.scene.scene import Scene, SceneError, parsed, put
 
 OBJECTS = Path(__file__).parents[1] / "objects"
 GAP_BEYOND_OBJECT_MM = 4.0

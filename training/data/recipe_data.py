@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 from torch import Tensor
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from training.config import JITTER, RecipeConfig
 from training.data.dataset import SPLITS, Source
 from training.data.labels import CLASSES, class_of
@@ -32,6 +32,7 @@ class Rows:
     objects: NDArray[np.str_]
     groups: NDArray[np.str_]
     convolved: NDArray[np.float16]
+    sensor: Sensor
 
     def of(self, split: str) -> NDArray[np.int64]:
         """Rows of one split; doubled ones exist in training only."""
@@ -45,7 +46,7 @@ def chosen_trials(table: dict[str, NDArray[Any]], split: str, count: int) -> NDA
 
 
 def decision_frames(source: Source, table: dict[str, NDArray[Any]], trial: int) -> Tensor:
-    """The decision's frames of one trial, uint8 [8, 2, 320, 327, 3]."""
+    """The decision's frames of one trial, uint8 [8, 2, H, W, 3]."""
     start = int(table["start"][trial]) + JITTER
     return torch.from_numpy(source.frames(int(table["index"][trial]), start, FRAMES_PER_DECISION))
 
@@ -66,6 +67,7 @@ def load_rows(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any
         table["objects"][every],
         table["groups"][every],
         _convolved(config, source, table, network, every, crop),
+        source.manifest.sensor,
     )
 
 

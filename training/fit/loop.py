@@ -187,5 +187,5 @@ def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lamb
         raise ContractError(f"{path} holds another architecture, expected this run's") from error
     optimiser.load_state_dict(stored["optimiser"])  # brings its learning rate along
     schedule.last_epoch = stored["schedule"]["last_epoch"]
-    said = {name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state")}
-    return _Progressed(**said, minutes=stored.get("minutes", 0.0))
+    at = {name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state")}
+    return _Progressed(**at, minutes=stored.get("minutes", 0.0))

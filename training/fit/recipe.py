@@ -6,7 +6,7 @@ LSTM are then trained with Adam. Classes 7 and 8 are doubled with random crops, 
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,6 @@ from training.metrics.figures import Predictions, by_split
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
 
-FIELD_SIZE = 3 * 20 * 21
 NETWORK = NetworkConfig(kind="alexnet_lstm")
 
 
@@ -51,10 +50,8 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
         else:
             _pretrain(config, source, table, pair, log)
         rows = load_rows(config, source, table, pair.direction)
-        for role, network in (("direction", pair.direction), ("magnitude", pair.magnitude)):
-            for parameter in network.alexnet.features.parameters():
-                parameter.requires_grad = False
-            print(role, fit(network, _head_stage(config, network, role, rows), folder, config.seed, log))
+        _fit_heads(config, "direction", pair.direction, rows, log)
+        _fit_heads(config, "magnitude", pair.magnitude, rows, log)
     finally:
         log.close()
     return finish(config, pair, rows, digest)
@@ -66,10 +63,10 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
 class _FieldReader(nn.Module):
     """Convolutions with a linear read-out of the marker field: what they are pretrained with."""
 
-    def __init__(self, network: AlexNetLstm) -> None:
+    def __init__(self, network: AlexNetLstm, size: int) -> None:
         super().__init__()
         self.features = network.alexnet.features
-        self.read_out = nn.Linear(FEATURES, FIELD_SIZE)
+        self.read_out = nn.Linear(FEATURES, size)
 
     def forward(self, images: Tensor) -> Tensor:
         field: Tensor = self.read_out(self.features(images).flatten(1))
@@ -80,7 +77,7 @@ def _pretrain(
     config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair, log: Log
 ) -> None:
     """Difference frame -> change of the marker field, on training trials; both networks then start from the result."""
-    reader = _FieldReader(pair.direction)
+    reader = _FieldReader(pair.direction, int(np.prod(table["fields"].shape[3:])))
     chosen = chosen_trials(table, "train", config.pretraining_trials)
     held = chosen_trials(table, "validation", max(8, config.pretraining_trials // 10))
     fields = table["fields"][chosen].astype(np.float32)
@@ -120,8 +117,15 @@ def _field_examples(source: Source, table: dict[str, NDArray[Any]], trial: int, 
 # ---- heads ---------------------------------------------------------------------------------------------------------
 
 
-def _head_stage(config: RecipeConfig, network: AlexNetLstm, role: str, rows: Rows) -> Stage:
-    settings: StageConfig = getattr(config, role)
+def head_stage(
+    role: str,
+    settings: StageConfig,
+    network: AlexNetLstm,
+    rows: Rows,
+    read: Callable[[NDArray[np.int64]], Tensor],
+    parameters: list[nn.Parameter],
+) -> Stage:
+    """Train ``parameters`` on the final states [B, 340] that ``read`` gives of rows: on classes, or on errors."""
     train, held = rows.of("train"), rows.of("validation")
     labels = torch.from_numpy(class_of(rows.error))
     errors = torch.from_numpy(rows.error)
@@ -132,7 +136,7 @@ def _head_stage(config: RecipeConfig, network: AlexNetLstm, role: str, rows: Row
             yield order[start : start + settings.batch]
 
     def loss(chosen: NDArray[np.int64]) -> Tensor:
-        state = network.read(_batch(rows, chosen))
+        state = read(chosen)
         if role == "direction":
             return functional.cross_entropy(network.logits(state), labels[chosen])
         return (network.error(state)[0] - errors[chosen]).square().mean()
@@ -141,8 +145,21 @@ def _head_stage(config: RecipeConfig, network: AlexNetLstm, role: str, rows: Row
         losses = [float(loss(part)) * len(part) for part in np.array_split(held, -(-len(held) // 32))]
         return {"score": sum(losses) / len(held)}
 
-    parameters = [*network.alexnet.classifier.parameters(), *network.lstm.parameters(), *network.output.parameters()]
     return Stage(role, settings, parameters, batches, -(-len(train) // settings.batch), loss, validate)
+
+
+def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows, log: Log) -> None:
+    """All layers after the frozen convolutions."""
+    for parameter in network.alexnet.features.parameters():
+        parameter.requires_grad = False
+    parts = (network.alexnet.classifier, network.lstm, network.output)
+    parameters = [parameter for part in parts for parameter in part.parameters()]
+
+    def read(chosen: NDArray[np.int64]) -> Tensor:
+        return network.read(_batch(rows, chosen))
+
+    stage = head_stage(role, getattr(config, role), network, rows, read, parameters)
+    print(role, fit(network, stage, config.folder, config.seed, log))
 
 
 def _batch(rows: Rows, chosen: NDArray[np.int64]) -> Tensor:
@@ -175,6 +192,7 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         training_data_sha256=digest,
         git_commit=commit(),
         run=config.settings(),
+        sensor=rows.sensor,
     )
     checkpoint.save(config.folder / "checkpoint.pt")
     (config.folder / "figures.json").write_text(json.dumps(tables, indent=1))

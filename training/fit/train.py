@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from reporting.machine import commit
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from training.config import RunConfig, pin, refuse_another
 from training.data.batches import Batch, decisions, epoch, frame_pairs
 from training.data.dataset import SPLITS, Source, Trials, load_trials
@@ -51,7 +51,7 @@ class Trainer:
     def decision_loss(self, fields: Tensor, batch: Batch) -> Tensor:
         """Cross entropy of the class, and negative log likelihood of the error under one Gaussian and the mixture."""
         network, weight = self.network, self.config.loss
-        state = network.read_fields(fields, batch.told)
+        state = network.read_fields(fields, batch.geometry)
         direction = functional.cross_entropy(network.logits(state), batch.label, self.class_weights)
         error, log_sigma = network.error(state)
         z = (error - batch.error) * torch.exp(-log_sigma)
@@ -88,7 +88,7 @@ class Trainer:
             for start in range(0, len(chosen), EVALUATION_BATCH):
                 batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
                 fields = self.normalised(batch) if batch.drawn is None else self.network.read_drawn(batch.drawn)
-                states.append(self.network.read_fields(fields, batch.told))
+                states.append(self.network.read_fields(fields, batch.geometry))
         return torch.cat(states)
 
     def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
@@ -146,7 +146,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
         with parallel.first_goes_first():
             refuse_another(folder, config)
             trials = load_trials(config.data, source, reads(config.network.kind))
-            grounds = trials.sha256 + (_start(config).weights_sha256() if config.start_from else "")
+            grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
             pin(folder, config, grounds)  # not before: a mistyped data folder must not claim the run's
         trainer = _prepare(config, trials)
         _run_stages(trainer, folder)
@@ -169,9 +169,9 @@ def _prepare(config: RunConfig, trials: Trials) -> Trainer:
     for split in ("train", "validation"):
         if not len(trials.of(split)):
             raise ContractError(f"the dataset has no collisions in its {split} split")
-    network: Decider = build(config.network, len(CLASSES))
+    network: Decider = build(config.network, len(CLASSES), trials.sensor)
     if config.start_from is not None:
-        network.load_state_dict(_start(config).build(config.network).state_dict())
+        network.load_state_dict(_start(config, trials.sensor).build(config.network).state_dict())
     else:
         _set_scales(network, trials)
     counts = np.bincount(class_of(trials.error[trials.of("train")]), minlength=len(CLASSES)).clip(1)
@@ -180,8 +180,11 @@ def _prepare(config: RunConfig, trials: Trials) -> Trainer:
     return Trainer(config, trials, network, torch.tensor(weights, dtype=torch.float32), torch.full((2, 3), 0.1))
 
 
-def _start(config: RunConfig) -> Checkpoint:
-    return Checkpoint.load(Path(config.start_from or ""))
+def _start(config: RunConfig, sensor: Sensor) -> Checkpoint:
+    start = Checkpoint.load(Path(config.start_from or ""))
+    if start.sensor != sensor:
+        raise ContractError(f"start_from {config.start_from} is for sensor {start.sensor}, the data are of {sensor}")
+    return start
 
 
 def _set_scales(network: Decider, trials: Trials) -> None:
@@ -250,6 +253,7 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
         training_data_sha256=trainer.trials.sha256,
         git_commit=commit(),
         run=trainer.config.settings(),
+        sensor=trainer.trials.sensor,
     )
     if parallel.first():
         checkpoint.save(folder / "checkpoint.pt")

@@ -2,7 +2,7 @@
 
 from typing import Any, Literal
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from training.networks.alexnet import AlexNetPair
 from training.networks.compact import CompactNetwork
 from training.networks.decider import Decider
@@ -28,6 +28,6 @@ def reads(kind: str) -> Literal["pictures", "markers"]:
     return "markers" if network_class(kind).reads_markers else "pictures"
 
 
-def build(settings: NetworkConfig, classes: int) -> Any:
+def build(settings: NetworkConfig, classes: int, sensor: Sensor) -> Any:
     """A fresh network of the configured kind: a Decider, or the paper's pair; ContractError on an unknown kind."""
-    return network_class(settings.kind)(settings, classes)
+    return network_class(settings.kind)(settings, classes, sensor)

@@ -64,7 +64,7 @@ def router(station: Station, access: Access) -> APIRouter:
 
 
 async def newest_frames(station: Station, finger: Finger, max_hz: float) -> AsyncIterator[CameraFrame]:
-    """Each time the reader is ready and ``max_hz`` allows it, the newest frame it has not seen; others are skipped."""
+    """The newest frame that the reader lacks, each time it is ready and ``max_hz`` allows; others are skipped."""
     loop = asyncio.get_running_loop()
     arrived = asyncio.Event()
 

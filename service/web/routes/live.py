@@ -23,9 +23,9 @@ from service.web.closing import Ending, close, until_gone, until_one_ends
 FOLDER = Path(__file__).parent.parent / "dashboard"
 PERIOD_S = 0.15
 HEALTH_S = 1.0
-FRESH_NS = 2_000_000_000  # what was felt last stays so long, then the camera's own view is shown
+FRESH_NS = 2_000_000_000  # the last observation is shown so long, then the camera's own picture
 MAX_WAITING = 64
-_display = ThreadPoolExecutor(1, "display")  # drawing for people never delays deciding for the robot
+_display = ThreadPoolExecutor(1, "display")  # drawing never delays a decision
 
 
 def static_files() -> StaticFiles:

@@ -7,7 +7,7 @@ from service.contract import FrameSpec, TactileFrame, wire
 from service.decision.models import load_models
 from service.perception.finger import TactileFinger
 from service.perception.observation import Observation
-from service.perception.rectification import Calibration, CameraCalibration
+from service.perception.rectification import Calibration
 from service.session.factory import make_session
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -25,7 +25,7 @@ def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_whil
     held = cell.look().gel[0].astype(np.float32)
     clip = [FREE] * 4 + [held * np.float32(share) for share in (0.3, 0.6)] + [held] * 6 + [FREE] * 4
     renderer = Renderer(Appearance.draw(scene, "left", 5))
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), CameraCalibration(renderer.homography))
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
     seen: list[Observation] = []
     for k, gel in enumerate(clip):
         if k == 8:
@@ -43,7 +43,7 @@ def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_whil
 def test_an_attempt_with_nothing_in_hand_says_so_and_is_not_decided(tmp_path) -> None:
     models = load_models(tiny_models.write_models(tmp_path / "m"))
     renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
-    calibration = Calibration(*(CameraCalibration(renderers[finger].homography) for finger in ("left", "right")))
+    calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
     session, states = make_session(models, calibration), set()
     session.on_observation = lambda observation: states.add(observation.slip.state)
     session.handle(wire.ClientHello(insertion_id="empty", client="test"), 0)

@@ -13,7 +13,7 @@ def test_true_fields_of_a_moving_gel_lie_where_the_tracker_finds_them() -> None:
     finger, tracker = TrueFieldFinger(cell, "left"), MarkerTracker()
     rest = finger.observe(cell.next_pair().left)
     first = tracker.update(np.asarray(rest.image), 0)
-    px_per_mm, gel_at_rest = first.pitch_px / cell.scene.marker_pitch_mm, cell.state.gel[0]
+    px_per_mm, gel_at_rest = first.pitch_px / cell.scene.sensor.marker_pitch_mm, cell.state.gel[0]
     cell.descend(-25.0)
     off_px, late_px = [], []
     for step in range(24):

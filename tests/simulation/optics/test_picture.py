@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from service.contract import Sensor
 from simulation.data import view
 from simulation.data.dataset import DatasetError, DatasetWriter
 from simulation.optics import attempt_picture
@@ -27,8 +28,9 @@ DECISION: attempt_picture.Decision = {
 @pytest.mark.parametrize("count", [1, 8, 12])
 def test_a_picture_is_drawn_from_what_is_there(tmp_path: Path, decision: Decision | None, count: int) -> None:
     frames = np.full((count, 2, 320, 327, 3), 90, np.uint8)
-    motion = np.full((2, 20, 21, 2), 2.0)
-    motion[0, 3, 3] = np.nan
+    moved = np.full((2, 20, 21, 2), 2.0)
+    moved[0, 3, 3] = np.nan
+    motion = np.broadcast_to(Sensor.load().marker_rest_px(), moved.shape), moved
     path = attempt_picture.save(tmp_path / "new" / "attempt.png", frames, decision, motion, np.ones((2, 20, 21), bool))
     assert cv2.imread(str(path)).shape == (840, 1500, 3)
 

@@ -8,7 +8,7 @@ import pytest
 from export.onnx.model import open_model
 from export.onnx.to_onnx import export_checkpoint
 from export.onnx.verify import verify
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from training import networks
 from training.config import RecipeConfig, RunConfig
 from training.fit.train import train
@@ -19,6 +19,7 @@ TOY = '''
 import torch
 from torch import Tensor, nn
 
+from service.contract import Sensor
 from training.networks.decider import Decider
 from training.networks.settings import NetworkConfig
 
@@ -41,8 +42,8 @@ class MeanMotion(nn.Module):
 class MeanMotionNetwork(Decider):
     reads_markers = True
 
-    def __init__(self, settings: NetworkConfig, classes: int) -> None:
-        super().__init__(settings, classes)
+    def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
+        super().__init__(settings, classes, sensor)
         self.trunk = MeanMotion(settings)
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
@@ -120,4 +121,4 @@ def test_an_unknown_key_of_a_recipe_is_refused_with_the_nearest(tmp_path):
 
 def test_a_checkpoint_of_an_unknown_kind_is_refused_by_name(config):
     with pytest.raises(ContractError, match="'other' is unknown"):
-        networks.build(config.network.model_copy(update={"kind": "other"}), 9)
+        networks.build(config.network.model_copy(update={"kind": "other"}), 9, Sensor.load())
