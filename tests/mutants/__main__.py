@@ -49,7 +49,14 @@ def failure(copy: Path, tests: list[str], timeout_s: float) -> str:
     command = [sys.executable, "-m", "pytest", "-x", "-n", "0", "-m", "not slow", "-p", "no:cacheprovider", *tests]
     try:
         done = subprocess.run(
-            command, cwd=copy, env=os.environ | QUIET, capture_output=True, check=False, timeout=timeout_s, text=True
+            command,
+            cwd=copy,
+            env=os.environ | QUIET,
+            capture_output=True,
+            check=False,
+            timeout=timeout_s,
+            text=True,
+            start_new_session=True,  # a mutant may stop or kill its process group
         )
     except subprocess.TimeoutExpired:
         return "timeout"
