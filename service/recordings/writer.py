@@ -67,26 +67,20 @@ class _Mcap:
         self._channels: dict[str, int] = {}
 
     def protobuf(self, topic: str, kind: Any, values: Mapping[str, Any], log_ns: int, seq: int) -> None:
-        name = kind.DESCRIPTOR.full_name
-        channel = self._channel(topic, "protobuf", name, "protobuf", lambda: descriptor_set(kind))
-        self._write(channel, log_ns, encode(kind, values, log_ns), seq)
+        key = f"{topic} {kind.DESCRIPTOR.full_name}"
+        if key not in self._channels:
+            schema = self._writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", descriptor_set(kind))
+            self._channels[key] = self._writer.register_channel(topic, "protobuf", schema)
+        self._writer.add_message(self._channels[key], log_ns, encode(kind, values, log_ns), log_ns, seq)
 
     def json(self, topic: str, value: Mapping[str, Any], log_ns: int) -> None:
-        channel = self._channel(topic, "json", f"tactile_insertion{topic}", "jsonschema", lambda: b'{"type":"object"}')
-        self._write(channel, log_ns, json.dumps(value).encode(), 0)
+        if topic not in self._channels:
+            schema = self._writer.register_schema(f"tactile_insertion{topic}", "jsonschema", b'{"type":"object"}')
+            self._channels[topic] = self._writer.register_channel(topic, "json", schema)
+        self._writer.add_message(self._channels[topic], log_ns, json.dumps(value).encode(), log_ns, 0)
 
     def metadata(self, name: str, value: Mapping[str, str]) -> None:
         self._writer.add_metadata(name, dict(value))
-
-    def _channel(self, topic: str, encoding: str, name: str, kind: str, schema: Callable[[], bytes]) -> int:
-        key = f"{topic} {name}"
-        if key not in self._channels:
-            schema_id = self._writer.register_schema(name, kind, schema())
-            self._channels[key] = self._writer.register_channel(topic, encoding, schema_id)
-        return self._channels[key]
-
-    def _write(self, channel: int, log_ns: int, data: bytes, seq: int) -> None:
-        self._writer.add_message(channel, log_ns, data, log_ns, seq)
 
     def flush(self) -> None:
         self._writer.flush()
@@ -111,7 +105,7 @@ class Recorder:
     largest_bytes: int = MAX_INSERTION_BYTES
     left_out_n: int = 0
     folder: Path = field(init=False)
-    _queue: queue.SimpleQueue[Callable[[], None] | None] = field(init=False, default_factory=queue.SimpleQueue)
+    _queue: queue.SimpleQueue[Callable[[], object] | None] = field(init=False, default_factory=queue.SimpleQueue)
     _thread: threading.Thread = field(init=False)
     _mcap: _Mcap = field(init=False)
     _stream: IO[bytes] = field(init=False)
@@ -193,7 +187,7 @@ class Recorder:
             try:
                 work = self._queue.get(timeout=FLUSH_S)
             except queue.Empty:
-                work = _nothing
+                work = tuple  # nothing to write; the flush follows
             if work is None:
                 break
             try:
@@ -251,10 +245,6 @@ def markers_message(observation: Observation) -> dict[str, Any]:
         "state": observation.slip.state,
         "slip_score": float(observation.slip.score),
     }
-
-
-def _nothing() -> None:
-    """Time passed; the flush follows."""
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

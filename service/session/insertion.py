@@ -55,7 +55,7 @@ class Insertion:
     def message(self, message: Any) -> None:
         now = self.received_ns = now_ns()
         if message.type != "heartbeat":
-            self._note(lambda recorder: _record_received(recorder, message, now))
+            self._note(_record_received, message, now)
         self._emit(self.session.handle(message, now), now)
         self._settle()
 
@@ -109,7 +109,7 @@ class Insertion:
     def attempt_decided(self, attempt: Attempt) -> None:
         """Keep the frames of the decision; a decided attempt no longer changes, so they may be gathered later."""
         if attempt.decision is not None:
-            self._note(lambda recorder: recorder.attempt(attempt.arm.attempt, attempt.arrays))
+            self._note(Recorder.attempt, attempt.arm.attempt, attempt.arrays)
 
     # ---- what can wait until the client has its answer --------------------------------------------------------------
 
@@ -130,23 +130,24 @@ class Insertion:
         while self._later:
             self._later.popleft()()
 
-    def _note(self, write: Callable[[Recorder], None]) -> None:
+    def _note(self, write: Callable[..., None], *content: Any) -> None:
+        """Record later: ``write`` is called with the recorder and ``content``."""
         if self.recorder:
-            self._later.append(partial(write, self.recorder))
+            self._later.append(partial(write, self.recorder, *content))
 
     def _record(self, frame: CameraFrame) -> None:
         """Record a frame once; a pair may hold one from before the attempt, or one dropped from the queue."""
         finger, seq = frame.frame.finger, frame.frame.seq
         if self.recorder and seq > self.recorded_seq.get(finger, -1):
             self.recorded_seq[finger] = seq
-            self._note(lambda recorder: recorder.frame(frame))
+            self._note(Recorder.frame, frame)
 
     def _call(self, value: dict[str, Any], now: int) -> None:
-        self._note(lambda recorder: recorder.call(value, now))
+        self._note(Recorder.call, value, now)
 
     def _write(self, sent: Replies, now: int) -> None:
         for reply in () if self.closing else sent:
-            self._note(partial(_record_sent, reply=reply, now=now))
+            self._note(_record_sent, reply, now)
 
     # ---- messages ---------------------------------------------------------------------------------------------------
 
@@ -166,7 +167,8 @@ class Insertion:
         sent: Replies = []
         for answer in replies:
             reply = with_current_age(answer)
-            self._deliver(reply)
+            if self.send is not None:
+                self.send(reply)
             if not isinstance(reply, wire.ServiceHeartbeat):
                 self._sent = True
                 self._later.append(partial(self.publish, "message", reply))
@@ -177,12 +179,8 @@ class Insertion:
         """Pass observations on to watchers and the recording."""
         for observation in self._observed:
             self.show(observation)
-            self._note(partial(_note_observation, observation=observation))
+            self._note(Recorder.observation, observation)
         self._observed.clear()
-
-    def _deliver(self, reply: ServiceMessage) -> None:
-        if self.send is not None:
-            self.send(reply)
 
 
 def _record_received(recorder: Recorder, message: Any, now: int) -> None:
@@ -193,10 +191,6 @@ def _record_received(recorder: Recorder, message: Any, now: int) -> None:
 
 def _record_sent(recorder: Recorder, reply: ServiceMessage, now: int) -> None:
     recorder.message("service", reply.model_dump(mode="json"), now)
-
-
-def _note_observation(recorder: Recorder, observation: Observation) -> None:
-    recorder.observation(observation)
 
 
 def with_current_age(message: ServiceMessage) -> ServiceMessage:
