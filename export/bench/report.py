@@ -18,25 +18,15 @@ EQUAL = 1.05
 Row = dict[str, Any]
 
 
-def line(row: Row) -> str:
-    """One model on one line of the terminal."""
-    single, fresh = row["single"], row["fresh"]
-    return (
-        f"{row['file']}: p50 {single['p50_ms']:.2f} p99 {single['p99_ms']:.2f} p99.9 {single['p999_ms']:.2f} ms,"
-        f" CPU p50 {single['cpu_p50_ms']:.2f} p99 {single['cpu_p99_ms']:.2f} ms,"
-        f" first {fresh['first_ms']:.1f} ms, peak {fresh['peak_mb']:.0f} MB"
-    )
-
-
 def noisy(row: Row) -> bool:
     """Whether a row's wall times say more of the neighbours than of the model."""
     return bool(row["noise"]["wall_spread"] > NOISY_SPREAD or row["single"]["crowding"] > NOISY)
 
 
-def write(report: Row, docs: Path) -> None:
-    """Write benchmark.md, .json and .png."""
-    publish(docs, NAME, benchmark_page(report), report)
+def write(report: Row, docs: Path) -> str:
+    """Write benchmark.md, .json and .png; returns the page."""
     draw(report, docs / f"{NAME}.png")
+    return publish(docs, NAME, benchmark_page(report), report)
 
 
 def benchmark_page(report: Row) -> str:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reporting.files import write_durably
+from reporting.files import write_durably, write_json
 from service.contract import Sensor
 from simulation.data.dataset import Dataset
 from simulation.data.trial import FRAMES, Trial
@@ -36,18 +36,18 @@ def features(sensor: Sensor) -> dict[str, dict[str, Any]]:
         "action": ["descend_mm"],
         "error": ["x_mm", "theta_deg"],
     }
-    found: dict[str, dict[str, Any]] = dict.fromkeys(CAMERAS, image)
+    listed: dict[str, dict[str, Any]] = dict.fromkeys(CAMERAS, image)
     for name, names in vectors.items():
-        found[name] = {"dtype": "float32", "shape": [len(names)], "names": names}
-    found["observation.gel"] = {
+        listed[name] = {"dtype": "float32", "shape": [len(names)], "names": names}
+    listed["observation.gel"] = {
         "dtype": "float32",
         "shape": [2 * sensor.marker_rows * sensor.marker_columns * 3],
         "names": None,
     }
-    found["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
+    listed["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
-        found[name] = {"dtype": "int64", "shape": [1], "names": None}
-    return found
+        listed[name] = {"dtype": "int64", "shape": [1], "names": None}
+    return listed
 
 
 def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[int], None] = lambda _: None) -> None:
@@ -168,8 +168,8 @@ def _write_meta(
         "video_path": None,
         "features": features(sensor),
     }
-    write_durably(out / "meta/stats.json", json.dumps(stats.result(), indent=1).encode())
-    write_durably(out / "meta/info.json", json.dumps(info, indent=1).encode())  # last: a folder with it is whole
+    write_json(out / "meta/stats.json", stats.result())
+    write_json(out / "meta/info.json", info)  # last: a folder with it is whole
 
 
 class _Stats:
@@ -194,12 +194,12 @@ class _Stats:
 
     def result(self) -> dict[str, dict[str, Any]]:
         """Feature -> min, max, mean, std, count; channels of images as [3, 1, 1]."""
-        found = {}
+        results = {}
         for name, (low, high, total, squares) in self._sums.items():
             count = self._count[name]
             mean = total / count
             spread = np.sqrt(np.maximum(squares / count - mean**2, 0))
             shape = (-1, 1, 1) if name in CAMERAS else (-1,)
             figures = {"min": low, "max": high, "mean": mean, "std": spread}
-            found[name] = {key: value.reshape(shape).tolist() for key, value in figures.items()} | {"count": [count]}
-        return found
+            results[name] = {key: value.reshape(shape).tolist() for key, value in figures.items()} | {"count": [count]}
+        return results

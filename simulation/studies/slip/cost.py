@@ -1,4 +1,4 @@
-"""What the slip path costs a finger: rectify, track, judge contact, slip and onset, on raw simulated frames."""
+"""What the slip path costs a finger: rectify, track, detect contact, slip and onset, on raw simulated frames."""
 
 from __future__ import annotations
 
