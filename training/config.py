@@ -148,7 +148,7 @@ def refuse_other_grounds(folder: Path, grounds: str) -> None:
 
 
 def pin(folder: Path, config: Contract, grounds: str) -> None:
-    """From now on ``folder`` belongs to the run with this config, kept beside its weights, and to these grounds."""
+    """Claim ``folder`` for the run with this config and these grounds, which are written beside its weights."""
     refuse_another(folder, config)
     refuse_other_grounds(folder, grounds)
     (folder / "config.json").write_text(config.model_dump_json(indent=1))

@@ -46,8 +46,8 @@ def peer(name: str, model: Model) -> Peer:
 
 
 def _compare(name: str, model: Model, inputs: Arrays, got: list[Any]) -> None:
-    wanted = list(model(inputs).values())
-    for ours, theirs in zip(wanted, got, strict=True):
+    expected = list(model(inputs).values())
+    for ours, theirs in zip(expected, got, strict=True):
         gap = float(np.abs(ours - np.asarray(theirs)).max() / max(1.0, float(np.abs(ours).max())))
         if not gap <= CLOSE[model.card.quantisation]:
             raise PeerAbsentError(f"{name} gives other outputs for {model.file.name}: off by {gap:.1e}")

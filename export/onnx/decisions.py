@@ -114,7 +114,7 @@ def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
     if split not in SPLITS:
         raise ContractError(f"no split {split!r}, expected one of {', '.join(SPLITS)}")
     if count < 1:
-        raise ContractError(f"{count} decisions wanted, expected at least 1")
+        raise ContractError(f"--decisions {count}: expected at least 1")
     return _drawn(path, split, count)
 
 

@@ -30,7 +30,7 @@ COSTS = {
 
 
 def default_network(points: list[Point]) -> Point:
-    """The default: the cheapest point whose interval still reaches the best accuracy found."""
+    """The default: the cheapest point whose interval still reaches the best accuracy measured."""
     best = max(points, key=lambda point: point.better)
     return min((point for point in points if point.high >= best.better), key=lambda point: point.cost_ms)
 

@@ -8,6 +8,8 @@ import pytest
 import torch
 from torch.nn import functional
 
+from export.onnx.model import open_model
+from export.onnx.to_onnx import export_checkpoint
 from service.contract import ContractError, Sensor
 from service.perception.markers.sequence import track_pairs
 from service.tools.calibrate import fit_camera
@@ -17,11 +19,14 @@ from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.data.lerobot import features
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
-from simulation.scene.worlds import load_scene
+from simulation.scene.scene import SceneError
+from simulation.scene.worlds import load_scene, load_world
 from training.config import DataConfig
 from training.data.batches import decisions
 from training.data.dataset import load_trials
 from training.data.labels import CLASSES
+from training.fit.checkpoint import Checkpoint
+from training.metrics.figures import Scales
 from training.networks import build, reads
 from training.networks.settings import NetworkConfig
 
@@ -115,6 +120,22 @@ def test_a_network_of_its_size_trains_a_step(collected: Dataset, kind: str, tmp_
     assert all(torch.isfinite(value).all() for value in network.parameters())
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["compact", "markers"])
+def test_its_networks_are_exported_with_its_card(profile: str, kind: str, tmp_path: Path) -> None:
+    """Torch and ONNX agree, or the export refuses; frames of 240 px end in rows that fill no block of 11."""
+    sensor = Sensor.load(profile)
+    settings = NetworkConfig(kind=kind, front_width=8, trunk_width=8, feature_size=16, state_size=16)
+    weights = build(settings, len(CLASSES), sensor).state_dict()
+    fresh = Checkpoint("fresh", settings, weights, Scales(), Scales(), {}, "0" * 64, "none", sensor=sensor)
+    fresh.save(tmp_path / "fresh.pt")
+    assert Checkpoint.load(tmp_path / "fresh.pt").sensor == sensor
+    (made,) = export_checkpoint(tmp_path / "fresh.pt", tmp_path, ("direction.step",))
+    card = open_model(made).card
+    assert (card.profile, card.frame) == (sensor, sensor.rectified)
+    assert card.markers == (sensor.markers if kind == "markers" else None)
+
+
 def test_what_it_collected_is_exported_in_its_sizes(collected: Dataset) -> None:
     sensor = collected.manifest.sensor
     listed = features(sensor)
@@ -144,6 +165,24 @@ def test_scenes_of_two_sensors_make_no_dataset(tmp_path: Path) -> None:
     assert load_scene(mine).fps == 25
     with pytest.raises(DatasetError, match="gelsight_mini, gelslim_2019: a dataset has one"):
         asked_manifest(CollectOptions(tmp_path, objects=("circle", str(mine))))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        (
+            "[camera.sensor]\nmarker_diametre_px = 6.0",
+            "camera.sensor.marker_diametre_px: unknown key; did you mean 'mark",
+        ),
+        ('[camera]\nsensor = "gelsight"', "camera.sensor: no sensor 'gelsight': .*did you mean 'gelsight_mini'"),
+    ],
+)
+def test_a_world_with_an_unknown_sensor_or_key_is_refused_by_file_and_name(
+    tmp_path: Path, table: str, said: str
+) -> None:
+    (tmp_path / "world.toml").write_text(table)
+    with pytest.raises(SceneError, match=rf"world\.toml: {said}"):
+        load_world(tmp_path / "world.toml")
 
 
 def test_a_picture_network_for_a_pitch_of_no_whole_blocks_is_refused_by_name() -> None:

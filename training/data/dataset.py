@@ -68,7 +68,7 @@ class Trials:
         return len(self.error)
 
     def of(self, split: str, *, rendered: bool = False) -> NDArray[np.int64]:
-        """Indices of a split, of its rendered trials only if asked."""
+        """Indices of a split; with ``rendered``, of its rendered trials alone."""
         chosen = self.split == SPLITS.index(split)
         return np.flatnonzero(chosen & (self.picture >= 0) if rendered else chosen)
 
@@ -99,8 +99,8 @@ def _key(trial: Any) -> str:
 def reader_sha256(source: Source, reads: Reads) -> str:
     """A hash of what draws the pictures and reads them, by what it makes of the first trial's decision.
 
-    Nobody has to remember a version number, and pictures drawn or tracked differently never meet in one cache. The
-    decision's frames show all that is drawn: before its onset no marker has moved.
+    Without any version number, pictures drawn or tracked differently never share a cache. The decision's frames show
+    all that is drawn: before its onset no marker has moved.
     """
     onset = min(max(int(source.trial(0).onset_frame or 0), 0), len(source.trial(0).gel) - FRAMES_PER_DECISION)
     frames = source.frames(0, onset, FRAMES_PER_DECISION)
@@ -116,7 +116,7 @@ def shown(frames: NDArray[np.uint8], sensor: Sensor, reads: Reads) -> NDArray[An
 
 
 def load_trials(config: DataConfig, source: Source | None = None, reads: Reads = "pictures") -> Trials:
-    """Read labels and fields, and draw the pictures asked for, from the cache where it already holds them.
+    """Read labels and fields, and draw the configured pictures, from the cache where it already holds them.
 
     Raises ContractError on non-finite labels, on trials without their window, and on groups spread over splits.
     """
@@ -211,7 +211,7 @@ def _write(path: Path, table: dict[str, NDArray[Any]]) -> None:
 def _load_pictures(
     source: Source, table: dict[str, NDArray[Any]], config: DataConfig, reads: Reads
 ) -> tuple[NDArray[np.int64], NDArray[Any]]:
-    """What is kept of the pictures of a fixed choice of trials, a file each: a kill or a growing dataset costs none."""
+    """The pictures of a fixed choice of trials, cached in a file each: a kill or a growing dataset loses none."""
     wanted = _choose(table, config)
     drawer = reader_sha256(source, reads) if len(wanted) else "none"
     folder = Path(config.cache) / f"{_KEPT[reads]}-{drawer}"

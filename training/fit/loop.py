@@ -23,31 +23,6 @@ WARM_UP = 0.05
 MAX_GRADIENT = 1.0
 
 
-class Log:
-    """Scalars of a run: one JSON line a call and TensorBoard events beside it."""
-
-    def __init__(self, folder: Path) -> None:
-        from torch.utils.tensorboard import SummaryWriter
-
-        folder.mkdir(parents=True, exist_ok=True)
-        self._lines = folder / "log.jsonl"
-        self._board: Any = SummaryWriter(str(folder / "tensorboard")) if parallel.first() else None
-
-    def write(self, stage: str, epoch: int, scalars: dict[str, float]) -> None:
-        """Append one row; of several processes, the first does."""
-        if self._board is None:
-            return
-        with self._lines.open("a") as file:
-            file.write(json.dumps({"stage": stage, "epoch": epoch, **scalars}) + "\n")
-        for name, value in scalars.items():
-            self._board.add_scalar(f"{stage}/{name}", value, epoch)
-
-    def close(self) -> None:
-        """Flush TensorBoard."""
-        if self._board is not None:
-            self._board.close()
-
-
 @dataclass
 class Stage:
     """What a stage trains.
@@ -85,9 +60,10 @@ def _rate(step: int, total: int) -> float:
     return 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - warm) / max(1, total - warm))))
 
 
-def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> dict[str, float]:
+def fit(network: nn.Module, stage: Stage, folder: Path, seed: int) -> dict[str, float]:
     """Train one stage and leave ``network`` at its best epoch; resumes from ``folder`` if it holds this stage.
 
+    Appends a JSON line an epoch to ``log.jsonl`` there.
     Returns the scalars of the best validation. Raises ContractError on a non-finite loss or a foreign checkpoint.
     """
     config = stage.config
@@ -108,7 +84,9 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
             loss = _epoch(network, stage, loss_of, optimiser, schedule, rng, lambda: progress.advance(task))
             scalars = {"loss": loss, **_validate(network, stage), "minutes": (time.monotonic() - started) / 60}
             scalars = parallel.agreed(scalars)
-            log.write(stage.name, at.epoch, scalars)
+            if parallel.first():
+                with (folder / "log.jsonl").open("a") as log:
+                    log.write(json.dumps({"stage": stage.name, "epoch": at.epoch, **scalars}) + "\n")
             progress.update(task, note=" ".join(f"{name} {value:.3f}" for name, value in scalars.items()))
             _keep_best(at, scalars, network)
             at.epoch, at.minutes = at.epoch + 1, scalars["minutes"]

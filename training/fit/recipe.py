@@ -5,7 +5,6 @@ difference frame to the gel's motion). Their features are computed once and kept
 LSTM are then trained with Adam. Classes 7 and 8 are doubled with random crops, as in the paper.
 """
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from training.data.dataset import SPLITS, Source, data_sha256, load_table, open_
 from training.data.labels import CLASSES, class_of
 from training.data.recipe_data import Rows, chosen_trials, decision_frames, load_rows
 from training.fit.checkpoint import Checkpoint
-from training.fit.loop import Log, Stage, fit
+from training.fit.loop import Stage, fit
 from training.metrics.figures import Predictions, by_split
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
@@ -31,7 +30,7 @@ NETWORK = NetworkConfig(kind="alexnet_lstm")
 
 
 def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoint:
-    """Run the recipe, or go on where it stopped; raises ContractError on data or weights that do not fit."""
+    """Run the recipe, or continue where it stopped; raises ContractError on data or weights that do not fit."""
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     source = open_source(config.data) if source is None else source
@@ -42,18 +41,14 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
     table = load_table(source, Path(config.cache) / digest[:16], len(source))
     pin(folder, config, digest)
     pair = AlexNetPair(NETWORK, len(CLASSES))
-    log = Log(folder)
-    try:
-        if config.imagenet:
-            for network in (pair.direction, pair.magnitude):
-                load_imagenet(network, Path(config.imagenet))
-        else:
-            _pretrain(config, source, table, pair, log)
-        rows = load_rows(config, source, table, pair.direction)
-        _fit_heads(config, "direction", pair.direction, rows, log)
-        _fit_heads(config, "magnitude", pair.magnitude, rows, log)
-    finally:
-        log.close()
+    if config.imagenet:
+        for network in (pair.direction, pair.magnitude):
+            load_imagenet(network, Path(config.imagenet))
+    else:
+        _pretrain(config, source, table, pair)
+    rows = load_rows(config, source, table, pair.direction)
+    _fit_heads(config, "direction", pair.direction, rows)
+    _fit_heads(config, "magnitude", pair.magnitude, rows)
     return finish(config, pair, rows, digest)
 
 
@@ -73,9 +68,7 @@ class _FieldReader(nn.Module):
         return field
 
 
-def _pretrain(
-    config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair, log: Log
-) -> None:
+def _pretrain(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair) -> None:
     """Difference frame -> change of the marker field, on training trials; both networks then start from the result."""
     reader = _FieldReader(pair.direction, int(np.prod(table["fields"].shape[3:])))
     chosen = chosen_trials(table, "train", config.pretraining_trials)
@@ -101,7 +94,7 @@ def _pretrain(
         loss=lambda example: functional.mse_loss(reader(example[0]), example[1]),
         validate=validate,
     )
-    print("convolutions", fit(reader, stage, config.folder, config.seed, log))
+    print("convolutions", fit(reader, stage, config.folder, config.seed))
     pair.magnitude.alexnet.features.load_state_dict(pair.direction.alexnet.features.state_dict())
 
 
@@ -148,7 +141,7 @@ def head_stage(
     return Stage(role, settings, parameters, batches, -(-len(train) // settings.batch), loss, validate)
 
 
-def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows, log: Log) -> None:
+def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows) -> None:
     """All layers after the frozen convolutions."""
     for parameter in network.alexnet.features.parameters():
         parameter.requires_grad = False
@@ -159,7 +152,7 @@ def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows
         return network.read(_batch(rows, chosen))
 
     stage = head_stage(role, getattr(config, role), network, rows, read, parameters)
-    print(role, fit(network, stage, config.folder, config.seed, log))
+    print(role, fit(network, stage, config.folder, config.seed))
 
 
 def _batch(rows: Rows, chosen: NDArray[np.int64]) -> Tensor:
@@ -195,7 +188,6 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         sensor=rows.sensor,
     )
     checkpoint.save(config.folder / "checkpoint.pt")
-    (config.folder / "figures.json").write_text(json.dumps(tables, indent=1))
     return checkpoint
 
 

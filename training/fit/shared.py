@@ -18,7 +18,7 @@ from training.config import RecipeConfig, StageConfig, pin, refuse_other_grounds
 from training.data.dataset import Source, data_sha256, load_table, open_source
 from training.data.recipe_data import Rows, load_rows
 from training.fit.checkpoint import Checkpoint
-from training.fit.loop import Log, Stage, fit
+from training.fit.loop import Stage, fit
 from training.fit.recipe import finish, head_stage
 from training.networks.alexnet import AlexNetLstm, AlexNetPair
 
@@ -48,11 +48,7 @@ def share_backbone(config: RecipeConfig, source: Source | None = None) -> Checkp
     named = config.model_copy(update={"name": f"{config.name}_shared"})
     named.folder.mkdir(parents=True, exist_ok=True)
     pin(named.folder, named, digest + recipe.weights_sha256())
-    log = Log(named.folder)
-    try:
-        print("magnitude", fit(fresh, _stage(fresh, rows, _read(fresh, rows)), named.folder, config.seed, log))
-    finally:
-        log.close()
+    print("magnitude", fit(fresh, _stage(fresh, rows, _read(fresh, rows)), named.folder, config.seed))
     pair.magnitude.load_state_dict(fresh.state_dict())
     return finish(named, pair, rows, digest)
 

@@ -5,7 +5,6 @@
 3. tune: pictures -> decision, through both.
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,7 @@ from training.data.dataset import SPLITS, Source, Trials, load_trials
 from training.data.labels import CLASSES, class_of
 from training.fit import parallel
 from training.fit.checkpoint import Checkpoint
-from training.fit.loop import Log, Stage, fit
+from training.fit.loop import Stage, fit
 from training.metrics.figures import Predictions, Sample, Scales, by_split, figures
 from training.metrics.joint import Densities
 from training.networks import build, network_class, reads
@@ -149,20 +148,10 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
             grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
             pin(folder, config, grounds)  # not before: a mistyped data folder must not claim the run's
         trainer = _prepare(config, trials)
-        _run_stages(trainer, folder)
-        return _finish(trainer, folder)
-
-
-def _run_stages(trainer: Trainer, folder: Path) -> None:
-    log = Log(folder)
-    try:
         for stage in _stages(trainer):
             if stage.config.epochs:
-                scalars = _run(trainer, stage, folder, log)
-                if parallel.first():
-                    print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
-    finally:
-        log.close()
+                _run(trainer, stage, folder)
+        return _finish(trainer, folder)
 
 
 def _prepare(config: RunConfig, trials: Trials) -> Trainer:
@@ -231,11 +220,13 @@ def _stages(trainer: Trainer) -> list[Stage]:
     return [front, trunk, tune]
 
 
-def _run(trainer: Trainer, stage: Stage, folder: Path, log: Log) -> dict[str, float]:
+def _run(trainer: Trainer, stage: Stage, folder: Path) -> None:
     for split in ("train", "validation"):
         if stage.name != "trunk" and not len(trainer.trials.of(split, rendered=True)):
             raise ContractError(f"stage {stage.name} needs rendered {split} trials; see data.rendered_*")
-    return fit(trainer.network, stage, folder, trainer.config.seed, log)
+    scalars = fit(trainer.network, stage, folder, trainer.config.seed)
+    if parallel.first():
+        print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
 
 
 def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
@@ -257,7 +248,6 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     )
     if parallel.first():
         checkpoint.save(folder / "checkpoint.pt")
-        (folder / "figures.json").write_text(json.dumps(checkpoint.figures, indent=1))
     return checkpoint
 
 

@@ -11,7 +11,7 @@ from service.contract import Sensor
 
 NUMBERS = 41
 QUIET = 0.02
-"""Motion, in spreads of the fields, below which a field is not asked which way it goes."""
+"""Motion, in spreads of the fields, below which a field has no direction of motion."""
 _LEAST = 1e-6
 
 
@@ -44,10 +44,10 @@ class AffineFit(nn.Module):
         and once over its own size, which says which way the object goes before it has gone far; last the size's
         logarithm and the centres of both patches.
         """
-        seen = fields[:, :, 2:].clamp(0, 1)
+        visible = fields[:, :, 2:].clamp(0, 1)
         motion = fields[:, :, :2].square().sum(2, keepdim=True)
-        rising = seen * motion / (motion + motion.mean((3, 4), keepdim=True) + _LEAST)
-        whole, _ = _affine(fields[:, :, :2], _shares(seen), self.place)
+        rising = visible * motion / (motion + motion.mean((3, 4), keepdim=True) + _LEAST)
+        whole, _ = _affine(fields[:, :, :2], _shares(visible), self.place)
         patch, centre = _affine(fields[:, :, :2], _shares(rising), self.place)
         size = (_shares(rising) * motion).sum((2, 3, 4)).mean(1, keepdim=True).sqrt() + QUIET
         return torch.cat([whole, patch, patch / size, size.log(), centre], 1)

@@ -17,7 +17,7 @@ from training.networks.settings import NetworkConfig
 
 FIELD_CHANNELS = 3
 ERROR_SCALE = 5.0
-"""Heads speak in units of 5 mm and 5 deg, so that their outputs are of order one."""
+"""Heads put out units of 5 mm and 5 deg, so that their outputs are of order one."""
 AFFINE_FEATURES = 64
 LOG_SIGMA_SPAN = 3.0
 STATE_REACH = 1.001
@@ -84,7 +84,7 @@ class Decider(nn.Module):
         self.magnitude = nn.Linear(settings.state_size, 4)
         self.density = MixtureDensity(settings.state_size)
         self.front: nn.Module | None = None
-        """Reads a network's pictures, and is trained first, on true fields."""
+        """Reads the pictures of a network that reads any; it is trained first, on true fields."""
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
 
     def set_scales(self, fields: Tensor) -> None:
@@ -104,7 +104,7 @@ class Decider(nn.Module):
         raise NotImplementedError
 
     def read_drawn(self, drawn: Tensor) -> Tensor:
-        """What was kept of pictures, [B, T, 2, ...], -> normalised field changes against the first frame."""
+        """What the dataset cache holds of pictures [B, T, 2, ...] -> normalised field changes since the first frame."""
         raise NotImplementedError
 
     def of(self, _role: Role) -> Self:

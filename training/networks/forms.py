@@ -15,7 +15,7 @@ Role = Literal["direction", "magnitude", "joint", "pair"]
 
 
 class Recurrent(Protocol):
-    """What an exportable network offers.
+    """The interface of an exportable network.
 
     ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3], or marker fields float32 [B, 2, rows, columns, 3].
     """

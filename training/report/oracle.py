@@ -17,7 +17,7 @@ from training.config import JITTER, StageConfig
 from training.data.batches import blurred_geometry
 from training.data.dataset import SPLITS, Trials
 from training.data.labels import CLASSES, HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
-from training.fit.loop import Log, Stage, fit
+from training.fit.loop import Stage, fit
 from training.metrics.figures import Predictions, by_split
 from training.networks.decider import ERROR_SCALE, geometry_features
 from training.networks.settings import FRAMES_PER_DECISION
@@ -82,11 +82,8 @@ def oracle_figures(trials: Trials, folder: Path, seed: int = 0) -> dict[str, dic
         loss=loss,
         validate=validate,
     )
-    log = Log(folder)
-    try:
-        fit(oracle, stage, folder, seed, log)
-    finally:
-        log.close()
+    folder.mkdir(parents=True, exist_ok=True)
+    fit(oracle, stage, folder, seed)
     return _scored(oracle.eval(), trials)
 
 

@@ -8,7 +8,7 @@ from service.contract import ContractError, Sensor
 from tests.training.synthetic import SyntheticSource
 from training.config import RunConfig, StageConfig
 from training.fit.checkpoint import Checkpoint
-from training.fit.loop import Log, Stage, fit
+from training.fit.loop import Stage, fit
 from training.fit.train import train
 from training.networks.forms import SequenceForm, StepForm
 from training.networks.settings import NetworkConfig
@@ -63,9 +63,7 @@ def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, l
             loss=lambda given: network(given).square().mean(),
             validate=lambda: {"score": float(len(epochs))},  # the first epoch stays the best
         )
-        log = Log(tmp_path)
-        fit(network, stage, tmp_path, 0, log)
-        log.close()
+        fit(network, stage, tmp_path, 0)
 
     play()
     done = len(epochs)
