@@ -11,7 +11,7 @@ from typing import Any, Literal
 from reporting.page import page, publish
 from reporting.statistics import wilson
 from reporting.table import table
-from simulation.closed_loop.statistics import Row, refused, summarise, title_of, trials_of
+from simulation.closed_loop.statistics import Row, ends, summarise, title_of
 from simulation.scene.scene import Scene
 
 NAME = "robustness"
@@ -107,12 +107,7 @@ def by_condition(rows: Sequence[Row]) -> list[Row]:
             "tier": tier,
             "disturbance": disturbance,
             "perception": group[0]["perception"],
-            "insertions": len(group),
-            "inserted": sum(row["inserted"] for row in group),
-            "mean_trials": sum(trials_of(row) for row in group) / len(group),
-            "refused": sum(refused(row) for row in group),
-            "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in group),
-            "void": sum(row["void"] for row in group),
+            **ends(group),
         }
         for disturbance in CONDITIONS
         for (tier, name), group in sorted(groups.items())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +134,18 @@ def first_decisions(rows: Iterable[Row]) -> list[Row]:
 def refused(row: Row) -> bool:
     """Whether the service or the client ended the insertion by itself instead of using up its trials."""
     return not (row["inserted"] or row["claimed"] or row["void"]) and row["attempts"] < FAILED_COUNTS_AS - 1
+
+
+def ends(rows: Sequence[Row]) -> Row:
+    """How insertions ended, counted; a failure counts as 16 trials."""
+    return {
+        "insertions": len(rows),
+        "inserted": sum(row["inserted"] for row in rows),
+        "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
+        "refused": sum(refused(row) for row in rows),
+        "void": sum(row["void"] for row in rows),
+        "mean_trials": sum(trials_of(row) for row in rows) / len(rows),
+    }
 
 
 def estimates(rows: list[Row]) -> Row | None:
