@@ -38,9 +38,11 @@ def default_network(points: list[Point]) -> Point:
 def tradeoff_page(about: dict[str, Any]) -> str:
     """The whole of docs/tradeoff.md from tradeoff.json."""
     points = points_in(about)
-    networks = points["networks"]
-    return page(
-        f"""
+    return page(*_networks(about, points["networks"]), *_others(points["slip"], points["physics"]))
+
+
+def _networks(about: dict[str, Any], networks: list[Point]) -> Iterator[str | Table]:
+    yield f"""
         # What accuracy costs in time
 
         Written by `make tradeoff`. Every point is a trained network, a tracker or a solver setting that really ran.
@@ -57,44 +59,46 @@ def tradeoff_page(about: dict[str, Any]) -> str:
         (33 ms a frame at 30 fps) comes on top and is shorter with fewer frames. `pair`: two networks; `shared`: both in
         one graph behind one backbone; `joint`: one density over (x, yaw). Mean trials: closed loop on the four training
         objects. **Bold**: on the Pareto front.
-        """,
-        _table(
-            networks,
-            ("network", "right direction"),
-            ("MAE mm", "about.mae_mm.0", ".2f"),
-            ("MAE deg", "about.mae_deg.0", ".2f"),
-            ("mean trials", "mean_trials", ".2f"),
-            ("step p50 ms", "about.step_p50_ms", ".2f"),
-            ("p99 ms", "about.step_p99_ms", ".2f"),
-            ("its CPU", "about.step_cpu_ms", ".2f"),
-            ("decision CPU", "cost_ms", ".1f"),
-            ("MB", "about.size_mb", ".2f"),
-        ),
-        _default(networks),
-        _sizes(networks),
-        *_agreements(about, networks),
-        "## Slip trackers",
-        _table(
-            points["slip"],
-            ("tracker", "right decisions"),
-            ("misses", "about.misses", ".1%"),
-            ("false", "about.false", ".1%"),
-            ("CPU ms a frame", "cost_ms", ".2f"),
-        ),
         """
+    yield _table(
+        networks,
+        ("network", "right direction"),
+        ("MAE mm", "about.mae_mm.0", ".2f"),
+        ("MAE deg", "about.mae_deg.0", ".2f"),
+        ("mean trials", "mean_trials", ".2f"),
+        ("step p50 ms", "about.step_p50_ms", ".2f"),
+        ("p99 ms", "about.step_p99_ms", ".2f"),
+        ("its CPU", "about.step_cpu_ms", ".2f"),
+        ("decision CPU", "cost_ms", ".1f"),
+        ("MB", "about.size_mb", ".2f"),
+    )
+    yield _default(networks)
+    yield _sizes(networks)
+    yield from _agreements(about, networks)
+
+
+def _others(slip: list[Point], physics: list[Point]) -> Iterator[str | Table]:
+    yield "## Slip trackers"
+    yield _table(
+        slip,
+        ("tracker", "right decisions"),
+        ("misses", "about.misses", ".1%"),
+        ("false", "about.false", ".1%"),
+        ("CPU ms a frame", "cost_ms", ".2f"),
+    )
+    yield """
         Measured by `make slip-report`; the [slip report](slip_report.md) says what each one is.
 
         ## Physics
-        """,
-        table(
-            _by_cost(points["physics"]),
-            ("setting", 1),
-            ("marker error um", lambda row: -row[0].better, ".1f"),
-            ("worst scene", lambda row: -row[0].low, ".1f"),
-            ("CPU ms a poke", "0.cost_ms", ".2f"),
-        ),
-        "Measured by `make accuracy` against the finest layer tier; see [accuracy](accuracy.md).",
+        """
+    yield table(
+        _by_cost(physics),
+        ("setting", 1),
+        ("marker error um", lambda row: -row[0].better, ".1f"),
+        ("worst scene", lambda row: -row[0].low, ".1f"),
+        ("CPU ms a poke", "0.cost_ms", ".2f"),
     )
+    yield "Measured by `make accuracy` against the finest layer tier; see [accuracy](accuracy.md)."
 
 
 def _by_cost(points: list[Point]) -> list[tuple[Point, str]]:
