@@ -15,7 +15,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run lint test test-all test-lowest hard-cases accuracy slip-report tradeoff bench bench-serving soak collect train export evaluate robustness requirements docs clean
+.PHONY: help run lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving soak collect train export evaluate robustness requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -66,7 +66,7 @@ lint: $(VENV)/ready ## format, lint, types and import rules; pre-commit runs the
 	$(BIN)/lint-imports
 
 test: lint ## lint, types, import rules and the fast tests
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 
 test-all: $(VENV)/ready ## the fast tests and the long ones; properties draw new examples each time
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest --timeout=1800
@@ -93,6 +93,7 @@ PICTURES ?= runs/compact-long/checkpoint.pt
 MODELS ?= models
 EVALUATION ?= runs/evaluation
 COUNT ?= 30
+MUTANTS ?= 200
 ALEXNET ?= runs/alexnet
 
 collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; goes on after an interruption
@@ -100,6 +101,9 @@ collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; 
 
 hard-cases: $(VENV)/ready ## every hard case of every room on three seeds: one table, docs/hard_cases.md and .json
 	$(BIN)/python -m tests.hard_cases
+
+mutants: $(VENV)/ready ## MUTANTS=200 random small changes of the code that decides and moves: do tests notice? docs/mutants.md, .json (SEED=)
+	$(BIN)/python -m tests.mutants --count $(MUTANTS) $(if $(SEED),--seed $(SEED))
 
 train: $(VENV)/ready ## train the released networks from PROBES, those that read markers and those that read pictures; goes on after an interruption
 	$(BIN)/python -m training train training/configs/markers.toml --data $(PROBES)
@@ -166,7 +170,7 @@ down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings st
 	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim --profile monitoring down
 
 verify-images: $(OPS_VENV)/ready bundle ## build images and bundle, run the loop in them, kill the service in mid-insertion, print sizes and times
-	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) docker/verify_images.py --outside $(CURDIR)/$(RUN) --bundle "$$(ls $(CURDIR)/dist/*.tar)"
+	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) -m tests.docker.verify_images --outside $(CURDIR)/$(RUN) --bundle "$$(ls $(CURDIR)/dist/*.tar)"
 
 lint-ops: $(OPS_VENV)/ready ## check Dockerfiles, alert rules (needs promtool) and manifests
 	$(OPS_VENV)/bin/hadolint docker/*.Dockerfile

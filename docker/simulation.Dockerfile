@@ -12,6 +12,7 @@ COPY reporting /opt/app/reporting
 COPY service/__init__.py /opt/app/service/__init__.py
 COPY service/contract /opt/app/service/contract
 COPY service/perception /opt/app/service/perception
+COPY service/sensors /opt/app/service/sensors
 COPY robot_client/__init__.py /opt/app/robot_client/__init__.py
 COPY robot_client/insertion /opt/app/robot_client/insertion
 COPY robot_client/robots /opt/app/robot_client/robots

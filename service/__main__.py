@@ -33,7 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for pool in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(pool, "1")  # small matrices in several threads of our own; pools only spin
     if name not in COMMANDS:
-        print(f"service: unknown command {name!r}, expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+        from service.contract.refusals import nearest
+
+        print(f"service: unknown command {name!r}{nearest(name, COMMANDS)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     try:
         return int(importlib.import_module(f"service.cli.{name}").main(rest))

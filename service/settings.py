@@ -1,10 +1,13 @@
-"""What the service is told: command line over environment (``TACTILE_*``) over a TOML file (``--config``)."""
+"""The service's settings: command line over environment (``TACTILE_*``) over a TOML file (``--config``)."""
 
+import argparse
 import ipaddress
-from collections.abc import Sequence
+import os
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 from pydantic import Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import (
@@ -18,16 +21,20 @@ from pydantic_settings import (
 from pydantic_settings import SettingsError as CliError
 
 from service.contract import ContractError
+from service.contract.refusals import nearest
 from service.contract.shipped import released_models
 from service.contract.toml import read_toml
 from service.contract.wire import ControllerName, Limits
 
 Exporter = Literal["off", "console", "otlp"]
+HELP = "python -m service run --help"
+OTHER_VARIABLES = ("TACTILE_INSERTION_", "TACTILE_REAL_DATA", "TACTILE_SCREENSHOTS", "TACTILE_TRACEBACK")
+"""Variables that start alike: of the robot client (or Kubernetes), of tests, of every command."""
 
 
 @dataclass(frozen=True, slots=True)
 class Deadlines:
-    """How long each stage of an attempt may take before the session says so."""
+    """How long each stage of an attempt may take."""
 
     reference_s: float = 2.0  # from `arm` to the first pair captured after it
     decision_frames_s: float = 2.0  # from `stopped` to the last frame the networks need
@@ -35,7 +42,7 @@ class Deadlines:
 
 
 class SettingsError(ContractError):
-    """The service was told something it cannot do; the text names the option."""
+    """Settings that cannot be used; the text names the option."""
 
 
 class Settings(BaseSettings):
@@ -67,7 +74,7 @@ class Settings(BaseSettings):
     recordings: Path = Field(Path("recordings"), description="folder for recorded insertions")
     recordings_max_gb: float = Field(20.0, gt=0, description="oldest insertions are removed beyond this")
     controller: ControllerName = Field("belief", description="heuristic (the paper's) or belief (remembers attempts)")
-    frame_rate_hz: float = Field(30.0, gt=0, le=240, description="asked of V4L2 cameras")
+    frame_rate_hz: float | None = Field(None, gt=0, le=240, description="asked of V4L2 cameras; default the sensor's")
     max_skew_ms: float | None = Field(None, gt=0, description="largest skew of a pair; default 0.6 frame periods")
     max_dx_mm: float = Field(15.0, gt=0, le=50, description="largest correction across the gap ever sent")
     max_dtheta_deg: float = Field(15.0, gt=0, le=45, description="largest yaw correction ever sent")
@@ -110,70 +117,81 @@ class Settings(BaseSettings):
 
     @property
     def deadlines(self) -> Deadlines:
-        """How long each stage of an attempt may take."""
         return Deadlines(self.reference_timeout_s, self.frames_timeout_s, self.decision_timeout_s)
 
     @property
     def limits(self) -> Limits:
-        """As the hello message carries them."""
         return Limits(
             max_dx_mm=self.max_dx_mm, max_dtheta_deg=self.max_dtheta_deg, max_frame_age_ms=self.max_frame_age_ms
         )
 
 
 def read_settings(arguments: Sequence[str]) -> Settings:
-    """Settings from a command line; raise SettingsError with one line that names the option.
+    """Settings from a command line; raise SettingsError with one line that names the option, variable or file and key.
 
     ``--config FILE`` gives defaults from TOML with the same names (underscores for dashes).
     """
-    rest, defaults = _take_config(list(arguments))
-    kind = _with_defaults(defaults)
+    rest, path, table = _take_config(arguments)
+    _check_keys(path, table)
+    kind = _with_defaults(table)
     try:
         source: CliSettingsSource[Settings] = CliSettingsSource(kind, cli_prog_name="tactile-insertion serve")
         return CliApp.run(kind, cli_args=rest, cli_settings_source=source)
     except CliError as error:
-        raise SettingsError(f"{error} (python -m service run --help)") from error
+        unknown = re.search(r"unrecognized arguments: --(\S+)", str(error))
+        hint = nearest(unknown[1].split("=")[0].replace("-", "_"), Settings.model_fields) if unknown else ""
+        raise SettingsError(f"{error}{hint.replace('_', '-')} ({HELP})") from error
     except ValidationError as error:
         first = error.errors()[0]
-        name = "--" + "-".join(str(part) for part in first["loc"]).replace("_", "-") if first["loc"] else "settings"
-        raise SettingsError(f"{name}: {first['msg']} (python -m service run --help)") from error
+        name = str(first["loc"][0]) if first["loc"] else "settings"
+        choices = get_args(Settings.model_fields[name].annotation) if first["type"] == "literal_error" else ()
+        hint = nearest(str(first["input"]), choices) if choices else ""
+        raise SettingsError(f"{_origin(name, rest, path, table)}: {first['msg']}{hint} ({HELP})") from error
 
 
-def _take_config(arguments: list[str]) -> tuple[list[str], dict[str, Any]]:
-    arguments = [part for given in arguments for part in _parted(given)]
-    if "--config" not in arguments:
-        return arguments, {}
-    at = arguments.index("--config")
-    if at + 1 >= len(arguments):
-        raise SettingsError("--config needs a TOML file")
-    path = Path(arguments[at + 1])
+def _take_config(arguments: Sequence[str]) -> tuple[list[str], str, dict[str, Any]]:
+    """The other arguments, the path of ``--config`` and its table."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--config", default="")
     try:
-        defaults = read_toml(path)
+        known, rest = parser.parse_known_args(arguments)
+        return rest, known.config, read_toml(known.config) if known.config else {}
+    except argparse.ArgumentError as error:
+        raise SettingsError("--config needs a TOML file") from error
     except (OSError, ContractError) as error:
         raise SettingsError(f"--config: {error}") from error
-    return arguments[:at] + arguments[at + 2 :], defaults
 
 
-def _parted(argument: str) -> list[str]:
-    return argument.split("=", 1) if argument.startswith("--config=") else [argument]
+def _check_keys(path: str, table: Mapping[str, Any]) -> None:
+    """Raise SettingsError on a key of the file, or a variable of the environment, that is no setting."""
+    for key in table:
+        if key not in Settings.model_fields:
+            raise SettingsError(f"--config {path}: {key} is not used{nearest(key, Settings.model_fields)}")
+    variables = [f"TACTILE_{name.upper()}" for name in Settings.model_fields]
+    for name in sorted(os.environ):
+        if name.startswith("TACTILE_") and name not in variables and not name.startswith(OTHER_VARIABLES):
+            raise SettingsError(f"environment: {name} is not used{nearest(name, variables)}")
 
 
-def _with_defaults(defaults: dict[str, Any]) -> type[Settings]:
+def _origin(name: str, arguments: Sequence[str], path: str, table: Mapping[str, Any]) -> str:
+    """Where a setting was given: the option, else the variable, else the file; the option if nowhere."""
+    option = "--" + name.replace("_", "-")
+    if any(argument.split("=")[0] == option for argument in arguments):
+        return option
+    variable = f"TACTILE_{name.upper()}"
+    if variable in os.environ:
+        return variable
+    return f"--config {path}: {name}" if name in table else option
+
+
+def _with_defaults(table: dict[str, Any]) -> type[Settings]:
     """A Settings class whose lowest source is the given table."""
-    if not defaults:
-        return Settings
 
     class Configured(Settings):
         @classmethod
-        def settings_customise_sources(
-            cls,
-            settings_cls: type[BaseSettings],
-            init_settings: PydanticBaseSettingsSource,
-            env_settings: PydanticBaseSettingsSource,
-            dotenv_settings: PydanticBaseSettingsSource,
-            file_secret_settings: PydanticBaseSettingsSource,
+        def settings_customise_sources(  # type: ignore[override]
+            cls, settings_cls: type[BaseSettings], *, init_settings: Any, env_settings: Any, **_: Any
         ) -> tuple[PydanticBaseSettingsSource, ...]:
-            del dotenv_settings, file_secret_settings
-            return init_settings, env_settings, InitSettingsSource(settings_cls, defaults)
+            return init_settings, env_settings, InitSettingsSource(settings_cls, table)
 
-    return Configured
+    return Configured if table else Settings

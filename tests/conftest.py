@@ -1,12 +1,15 @@
 """For every test: properties are judged by what holds, never by how fast the machine shows it.
 
 The fast tests draw the same examples on every machine, so that a change is judged by what it changed. `make test-all`
-sets HYPOTHESIS_PROFILE=explore and draws new ones each time.
+sets HYPOTHESIS_PROFILE=explore and draws new ones each time. Each process computes on one thread: workers and services
+share the machine's cores.
 """
 
 import os
 
 from hypothesis import HealthCheck, settings
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy and torch are imported
 
 settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("same everywhere", parent=settings.get_profile("explore"), derandomize=True)

@@ -1,14 +1,15 @@
 """One run of training, read from one TOML file; every value that shapes a network is here and nowhere else."""
 
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Self
 
 from pydantic import Field, JsonValue, ValidationError
 
 from service.contract.frames import Contract, ContractError, first_error
 from service.contract.toml import read_toml
+from training.networks import network_class
+from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig, nearest
 
-FRAMES_PER_DECISION = 8
 JITTER = 1
 WINDOW = FRAMES_PER_DECISION + 2 * JITTER
 """Frames kept for each trial: one more on either side of the decision's eight, for onset jitter."""
@@ -23,26 +24,6 @@ class DataConfig(Contract):
     rendered_training: int = Field(default=1200, ge=0)
     rendered_validation: int = Field(default=400, ge=0)
     rendered_test: int = Field(default=400, ge=0)
-
-
-class NetworkConfig(Contract):
-    """Kind and sizes of a network.
-
-    ``affine_fit`` puts the motion of the object as a whole, fitted to the field, beside what convolutions find.
-    """
-
-    kind: Literal["compact", "markers", "alexnet_lstm"] = "compact"
-    front_width: int = Field(default=32, ge=4)
-    trunk_width: int = Field(default=24, ge=4)
-    feature_size: int = Field(default=96, ge=8)
-    state_size: int = Field(default=128, ge=8)
-    dropout: float = Field(default=0.1, ge=0, lt=1)
-    affine_fit: bool = False
-
-    @property
-    def reads(self) -> Literal["pictures", "markers"]:
-        """What the network is shown of a frame."""
-        return "markers" if self.kind == "markers" else "pictures"
 
 
 class StageConfig(Contract):
@@ -65,16 +46,36 @@ class LossConfig(Contract):
     field: float = Field(default=0.5, ge=0)
 
 
-class RunConfig(Contract):
-    """A whole run: images to marker motion (front), marker motion to decision (trunk), both together (tune).
-
-    ``start_from`` is a checkpoint whose weights the run begins with instead of random ones.
-    """
+class _Run(Contract):
+    """What every run has: a name, and where it writes."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
     seed: int = Field(default=0, ge=0)
     threads: int = Field(default=1, ge=1)
     runs: str = "runs"
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a TOML file; raise ContractError naming the file, the key that is wrong, and the nearest allowed one."""
+        try:
+            return cls.model_validate(read_toml(path))
+        except OSError as error:
+            raise ContractError(f"cannot read the run config {path}: {error.strerror}") from error
+        except ValidationError as error:
+            raise ContractError(f"{path}: {_explained(error, cls)}") from error
+
+    @property
+    def folder(self) -> Path:
+        """Where this run writes."""
+        return Path(self.runs) / self.name
+
+
+class RunConfig(_Run):
+    """A whole run: images to marker motion (front), marker motion to decision (trunk), both together (tune).
+
+    ``start_from`` is a checkpoint whose weights the run begins with instead of random ones.
+    """
+
     start_from: str | None = None
     data: DataConfig
     network: NetworkConfig = NetworkConfig()
@@ -85,27 +86,54 @@ class RunConfig(Contract):
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read a TOML file; raise ContractError naming the file and the key that is wrong."""
+        """As every run, and a kind of network that is unknown is refused with the nearest one."""
+        config = super().load(path)
         try:
-            return cls.model_validate(read_toml(path))
-        except OSError as error:
-            raise ContractError(f"cannot read the run config {path}: {error.strerror}") from error
-        except ValidationError as error:
-            raise ContractError(f"{path}: {first_error(error)}") from error
-
-    @property
-    def folder(self) -> Path:
-        """Where this run writes."""
-        return Path(self.runs) / self.name
+            network_class(config.network.kind)
+        except ContractError as error:
+            raise ContractError(f"{path}: {error}") from error
+        return config
 
     def settings(self) -> dict[str, JsonValue]:
         """All that shaped the network, for its card: no places of this machine, a start is named by its run."""
-        said: dict[str, JsonValue] = self.model_dump(mode="json", exclude={"runs": True, "data": {"path", "cache"}})
-        return said | {"start_from": Path(self.start_from).parent.name if self.start_from else None}
+        stated: dict[str, JsonValue] = self.model_dump(mode="json", exclude={"runs": True, "data": {"path", "cache"}})
+        return stated | {"start_from": Path(self.start_from).parent.name if self.start_from else None}
+
+
+class RecipeConfig(_Run):
+    """One run of the recipe. Trials are those of each split, at most so many, chosen by the hash of their content."""
+
+    data: str
+    cache: str = "runs/cache"
+    imagenet: str | None = None
+    pretraining_trials: int = Field(default=500, ge=1)
+    training_trials: int = Field(default=30_000, ge=1)
+    validation_trials: int = Field(default=2000, ge=1)
+    test_trials: int = Field(default=2000, ge=1)
+    convolutions: StageConfig
+    direction: StageConfig
+    magnitude: StageConfig
+
+    def settings(self) -> dict[str, JsonValue]:
+        """All that shaped the networks, for their card; places on this machine are left out."""
+        stated: dict[str, JsonValue] = self.model_dump(mode="json", exclude={"runs", "data", "cache", "imagenet"})
+        return stated | {"imagenet": self.imagenet is not None}
+
+
+def _explained(error: ValidationError, config: type[Contract]) -> str:
+    """The first thing that is wrong, with the nearest allowed key where one is unknown."""
+    first = error.errors()[0]
+    if first["type"] != "extra_forbidden":
+        return first_error(error)
+    *tables, key = (str(part) for part in first["loc"])
+    table: Any = config
+    for name in tables:
+        table = table.model_fields[name].annotation
+    return f"{'.'.join([*tables, key])}: the key is unknown; {nearest(key, table.model_fields)}"
 
 
 def refuse_another(folder: Path, config: Contract) -> None:
-    """Raise ContractError if a run with another config wrote into ``folder``: what it left must not be gone on with."""
+    """Raise ContractError if a run with another config wrote into ``folder``: it cannot be continued."""
     path = folder / "config.json"
     if path.exists() and path.read_text() != config.model_dump_json(indent=1):
         raise ContractError(f"{folder} belongs to a run with another config; expected a new name or an empty folder")
@@ -120,7 +148,7 @@ def refuse_other_grounds(folder: Path, grounds: str) -> None:
 
 
 def pin(folder: Path, config: Contract, grounds: str) -> None:
-    """From now on ``folder`` belongs to the run with this config, kept beside its weights, and to these grounds."""
+    """Claim ``folder`` for the run with this config and these grounds, which are written beside its weights."""
     refuse_another(folder, config)
     refuse_other_grounds(folder, grounds)
     (folder / "config.json").write_text(config.model_dump_json(indent=1))

@@ -11,13 +11,13 @@ from export.bench import loadgen, paper, peers
 from export.bench.fresh import measure_fresh
 from export.bench.measure import example_inputs, noise, quartiles, tails, time_calls, time_in_turn, undisturbed
 from export.bench.profile import operators
-from export.bench.report import line, write
+from export.bench.report import write
 from export.onnx.decisions import Decision, decided_class
 from export.onnx.golden import golden_frames
 from export.onnx.model import Arrays, Model, open_model
 from export.onnx.runtime import session
-from export.onnx.to_onnx import PICTURES
 from reporting.machine import commit, cpu_name
+from service.contract import Sensor
 from training.data.labels import class_of
 
 BATCH = 16
@@ -34,7 +34,7 @@ def benchmark(
     alexnet: Path | None = None,
     with_loadgen: bool = True,
 ) -> dict[str, Any]:
-    """Measure every file, print one line each, write ``benchmark`` .md .json .png into ``docs``; returns the report.
+    """Measure every file, print the page, write ``benchmark`` .md .json .png into ``docs``; returns the report.
 
     Raises ContractError on a bad file and on an unknown peer.
     """
@@ -42,11 +42,11 @@ def benchmark(
     report: dict[str, Any] = {"cpu": cpu_name(), "commit": commit(), "seconds": seconds, "models": []}
     print(f"{report['cpu']}, one thread")
     for model in models:
+        print(f"{model.file} ...", flush=True)
         row = measure(model, seconds=seconds)
         if with_loadgen:
             row["loadgen"] = _loadgen(model, seconds, decisions or [])
         report["models"].append(row)
-        print(line(row))
     steps = [model for model in models if model.card.form == "step"]
     if compare:
         model = (steps or models)[0]
@@ -54,8 +54,7 @@ def benchmark(
         report["peers"] = {"file": str(model.file), "rows": rows}
     if alexnet is not None:
         report["alexnet"] = paper.compare(steps, alexnet, decisions or _golden_decisions(), seconds)
-    docs.mkdir(parents=True, exist_ok=True)
-    write(report, docs)
+    print(write(report, docs))
     return report
 
 
@@ -128,4 +127,4 @@ def _loadgen(model: Model, seconds: float, decisions: list[Decision]) -> dict[st
 def _golden_decisions() -> list[Decision]:
     """What calibrates the int8 builds where no collected data is named: the speed is the same."""
     truth = np.zeros(2, np.float32)
-    return [Decision(golden_frames(PICTURES, 8, seed), 56.0, 30.0, truth, "golden") for seed in range(2)]
+    return [Decision(golden_frames(Sensor.load().rectified, 8, seed), 56.0, 30.0, truth, "golden") for seed in range(2)]

@@ -1,6 +1,6 @@
 """A fresh process that opens one model: ``python -m export.bench.fresh FILE INPUTS`` prints load, first call, memory.
 
-What a model costs before its first answer cannot be seen from a process that already holds others, nor from one that
+What a model costs before its first answer cannot be measured in a process that already holds others, nor from one that
 has opened this one before: the inputs come from outside, as ``.npz``.
 """
 

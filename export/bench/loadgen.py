@@ -53,8 +53,8 @@ def run_scenario(model: Model, scenario: Scenario, *, seconds: float) -> dict[st
     timing = time_calls(lambda: model(inputs), seconds=0.2, least=10)
     with tempfile.TemporaryDirectory() as folder:
         _start(answer, SAMPLES, Path(folder), lambda lg: _performance(lg, scenario, seconds, timing.p50_ms))
-        found = _summary(Path(folder) / "mlperf_log_summary.txt")
-    return found | {f"CPU p{share} (ms)": f"{np.percentile(spent_ms, share):.6f}" for share in (50, 99)}
+        summary = _summary(Path(folder) / "mlperf_log_summary.txt")
+    return summary | {f"CPU p{share} (ms)": f"{np.percentile(spent_ms, share):.6f}" for share in (50, 99)}
 
 
 def run_accuracy(answer: Answer, labels: Sequence[int]) -> tuple[int, int]:

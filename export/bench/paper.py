@@ -88,17 +88,17 @@ def export_random(folder: Path, *, shared: bool) -> None:
     import torch
 
     from export.onnx.to_onnx import export_checkpoint
-    from training.config import NetworkConfig
     from training.data.labels import CLASSES
     from training.fit.checkpoint import Checkpoint
     from training.metrics.figures import Scales
     from training.networks.alexnet import AlexNetPair
+    from training.networks.settings import NetworkConfig
 
     torch.manual_seed(0)
-    both = AlexNetPair(len(CLASSES))
+    settings = NetworkConfig(kind="alexnet_lstm")
+    both = AlexNetPair(settings, len(CLASSES))
     ours, theirs = both.direction.alexnet, both.magnitude.alexnet
     (theirs if shared else theirs.features).load_state_dict((ours if shared else ours.features).state_dict())
-    settings = NetworkConfig(kind="alexnet_lstm")
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint = Checkpoint(RANDOM, settings, both.state_dict(), Scales(), Scales(), {}, "0" * 64, "none")
     path = folder / "random.pt"

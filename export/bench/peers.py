@@ -46,8 +46,8 @@ def peer(name: str, model: Model) -> Peer:
 
 
 def _compare(name: str, model: Model, inputs: Arrays, got: list[Any]) -> None:
-    wanted = list(model(inputs).values())
-    for ours, theirs in zip(wanted, got, strict=True):
+    expected = list(model(inputs).values())
+    for ours, theirs in zip(expected, got, strict=True):
         gap = float(np.abs(ours - np.asarray(theirs)).max() / max(1.0, float(np.abs(ours).max())))
         if not gap <= CLOSE[model.card.quantisation]:
             raise PeerAbsentError(f"{name} gives other outputs for {model.file.name}: off by {gap:.1e}")
@@ -68,56 +68,39 @@ def _torch(model: Model, inputs: Arrays) -> Peer:
 
 
 def rebuild(model: Model) -> Any:
-    """The torch module of a released fp32 file, with the weights found in it; PeerAbsentError if it has none such."""
+    """The torch module of a released fp32 file, with the weights that it holds.
+
+    Raises PeerAbsentError on an int8 or fp16 build and on the paper's networks.
+    """
     import torch
 
     from training.networks.forms import SequenceForm, StepForm
 
     if model.card.quantisation != "none":
-        raise PeerAbsentError(f"torch has no {model.card.quantisation} twin of {model.file.name}")
-    weights = {
-        tensor.name.removeprefix("network."): torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy())
+        raise PeerAbsentError(f"torch has no {model.card.quantisation} build of {model.file.name}")
+    stored = {
+        tensor.name: torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy())
         for tensor in onnx.load(str(model.file)).graph.initializer
-        if tensor.name.startswith("network.")
     }
+    weights = {name.removeprefix("network."): value for name, value in stored.items() if name.startswith("network.")}
     network = _empty(model, weights)
-    known = network.state_dict()
-    if "field_scale" in known and "field_scale" not in weights:
-        weights["field_scale"] = _folded_scale(model, known["field_scale"])
+    names = network.state_dict()
+    if "field_scale" not in weights:  # the exporter folds it into the one nameless pair of numbers of the graph
+        pairs = [value for value in stored.values() if value.shape == (2,) and value.dtype == torch.float32]
+        if len(pairs) == 1:
+            weights["field_scale"] = torch.cat([pairs[0], names["field_scale"][2:]])
     try:
-        network.load_state_dict(known | {name: value for name, value in weights.items() if name in known})
+        network.load_state_dict(names | {name: value for name, value in weights.items() if name in names})
     except RuntimeError as error:
         raise PeerAbsentError(f"{model.file.name} is of an older architecture; torch cannot rebuild it") from error
     form = SequenceForm if model.card.form == "sequence" else StepForm
     return form(network, model.card.role).eval()
 
 
-def _folded_scale(model: Model, otherwise: Any) -> Any:
-    """The spread of a marker's motion, which the exporter folds into the one nameless pair of numbers of the graph."""
-    import torch
-
-    graph = onnx.load(str(model.file)).graph
-    constants = [onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer]
-    pairs = [value for value in constants if value.shape == (2,) and value.dtype == np.float32]
-    if len(pairs) != 1:
-        return otherwise
-    return torch.cat([torch.from_numpy(pairs[0].copy()), otherwise[2:]])
-
-
 def _empty(model: Model, weights: dict[str, Any]) -> Any:
-    from training.config import NetworkConfig
     from training.networks import build
-    from training.networks.alexnet import AlexNetLstm, AlexNetPair
+    from training.networks.settings import NetworkConfig
 
-    classes = len(model.card.classes)
-    if any("alexnet" in name for name in weights):
-        if model.card.role == "pair":
-            pair = AlexNetPair(classes)
-            apart = "magnitude.alexnet.classifier.1.weight" in weights
-            ours, theirs = pair.direction.alexnet, pair.magnitude.alexnet
-            (theirs.features if apart else theirs).load_state_dict((ours.features if apart else ours).state_dict())
-            return pair.of("pair")
-        return AlexNetLstm(classes if model.card.role == "direction" else 2)
     front = weights.get("front.cells.weight")
     try:
         settings = NetworkConfig(
@@ -130,7 +113,7 @@ def _empty(model: Model, weights: dict[str, Any]) -> Any:
         )
     except KeyError as error:
         raise PeerAbsentError(f"{model.file.name} has no weights named {error}; torch cannot rebuild it") from error
-    return build(settings, classes)
+    return build(settings, len(model.card.classes), model.card.profile)
 
 
 def _openvino(model: Model, inputs: Arrays) -> Peer:
@@ -139,10 +122,10 @@ def _openvino(model: Model, inputs: Arrays) -> Peer:
     except ImportError as error:
         raise PeerAbsentError('openvino is not installed: pip install ".[bench]"') from error
     core = openvino.Core()
-    # fp32 as asked: on processors with AMX OpenVINO would otherwise compute in bfloat16, which is another network.
-    wanted = {"INFERENCE_NUM_THREADS": "1", "PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": "f32"}
+    # fp32: on processors with AMX OpenVINO would otherwise compute in bfloat16, which is another network.
+    options = {"INFERENCE_NUM_THREADS": "1", "PERFORMANCE_HINT": "LATENCY", "INFERENCE_PRECISION_HINT": "f32"}
     try:
-        compiled = core.compile_model(core.read_model(str(model.file)), "CPU", wanted)
+        compiled = core.compile_model(core.read_model(str(model.file)), "CPU", options)
     except RuntimeError as error:
         first = re.sub(r"\s+", " ", str(error))[:160]
         raise PeerAbsentError(f"openvino cannot read {model.file.name}: {first}") from error

@@ -132,7 +132,6 @@ def tradeoff(
     docs: Path = Path("docs"),
     builds: Path = Path("runs/builds"),
     seconds: float = 3.0,
-    answers: Path = Path("runs/builds/answers"),
 ) -> None:
     """Write docs/tradeoff.md, .json and .png: accuracy against time of networks, slip trackers and physics settings.
 
@@ -146,23 +145,18 @@ def tradeoff(
         builds: folder of the int8 and fp16 builds that are made and scored beside each network; one that is younger
             than its source is taken as it is.
         seconds: how long each network is timed.
-        answers: folder of earlier answers, by dataset and how it is drawn and tracked: a network that did not change
-            is not run again.
     """
     from export.onnx.decisions import read_split
     from export.tradeoff.builds import make_builds
     from export.tradeoff.tradeoff import tradeoff as measure
-    from training.data.dataset import data_sha256, open_source, reader_sha256
+    from training.data.dataset import data_sha256, open_source
 
     _positive(seconds=seconds)
     compared = read_split(str(data), split, decisions)
     named = folders or sorted({file.parent for file in Path("models").rglob("*.step.onnx")})
     made, refused = make_builds(named, builds, str(data))
-    source = open_source(str(data))
-    digest = data_sha256(source)[:12]
-    reader = reader_sha256(source, "pictures") + reader_sha256(source, "markers")
-    about = {"split": split, "data": digest, "refused": refused}
-    measure([*named, *made], compared, about, docs, seconds, answers / f"{digest}-{reader}-{split}-{decisions}.json")
+    about = {"split": split, "data": data_sha256(open_source(str(data)))[:12], "refused": refused}
+    measure([*named, *made], compared, about, docs, seconds)
     print(f"{docs / 'tradeoff.md'}")
 
 

@@ -1,7 +1,7 @@
 """Recorded collisions, and what a network decides on them: class, estimate and the command of the paper's rule."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.onnx.model import Arrays, Model, geometry_inputs
-from service.contract import ContractError, ModelCard
+from service.contract import ContractError, ModelCard, Sensor
 from service.perception.markers.sequence import track_pairs
 from training.data.dataset import SPLITS, open_source
 from training.data.labels import class_of
@@ -33,11 +33,12 @@ class Decision:
     grasp_height_mm: float
     truth: NDArray[np.float32]
     name: str
+    sensor: Sensor = field(default_factory=Sensor.load)
 
     @cached_property
     def markers(self) -> NDArray[np.float32]:
         """Markers tracked in the frames: float32 [T, 2, rows, columns, 3]."""
-        return track_pairs(self.frames)
+        return track_pairs(self.frames, self.sensor.markers, self.sensor.fps)
 
     def input_of(self, card: ModelCard) -> NDArray[Any]:
         """The decision as a card's graph reads it."""
@@ -113,7 +114,7 @@ def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
     if split not in SPLITS:
         raise ContractError(f"no split {split!r}, expected one of {', '.join(SPLITS)}")
     if count < 1:
-        raise ContractError(f"{count} decisions wanted, expected at least 1")
+        raise ContractError(f"--decisions {count}: expected at least 1")
     return _drawn(path, split, count)
 
 
@@ -126,7 +127,8 @@ def _drawn(path: str, split: str, count: int) -> Iterator[Decision]:
         trial = source.trial(inside[place])
         frames = source.frames(inside[place], int(trial.onset_frame), max(FRAME_COUNTS))
         truth = np.array([trial.x_mm, trial.theta_deg], np.float32)
-        yield Decision(frames, float(trial.gap_width_mm), float(trial.grasp_height_mm), truth, str(trial.object_name))
+        told_mm = float(trial.gap_width_mm), float(trial.grasp_height_mm)
+        yield Decision(frames, *told_mm, truth, str(trial.object_name), source.manifest.sensor)
 
 
 def _collided(trial: object, split: str) -> bool:

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import FrameSpec, MarkerSpec, ModelCard
+from service.contract import FrameSpec, MarkerSpec, ModelCard, Sensor
 
-PITCH_PX, RADIUS_PX = 15, 2.5
+PITCH_PX, RADIUS_PX = Sensor.load().marker_pitch_px, Sensor.load().marker_diameter_px / 2
 
 
 def golden_frames(spec: FrameSpec, count: int, seed: int = 0) -> NDArray[np.uint8]:

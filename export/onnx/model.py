@@ -39,15 +39,15 @@ class Model:
         return {entry.name: (KINDS[entry.type], list(entry.shape)) for entry in self.run.get_inputs()}
 
     def __call__(self, inputs: Arrays) -> Arrays:
-        """Outputs by name; ContractError on an input that is missing, strange or of another dtype or shape."""
+        """Outputs by name; ContractError on an input that is missing, unknown or of another dtype or shape."""
         if set(inputs) != set(self._expected):
             raise ContractError(f"{self.file.name} was given {sorted(inputs)}, expected {sorted(self._expected)}")
         for name, (kind, shape) in self._expected.items():
-            given = inputs[name]
-            if given.dtype != kind or given.ndim != len(shape) or given.shape[1:] != tuple(shape[1:]):
-                wanted = ", ".join(["B", *map(str, shape[1:])])
+            array = inputs[name]
+            if array.dtype != kind or array.ndim != len(shape) or array.shape[1:] != tuple(shape[1:]):
+                sizes = ", ".join(["B", *map(str, shape[1:])])
                 raise ContractError(
-                    f"{self.file.name}: {name} is {given.dtype}{list(given.shape)}, expected {kind}[{wanted}]"
+                    f"{self.file.name}: {name} is {array.dtype}{list(array.shape)}, expected {kind}[{sizes}]"
                 )
         return dict(zip(self._names, self.run.run(self._names, inputs), strict=True))
 
@@ -65,7 +65,7 @@ def open_model(file: Path, threads: int = 1) -> Model:
 
 
 def geometry_inputs(card: ModelCard, batch: int, gap_width_mm: float = 56.0, grasp_height_mm: float = 30.0) -> Arrays:
-    """Gap width and grasp height, each if the network asks for it."""
-    said = {"gap_width_mm": gap_width_mm} if card.gap_width_input else {}
-    said |= {"grasp_height_mm": grasp_height_mm} if card.grasp_height_input else {}
-    return {name: np.full((batch, 1), value, np.float32) for name, value in said.items()}
+    """Gap width and grasp height, float32 [batch, 1] each, as far as the network reads them."""
+    geometry = {"gap_width_mm": gap_width_mm} if card.gap_width_input else {}
+    geometry |= {"grasp_height_mm": grasp_height_mm} if card.grasp_height_input else {}
+    return {name: np.full((batch, 1), value, np.float32) for name, value in geometry.items()}

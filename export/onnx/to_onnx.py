@@ -18,18 +18,15 @@ from export.onnx.model import open_model
 from export.onnx.runtime import session
 from export.onnx.verify import OPSET, verify_forms
 from reporting.machine import cpu_name
-from service.contract import Calibration, ContractError, FrameSpec, MarkerSpec, ModelCard
+from service.contract import Calibration, ContractError, ModelCard, Sensor
 from service.contract.self_test import make_self_test
-from service.perception.markers.field import LATTICE
-from training.config import FRAMES_PER_DECISION
 from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.fit.checkpoint import Checkpoint
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import Role, SequenceForm, StepForm
-from training.networks.preprocessing import BLOCK_PX, CHANNELS, COLS, HEIGHT_PX, ROWS, WIDTH_PX, selector
+from training.networks.preprocessing import CHANNELS, selector
+from training.networks.settings import FRAMES_PER_DECISION
 
-PICTURES = FrameSpec(height_px=HEIGHT_PX, width_px=WIDTH_PX, colour="bgr", rectified=True)
-MARKERS = MarkerSpec(rows=LATTICE.rows, columns=LATTICE.columns, pitch_px=LATTICE.pitch_px, first_px=LATTICE.first_px)
 TOLERANCE = 1e-5
 FLOAT = onnx.TensorProto.FLOAT
 LARGEST_SHARED = 10**7
@@ -81,8 +78,9 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         name=f"{checkpoint.name}-{role}",
         role=role,
         form=form,
-        frame=PICTURES,
-        markers=MARKERS if network.reads_markers else None,
+        frame=checkpoint.sensor.rectified,
+        markers=checkpoint.sensor.markers if network.reads_markers else None,
+        sensor=checkpoint.sensor,
         frames_per_decision=FRAMES_PER_DECISION,
         state_size=network.state_size if form == "step" else 0,
         classes=CLASSES,
@@ -104,25 +102,25 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
     )
 
 
-def _example(network: Any, form: Form, batch: int) -> dict[str, torch.Tensor]:
+def _example(network: Any, sensor: Sensor, form: Form, batch: int) -> dict[str, torch.Tensor]:
     golden = (
-        golden_markers(MARKERS, FRAMES_PER_DECISION)
+        golden_markers(sensor.markers, FRAMES_PER_DECISION)
         if network.reads_markers
-        else golden_frames(PICTURES, FRAMES_PER_DECISION)
+        else golden_frames(sensor.rectified, FRAMES_PER_DECISION)
     )
     frames = torch.from_numpy(golden)
-    told = {"gap_width_mm": torch.full((batch, 1), 57.0), "grasp_height_mm": torch.full((batch, 1), 40.0)}
-    told = told if network.uses_geometry else {}
+    geometry = {"gap_width_mm": torch.full((batch, 1), 57.0), "grasp_height_mm": torch.full((batch, 1), 40.0)}
+    geometry = geometry if network.uses_geometry else {}
     if form == "sequence":
-        return {"frames": frames[None].repeat(batch, 1, 1, 1, 1, 1), **told}
+        return {"frames": frames[None].repeat(batch, 1, 1, 1, 1, 1), **geometry}
     state = torch.linspace(-0.5, 0.5, network.state_size).repeat(batch, 1)
     frame, reference = frames[5:6].repeat(batch, 1, 1, 1, 1), frames[:1].repeat(batch, 1, 1, 1, 1)
-    return {"frame": frame, "reference": reference, "state": state, **told}
+    return {"frame": frame, "reference": reference, "state": state, **geometry}
 
 
 def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: Path) -> None:
     wrapped: nn.Module = (SequenceForm if form == "sequence" else StepForm)(network, role).eval()
-    example = _example(network, form, 2)
+    example = _example(network, checkpoint.sensor, form, 2)
     outputs = [*OUTPUTS[role], *(["next_state"] if form == "step" else [])]
     batch = torch.export.Dim("batch", min=1, max=1024)
     with warnings.catch_warnings(), torch.inference_mode(mode=False), torch.no_grad():
@@ -146,15 +144,19 @@ def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: 
     attach_card(file, make_card(checkpoint, role, form, network))
 
 
-def _block_sums(frames: Any) -> Any:
+def _block_sums(frames: Any, block: int) -> Any:
     """:func:`training.networks.preprocessing.block_sums` as one product of integers: exact on every processor.
 
     The matrix for a block's rows is written as one row's and laid out when the file is loaded.
     """
-    rows = op.Reshape(frames, op.Constant(value_ints=[-1, BLOCK_PX * WIDTH_PX * 3]))
-    row = op.Constant(value=onnx.numpy_helper.from_array(selector()))
-    sums = op.Cast(op.MatMulInteger(rows, op.Tile(row, op.Constant(value_ints=[BLOCK_PX, 1]))), to=FLOAT)
-    return op.Transpose(op.Reshape(sums, op.Constant(value_ints=[-1, ROWS, CHANNELS, COLS])), perm=[0, 2, 1, 3])
+    height, width = (int(size) for size in frames.shape[1:3])
+    rows, columns = height // block, width // block
+    if height % block:
+        frames = op.Slice(frames, [0], [rows * block], [1])
+    strips = op.Reshape(frames, op.Constant(value_ints=[-1, block * width * 3]))
+    row = op.Constant(value=onnx.numpy_helper.from_array(selector(width, block)))
+    sums = op.Cast(op.MatMulInteger(strips, op.Tile(row, op.Constant(value_ints=[block, 1]))), to=FLOAT)
+    return op.Transpose(op.Reshape(sums, op.Constant(value_ints=[-1, rows, CHANNELS, columns])), perm=[0, 2, 1, 3])
 
 
 def _check_parity(wrapped: nn.Module, example: dict[str, torch.Tensor], file: Path) -> None:

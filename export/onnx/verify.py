@@ -1,4 +1,4 @@
-"""Checks of released files: card, graph, both forms equal, batches and threads equal, hard inputs bounded."""
+"""Released files checked: card, graph, both forms equal, batches and threads equal, outputs bounded on hard inputs."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,8 +25,8 @@ def run_steps(model: Model, frames: NDArray[Any]) -> Arrays:
     state = np.zeros((len(frames), model.card.state_size), np.float32)
     outputs: Arrays = {}
     for step in range(frames.shape[1]):
-        fed: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | geometry_inputs(model.card, len(frames)))
+        inputs: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
+        outputs = model(inputs | geometry_inputs(model.card, len(frames)))
         state = outputs["next_state"]
     return outputs
 
@@ -86,7 +86,7 @@ def verify_model(model: Model, stream_steps: int = STREAM_STEPS) -> list[str]:
 
 
 def _batch_gap(model: Model, frames: NDArray[Any], crowd: int) -> float:
-    """Difference of a decision alone and as one row among other ones; a step model is asked its last step."""
+    """Difference of a decision alone and as one row among other ones; of a step model, its last step."""
     place = crowd // 2
     if model.card.form == "sequence":
         rows = np.stack([np.roll(frames[0], row - place, axis=-2) for row in range(crowd)])
@@ -102,16 +102,16 @@ def _batch_gap(model: Model, frames: NDArray[Any], crowd: int) -> float:
 
 
 def _verify_states(model: Model, frames: NDArray[Any]) -> str:
-    """Recurrent states no run should reach: +-1e4 (and so logits of that order), and denormals, which equal zero."""
-    seen = {}
+    """Recurrent states that no run reaches: +-1e4 (and so logits of that order), and denormals, which equal zero."""
+    outputs = {}
     states = {"zeros": 0.0, "denormals": 1e-40, "+1e4": 1e4, "-1e4": -1e4}
     for name, value in states.items():
         state = np.full((1, model.card.state_size), value, np.float32)
-        fed: Arrays = {"frame": frames[:, -1], "reference": frames[:, 0], "state": state}
-        seen[name] = model(fed | geometry_inputs(model.card, 1))
-        if not all(np.isfinite(output).all() for output in seen[name].values()):
+        inputs: Arrays = {"frame": frames[:, -1], "reference": frames[:, 0], "state": state}
+        outputs[name] = model(inputs | geometry_inputs(model.card, 1))
+        if not all(np.isfinite(value).all() for value in outputs[name].values()):
             raise ContractError(f"{model.file.name}: a state of {name} gives outputs that are not finite")
-    gap = _gaps(seen["denormals"], seen["zeros"])
+    gap = _gaps(outputs["denormals"], outputs["zeros"])
     if not gap <= model.tolerance:
         raise ContractError(f"{model.file.name}: a denormal state differs from a zero one by {gap:.1e}")
     return "finite on states of +-1e4, denormal states equal zero ones"
@@ -127,8 +127,8 @@ def stream(model: Model, frames: NDArray[Any], steps: int) -> Iterator[Arrays]:
     """Outputs after each of many steps without a fresh state; frames [1, T, 2, H, W, 3] come round again."""
     state = np.zeros((1, model.card.state_size), np.float32)
     for step in range(steps):
-        fed: Arrays = {"frame": frames[:, step % frames.shape[1]], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | geometry_inputs(model.card, 1))
+        inputs: Arrays = {"frame": frames[:, step % frames.shape[1]], "reference": frames[:, 0], "state": state}
+        outputs = model(inputs | geometry_inputs(model.card, 1))
         state = outputs["next_state"]
         yield outputs
 

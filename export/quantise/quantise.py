@@ -1,6 +1,6 @@
 """int8 builds of a released step model by ONNX Runtime's own quantiser, and storage in fp16.
 
-``static`` multiplies in int8 with scales found on calibration decisions, ``dynamic`` with scales found at every call;
+``static`` multiplies in int8 with scales from calibration decisions, ``dynamic`` with scales of every call;
 ``blocked`` stores the weights of the fully connected and recurrent layers in blocks of 16 that share a scale. Which of
 them pay is what ``python -m export tradeoff`` shows, by the robot commands that they would change.
 """

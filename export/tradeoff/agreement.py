@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from export.tradeoff.points import wilson
+from reporting.statistics import wilson
 
 SAME_MM, SAME_DEG = 0.1, 0.1
 
@@ -41,9 +41,8 @@ class Agreement:
 
     def __str__(self) -> str:
         """One line, with the interval of the share."""
-        share, low, high = wilson(self.same_commands, self.decisions)
         return (
-            f"{100 * share:.1f} % [{100 * low:.1f}, {100 * high:.1f}] of {self.decisions} commands within {SAME_MM} mm"
+            f"{wilson(self.same_commands, self.decisions):.1%} of {self.decisions} commands within {SAME_MM} mm"
             f" and {SAME_DEG} deg (99 % within {self.apart_p99_mm:.2f} mm, {self.apart_p99_deg:.2f} deg),"
             f" {100 * self.same_class:.1f} % the same class, {self.sign_flips} sign flips"
         )

@@ -7,10 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from reporting.statistics import Estimate, normal
 from service.contract import ContractError
 
-Z95 = 1.959963984540054
-Table = dict[str, list["Point"]]
+Points = dict[str, list["Point"]]
+SECTIONS = ("networks", "slip", "physics")
 
 
 @dataclass(frozen=True)
@@ -29,21 +30,13 @@ class Point:
     p50_ms: float | None
     p99_ms: float | None
     count: int
-    mean_trials: tuple[float, float, float] | None
+    mean_trials: Estimate | None
     about: dict[str, Any]
 
     def __post_init__(self) -> None:
         """Raise ContractError on a figure that is not finite: it would win or lose every comparison silently."""
         if not all(map(math.isfinite, (self.better, self.low, self.high, self.cost_ms))) or self.cost_ms <= 0:
             raise ContractError(f"the point {self.name} has a figure that is not finite or a cost that is not positive")
-
-
-def wilson(hits: int, count: int) -> tuple[float, float, float]:
-    """Share and its 95 % Wilson interval."""
-    share, spread = hits / count, Z95**2 / count
-    middle = (share + spread / 2) / (1 + spread)
-    half = Z95 / (1 + spread) * math.sqrt(share * (1 - share) / count + spread / (4 * count))
-    return share, max(0.0, min(share, middle - half)), min(1.0, max(share, middle + half))
 
 
 def pareto(points: list[Point]) -> list[Point]:
@@ -55,21 +48,7 @@ def pareto(points: list[Point]) -> list[Point]:
     return front
 
 
-def mean_interval(values: list[float]) -> tuple[float, float, float]:
-    """Mean and its 95 % interval."""
-    mean = sum(values) / len(values)
-    spread = sum((value - mean) ** 2 for value in values) / max(len(values) - 1, 1)
-    half = Z95 * math.sqrt(spread / len(values))
-    return mean, mean - half, mean + half
-
-
-def tracker_points(docs: Path) -> list[Point]:
-    """Slip trackers from their own trade-off, if it was measured, otherwise from the slip report."""
-    own = docs / "tradeoff_trackers.json"
-    return slip_points(own if own.is_file() else docs / "slip_report.json")
-
-
-def slip_points(path: Path) -> list[Point]:
+def tracker_points(path: Path) -> list[Point]:
     """Slip trackers of ``python -m simulation slip-report``: accuracy against processor time a frame of a finger."""
     return [
         Point(
@@ -107,9 +86,7 @@ def physics_points(path: Path) -> list[Point]:
     return points
 
 
-def closed_loop_trials(
-    path: Path, controller: str, files: list[Path] | None = None
-) -> tuple[float, float, float] | None:
+def closed_loop_trials(path: Path, controller: str, files: list[Path] | None = None) -> Estimate | None:
     """Mean trials on the training objects with a 95 % interval of one controller of the closed-loop report.
 
     None if it was not run, or, with ``files``, if it ran with other networks than these. All controllers ran with
@@ -136,13 +113,17 @@ def closed_loop_trials(
         return None
     shares = [(row["insertions"] / count, row) for row in rows]
     mean = sum(share * row["mean_trials"] for share, row in shares)
-    half = Z95 * math.sqrt(sum((share * row["mean_trials_standard_error"]) ** 2 for share, row in shares))
-    return mean, mean - half, mean + half
+    return normal(mean, math.sqrt(sum((share * row["mean_trials_standard_error"]) ** 2 for share, row in shares)))
 
 
-def save(table: Table, about: dict[str, Any], path: Path) -> None:
-    """Write the points as JSON."""
-    path.write_text(json.dumps(about | {key: [asdict(p) for p in points] for key, points in table.items()}, indent=1))
+def report_of(points: Points, about: dict[str, Any]) -> dict[str, Any]:
+    """Plain data: what the points have in common, and the points of every section."""
+    return about | {section: [asdict(point) for point in members] for section, members in points.items()}
+
+
+def points_in(report: dict[str, Any]) -> Points:
+    """The points of every section back from plain data."""
+    return {section: [Point(**row) for row in report[section]] for section in SECTIONS if section in report}
 
 
 def load_networks(path: Path) -> list[Point]:

@@ -1,10 +1,8 @@
-"""What networks decided on recorded collisions, kept between runs: running a large one again takes minutes."""
+"""What networks decide on recorded collisions, after 2, 4 and 8 frames."""
 
-import json
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 from rich.progress import track
@@ -46,42 +44,22 @@ class Score:
 Scores = dict[str, dict[int, Score]]
 
 
-def score(candidates: list[Candidate], decisions: Iterable[Decision], kept: Path | None = None) -> Scores:
-    """Scores of each candidate (by hash) after each number of frames.
-
-    ``kept`` names a file of earlier answers to the same decisions; it is read, and written again with the new ones.
-    Raises ContractError if there is no decision, or if the file holds anything else.
-    """
-    known = _read(kept)
-    missing = [candidate for candidate in candidates if candidate.sha256 not in known]
-    fresh: Scores = {c.sha256: {frames: Score() for frames in FRAME_COUNTS} for c in missing}
-    for batch in _together(track(decisions, description="deciding", transient=True)) if missing else ():
+def score(candidates: list[Candidate], decisions: Iterable[Decision]) -> Scores:
+    """Scores of each candidate (by hash) after each number of frames; raises ContractError without any decision."""
+    scores: Scores = {c.sha256: {frames: Score() for frames in FRAME_COUNTS} for c in candidates}
+    for batch in _together(track(decisions, description="deciding", transient=True)):
         labels = [int(label) for label in class_of(np.stack([decision.truth for decision in batch]))]
-        for candidate in missing:
+        for candidate in candidates:
             for decision, label, answers in zip(batch, labels, candidate.answers(batch), strict=True):
                 for frames, answer in answers.items():
-                    fresh[candidate.sha256][frames].add(answer, decision, label)
-    scores = {c.sha256: (known | fresh)[c.sha256] for c in candidates}
+                    scores[candidate.sha256][frames].add(answer, decision, label)
     if not all(row.hits for by_frames in scores.values() for row in by_frames.values()):
         raise ContractError("there is no decision to score the networks on")
-    if kept is not None and fresh:
-        rows = {sha: {str(count): asdict(row) for count, row in by.items()} for sha, by in (known | fresh).items()}
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        kept.write_text(json.dumps(rows))
     return scores
 
 
 def _together(decisions: Iterable[Decision]) -> Iterator[list[Decision]]:
+    """Batches: large weights are read once for all decisions of one."""
     iterator = iter(decisions)
     while batch := list(islice(iterator, TOGETHER)):
         yield batch
-
-
-def _read(kept: Path | None) -> Scores:
-    if kept is None or not kept.is_file():
-        return {}
-    try:
-        rows = json.loads(kept.read_text())
-        return {sha: {int(count): Score(**row) for count, row in by.items()} for sha, by in rows.items()}
-    except (ValueError, TypeError, AttributeError) as error:
-        raise ContractError(f"{kept} does not hold earlier answers ({error}); remove it") from error

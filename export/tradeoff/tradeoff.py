@@ -12,18 +12,18 @@ from export.onnx.decisions import FRAME_COUNTS, PAIR, Decision
 from export.tradeoff.candidates import Candidate, find_candidates
 from export.tradeoff.points import (
     Point,
-    Table,
+    Points,
     closed_loop_trials,
     load_networks,
-    mean_interval,
     physics_points,
-    save,
+    report_of,
     tracker_points,
-    wilson,
 )
-from export.tradeoff.report import NAME, draw, write
+from export.tradeoff.report import NAME, draw, tradeoff_page
 from export.tradeoff.scores import Score, Scores, score
 from reporting.machine import commit, cpu_name
+from reporting.page import publish
+from reporting.statistics import Estimate, mean, wilson
 from service.contract import ContractError, ModelCard
 
 CONTROLLERS = ("belief", "joint", "paper")
@@ -36,37 +36,29 @@ def tradeoff(
     about: dict[str, Any],
     docs: Path,
     seconds: float,
-    kept: Path | None = None,
-) -> Table:
+) -> Points:
     """Measure every candidate, add trackers and physics from their reports, write ``tradeoff.*`` into docs.
 
-    ``about`` names the decisions (split, dataset) and the refused builds, and goes into the report. ``kept`` is a
-    file of answers of earlier runs on the same decisions: a network whose files did not change is not run again.
+    ``about`` names the decisions (split, dataset) and the refused builds, and goes into the report.
     """
     candidates = find_candidates(folders)
-    scores = score(candidates, decisions, kept)
+    scores = score(candidates, decisions)
     networks: list[Point] = []
     crowding: list[float] = []
     for candidate in track(candidates, description="timing", transient=True):
         timing = candidate.time_step(seconds)
         crowding.append(timing.crowding)
         networks += points_of(candidate, timing, scores[candidate.sha256], docs)
-    table: Table = {
+    points: Points = {
         "networks": networks,
-        "slip": tracker_points(docs),
+        "slip": tracker_points(docs / "slip_report.json"),
         "physics": physics_points(docs / "accuracy.json"),
     }
-    about = about | {
-        "cpu": cpu_name(),
-        "commit": commit(),
-        "decisions": networks[0].count,
-        "crowding": max(crowding),
-    }
-    about["agreement"] = agreements(candidates, scores)
-    save(table, about, docs / f"{NAME}.json")
-    draw(table, docs / f"{NAME}.png")
-    write(table, about, docs / f"{NAME}.md")
-    return table
+    about |= {"cpu": cpu_name(), "commit": commit(), "decisions": networks[0].count, "crowding": max(crowding)}
+    report = report_of(points, about | {"agreement": agreements(candidates, scores)})
+    draw(points, docs / f"{NAME}.png")
+    publish(docs, NAME, tradeoff_page(report), report)
+    return points
 
 
 def agreements(candidates: list[Candidate], scores: Scores) -> list[dict[str, Any]]:
@@ -111,8 +103,7 @@ def points_of(candidate: Candidate, timing: Timing, scores: dict[int, Score], do
             p99_ms=frames * timing.p99_ms,
             count=len(score.hits),
             mean_trials=trials if frames == max(FRAME_COUNTS) else None,
-            about=about
-            | {"frames": frames, "mae_mm": mean_interval(score.off_mm), "mae_deg": mean_interval(score.off_deg)},
+            about=about | {"frames": frames, "mae_mm": mean(score.off_mm), "mae_deg": mean(score.off_deg)},
         )
         for frames, score in scores.items()
     ]
@@ -124,7 +115,7 @@ def _input(card: ModelCard) -> str:
     return f"{card.frame.height_px} x {card.frame.width_px} px"
 
 
-def _trials(candidate: Candidate, docs: Path) -> tuple[float, float, float] | None:
+def _trials(candidate: Candidate, docs: Path) -> Estimate | None:
     """Mean trials of a closed loop that ran with these very files.
 
     Two networks in one graph are known by the hashes of the files they were written beside, one folder up.
@@ -164,7 +155,7 @@ def choose(budget_ms: float, report: Path, seconds: float) -> str:
     stretched = timing.budget_p99_ms < timing.p99_ms
     noisy = f" (noisy machine: the processor's p99 counts, {timing.budget_p99_ms:.2f} ms)" if stretched else ""
     return (
-        f"{point.name}: right direction {100 * point.better:.1f} % [{100 * point.low:.1f}, {100 * point.high:.1f}], "
+        f"{point.name}: right direction {Estimate(point.better, point.low, point.high):.1%}, "
         f"step p50 {timing.p50_ms:.2f} ms, p99 {timing.p99_ms:.2f} ms of {budget_ms:g} ms on {cpu_name()}{noisy}\n"
         f"{point.about['folder']}: {' '.join(point.about['files'])}"
     )

@@ -20,7 +20,7 @@ from service.contract.wire import CameraEntry
 
 RETRY_S = 0.25  # a returned camera is found within 1 s
 STALL_S = 0.5  # no frame for this long is a stall
-GLANCE_EVERY = 4  # of a camera that nobody attends to, one frame in so many is decoded; the others only prove it lives
+GLANCE_EVERY = 4  # without attention one frame in so many is decoded; the others only show that the camera lives
 MAX_BROKEN = 10  # JPEGs in a row that do not decode, before the camera is given up and opened anew
 State = Literal["live", "stalled", "lost", "starting"]
 
@@ -73,9 +73,9 @@ class Camera:
 
     ``on_frame`` is called in the capture thread for each frame, ``on_fault(finger, code, detail)`` once for each change
     into a bad state; codes are camera_lost, camera_stalled, camera_frozen, camera_size. A picture that repeats the last
-    one bit for bit is not new (no camera is free of noise): it is counted, not passed on, and half a second of nothing
-    else is a frozen camera. While ``attended`` says no, most JPEGs are
-    counted but not decoded: that is three quarters of what an idle service would spend.
+    one bit for bit is not new, since no camera is free of noise: it is counted but not passed on, and half a second of
+    nothing else is a frozen camera. While ``attended`` is False, most JPEGs are counted but not decoded, which saves
+    three quarters of what an idle service would spend.
     """
 
     def __init__(
@@ -102,7 +102,6 @@ class Camera:
         self._thread = threading.Thread(target=self._run, name=f"camera-{finger}", daemon=True)
 
     def start(self) -> None:
-        """Begin to capture."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -121,13 +120,12 @@ class Camera:
 
     @property
     def entry(self) -> CameraEntry:
-        """As the wire carries it."""
         return CameraEntry(
             finger=self.finger, source=self.source.name, state=self.state, frame_rate_hz=self.frame_rate_hz
         )
 
     def check_stall(self, now_ns: int) -> None:
-        """Called a few times a second by whoever owns the camera: a live camera without frames becomes stalled."""
+        """Mark a live camera without frames as stalled; its owner calls this a few times a second."""
         if self.state == "live" and self.newest_ns and now_ns - self.newest_ns > STALL_S * 1e9:
             if self._same_n:
                 detail = f"the same picture {self._same_n + 1} times for {STALL_S:g} s from {self.source.name}"
@@ -175,7 +173,7 @@ class Camera:
         self._on_frame(frame)
 
     def _repeats(self, capture: Capture) -> bool:
-        """Whether this is the last picture once more."""
+        """Whether this picture repeats the last one."""
         last, picture = self._picture, capture.jpeg if capture.pixels is None else capture.pixels
         self._picture = picture
         if isinstance(picture, bytes) or isinstance(last, bytes):

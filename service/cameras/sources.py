@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import CameraError, Capture, Source, now_ns
 from service.contract import TactileFrame
+from service.contract.refusals import nearest
 
 CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a camera that returns is found within 1 s
 READ_TIMEOUT_S = 1.0
@@ -22,15 +23,16 @@ MAX_JPEG_BYTES = 4 << 20
 _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
 _STAMP = re.compile(rb"(?im)^x-timestamp:\s*(\d+)\.(\d{1,9})\s*$")
 _SAME_CLOCK_NS = 1_000_000_000
-_IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
+SCHEMES = ("http:", "v4l2:", "file:", "push:")
+IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 
 
 class MjpegSource:
     """``multipart/x-mixed-replace`` JPEG parts over HTTP; stamped when the part's header arrives.
 
     A part's ``X-Timestamp`` (seconds) is its capture time instead where it lies within the last second of this
-    machine's monotonic clock: the camera server then runs here and stamps with the same clock. Once it was found to,
-    its stamps are believed however old: a picture that was held up for longer must not pass for a fresh one.
+    machine's monotonic clock: the camera server then runs here and stamps with the same clock. From then on its stamps
+    are trusted at any age, because a delayed picture must not pass for a fresh one.
     """
 
     def __init__(self, url: str) -> None:
@@ -102,7 +104,7 @@ class MjpegSource:
 
 
 def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
-    """The capture stamp a part's header tells, if it can be of this machine's monotonic clock; else its arrival.
+    """The capture stamp in a part's header if it can be of this machine's monotonic clock, else its arrival.
 
     ``same_clock``: earlier stamps of this stream were, so that an old one is old.
     """
@@ -124,7 +126,6 @@ class V4l2Source:
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
-        """Open the device and yield its frames."""
         capture = cv2.VideoCapture(self._device, cv2.CAP_V4L2)
         try:
             if not capture.isOpened():
@@ -153,11 +154,10 @@ class RecordingSource:
             raise CameraError(f"recording {path} does not exist")
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
-        """Play in a loop until stopped."""
         while not stop.is_set():
             played = 0
             due = time.monotonic()
-            for pixels, rate_hz in self._images():
+            for pixels, rate_hz in clip_images(self._path):
                 due += 1.0 / (self._frame_rate_hz or rate_hz)
                 if stop.wait(max(0.0, due - time.monotonic())):
                     return
@@ -166,20 +166,22 @@ class RecordingSource:
             if not played:
                 raise CameraError(f"{self._path} holds no image that can be read")
 
-    def _images(self) -> Iterator[tuple[NDArray[np.uint8], float]]:
-        if self._path.is_dir():
-            for path in sorted(p for p in self._path.iterdir() if p.suffix.lower() in _IMAGES):
-                image = cv2.imread(str(path))
-                if image is not None:
-                    yield np.asarray(image, np.uint8), 30.0
-            return
-        capture = cv2.VideoCapture(str(self._path))
-        try:
-            rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
-            while (read := capture.read())[0]:
-                yield np.asarray(read[1], np.uint8), rate_hz
-        finally:
-            capture.release()
+
+def clip_images(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
+    """BGR image and frames a second of each frame of a video, or of a folder of images by name (30 a second)."""
+    if path.is_dir():
+        for file in sorted(child for child in path.iterdir() if child.suffix.lower() in IMAGES):
+            image = cv2.imread(str(file))
+            if image is not None:
+                yield np.asarray(image, np.uint8), 30.0
+        return
+    capture = cv2.VideoCapture(str(path))
+    try:
+        rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
+        while (read := capture.read())[0]:
+            yield np.asarray(read[1], np.uint8), rate_hz
+    finally:
+        capture.release()
 
 
 class PushSource:
@@ -196,7 +198,6 @@ class PushSource:
         return self._pusher.acquire(blocking=False)
 
     def release(self) -> None:
-        """The pushing client is gone."""
         self._pusher.release()
 
     def push(self, frame: TactileFrame) -> None:
@@ -234,4 +235,5 @@ def open_source(url: str, *, frame_rate_hz: float = 30.0) -> Source:
     path = Path(url.removeprefix("file:"))
     if url.startswith("file:") or (url and path.exists()):
         return RecordingSource(path)
-    raise CameraError(f"camera {url!r}: expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:")
+    hint = nearest(url.split(":", maxsplit=1)[0] + ":", SCHEMES)
+    raise CameraError(f"camera {url!r}: expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:{hint}")

@@ -6,18 +6,23 @@ from pathlib import Path
 
 import cv2
 
-from service.contract import FINGERS, Finger
-from service.perception.rectification import Calibration, Rectifier
+from service.contract import FINGERS, ContractError, Finger, Sensor
+from service.contract.sensor import DEFAULT_SENSOR
+from service.perception.rectification import Calibration, CalibrationError, Rectifier
 from service.tools.calibrate import Fit, fit_camera, still_image
 
 
 def main(arguments: Sequence[str]) -> int:
     """Fit both fingers and write the file; raises CalibrationError or CameraError naming the finger."""
     options = _parse(arguments)
+    try:
+        sensor = Sensor.load(options.sensor)
+    except ContractError as error:
+        raise CalibrationError(f"--sensor: {error}") from error
     fits: dict[Finger, Fit] = {}
     for finger in FINGERS:
         image = still_image(getattr(options, f"camera_{finger}"), options.frames)
-        fits[finger] = fit = fit_camera(image, finger)
+        fits[finger] = fit = fit_camera(image, finger, sensor)
         rows, cols = fit.lattice.detected.shape
         print(
             f"{finger:<6} {cols} x {rows} markers, {fit.lattice.detected.mean():.1%} of them visible,"
@@ -38,6 +43,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     for finger in FINGERS:
         help_text = f"camera of the {finger} finger, as for run: v4l2:N, http://HOST:PORT/PATH or file:PATH"
         parser.add_argument(f"--camera-{finger}", required=True, metavar="URL", help=help_text)
+    parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="its name or its TOML profile (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("calibration.toml"), help="file to write (calibration.toml)")
     parser.add_argument("--frames", type=int, default=15, help="frames a camera; their median is used (15)")
     parser.add_argument("--pictures", type=Path, help="folder for the rectified pictures, to look at")

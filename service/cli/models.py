@@ -1,4 +1,4 @@
-"""`python -m service models FOLDER`: what the service would load from a folder, and what each network says."""
+"""`python -m service models FOLDER`: what the service would load from a folder, and the card of each network."""
 
 import argparse
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="tactile-insertion models", description="check a folder, print its cards")
     parser.add_argument("folder", nargs="?", type=Path, default=released_models(), help="folder of *.onnx files")
     models = load_models(parser.parse_args(arguments).folder)
-    deciding = {step.model.path for step in models.steps}
+    deciding = {step.path for step in models.steps}
     for model in models.models:
         print("\n".join(describe(model, decides=model.path in deciding)))
     return 0

@@ -1,6 +1,6 @@
-"""What the rooms tell each other: frames, model cards and wire messages.
+"""What the packages exchange: frames, model cards and wire messages.
 
-Pure data: numpy and pydantic only. This is the one part of the service that the other rooms may import.
+Pure data: numpy and pydantic only. This is the one part of the service that the other packages may import.
 """
 
 from service.contract.frames import (
@@ -13,7 +13,8 @@ from service.contract.frames import (
     decode_frame,
     encode_frame,
 )
-from service.contract.model_card import CARD_KEY, Calibration, ErrorClass, MarkerSpec, ModelCard
+from service.contract.model_card import CARD_KEY, Calibration, ErrorClass, ModelCard
+from service.contract.sensor import MarkerSpec, Sensor
 
 __all__ = [
     "CARD_KEY",
@@ -26,6 +27,7 @@ __all__ = [
     "FrameSpec",
     "MarkerSpec",
     "ModelCard",
+    "Sensor",
     "TactileFrame",
     "decode_frame",
     "encode_frame",

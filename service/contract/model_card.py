@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, JsonValue, ValidationError, model_validator
 
 from service.contract.frames import Contract, ContractError, FrameSpec, first_error
+from service.contract.sensor import MarkerSpec, Sensor
 
 CARD_KEY = "tactile_insertion.card"
 
@@ -37,26 +38,17 @@ class Calibration(Contract):
 
 
 class SelfTest(Contract):
-    """What the network said of fixed frames where it was released; see :mod:`service.contract.self_test`."""
+    """The outputs on fixed frames where the network was released; see :mod:`service.contract.self_test`."""
 
     outputs: dict[str, tuple[float, ...]]
     tolerance: Positive
 
 
-class MarkerSpec(Contract):
-    """The marker grid a network reads in place of pictures, as tracked in rectified frames of the card's spec.
-
-    ``first_px`` (u, v) is where the marker of the first row and column rests, the others ``pitch_px`` apart.
-    """
-
-    rows: int = Field(ge=2, le=256)
-    columns: int = Field(ge=2, le=256)
-    pitch_px: Positive
-    first_px: tuple[float, float]
-
-
 class ModelCard(Contract):
     """The card of one ONNX file.
+
+    ``sensor`` is the profile of the fingers it was made for; cards without one are older than the field, see
+    :attr:`profile`.
 
     Graph inputs, by form (uint8 frames, preprocessing inside the graph, batch B free):
 
@@ -81,6 +73,7 @@ class ModelCard(Contract):
     form: Literal["sequence", "step"]
     frame: FrameSpec
     markers: MarkerSpec | None = None
+    sensor: Sensor | None = None
     frames_per_decision: int = Field(ge=1, le=64)
     state_size: int = Field(ge=0, default=0)
     reference_rule: Literal["first_of_sequence", "before_onset"] = "first_of_sequence"
@@ -112,7 +105,14 @@ class ModelCard(Contract):
             raise ValueError("a joint network needs grid_x_mm and grid_theta_deg")
         if self.form == "step" and self.state_size == 0:
             raise ValueError("a step network needs a state_size")
+        if self.sensor and (self.frame != self.sensor.rectified or self.markers not in (None, self.sensor.markers)):
+            raise ValueError(f"frame and markers must be those of its sensor {self.sensor}")
         return self
+
+    @property
+    def profile(self) -> Sensor:
+        """The sensor it was made for, the only one there was where the card does not say."""
+        return self.sensor or Sensor.load()
 
     @property
     def input_shape(self) -> tuple[int, int, int]:
@@ -151,6 +151,7 @@ class ModelCard(Contract):
         shared = (
             "frame",
             "markers",
+            "profile",
             "frames_per_decision",
             "reference_rule",
             "threshold_x_mm",

@@ -1,7 +1,7 @@
-"""A network's own test: what it said of fixed frames where it was released, asked again wherever it is loaded.
+"""A network's self-test: its outputs on fixed frames where it was released, compared wherever it is loaded.
 
-An int8 build that saturates on a processor without VNNI, or a runtime that computes otherwise, is wrong silently; this
-makes it loud. The frames are integers from integers, so every machine makes the same ones.
+An int8 build that saturates on a processor without VNNI, or a runtime that computes differently, is silently wrong;
+this test shows it. The frames are integers made from integers, so they are the same on every machine.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,25 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract.frames import ContractError, FrameSpec
-from service.contract.model_card import MarkerSpec, ModelCard, SelfTest
+from service.contract.model_card import ModelCard, SelfTest
+from service.contract.sensor import MarkerSpec, Sensor
 
 Arrays = dict[str, NDArray[Any]]
 Run = Callable[[Arrays], Mapping[str, NDArray[Any]]]
-PITCH_PX, RADIUS_SQUARED = 15, 6
 GEOMETRY_MM = {"gap_width_mm": 56.0, "grasp_height_mm": 40.0}
 MOST_VALUES = 32
 TOLERANCE = {"none": 1e-3, "fp16": 1e-3, "int8": 5e-2}
 """Largest difference between two machines, relative to the largest output or one; rounding differs, arithmetic not."""
 
 
-def self_test_frames(spec: FrameSpec, count: int) -> NDArray[np.uint8]:
+def self_test_frames(sensor: Sensor, spec: FrameSpec, count: int) -> NDArray[np.uint8]:
     """Dotted frames that shear a pixel a frame, the fingers in opposite directions: uint8 [count, 2, H, W, 3]."""
     v, u = np.mgrid[: spec.height_px, : spec.width_px]
     step = np.arange(count)[:, None, None, None]
     way = np.array([1, -1])[None, :, None, None]
-    off_u = (u + step * way) % PITCH_PX - PITCH_PX // 2
-    off_v = (v + step // 2) % PITCH_PX - PITCH_PX // 2
-    level = np.where(off_u**2 + off_v**2 <= RADIUS_SQUARED, 60, 140 + u // 32)
+    pitch_px = round(sensor.marker_pitch_px)
+    off_u = (u + step * way) % pitch_px - pitch_px // 2
+    off_v = (v + step // 2) % pitch_px - pitch_px // 2
+    level = np.where(off_u**2 + off_v**2 <= (sensor.marker_diameter_px / 2) ** 2, 60, 140 + u // 32)
     return np.stack([level - 30, level, level - 20], -1).astype(np.uint8)
 
 
@@ -47,7 +48,7 @@ def self_test_input(card: ModelCard) -> NDArray[Any]:
     """The fixed decision as the card's graph reads it: [frames_per_decision, 2, *input_shape]."""
     if card.markers:
         return self_test_markers(card.markers, card.frames_per_decision)
-    return self_test_frames(card.frame, card.frames_per_decision)
+    return self_test_frames(card.profile, card.frame, card.frames_per_decision)
 
 
 def run_self_test(card: ModelCard, run: Run) -> dict[str, tuple[float, ...]]:
@@ -73,7 +74,7 @@ def make_self_test(card: ModelCard, run: Run) -> SelfTest:
 
 
 def check_self_test(card: ModelCard, run: Run, source: str) -> None:
-    """Raise ContractError, naming output and difference, if a network computes otherwise here than where it came from.
+    """Raise ContractError, naming output and difference, if a network computes differently than where it was released.
 
     A card without a test passes unless it is int8: those builds are the ones that go wrong by processor.
     """

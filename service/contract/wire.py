@@ -66,8 +66,8 @@ class Descending(_Message):
 class Stopped(_Message):
     """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion.
 
-    ``inserted`` says that full depth was reached. Whether the object came along, `finished` says: ``failed`` after a
-    fault ``not_seated`` or ``not_seen`` where the gels still carry a push, or could not be seen.
+    ``inserted`` means that full depth was reached. `finished` reports whether the object came along: it is ``failed``
+    after a fault ``not_seated`` (the gels still carry a push) or ``not_seen`` (no frame shows them).
     """
 
     type: Literal["stopped"] = "stopped"

@@ -38,7 +38,7 @@ class WorkResult:
 
 @dataclass(slots=True)
 class Attempt:
-    """State of one attempt; ``generation`` tells a re-armed attempt's late results from its current ones."""
+    """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones."""
 
     arm: Arm
     armed_ns: int
@@ -66,7 +66,7 @@ class Attempt:
 
     @property
     def spoilt(self) -> bool:
-        """Whether its reference holds no more: told to stop, or a finger was blind meanwhile."""
+        """Whether its reference is no longer valid: a stop was sent, or a camera failed meanwhile."""
         return self.slip_sent or self.stale_sent or bool(self.broken)
 
     def rearm(self, watch: FingerWatch, frame: TactileFrame) -> None:
@@ -76,7 +76,7 @@ class Attempt:
             self.rearmed.add(frame.finger)
 
     def take_reference(self, both: PairObservation) -> Armed | None:
-        """Arm with this pair if both fingers were rearmed and can be read; notes the problem and says no otherwise."""
+        """Arm with this pair if both fingers were rearmed and are readable; else keep the problem and return None."""
         if self.rearmed != {"left", "right"}:
             return None
         problems = [f"{o.finger}: {o.field.reason or o.field.status}" for o in both.fingers if not o.field.usable]
@@ -90,7 +90,7 @@ class Attempt:
         return self.armed
 
     def take_in(self, both: PairObservation) -> None:
-        """A pair after the reference: it may be the one that shows the onset of motion."""
+        """Add a pair after the reference; it may show the onset of motion."""
         self.ring.append(both)
         if self.reference is not None:
             self.pushes.append(push_of(both, self.reference))
@@ -123,7 +123,7 @@ class Attempt:
         return fresh
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """The frames the decision rests on, as :mod:`service.recordings.writer` documents for ``attempt_XX.npz``."""
+        """The frames of the decision, as :mod:`service.recordings.writer` documents for ``attempt_XX.npz``."""
         reference = self.network_reference or self.reference
         if reference is None:
             return {}

@@ -2,12 +2,12 @@
 
 The moves between attempts are commands, hence known: the belief stays in coordinates of the first attempt's error and
 an attempt's evidence is evaluated at first error + sum of moves. What moves cannot explain is that an object creeps in
-the hand each time it is blocked: its bottom goes outwards, which is expected before it is seen.
+the hand each time it is blocked: its bottom goes outwards, which is expected before it is measured.
 
 Two hypotheses are weighed against each other, each with its own belief. Under "trusted" the networks' estimates hold
-with the spread they claim. Under "gain unknown" an estimate tells the side surely but its size only by a factor: so it
-is with an object that is held in a way the networks never saw. As soon as an attempt contradicts what the earlier ones
-made sure of, the weight moves over, and the search closes in on the side instead of swinging past it.
+with their stated spread. Under "gain unknown" an estimate gives the side reliably but its size only up to a factor, as
+with an object held in a way that the networks never saw. When an attempt contradicts the earlier ones, the weight moves
+over, and the search closes in on the side instead of swinging past it.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.3, 0.9
 OUTLIER_SHARE = 0.02
 DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
 # Spread of the errors the networks were trained on. A network states its belief after seeing the pictures, this spread
-# included; what the pictures alone say is that belief divided by it: an estimate no surer than this says nothing.
+# included; the evidence of the pictures alone is that belief divided by it. An estimate no sharper carries none.
 TRAINED_SPREAD = (9.0, 8.7)
 UNINFORMATIVE, FINEST = 100.0, 0.01  # mm and deg: a flat likelihood, and the sharpest that a half-millimetre grid needs
 INCONSISTENT_BELOW = 0.05  # Bayes factor of all that was learnt against knowing nothing
@@ -58,7 +58,7 @@ def _near(values: Floats, tolerance: float, softness: float) -> Floats:
 
 
 def stated(evidence: Evidence) -> tuple[float, float]:
-    """Sigma (mm, deg) of what an attempt's pictures say by themselves: the networks' own, freed of their prior."""
+    """Sigma (mm, deg) of an attempt's pictures alone: the networks' own without their prior."""
     given = evidence.sigma or DEFAULT_SIGMA
     alone = (max(s, FINEST) ** -2 - spread**-2 for s, spread in zip(given, TRAINED_SPREAD, strict=True))
     x_mm, theta_deg = (precision**-0.5 if precision > UNINFORMATIVE**-2 else UNINFORMATIVE for precision in alone)

@@ -37,7 +37,7 @@ class BeliefPicture:
 
 
 class Controller(Protocol):
-    """Turns the evidence of a blocked attempt into the next move; remembers what it was told within one insertion."""
+    """Turns the evidence of a blocked attempt into the next move; remembers the attempts of one insertion."""
 
     name: ControllerName
 

@@ -1,6 +1,6 @@
 """One answer to each attempt: a correction where its evidence can be trusted, else ``no_decision`` with the reason.
 
-At full depth it says ``inserted`` where the gels agree, else a fault with what they carry.
+At full depth the answer is ``inserted`` if the gels agree, else a fault with the push that they carry.
 """
 
 import math

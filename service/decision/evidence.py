@@ -1,4 +1,4 @@
-"""From the frames of one attempt to what the networks know of the position error."""
+"""From the frames of one attempt to the evidence on the position error."""
 
 import time
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.contract import ContractError, ErrorClass, ModelCard
 from service.contract.wire import Estimate
-from service.decision.models import Array, ModelSet, StepModel
+from service.decision.models import Array, LoadedModel, ModelSet
 
 Floats = NDArray[np.float64]
 RefusalReason = Literal["no_motion", "out_of_distribution", "low_confidence", "non_finite", "stale", "too_few_frames"]
@@ -35,7 +35,7 @@ class Density:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What one attempt says: class probabilities, estimated error (mm, deg) and sigma (mm, deg; None if not given).
+    """The result of one attempt: class probabilities, estimated error (mm, deg) and sigma (mm, deg; None if not given).
 
     Raises Refusal where any of these is not finite: no evidence is made of such numbers.
     """
@@ -57,7 +57,6 @@ class Evidence:
 
     @property
     def best(self) -> ErrorClass:
-        """The most probable class."""
         return self.classes[int(np.argmax(self.probabilities))]
 
     @property
@@ -66,7 +65,6 @@ class Evidence:
         return float(np.max(self.probabilities))
 
     def class_probabilities(self) -> dict[str, float]:
-        """By class name, as the wire carries them."""
         return {entry.name: float(p) for entry, p in zip(self.classes, self.probabilities, strict=True)}
 
     def estimate(self) -> Estimate:
@@ -115,12 +113,14 @@ class DecisionRun:
         self.step_ms = (time.perf_counter() - started) * 1e3
         self.frames_n += 1
 
-    def _advance(self, index: int, step: StepModel, frame: NDArray[np.uint8] | NDArray[np.float32]) -> dict[str, Array]:
+    def _advance(
+        self, index: int, step: LoadedModel, frame: NDArray[np.uint8] | NDArray[np.float32]
+    ) -> dict[str, Array]:
         outputs, self._states[index] = step.step(frame, self._reference, self._states[index], *self._geometry)
         return outputs
 
     def evidence(self) -> Evidence:
-        """What the networks say after the last frame; raise Refusal if too few came or any output is not finite."""
+        """The evidence after the last frame; raise Refusal if too few came or any output is not finite."""
         needed = self._models.card.frames_per_decision
         if self.frames_n < needed:
             raise Refusal("too_few_frames", f"{self.frames_n} frame pairs since motion began, expected {needed}")

@@ -31,7 +31,10 @@ class ModelError(ContractError):
 
 @dataclass(frozen=True, slots=True)
 class LoadedModel:
-    """One ONNX file, open in onnxruntime with one thread, and what it says of itself."""
+    """One ONNX file, open in onnxruntime with one thread, and its card.
+
+    In step form it maps one frame pair and its own recurrent state to outputs and the next state.
+    """
 
     path: Path
     card: ModelCard
@@ -47,21 +50,12 @@ class LoadedModel:
 
     @property
     def entry(self) -> ModelEntry:
-        """Card and file hash as the wire carries them."""
         return ModelEntry(card=self.card, sha256=self.sha256)
 
     def run(self, inputs: Mapping[str, Array]) -> dict[str, Array]:
         """All outputs by name for a batch of inputs that match the card's shapes."""
         names = [output.name for output in self.outputs]
         return dict(zip(names, self.session.run(names, dict(inputs)), strict=True))
-
-
-class StepModel:
-    """A network in step form: one frame pair and its own recurrent state in, outputs and the next state out."""
-
-    def __init__(self, model: LoadedModel) -> None:
-        self.model = model
-        self.card = model.card
 
     def fresh_state(self) -> NDArray[np.float32]:
         """Zeros float32 [1, state_size]: the state before the first frame of a decision."""
@@ -81,7 +75,7 @@ class StepModel:
             inputs["gap_width_mm"] = np.array([[gap_width_mm]], np.float32)
         if self.card.grasp_height_input:
             inputs["grasp_height_mm"] = np.array([[grasp_height_mm or 0.0]], np.float32)
-        outputs = self.model.run(inputs)
+        outputs = self.run(inputs)
         return outputs, outputs.pop("next_state")
 
     def warm_up(self) -> None:
@@ -96,7 +90,7 @@ class StepModel:
 class ModelSet:
     """What decides (direction and magnitude network, both in one graph, or a joint density), and every file found."""
 
-    steps: tuple[StepModel, ...]
+    steps: tuple[LoadedModel, ...]
     models: tuple[LoadedModel, ...]
 
     @property
@@ -106,15 +100,12 @@ class ModelSet:
 
     @property
     def entries(self) -> tuple[ModelEntry, ...]:
-        """The deciding models as the hello message carries them."""
-        return tuple(step.model.entry for step in self.steps)
+        return tuple(step.entry for step in self.steps)
 
-    def role(self, role: str) -> StepModel | None:
-        """The deciding network of a role, if the set has one."""
+    def role(self, role: str) -> LoadedModel | None:
         return next((step for step in self.steps if step.card.role == role), None)
 
     def warm_up(self) -> None:
-        """Warm every deciding network."""
         for step in self.steps:
             step.warm_up()
 
@@ -181,7 +172,7 @@ def load_models(folder: Path) -> ModelSet:
     return chosen
 
 
-def _choose_steps(folder: Path, candidates: Sequence[LoadedModel]) -> tuple[StepModel, ...]:
+def _choose_steps(folder: Path, candidates: Sequence[LoadedModel]) -> tuple[LoadedModel, ...]:
     by_role: dict[str, LoadedModel] = {}
     for model in candidates:
         other = by_role.setdefault(model.card.role, model)
@@ -195,15 +186,15 @@ def _choose_steps(folder: Path, candidates: Sequence[LoadedModel]) -> tuple[Step
     if set(by_role) not in _DECIDING:
         missing = " and ".join(sorted({"direction", "magnitude"} - set(by_role)))
         raise ModelError(f"{folder} has no {missing} step model; export it with `python -m export onnx`")
-    return tuple(StepModel(by_role[role]) for role in sorted(by_role))
+    return tuple(by_role[role] for role in sorted(by_role))
 
 
-def _check_agreement(steps: Sequence[StepModel]) -> None:
+def _check_agreement(steps: Sequence[LoadedModel]) -> None:
     first, *others = steps
     for other in others:
         disagreements = first.card.disagreements(other.card)
         if disagreements:
             raise ModelError(
-                f"{first.model.path.name} and {other.model.path.name} disagree on {'; '.join(disagreements)};"
+                f"{first.path.name} and {other.path.name} disagree on {'; '.join(disagreements)};"
                 " export both from the same training run"
             )

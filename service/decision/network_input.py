@@ -5,25 +5,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import MarkerSpec, ModelCard
+from service.contract import ModelCard
 from service.decision.evidence import Refusal
-from service.perception.markers.field import Lattice, marker_array
+from service.perception.markers.field import marker_array
 from service.perception.markers.sequence import track_pairs
 from service.perception.observation import PairObservation
-
-
-def lattice_of(spec: MarkerSpec) -> Lattice:
-    """The lattice that a card's network reads."""
-    return Lattice(spec.rows, spec.columns, spec.pitch_px, spec.first_px)
 
 
 def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
     """A pair as the card's graph reads it, left finger first; raise Refusal if the grid found is not the card's."""
     if card.markers is None:
         return pair.pixels()
-    lattice = lattice_of(card.markers)
     try:
-        return np.stack([marker_array(finger.field, lattice) for finger in pair.fingers])
+        return np.stack([marker_array(finger.field, card.markers) for finger in pair.fingers])
     except ValueError as error:
         raise Refusal("out_of_distribution", str(error)) from error
 
@@ -36,6 +30,6 @@ def network_frames(card: ModelCard, frames: NDArray[np.uint8]) -> NDArray[Any]:
     if card.markers is None:
         return frames
     try:
-        return track_pairs(frames, lattice_of(card.markers))
+        return track_pairs(frames, card.markers, card.profile.fps)
     except ValueError as error:
         raise Refusal("out_of_distribution", str(error)) from error

@@ -54,7 +54,6 @@ class SeatingEvidence:
         return math.isfinite(self.push_pitch) and self.push_pitch < self.bound_pitch
 
     def __str__(self) -> str:
-        """One line for the operator."""
         of_blocked = (
             f", {self.push_pitch / self.blocked_pitch:.0%} of the strongest they bore" if self.blocked_pitch else ""
         )

@@ -1,1 +1,1 @@
-"""What the service tells of itself: events, log lines, traces."""
+"""Events, log lines and traces."""

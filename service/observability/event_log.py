@@ -1,4 +1,4 @@
-"""The log: one structured line for each thing an operator or a post-mortem asks about, with its insertion's id."""
+"""The log: one structured line for each event that matters to an operator, with the insertion's id."""
 
 from typing import Any
 
@@ -8,10 +8,19 @@ from service.contract import wire
 from service.observability.hub import Hub
 
 log = structlog.get_logger()
+LOGGED = {
+    "slip": ("attempt", "finger", "frame_seq", "age_ms", "score"),
+    "correction": ("attempt", "dx_mm", "dtheta_deg", "confidence", "latency_ms"),
+    "no_decision": ("attempt", "reason", "detail"),
+    "armed": ("attempt",),
+    "finished": ("outcome", "attempts"),
+    "fault": ("code", "detail", "fatal"),
+}
+SHORT = {"frame_seq": "frame"}
 
 
 def log_events(hub: Hub) -> None:
-    """From now on, write what the hub tells. Frames and observations are counted in the metrics, not logged."""
+    """Log the hub's events from now on. Frames and observations are counted in the metrics, not logged."""
     hub.subscribe(_on_event)
 
 
@@ -29,24 +38,11 @@ def _on_event(kind: str, content: Any) -> None:
 
 
 def facts(message: wire.ServiceMessage) -> dict[str, Any]:
-    """The fields of a message that belong into a log line."""
+    """The fields of a message that a log line carries, rounded."""
     line: dict[str, Any] = {"insertion": message.insertion_id}
-    match message:
-        case wire.Slip():
-            line |= {"attempt": message.attempt, "finger": message.finger, "frame": message.frame_seq}
-            line |= {"age_ms": round(message.age_ms, 1), "score": round(message.score, 3)}
-        case wire.Correction():
-            line |= {"attempt": message.attempt, "dx_mm": round(message.dx_mm, 3)}
-            line |= {"dtheta_deg": round(message.dtheta_deg, 3), "confidence": round(message.confidence, 3)}
-            line |= {"latency_ms": {stage: round(ms, 2) for stage, ms in message.latency_ms.items()}}
-        case wire.NoDecision():
-            line |= {"attempt": message.attempt, "reason": message.reason, "detail": message.detail}
-        case wire.Armed():
-            line |= {"attempt": message.attempt}
-        case wire.Finished():
-            line |= {"outcome": message.outcome, "attempts": message.attempts}
-        case wire.Fault():
-            line |= {"code": message.code, "detail": message.detail, "fatal": message.fatal}
-        case _:
-            pass
+    for name in LOGGED.get(message.type, ()):
+        value = getattr(message, name)
+        if isinstance(value, dict):
+            value = {key: round(number, 2) for key, number in value.items()}
+        line[SHORT.get(name, name)] = round(value, 3) if isinstance(value, float) else value
     return line

@@ -1,4 +1,4 @@
-"""What is happening now, for everyone who watches: metrics, the dashboard, watching clients."""
+"""Current events for metrics, the dashboard and watching clients."""
 
 import threading
 from collections.abc import Callable
@@ -18,7 +18,7 @@ class Hub:
     """Passes events to listeners and keeps the newest frame and observation of each finger. Thread safe.
 
     Listeners are called in the publishing thread and must return at once (they hand over to their own loop). One that
-    raises is logged and counted: who watches an insertion cannot break it.
+    raises is logged and counted: a listener cannot break an insertion.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,6 @@ class Hub:
         return remove
 
     def publish(self, kind: str, content: Any) -> None:
-        """Tell every listener."""
         for listener in self._listeners:
             try:
                 listener(kind, content)
@@ -49,11 +48,9 @@ class Hub:
                 log.error("listener", event_kind=kind, error=repr(error))  # noqa: TRY400 - one line, not a page, a frame
 
     def frame(self, frame: CameraFrame) -> None:
-        """A new camera frame."""
         self.frames[frame.frame.finger] = frame
         self.publish("frame", frame)
 
     def observation(self, observation: Observation) -> None:
-        """A frame was perceived."""
         self.observations[observation.finger] = observation
         self.publish("observation", observation)

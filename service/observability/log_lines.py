@@ -1,7 +1,6 @@
-"""Where log lines go: written by a thread of their own, so that no log can delay or end what it tells of.
+"""Log lines are written by a thread of their own, so that logging cannot delay or end an insertion.
 
-Standard error is a pipe as often as not. Its reader may stall (writes block), leave (writes raise) or its disk be full;
-a robot's insertion must not notice.
+Standard error is often a pipe. Its reader may stall (writes block), leave (writes raise), or have a full disk.
 """
 
 import queue
@@ -28,7 +27,6 @@ class LogLines:
         self._thread.start()
 
     def write(self, line: str) -> None:
-        """Queue a line."""
         try:
             self._lines.put_nowait(line)
         except queue.Full:

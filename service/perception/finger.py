@@ -1,4 +1,4 @@
-"""Perception of one finger as the session uses it: rectify, track, judge slip, notice the onset of motion."""
+"""Perception of one finger as the session uses it: rectification, tracking, slip and the onset of motion."""
 
 import time
 from dataclasses import replace
@@ -14,8 +14,7 @@ from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector, SlipState, untouched
 from service.perception.slip.onset import OnsetDetector
 
-_AHEAD_N = 4  # frames rectified before their turn, at most; more wait only where frames are dropped anyway
-_PRESSED = 2.0  # times what an untouched gel may show; from there on a held object is surely told from none
+_PRESSED = 2.0  # times what an untouched gel may show; from there on an object is certainly held
 
 
 class TactileFinger:
@@ -32,7 +31,6 @@ class TactileFinger:
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
         self._free = FreeGel()
-        self._ahead: tuple[tuple[TactileFrame, NDArray[np.uint8], float], ...] = ()
         self._rearm = False
         self._held = False
         self._stopped = False
@@ -41,15 +39,9 @@ class TactileFinger:
         """The next frame becomes the reference of slip and onset; the tracker goes on."""
         self._rearm = True
 
-    def rectify_ahead(self, frame: TactileFrame) -> None:
-        """Rectify a frame that :meth:`observe` will be given; the one method that another thread may call."""
-        if self._rectifier is not None and frame.pixels.shape == self._rectifier.camera.raw.shape:
-            self._ahead = (*self._ahead[1 - _AHEAD_N :], (frame, *self._rectified(frame)))
-
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
-        ahead = [(image, cost_ms) for known, image, cost_ms in self._ahead if known is frame]
-        image, rectify_ms = ahead[0] if ahead else self._rectified(frame)
+        image, rectify_ms = self._rectified(frame)
         rectified = time.perf_counter()
         field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
@@ -73,10 +65,10 @@ class TactileFinger:
         return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms)
 
     def _with_contact(self, slip: SlipState, *, empty: bool) -> SlipState:
-        """The state, or "no_contact" where nothing touches the gel; the first one that stops the arm is always told.
+        """The state, or "no_contact" where nothing touches the gel; the first state that stops the arm always passes.
 
-        An object too flat and too lightly held to bulge the gel looks just like none: then only the word changes, and
-        slip is watched from its reference all the same. From one that bulged it a gel back at home is a release.
+        An object too flat and too lightly held to bulge the gel looks like none: then only the word changes, and slip
+        is still measured from its reference. After an object that bulged the gel, a gel at rest is a release.
         """
         first, self._stopped = slip.stop and not self._stopped, slip.stop or self._stopped
         if first or not empty:

@@ -1,4 +1,4 @@
-"""What perception tells the session of one frame of one finger, and who provides it."""
+"""The result of perception for one frame of one finger, and its interface."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -17,7 +17,7 @@ class Observation:
 
     ``image`` is the rectified frame uint8 [H, W, 3]; ``field`` the markers; ``slip`` the slip state since the last
     rearm; ``onset_ns`` the capture stamp of the first frame that shows the object's motion, once that is certain;
-    ``cost_ms`` what rectifying, tracking and judging took.
+    ``cost_ms`` the time of rectification, tracking and slip detection.
     """
 
     finger: Finger

@@ -7,19 +7,20 @@ frame to pixels of the rectified one, u right, v down, pixel centres at integers
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from service.contract import FINGERS, ContractError, Finger, FrameSpec
+from service.contract.frames import Contract
+from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
 
-RAW = FrameSpec(height_px=320, width_px=427, rectified=False)
-RECTIFIED = FrameSpec(height_px=320, width_px=327)
 SCHEMA_VERSION = 1
+Size = Annotated[list[int], Field(min_length=2, max_length=2)]  # width, height
 _MIN_AREA_SHARE = 0.02  # of the raw frame, seen by the rectified one
 
 
@@ -36,8 +37,8 @@ class CameraCalibration:
     """
 
     homography: NDArray[np.float64]
-    raw: FrameSpec = RAW
-    rectified: FrameSpec = RECTIFIED
+    raw: FrameSpec
+    rectified: FrameSpec
 
     def __post_init__(self) -> None:
         matrix = np.asarray(self.homography, np.float64)
@@ -76,7 +77,6 @@ class Calibration:
     right: CameraCalibration
 
     def camera(self, finger: Finger) -> CameraCalibration:
-        """The calibration of one finger's camera."""
         return self.left if finger == "left" else self.right
 
     @classmethod
@@ -92,7 +92,7 @@ class Calibration:
             )
         unknown = set(table) - {"schema_version", *FINGERS}
         if unknown:
-            raise CalibrationError(f"{path} has unknown entries {sorted(unknown)}, expected tables {list(FINGERS)}")
+            raise CalibrationError(f"{path}: {min(unknown)} is not used{nearest(min(unknown), FINGERS)}")
         return cls(*(_camera(table, finger, path) for finger in FINGERS))
 
     def save(self, path: str | Path) -> None:
@@ -110,26 +110,28 @@ class Calibration:
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+class _CameraTable(Contract):
+    """A finger's table as the file has it."""
+
+    raw_px: Size
+    rectified_px: Size
+    homography: list[list[float]]
+
+
 def _camera(table: dict[str, Any], finger: Finger, path: str | Path) -> CameraCalibration:
-    entry = table.get(finger)
-    if not isinstance(entry, dict):
+    if not isinstance(table.get(finger), dict):
         raise CalibrationError(f"{path} lacks the table [{finger}]")
-    unknown = set(entry) - {"raw_px", "rectified_px", "homography"}
-    if unknown:
-        raise CalibrationError(f"{path} [{finger}] has unknown entries {sorted(unknown)}")
     try:
-        raw, rectified = _spec(entry["raw_px"], rectified=False), _spec(entry["rectified_px"], rectified=True)
-        rows = [[float(value) for value in row] for row in entry["homography"]]
-        return CameraCalibration(np.array(rows, np.float64), raw, rectified)
-    except KeyError as error:
-        raise CalibrationError(f"{path} [{finger}] lacks {error}") from error
+        entry = _CameraTable.model_validate(table[finger])
+        raw, rectified = _spec(entry.raw_px, rectified=False), _spec(entry.rectified_px, rectified=True)
+        return CameraCalibration(np.array(entry.homography, np.float64), raw, rectified)
     except ValidationError as error:
-        raise CalibrationError(f"{path} [{finger}]: a frame size is wrong: {error.errors()[0]['msg']}") from error
-    except (TypeError, ValueError) as error:
+        raise CalibrationError(f"{path} [{finger}]: {describe(error, _CameraTable)}") from error
+    except ValueError as error:
         raise CalibrationError(f"{path} [{finger}]: {error}") from error
 
 
-def _spec(size: Any, *, rectified: bool) -> FrameSpec:
+def _spec(size: list[int], *, rectified: bool) -> FrameSpec:
     width, height = size
     return FrameSpec(width_px=width, height_px=height, rectified=rectified)
 

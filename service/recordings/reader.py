@@ -33,7 +33,6 @@ class Entry:
     data: bytes
 
     def json(self) -> dict[str, Any]:
-        """The content of a JSON channel."""
         content: dict[str, Any] = json.loads(self.data)
         return content
 

@@ -6,14 +6,14 @@
   :func:`service.recordings.recovery.recover` closes such a file at the next start). Channels: ``/left/image`` and
   ``/right/image`` (foxglove.CompressedImage, the camera's own JPEG, or foxglove.RawImage),
   ``/left/markers`` and ``/right/markers`` (tactile_insertion.Markers),
-  ``/messages`` (JSON: ``from`` client or service, ``message``), ``/calls`` (JSON: what the session was told, in order,
-  which is what makes a replay bit for bit), metadata ``insertion`` (id, models, controller, calibration, clock offset).
+  ``/messages`` (JSON: ``from`` client or service, ``message``), ``/calls`` (JSON: the calls of the session in order,
+  which make a replay exact to the bit), metadata ``insertion`` (id, models, controller, calibration, clock offset).
   Log times are wall-clock nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of the metadata.
 - ``attempt_01.npz``, ``attempt_02.npz``, ... for each blocked attempt, read with ``numpy.load``:
 
   ===================  ==========================================================================================
-  ``frames``           uint8 [n, 2, 320, 327, 3] BGR, rectified; the n <= 8 pairs of the decision, left finger first
-  ``reference``        uint8 [2, 320, 327, 3] BGR, rectified; what the networks subtract
+  ``frames``           uint8 [n, 2, H, W, 3] BGR, rectified; the n <= 8 pairs of the decision, left finger first
+  ``reference``        uint8 [2, H, W, 3] BGR, rectified; what the networks subtract
   ``frame_seq``        int64 [n], pair numbers; ``captured_ns`` int64 [n], monotonic
   ``rest_px``          float32 [2, rows, cols, 2] marker positions at rest (u, v) in the rectified image
   ``displacement_px``  float32 [2, rows, cols, 2] marker displacement in the last of the pairs
@@ -67,26 +67,20 @@ class _Mcap:
         self._channels: dict[str, int] = {}
 
     def protobuf(self, topic: str, kind: Any, values: Mapping[str, Any], log_ns: int, seq: int) -> None:
-        name = kind.DESCRIPTOR.full_name
-        channel = self._channel(topic, "protobuf", name, "protobuf", lambda: descriptor_set(kind))
-        self._write(channel, log_ns, encode(kind, values, log_ns), seq)
+        key = f"{topic} {kind.DESCRIPTOR.full_name}"
+        if key not in self._channels:
+            schema = self._writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", descriptor_set(kind))
+            self._channels[key] = self._writer.register_channel(topic, "protobuf", schema)
+        self._writer.add_message(self._channels[key], log_ns, encode(kind, values, log_ns), log_ns, seq)
 
     def json(self, topic: str, value: Mapping[str, Any], log_ns: int) -> None:
-        channel = self._channel(topic, "json", f"tactile_insertion{topic}", "jsonschema", lambda: b'{"type":"object"}')
-        self._write(channel, log_ns, json.dumps(value).encode(), 0)
+        if topic not in self._channels:
+            schema = self._writer.register_schema(f"tactile_insertion{topic}", "jsonschema", b'{"type":"object"}')
+            self._channels[topic] = self._writer.register_channel(topic, "json", schema)
+        self._writer.add_message(self._channels[topic], log_ns, json.dumps(value).encode(), log_ns, 0)
 
     def metadata(self, name: str, value: Mapping[str, str]) -> None:
         self._writer.add_metadata(name, dict(value))
-
-    def _channel(self, topic: str, encoding: str, name: str, kind: str, schema: Callable[[], bytes]) -> int:
-        key = f"{topic} {name}"
-        if key not in self._channels:
-            schema_id = self._writer.register_schema(name, kind, schema())
-            self._channels[key] = self._writer.register_channel(topic, encoding, schema_id)
-        return self._channels[key]
-
-    def _write(self, channel: int, log_ns: int, data: bytes, seq: int) -> None:
-        self._writer.add_message(channel, log_ns, data, log_ns, seq)
 
     def flush(self) -> None:
         self._writer.flush()
@@ -111,7 +105,7 @@ class Recorder:
     largest_bytes: int = MAX_INSERTION_BYTES
     left_out_n: int = 0
     folder: Path = field(init=False)
-    _queue: queue.SimpleQueue[Callable[[], None] | None] = field(init=False, default_factory=queue.SimpleQueue)
+    _queue: queue.SimpleQueue[Callable[[], object] | None] = field(init=False, default_factory=queue.SimpleQueue)
     _thread: threading.Thread = field(init=False)
     _mcap: _Mcap = field(init=False)
     _stream: IO[bytes] = field(init=False)
@@ -127,7 +121,7 @@ class Recorder:
         self.folder.mkdir(parents=True)
         self._offset_ns = time.time_ns() - time.monotonic_ns()
         self._stream = (self.folder / PART).open("wb")
-        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # says to a recovery that the writer lives
+        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # shows a recovery that the writer lives
         self._mcap = _Mcap(self._stream)
         facts = {"insertion_id": self.insertion_id, "started": started.isoformat()}
         self._mcap.metadata(
@@ -143,12 +137,10 @@ class Recorder:
         return self.folder / FINAL
 
     def frame(self, frame: CameraFrame) -> None:
-        """Record a camera frame as it came."""
         kind, values = image_message(frame)
         self._put_bulk(f"/{frame.frame.finger}/image", kind, values, frame.frame)
 
     def observation(self, observation: Observation) -> None:
-        """Record markers and slip of one frame."""
         self._put_bulk(f"/{observation.finger}/markers", Markers, markers_message(observation), observation)
 
     def message(self, sender: str, message: Mapping[str, Any], now_ns: int) -> None:
@@ -195,7 +187,7 @@ class Recorder:
             try:
                 work = self._queue.get(timeout=FLUSH_S)
             except queue.Empty:
-                work = _nothing
+                work = tuple  # nothing to write; the flush follows
             if work is None:
                 break
             try:
@@ -253,10 +245,6 @@ def markers_message(observation: Observation) -> dict[str, Any]:
         "state": observation.slip.state,
         "slip_score": float(observation.slip.score),
     }
-
-
-def _nothing() -> None:
-    """Time passed; the flush follows."""
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -1,4 +1,4 @@
-"""A running insertion: the session with its recorder, its driving client and everyone who watches."""
+"""A running insertion: the session with its recorder, its driving client and its watchers."""
 
 import time
 from collections import deque
@@ -8,27 +8,26 @@ from functools import partial
 from typing import Any
 
 from service.cameras.capture import CameraFrame, now_ns
-from service.contract import Finger, FramePair, TactileFrame, wire
+from service.contract import Finger, FramePair, wire
 from service.contract.wire import ServiceMessage
 from service.decision.attempt import Attempt, Stage, WorkResult
-from service.perception.finger import TactileFinger
 from service.perception.observation import Observation
 from service.recordings.writer import Recorder
 from service.session.state_machine import InsertionSession, Replies, ignore
 
 Send = Callable[[ServiceMessage], None]
-LET_GO_S = 0.0005  # a thread that goes on computing keeps the interpreter from the one that sends
-HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be written down
+LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
+HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be recorded
 
 
 @dataclass(slots=True)
 class Insertion:
-    """Feeds a session, records what it is sent and what it says, and passes its messages on.
+    """Feeds a session, records its input and output, and passes its messages on.
 
-    Only the perception thread calls its methods, but for :meth:`rectify_ahead`. ``send`` is the driving client (None
-    while it is away); ``publish`` takes (kind, content) for watchers and metrics, ``show`` each observation. The client
-    hears first, then those who watch, then it is written down: each of the three wakes a thread that may take this
-    one's core. What comes just before an answer is written down after it, ``HOLD_S`` later at most.
+    Only the perception thread calls its methods. ``send`` is the driving client (None while it is away); ``publish``
+    takes (kind, content) for watchers and metrics, ``show`` each observation. A message goes to the client first,
+    then to watchers, then into the recording: each of the three wakes a thread that may take this one's core. What
+    comes just before an answer is recorded after it, at most ``HOLD_S`` later.
     """
 
     session: InsertionSession
@@ -45,7 +44,6 @@ class Insertion:
     _settled_ns: int = field(default_factory=now_ns)
 
     def __post_init__(self) -> None:
-        """Listen to the session."""
         self.session.on_attempt = self.attempt_decided
         self.session.on_observation = self._observed.append
 
@@ -55,10 +53,9 @@ class Insertion:
         return self.session.wants_frames
 
     def message(self, message: Any) -> None:
-        """A message of the driving client."""
         now = self.received_ns = now_ns()
         if message.type != "heartbeat":
-            self._note(lambda recorder: _record_received(recorder, message, now))
+            self._note(_record_received, message, now)
         self._emit(self.session.handle(message, now), now)
         self._settle()
 
@@ -68,12 +65,6 @@ class Insertion:
         self._call({"call": "prime", "finger": frame.frame.finger, "seq": frame.frame.seq}, now_ns())
         self.session.prime(frame.frame)
         self._settle()
-
-    def rectify_ahead(self, frame: TactileFrame) -> None:
-        """Called in a camera's thread: what can be done of a frame's perception before its turn has come."""
-        watch = self.session.left if frame.finger == "left" else self.session.right
-        if self.wants_frames and isinstance(watch, TactileFinger):
-            watch.rectify_ahead(frame)
 
     def frame(self, frame: CameraFrame, pair: FramePair | None) -> None:
         """A camera frame, and the pair it completes, if any."""
@@ -96,14 +87,12 @@ class Insertion:
         self._settle_unless_near(now, paired=pair is not None)
 
     def result(self, result: WorkResult) -> None:
-        """What the networks said."""
         now = now_ns()
         self._call({"call": "result", "generation": result.generation}, now)
         self._emit(self.session.on_result(result, now), now)
         self._settle()
 
     def tick(self) -> None:
-        """Time passed: deadlines."""
         now = now_ns()
         replies = self.session.on_tick(now)
         if replies:
@@ -112,21 +101,20 @@ class Insertion:
         self._settle_unless_near(now, paired=False)
 
     def camera_fault(self, code: str, detail: str) -> None:
-        """A camera went bad in the middle of an insertion."""
         now = now_ns()
         self._call({"call": "camera_fault", "code": code, "detail": detail}, now)
         self._emit(self.session.on_camera_fault(code, detail), now)
         self._settle()
 
     def attempt_decided(self, attempt: Attempt) -> None:
-        """Keep the frames the decision rests on; a decided attempt changes no more, so they are gathered in time."""
+        """Keep the frames of the decision; a decided attempt no longer changes, so they may be gathered later."""
         if attempt.decision is not None:
-            self._note(lambda recorder: recorder.attempt(attempt.arm.attempt, attempt.arrays))
+            self._note(Recorder.attempt, attempt.arm.attempt, attempt.arrays)
 
-    # ---- what can wait until the client has heard -------------------------------------------------------------------
+    # ---- what can wait until the client has its answer --------------------------------------------------------------
 
     def _settle_unless_near(self, now: int, *, paired: bool) -> None:
-        """Settle, but not where the next thing to happen may be the answer; nothing is held back for long."""
+        """Settle, unless the answer may come next; nothing waits for long."""
         attempt = self.session.attempt
         near = attempt is not None and attempt.stage is Stage.STOPPED
         if near and paired and attempt is not None:
@@ -135,32 +123,33 @@ class Insertion:
             self._settle()
 
     def _settle(self) -> None:
-        """Tell those who watch, and write down what waits to be; first let go of what was just sent to the client."""
+        """Publish and record what waits; first give way to the thread that sends to the client."""
         if self._sent and self._later:
             time.sleep(LET_GO_S)
         self._sent, self._settled_ns = False, now_ns()
         while self._later:
             self._later.popleft()()
 
-    def _note(self, write: Callable[[Recorder], None]) -> None:
+    def _note(self, write: Callable[..., None], *content: Any) -> None:
+        """Record later: ``write`` is called with the recorder and ``content``."""
         if self.recorder:
-            self._later.append(partial(write, self.recorder))
+            self._later.append(partial(write, self.recorder, *content))
 
     def _record(self, frame: CameraFrame) -> None:
-        """Record a frame once; a pair may hold one that came before the attempt or was dropped from the queue."""
+        """Record a frame once; a pair may hold one from before the attempt, or one dropped from the queue."""
         finger, seq = frame.frame.finger, frame.frame.seq
         if self.recorder and seq > self.recorded_seq.get(finger, -1):
             self.recorded_seq[finger] = seq
-            self._note(lambda recorder: recorder.frame(frame))
+            self._note(Recorder.frame, frame)
 
     def _call(self, value: dict[str, Any], now: int) -> None:
-        self._note(lambda recorder: recorder.call(value, now))
+        self._note(Recorder.call, value, now)
 
     def _write(self, sent: Replies, now: int) -> None:
         for reply in () if self.closing else sent:
-            self._note(partial(_record_sent, reply=reply, now=now))
+            self._note(_record_sent, reply, now)
 
-    # ---- what is said -----------------------------------------------------------------------------------------------
+    # ---- messages ---------------------------------------------------------------------------------------------------
 
     def _emit(self, replies: Replies, now: int) -> None:
         for answer in replies:
@@ -174,11 +163,12 @@ class Insertion:
                 self._write(self._send_all([answer]), now)
 
     def _send_all(self, replies: Replies) -> Replies:
-        """Send replies to the client, later to those who watch; returns what there is to write down, as it was sent."""
+        """Send replies to the client and queue them for watchers; returns what to record, as it was sent."""
         sent: Replies = []
         for answer in replies:
             reply = with_current_age(answer)
-            self._deliver(reply)
+            if self.send is not None:
+                self.send(reply)
             if not isinstance(reply, wire.ServiceHeartbeat):
                 self._sent = True
                 self._later.append(partial(self.publish, "message", reply))
@@ -186,15 +176,11 @@ class Insertion:
         return sent
 
     def _show(self) -> None:
-        """Pass on what was observed; shown to those who watch, and recorded."""
+        """Pass observations on to watchers and the recording."""
         for observation in self._observed:
             self.show(observation)
-            self._note(partial(_note_observation, observation=observation))
+            self._note(Recorder.observation, observation)
         self._observed.clear()
-
-    def _deliver(self, reply: ServiceMessage) -> None:
-        if self.send is not None:
-            self.send(reply)
 
 
 def _record_received(recorder: Recorder, message: Any, now: int) -> None:
@@ -205,10 +191,6 @@ def _record_received(recorder: Recorder, message: Any, now: int) -> None:
 
 def _record_sent(recorder: Recorder, reply: ServiceMessage, now: int) -> None:
     recorder.message("service", reply.model_dump(mode="json"), now)
-
-
-def _note_observation(recorder: Recorder, observation: Observation) -> None:
-    recorder.observation(observation)
 
 
 def with_current_age(message: ServiceMessage) -> ServiceMessage:

@@ -1,6 +1,6 @@
 """The one insertion under way: how it opens, which client drives it, how it ends and what is kept of it.
 
-Only the perception thread calls a desk's methods; closing a recording is the one thing done outside it.
+Only the perception thread calls a manager's methods; closing a recording alone happens outside it.
 """
 
 import threading
@@ -23,7 +23,7 @@ from service.session.memory import give_back
 from service.session.state_machine import InsertionSession, ignore
 from service.settings import Settings
 
-REMEMBERED_N = 256  # ended insertions whose `finished` is told again to a client that missed it
+REMEMBERED_N = 256  # ended insertions whose `finished` is sent again to a client that missed it
 
 
 @dataclass(slots=True)
@@ -42,19 +42,18 @@ class InsertionManager:
     _calibration_text: str = field(init=False)
 
     def __post_init__(self) -> None:
-        """Read the calibration's file once, as :attr:`calibration` was: later it may be another, or gone."""
+        """Read the calibration's file once: later it may have changed or gone."""
         self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
-        """Both cameras as the wire carries them."""
         return tuple(camera.entry for camera in self.cameras.values())
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
-        """A client wants to drive: opens an insertion, or takes its own one up again after a lost connection."""
+        """A client wants to drive: open an insertion, or resume its own one after a lost connection."""
         if refused := wire.unspoken(hello):
             send(refused)
             return
-        if ended := self._ended.get(hello.insertion_id):  # it wants nothing: whoever drives now is left alone
+        if ended := self._ended.get(hello.insertion_id):  # the client that drives now is left alone
             send(ended)
             return
         active = self.active
@@ -70,12 +69,12 @@ class InsertionManager:
         if active is None:
             try:
                 active = self._open(hello)
-            except Exception as error:  # whoever asked must hear it: else it waits for a hello that never comes
+            except Exception as error:  # else the client would wait for a hello that never comes
                 detail = f"no insertion can be opened: {error or type(error).__name__}"
                 self.hub.publish("error", detail)
                 send(wire.Fault(insertion_id=hello.insertion_id, code="not_ready", detail=detail, fatal=True))
                 return
-        if active.send is not None and active.send != send:  # from now on it would hear of no slip
+        if active.send is not None and active.send != send:  # from now on it would get no slip message
             detail = "another connection drives this insertion now; hold"
             active.send(wire.Fault(insertion_id=hello.insertion_id, code="taken_over", detail=detail, fatal=True))
         active.send = send
@@ -86,7 +85,7 @@ class InsertionManager:
         if self.active and self.active.send == send:
             self.active.message(message)
         elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self._ended:
-            # its recording is being closed; a client that waits for `finished` must not take that for silence
+            # while its recording is being closed, a client that waits for `finished` must not see silence
             send(wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=None))
 
     def disconnect(self, send: Send) -> None:
@@ -95,17 +94,14 @@ class InsertionManager:
             self.active.send = None
 
     def result(self, result: Any) -> None:
-        """The networks are done with an attempt."""
         if self.active:
             self.active.result(result)
 
     def fault(self, code: str, detail: str) -> None:
-        """A camera or the perception itself failed."""
         if self.active:
             self.active.camera_fault(code, detail)
 
     def tick(self, now_ns: int) -> None:
-        """Deadlines of the insertion and of its client."""
         if self.active:
             self.active.tick()
         if self.active and (now_ns - self.active.received_ns) * 1e-9 > self.settings.client_timeout_s:
@@ -160,7 +156,7 @@ class InsertionManager:
             self._close(content)
 
     def _close(self, finished: wire.Finished) -> None:
-        """Close the recording outside this thread; the client hears `finished` when it is complete."""
+        """Close the recording outside this thread; the client gets `finished` when it is complete."""
         insertion, self.active = self.active, None
         if insertion is None:
             return
@@ -172,7 +168,7 @@ class InsertionManager:
 
 
 def _keep(hub: Hub, ended: list[Insertion], finished: wire.Finished) -> None:
-    """Close an ended insertion's recording, tell its client, and let go of all it held before pages are given back."""
+    """Close an ended insertion's recording, inform its client, and free its memory."""
     insertion = ended.pop()
     if insertion.recorder:
         insertion.recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})

@@ -23,11 +23,6 @@ Replies = list[ServiceMessage]
 DEFAULT_LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
 
 
-def no_cameras() -> tuple[CameraEntry, ...]:
-    """For sessions whose frames do not come from cameras."""
-    return ()
-
-
 def ignore(_: Any) -> None:
     """The observer of a session that has none."""
 
@@ -48,7 +43,7 @@ class InsertionSession:
     controller_name: ControllerName = "belief"
     limits: Limits = DEFAULT_LIMITS
     deadlines: Deadlines = field(default_factory=Deadlines)
-    cameras: Callable[[], tuple[CameraEntry, ...]] = no_cameras
+    cameras: Callable[[], tuple[CameraEntry, ...]] = tuple
     submit: Callable[[Work], None] | None = None
     on_observation: Callable[[Observation], None] = ignore
     on_attempt: Callable[[Attempt], None] = ignore
@@ -76,7 +71,10 @@ class InsertionSession:
             case _ if self.insertion_id is None:
                 replies = [self._fault("protocol", f"{message.type} before hello", message.insertion_id)]
             case wire.ClientHeartbeat():
-                replies = [self._heartbeat(message, now_ns)]
+                age_ms = self._age_ms(now_ns)
+                replies = [
+                    wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=age_ms)
+                ]
             case _ if self.finished is not None:
                 replies = [self.finished]
             case wire.Arm():
@@ -104,10 +102,6 @@ class InsertionSession:
                 limits=self.limits,
             )
         ]
-
-    def _heartbeat(self, message: wire.ClientHeartbeat, now_ns: int) -> wire.ServiceHeartbeat:
-        age = self._age_ms(now_ns)
-        return wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=age)
 
     def _arm(self, message: wire.Arm, now_ns: int) -> Replies:
         last = self.attempt.arm.attempt if self.attempt else 0

@@ -52,11 +52,12 @@ class Station:
         self.hub = Hub()
         self.counters = Counters()
         self.pairer = Pairer(settings.max_skew_ms)
+        rate_hz = settings.frame_rate_hz or models.card.profile.fps
         urls = {"left": settings.camera_left, "right": settings.camera_right}
         self.cameras: dict[Finger, Camera] = {
             finger: Camera(
                 finger,
-                open_source(urls[finger], frame_rate_hz=settings.frame_rate_hz),
+                open_source(urls[finger], frame_rate_hz=rate_hz),
                 self._on_camera_frame,
                 self._on_camera_fault,
                 self._attends,
@@ -73,7 +74,6 @@ class Station:
     # ---- life ------------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start every thread."""
         self._thread.start()
         for camera in self.cameras.values():
             camera.start()
@@ -112,12 +112,10 @@ class Station:
 
     @property
     def models(self) -> ModelSet:
-        """What the next insertion decides with."""
         return self.manager.models
 
     @property
     def active(self) -> Insertion | None:
-        """The insertion under way."""
         return self.manager.active
 
     @property
@@ -140,7 +138,7 @@ class Station:
             if call is None:
                 return
             self._try(call)
-            self._try(self._tick_if_due)  # who talks all the time must not keep deadlines from being looked at
+            self._try(self._tick_if_due)  # a client that sends all the time must not keep deadlines from being checked
 
     def _try(self, call: Callable[[], None]) -> None:
         try:
@@ -149,7 +147,7 @@ class Station:
             self._failed(f"{type(error).__name__}: {error}")
 
     def _failed(self, detail: str) -> None:
-        """A call raised: the client must hold, and this thread must live on."""
+        """A call raised: the client must hold, and this thread must go on."""
         self.counters.perception_errors_n += 1
         with contextlib.suppress(Exception):
             self.hub.publish("error", detail)
@@ -175,8 +173,7 @@ class Station:
         return self.active is not None or self.viewers_n > 0
 
     def _on_camera_frame(self, frame: CameraFrame) -> None:
-        if active := self.active:
-            active.rectify_ahead(frame.frame)
+        if self.active:
             pair = self.pairer.add(frame.frame)
             self._frames.append((frame, pair))
             self.post(self._next_frame)
@@ -195,8 +192,8 @@ class Station:
     def _is_outdated(self) -> bool:
         """Whether the oldest waiting frame is older than a frame period while slip is watched and a newer one waits.
 
-        So the age of what slip is judged on stays within a frame and a step, however slow this machine is. While the
-        arm stands still nothing is urgent, and every frame is worth having for the decision.
+        So slip is detected on frames no older than a frame period and a step, however slow this machine is. While the
+        arm stands still nothing is urgent, and every frame helps the decision.
         """
         if len(self._frames) <= len(FINGERS) or not (self.active and self.active.session.watches_slip):
             return False
@@ -222,7 +219,6 @@ class Station:
         return source
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
-        """Both cameras as the wire carries them."""
         return self.manager.camera_entries()
 
     def frame_age_ms(self) -> float | None:
@@ -257,11 +253,9 @@ class Station:
         self.post(lambda: self.manager.connect(hello, send))
 
     def receive(self, message: Any, send: Send) -> None:
-        """A driving client says something."""
         self.post(lambda: self.manager.receive(message, send))
 
     def disconnect(self, send: Send) -> None:
-        """The connection of a client is gone."""
         self.post(lambda: self.manager.disconnect(send))
 
 

@@ -1,4 +1,4 @@
-"""A rehearsal before the service is ready, so that the first decision finds everything as warm as the later ones."""
+"""A warm-up before the service is ready, so that the first decision is as fast as the later ones."""
 
 import contextlib
 import tempfile
@@ -18,23 +18,23 @@ from service.session.insertion import Insertion
 from service.session.state_machine import InsertionSession, ignore
 
 STILL_N = 3  # pairs at rest before the picture begins to move, by a pixel a frame
-NAME = "rehearsal"
+NAME = "warm-up"
 
 
 def warm_up(session: InsertionSession, frames: Sequence[TactileFrame]) -> None:
-    """Play an attempt through a session that nobody drives, then move every controller; nothing is kept.
+    """Play an attempt through a session without a client, then call every controller; nothing is kept.
 
     ``frames`` are what the cameras show now, one a finger. Raises ContractError if one is neither raw nor rectified.
     """
     if len(frames) == len(FramePair.__dataclass_fields__):
         with _recorder() as recorder:
             _attempt(Insertion(session, recorder, _serialise, _nobody_watches), frames)
-        session.on_attempt = ignore  # it knows its insertion, and would be freed late
+        session.on_attempt = ignore  # it refers to its insertion, which would be freed late
     _decide(session)
 
 
 def _attempt(insertion: Insertion, frames: Sequence[TactileFrame]) -> None:
-    """The same calls as of a real attempt: the picture rests, moves, the arm stops, the last pair brings the answer."""
+    """The calls of a real attempt: the picture rests, moves, the arm stops, the last pair brings the answer."""
     needed = insertion.session.models.card.frames_per_decision
     insertion.message(wire.ClientHello(insertion_id=NAME, client=NAME))
     insertion.message(wire.Arm(insertion_id=NAME, attempt=1, gap_width_mm=50.0, expected_depth_mm=25.0))
@@ -43,13 +43,12 @@ def _attempt(insertion: Insertion, frames: Sequence[TactileFrame]) -> None:
             insertion.message(wire.Stopped(insertion_id=NAME, attempt=1, depth_mm=5.0, outcome="blocked"))
         left, right = (_moved(frame, index) for frame in sorted(frames, key=lambda frame: frame.finger))
         for frame, pair in ((left, None), (right, FramePair(left, right))):
-            insertion.rectify_ahead(frame)
             insertion.frame(CameraFrame(frame, None), pair)
-    insertion.message(wire.Abort(insertion_id=NAME, reason="rehearsed"))
+    insertion.message(wire.Abort(insertion_id=NAME, reason="warmed up"))
 
 
 def _moved(frame: TactileFrame, index: int) -> TactileFrame:
-    """The frame as a camera would show it later; the tracker skips a picture that it has just seen."""
+    """The frame as a camera would show it later; the tracker skips a repeated picture."""
     shifted = np.roll(frame.pixels, max(0, index + 1 - STILL_N), axis=0)
     return replace(frame, seq=index, captured_ns=now_ns(), pixels=np.bitwise_xor(shifted, np.uint8(index % 2)))
 
@@ -66,7 +65,7 @@ def _decide(session: InsertionSession) -> None:
             evidence = run.evidence()
             command = make_controller(name, session.limits).decide(evidence, 1)
         except Refusal:
-            continue  # of fingers that feel nothing no move has to follow
+            continue  # fingers without contact may give no move
         _serialise(wire.Fault(insertion_id=NAME, code=command.controller, detail=command.reason))
 
 
@@ -89,4 +88,4 @@ def _serialise(message: wire.ServiceMessage) -> None:
 
 
 def _nobody_watches(kind: str, content: Any) -> None:
-    """The rehearsal is not published."""
+    """The warm-up is not published."""

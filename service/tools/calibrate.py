@@ -6,6 +6,7 @@ The marker grid is regular on the gel, so a homography that makes its image regu
 import threading
 import time
 from itertools import islice
+from math import ceil
 from typing import NamedTuple
 
 import cv2
@@ -14,12 +15,11 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import CameraError
 from service.cameras.sources import open_source
-from service.contract import Finger, FrameSpec
-from service.perception.markers.lattice import Lattice, find_lattice, rectifying_homography
-from service.perception.rectification import RECTIFIED, CalibrationError, CameraCalibration
+from service.contract import Finger, FrameSpec, Sensor
+from service.perception.markers.lattice import Lattice, find_lattice, rectifying_homography, resting_px
+from service.perception.rectification import CalibrationError, CameraCalibration
 
-PITCH_PX = 15.0  # of the rectified grid; what the published slip thresholds and the released networks go by
-MIN_MARKERS = (15, 15)
+MIN_SIDE = 0.71  # of the rows and of the columns
 MIN_DETECTED = 0.9
 MAX_RESIDUAL_PX = 1.0
 WAIT_S = 10.0
@@ -52,33 +52,32 @@ def still_image(url: str, frames: int) -> NDArray[np.uint8]:
     return np.asarray(np.median(np.stack(images), axis=0), np.uint8)
 
 
-def fit_camera(image: NDArray[np.uint8], finger: Finger) -> Fit:
+def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor) -> Fit:
     """The calibration of one camera from a still raw frame; raises CalibrationError if its grid is not visible."""
     lattice = find_lattice(image)
     if lattice is None:
         raise CalibrationError(f"{finger}: no marker grid in the frame; is it the right camera, lit and in focus?")
     rows, cols = lattice.detected.shape
-    if rows < MIN_MARKERS[0] or cols < MIN_MARKERS[1] or lattice.detected.mean() < MIN_DETECTED:
+    least_rows, least_cols = (ceil(MIN_SIDE * count) for count in (sensor.marker_rows, sensor.marker_columns))
+    if rows < least_rows or cols < least_cols or lattice.detected.mean() < MIN_DETECTED:
         raise CalibrationError(
             f"{finger}: {cols} x {rows} markers visible, {lattice.detected.mean():.0%} of them detected; expected at"
-            f" least {MIN_MARKERS[1]} x {MIN_MARKERS[0]} and {MIN_DETECTED:.0%}: clean the gel, touch nothing"
+            f" least {least_cols} x {least_rows} and {MIN_DETECTED:.0%}: clean the gel, touch nothing"
         )
-    matrix = rectifying_homography(lattice, RECTIFIED.width_px, RECTIFIED.height_px, PITCH_PX)
+    rest_px = resting_px(lattice, sensor)
+    matrix = rectifying_homography(lattice, rest_px)
     if matrix is None:
         raise CalibrationError(f"{finger}: the markers do not determine a homography")
-    residual_px = _residual_px(lattice, matrix)
+    residual_px = _residual_px(lattice, matrix, rest_px)
     if not residual_px <= MAX_RESIDUAL_PX:
         raise CalibrationError(
             f"{finger}: markers lie {residual_px:.2f} px RMS off a regular grid, allowed {MAX_RESIDUAL_PX:g};"
             " something touches the gel, or the lens distorts"
         )
     raw = FrameSpec(height_px=image.shape[0], width_px=image.shape[1], rectified=False)
-    return Fit(CameraCalibration(matrix, raw, RECTIFIED), lattice, residual_px)
+    return Fit(CameraCalibration(matrix, raw, sensor.rectified), lattice, residual_px)
 
 
-def _residual_px(lattice: Lattice, matrix: NDArray[np.float64]) -> float:
-    rows, cols = lattice.detected.shape
+def _residual_px(lattice: Lattice, matrix: NDArray[np.float64], rest_px: NDArray[np.float64]) -> float:
     mapped = cv2.perspectiveTransform(lattice.xy_px.astype(np.float64), matrix)
-    ideal = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1) * PITCH_PX
-    ideal += np.array([(RECTIFIED.width_px - 1) / 2, (RECTIFIED.height_px - 1) / 2])
-    return float(np.sqrt(np.square(mapped - ideal)[lattice.detected].sum(-1).mean()))
+    return float(np.sqrt(np.square(mapped - rest_px)[lattice.detected].sum(-1).mean()))

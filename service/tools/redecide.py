@@ -1,7 +1,7 @@
 """Decide a recorded insertion again and compare bit for bit.
 
 The recording holds every call the session got, in order, with its time. The same calls on the same frames give the
-same messages; only what measures time (latencies, ages) and where the recording lies may differ.
+same messages; only times (latencies, ages) and the recording's path may differ.
 """
 
 import json
@@ -26,7 +26,7 @@ _TIMES = {"latency_ms", "age_ms", "recording"}
 
 @dataclass(slots=True)
 class Replay:
-    """Feeds a fresh session what a recorded one was fed."""
+    """Gives a fresh session the input of a recorded one."""
 
     recording: Recording
     session: InsertionSession
@@ -35,7 +35,6 @@ class Replay:
     replies: list[dict[str, Any]] = field(default_factory=list)
 
     def run(self) -> None:
-        """Make every recorded call."""
         self.session.submit = self.work.append
         for entry in self.recording.of("/calls"):
             call = entry.json()
@@ -78,7 +77,7 @@ class Replay:
 
 
 def comparable(message: dict[str, Any]) -> dict[str, Any]:
-    """A message without what measures time or tells of this machine."""
+    """A message without times and without what belongs to this machine."""
     return {key: value for key, value in message.items() if key not in _TIMES}
 
 

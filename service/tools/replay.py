@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from service.cameras.sources import IMAGES, clip_images
 from service.contract import Finger
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import Calibration, Rectifier
@@ -21,16 +21,15 @@ from service.perception.slip.grasp import GraspWatch
 from service.tools.replay_picture import ReplayPicture
 
 VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
-IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 
 
 class ReplayError(ValueError):
-    """A clip that cannot be replayed; the text says what was found and what was expected."""
+    """A clip that cannot be replayed; the text gives what is there and what was expected."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """What the command line says; ``crop`` is left, top, width, height in pixels."""
+    """The options of the command line; ``crop`` is left, top, width, height in pixels."""
 
     path: Path
     plot: bool = False
@@ -43,7 +42,7 @@ class ReplayOptions:
 
 
 def clips_of(path: Path) -> list[Path]:
-    """The clips that a path stands for."""
+    """The clips of a path."""
     if not path.exists():
         raise ReplayError(f"no recording at {path}: expected a video, a folder of frames or a folder of videos")
     if path.is_file():
@@ -60,27 +59,10 @@ def read_clip(path: Path, fps: float | None) -> Iterator[tuple[int, NDArray[np.u
     """Stamp in ns and BGR image of every frame, in order."""
     if fps is not None and not 0 < fps < 10_000:
         raise ReplayError(f"--fps is {fps}, expected frames a second above 0")
-    if path.is_dir():
-        names = sorted(child for child in path.iterdir() if child.suffix.lower() in IMAGES)
-        for k, name in enumerate(names):
-            image = cv2.imread(str(name))
-            if image is None:
-                raise ReplayError(f"{name} is no image")
-            yield round(k * 1e9 / (fps or 30.0)), np.asarray(image, np.uint8)
-        return
-    capture = cv2.VideoCapture(str(path))
-    try:
-        rate = fps or capture.get(cv2.CAP_PROP_FPS) or 30.0
-        k = 0
-        while True:
-            ok, image = capture.read()
-            if not ok:
-                break
-            yield round(k * 1e9 / rate), np.asarray(image, np.uint8)
-            k += 1
-    finally:
-        capture.release()
-    if k == 0:
+    k = -1
+    for k, (image, rate_hz) in enumerate(clip_images(path)):
+        yield round(k * 1e9 / (fps or rate_hz)), image
+    if k < 0:
         raise ReplayError(f"{path} holds no frame that can be decoded")
 
 

@@ -40,7 +40,6 @@ class Access:
         return max(held, key=_RANK.__getitem__, default=None)
 
     def allows(self, connection: HTTPConnection, needed: Role) -> bool:
-        """Whether a request may act in a role."""
         role = self.role(connection)
         return role is not None and _RANK[role] >= _RANK[needed]
 

@@ -16,7 +16,7 @@ from service.web.routes import api, cameras, health, insertion, live, oip, recor
 
 
 class Refused(BaseModel):
-    """The answer to a request that cannot be done: one line that says what was wrong and what was expected."""
+    """The answer to a refused request: one line with what was wrong and what was expected."""
 
     error: str
 

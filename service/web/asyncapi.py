@@ -14,50 +14,36 @@ FRAME_LAYOUT = (
     "Little-endian header: magic `TIF1`, u8 finger (0 left, 1 right), u8 channels (3), u16 height, u16 width,"
     " u16 reserved, u64 sequence number, u64 capture stamp in ns; then height x width x 3 bytes BGR."
 )
-_ID, _PROBABILITIES = "insertion-1", {"2": 0.9, "5": 0.1}
-_ESTIMATE = wire.Estimate(dx_mm=6.2, dtheta_deg=-1.5, sigma_x_mm=1.1, sigma_theta_deg=2.0)
+_INSERTION: dict[str, Any] = {"insertion_id": "insertion-1"}
+_ATTEMPT: dict[str, Any] = _INSERTION | {"attempt": 1}
+_CAMERA = wire.CameraEntry(finger="left", source="v4l2:0", state="live", frame_rate_hz=60.0)
 _LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=150.0)
+_SLIP: dict[str, Any] = {"finger": "left", "frame_seq": 141, "captured_ns": 5_000_000_000, "age_ms": 6.5, "score": 1.4}
+_CORRECTION: dict[str, Any] = {
+    "dx_mm": -6.0,
+    "dtheta_deg": 1.5,
+    "class_probabilities": {"2": 0.9, "5": 0.1},
+    "estimate": wire.Estimate(dx_mm=6.2, dtheta_deg=-1.5, sigma_x_mm=1.1, sigma_theta_deg=2.0),
+    "confidence": 0.9,
+    "controller": "belief",
+    "reason": "belief (+6.1 mm, -1.4 deg) +- (+0.9 mm, +1.8 deg)",
+    "latency_ms": {"networks_last_step": 2.4},
+}
 EXAMPLES: tuple[BaseModel, ...] = (
-    wire.ClientHello(insertion_id=_ID, client="cell controller 3.1"),
-    wire.Arm(insertion_id=_ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0),
-    wire.Descending(insertion_id=_ID, attempt=1),
-    wire.Stopped(insertion_id=_ID, attempt=1, depth_mm=6.4, outcome="blocked"),
-    wire.Abort(insertion_id=_ID, reason="operator"),
-    wire.ClientHeartbeat(insertion_id=_ID, count=7),
-    wire.ServiceHello(
-        insertion_id=_ID,
-        models=(),
-        cameras=(wire.CameraEntry(finger="left", source="v4l2:0", state="live", frame_rate_hz=60.0),),
-        controller="belief",
-        limits=_LIMITS,
-    ),
-    wire.Armed(insertion_id=_ID, attempt=1, reference_seq=120),
-    wire.Slip(
-        insertion_id=_ID,
-        attempt=1,
-        finger="left",
-        frame_seq=141,
-        captured_ns=5_000_000_000,
-        age_ms=6.5,
-        score=1.4,
-        reason="slip: 9 markers off the rigid motion",
-    ),
-    wire.Correction(
-        insertion_id=_ID,
-        attempt=1,
-        dx_mm=-6.0,
-        dtheta_deg=1.5,
-        class_probabilities=_PROBABILITIES,
-        estimate=_ESTIMATE,
-        confidence=0.9,
-        controller="belief",
-        reason="belief (+6.1 mm, -1.4 deg) +- (+0.9 mm, +1.8 deg)",
-        latency_ms={"networks_last_step": 2.4},
-    ),
-    wire.NoDecision(insertion_id=_ID, attempt=1, reason="no_motion", detail="neither finger saw the object move"),
-    wire.Finished(insertion_id=_ID, outcome="inserted", attempts=2, recording="recordings/x/insertion.mcap"),
-    wire.Fault(insertion_id=_ID, code="camera_lost", detail="left gone", fatal=False),
-    wire.ServiceHeartbeat(insertion_id=_ID, count=7, frame_age_ms=12.5),
+    wire.ClientHello(**_INSERTION, client="cell controller 3.1"),
+    wire.Arm(**_ATTEMPT, gap_width_mm=56.0, expected_depth_mm=25.0),
+    wire.Descending(**_ATTEMPT),
+    wire.Stopped(**_ATTEMPT, depth_mm=6.4, outcome="blocked"),
+    wire.Abort(**_INSERTION, reason="operator"),
+    wire.ClientHeartbeat(**_INSERTION, count=7),
+    wire.ServiceHello(**_INSERTION, models=(), cameras=(_CAMERA,), controller="belief", limits=_LIMITS),
+    wire.Armed(**_ATTEMPT, reference_seq=120),
+    wire.Slip(**_ATTEMPT, **_SLIP, reason="slip: 9 markers off the rigid motion"),
+    wire.Correction(**_ATTEMPT, **_CORRECTION),
+    wire.NoDecision(**_ATTEMPT, reason="no_motion", detail="neither finger saw the object move"),
+    wire.Finished(**_INSERTION, outcome="inserted", attempts=2, recording="recordings/x/insertion.mcap"),
+    wire.Fault(**_INSERTION, code="camera_lost", detail="left gone", fatal=False),
+    wire.ServiceHeartbeat(**_INSERTION, count=7, frame_age_ms=12.5),
 )
 
 

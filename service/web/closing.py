@@ -1,4 +1,4 @@
-"""How a WebSocket ends: its parallel parts stop together, the client is told why, and the log keeps it."""
+"""How a WebSocket ends: its parallel parts stop together, and the client and the log get the reason."""
 
 import asyncio
 import contextlib
@@ -17,7 +17,7 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """Why a conversation ends; ``code`` is one of RFC 6455; ``left``: the client is gone, there is nobody to tell."""
+    """Why a conversation ends; ``code`` is one of RFC 6455; ``left``: the client has already left."""
 
     code: int
     reason: str
@@ -27,7 +27,7 @@ class Ending:
 async def until_one_ends(socket: WebSocket, *parts: Coroutine[Any, Any, Ending]) -> Ending:
     """Run all parts of a conversation until the first ends, then stop the others; the ending is the first one's.
 
-    A part that raises anything but WebSocketDisconnect is logged, and told as 1011.
+    A part that raises anything but WebSocketDisconnect is logged, and sent as 1011.
     """
     tasks = [asyncio.create_task(part) for part in parts]
     try:
@@ -47,7 +47,7 @@ async def until_one_ends(socket: WebSocket, *parts: Coroutine[Any, Any, Ending])
 
 
 async def close(socket: WebSocket, ending: Ending) -> None:
-    """Say goodbye with a reason; a client that is gone or does not read is not waited for."""
+    """Close with a reason, without waiting for a client that has left or does not read."""
     if ending.left:
         return
     reason = ending.reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
@@ -56,7 +56,7 @@ async def close(socket: WebSocket, ending: Ending) -> None:
 
 
 async def until_gone(socket: WebSocket) -> Ending:
-    """Ignore what a client says until it leaves; raises WebSocketDisconnect then."""
+    """Ignore messages until the client leaves; raises WebSocketDisconnect then."""
     while (event := await socket.receive())["type"] != "websocket.disconnect":
         pass
     raise WebSocketDisconnect(event.get("code", 1000))

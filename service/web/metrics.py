@@ -14,7 +14,7 @@ _STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13,
 
 
 class Metrics:
-    """Counts what the hub tells; its own registry, so that two apps in one process do not collide."""
+    """Counts the hub's events in its own registry, so that two apps in one process do not collide."""
 
     def __init__(self, station: Station) -> None:
         self.registry = CollectorRegistry()

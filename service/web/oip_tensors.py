@@ -37,7 +37,7 @@ class TensorError(ContractError):
 
 @dataclass(frozen=True, slots=True)
 class InferRequest:
-    """A parsed request; ``binary`` says for each wanted output whether it goes out in binary."""
+    """A parsed request; ``binary``: for each wanted output, whether it goes out in binary."""
 
     id: str | None
     inputs: dict[str, Array]

@@ -1,4 +1,4 @@
-"""The web server: how long, how much and how many it serves, by the means of the kernel and of uvicorn."""
+"""The web server: bounds on time, size and number, set with options of the kernel and of uvicorn."""
 
 import asyncio
 import socket
@@ -12,7 +12,7 @@ from service.contract import ContractError
 from service.settings import Settings, SettingsError
 
 HEAD_TIMEOUT_S = 10.0  # without a complete request; a connection is closed after one to two of these
-READ_TIMEOUT_S = 20.0  # without any sign that the client takes what was sent to it
+READ_TIMEOUT_S = 20.0  # without any sign that the client reads
 MAX_HEAD_BYTES = 64 << 10
 MAX_MESSAGE_BYTES = 4 << 20
 
@@ -24,7 +24,7 @@ class PortError(ContractError):
 def bind(host: str, port: int) -> socket.socket:
     """A listening TCP socket; raise PortError with what to do if the port is busy or the address is not ours.
 
-    The kernel drops its connections whose client takes nothing of what was sent to it for ``READ_TIMEOUT_S``.
+    The kernel drops connections whose client reads nothing for ``READ_TIMEOUT_S``.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     sock = socket.socket(family, socket.SOCK_STREAM)
@@ -42,7 +42,7 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 def check_certificate(settings: Settings) -> None:
-    """Raise SettingsError if the certificate and its key cannot serve: before, not after, the service says ready."""
+    """Raise SettingsError if the certificate and its key are unusable, before the service is ready."""
     if settings.tls_certificate is None:
         return
     try:
@@ -56,7 +56,6 @@ class PunctualH11(H11Protocol):
     """HTTP/1.1 whose clients cannot hold a connection with half a request; uvicorn has no option for that."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """A client connected: the clock runs."""
         super().connection_made(transport)
         self.loop.call_later(HEAD_TIMEOUT_S, self._close_if_silent, None)
 

@@ -14,7 +14,7 @@ from simulation.cell.world import Exposure, Gel
 
 Image = NDArray[np.uint8]
 Draw = Callable[[Gel, int, Gel], Image]
-"""(gel [20, 21, 3], frame seed, gel one frame earlier) -> BGR image uint8 [320, 427, 3]."""
+"""(gel [rows, columns, 3], frame seed, gel one frame earlier) -> raw BGR image uint8 [h, w, 3]."""
 
 
 class CameraFeed:

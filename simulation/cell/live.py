@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from service.contract import FINGERS
+from service.contract import FINGERS, Sensor
 from simulation.cell.admin import create_admin
 from simulation.cell.cameras import CameraFeed, Draw, failure
 from simulation.cell.emulators.abb.cabinet import Cabinet
@@ -52,6 +52,8 @@ class Plant(NamedTuple):
     part_width_mm: float
     gap_width_mm: float
     save_calibration: Callable[[Path], None]
+    sensor: Sensor
+    fps: int
     dropped_share: float = 0.0  # of the camera frames, as the scene has it
 
 
@@ -111,7 +113,7 @@ class LiveCell:
         self.rws = HttpServer(create_app(self.cabinet, self.frames, self.gate), self.sockets.rws)
         self.gate.abort = self.rws.abort
         held = options.gripper == "held"
-        self.world = World(plant.mechanics, plant.regrasp, self._pose, fps=options.fps, held=held)
+        self.world = World(plant.mechanics, plant.regrasp, self._pose, sensor=plant.sensor, fps=plant.fps, held=held)
         self.world.on_unsolved = self._supervise
         self.part = HeldPart(self.world, plant.part_width_mm, self._pose, at_start)
         self.gripper = Gripper(self.part, self.board, holding=held)
@@ -203,7 +205,7 @@ class LiveCell:
             "expected_depth_mm": APPROACH_MM + INSERTION_MM,
             "creep_allowance_mm": CREEP_ALLOWANCE_MM,
             "approach": {"x_mm": x, "y_mm": y, "z_mm": z, "yaw_deg": self.plant.start.yaw_deg},
-            "fps": self.options.fps,
+            "fps": self.plant.fps,
         }
 
     def truth(self) -> dict[str, Any]:

@@ -25,8 +25,8 @@ class CellOptions:
     """Seed of grasp, optics and noise."""
     out: Path = Path("runs/cell")
     """Folder for cell.json and the calibration."""
-    fps: int = 30
-    """Camera rate: 30, 60 or 90."""
+    fps: int | None = None
+    """Camera rate: 30, 60 or 90; the sensor's if left out."""
     egm_lag_ms: float = 20.0
     """First-order lag of the arm behind the guide."""
     gripper: Literal["held", "open"] = "held"
@@ -60,7 +60,7 @@ class CellOptions:
 
     def check(self) -> None:
         """Raise CellError naming the option that cannot be."""
-        if self.fps not in (30, 60, 90):
+        if self.fps not in (None, 30, 60, 90):
             raise CellError(f"--fps {self.fps}: expected 30, 60 or 90")
         if self.seed < 0:
             raise CellError(f"--seed {self.seed}: expected 0 or more")

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS
-from service.perception.rectification import Calibration, CameraCalibration
+from service.perception.rectification import Calibration
 from simulation.cell.cameras import Draw
 from simulation.cell.emulators.abb.motion import Pose, tool_down
 from simulation.cell.live import Plant
@@ -25,11 +25,8 @@ LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; a solve that polishe
 
 def load(options: CellOptions) -> Scene:
     """The scene of the options, blocks free unless they are bolted down; raises SceneError."""
-    changes = {
-        "blocks__free": not options.fixed_blocks,
-        "camera__fps": options.fps,
-        "numerics__residual_n": LIVE_RESIDUAL_N,
-    }
+    changes = {"blocks__free": not options.fixed_blocks, "numerics__residual_n": LIVE_RESIDUAL_N}
+    changes |= {"camera__fps": options.fps} if options.fps else {}
     return load_scene(options.object, **changes)
 
 
@@ -47,7 +44,7 @@ def build(scene: Scene, options: CellOptions) -> Plant:
     cell.regrasp(options.x_mm, options.theta_deg)
     x, y, z, yaw = (float(value) for value in cell.pose)
     renderers = {finger: Renderer(Appearance.draw(scene, finger, options.seed)) for finger in FINGERS}
-    calibration = Calibration(*(CameraCalibration(renderers[finger].homography) for finger in FINGERS))
+    calibration = Calibration(*(renderers[finger].calibration for finger in FINGERS))
 
     def regrasp(_force_n: float) -> None:
         cell.regrasp(options.x_mm, options.theta_deg)
@@ -63,6 +60,8 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         part_width_mm=scene.object.held_size_y_mm or scene.object.size_y_mm,
         gap_width_mm=scene.blocks.gap_mm,
         save_calibration=save_calibration,
+        sensor=scene.sensor,
+        fps=scene.fps,
         dropped_share=dropped_share(scene),
     )
 

@@ -51,8 +51,8 @@ class RunOptions:
     """Where runs are kept."""
     repeat: int = 1
     """This many starts an object, seeds counting up."""
-    fps: int = 30
-    """Camera rate: 30, 60 or 90."""
+    fps: int | None = None
+    """Camera rate: 30, 60 or 90; the sensor's if left out."""
     egm_lag_ms: float = 20.0
     """Lag of the emulated arm."""
     link: Literal["egm", "socket"] = "egm"
@@ -107,8 +107,9 @@ def _say(text: str) -> None:
 def _start_cell(start: Start, options: RunOptions, folder: Path) -> Child:
     arguments = [
         *("--object", start.object, "--x-mm", str(start.x_mm), "--theta-deg", str(start.theta_deg)),
-        *("--seed", str(start.seed), "--fps", str(options.fps), "--egm-lag-ms", str(options.egm_lag_ms)),
+        *("--seed", str(start.seed), "--egm-lag-ms", str(options.egm_lag_ms)),
         *("--out", str(folder / "cell")),
+        *(("--fps", str(options.fps)) if options.fps else ()),
     ]
     return Child("cell", "simulation", ["cell", *arguments], folder / "cell.log")
 
@@ -118,7 +119,7 @@ def _start_service(facts: dict[str, Any], options: RunOptions, folder: Path) -> 
         *("--models", str(options.models), "--calibration", facts["calibration"], "--port", "0"),
         *("--camera-left", facts["cameras"]["left"], "--camera-right", facts["cameras"]["right"]),
         *("--recordings", str(folder / "recordings"), "--controller", options.controller),
-        *("--frame-rate-hz", str(options.fps), "--max-frame-age-ms", str(FRAME_AGE_MS)),
+        *("--frame-rate-hz", str(facts["fps"]), "--max-frame-age-ms", str(FRAME_AGE_MS)),
     ]
     return Child("service", "service", ["run", *arguments], folder / "service.log")
 

@@ -1,6 +1,7 @@
 """What a run says at its end: from the client's episode log, the cell's truth and the service's recording."""
 
 import json
+import math
 import textwrap
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -34,7 +35,7 @@ class Result:
     frozen_ms: tuple[float, ...]
     rest_ms: tuple[float, ...]
     overtravel_mm: tuple[float, ...]
-    cores: tuple[float, float] = (float("nan"), float("nan"))  # mean CPU of cell and service during the insertion
+    cores: tuple[float, float] = (math.nan, math.nan)  # mean CPU of cell and service during the insertion
 
     def as_json(self) -> str:
         """One indented JSON object."""
@@ -65,17 +66,9 @@ def _slips(events: list[dict[str, Any]]) -> list[int]:
 
 
 def collect(
-    truth: dict[str, Any],
-    log: Path,
-    *,
-    object_name: str,
-    x_mm: float,
-    theta_deg: float,
-    seed: int,
-    seconds: float,
-    cores: tuple[float, float] = (float("nan"), float("nan")),
+    truth: dict[str, Any], log: Path, *, seconds: float, cores: tuple[float, float] = (math.nan, math.nan), **start: Any
 ) -> Result:
-    """Put episode log and truth together."""
+    """Put episode log and truth together; ``start``: ``object_name``, ``x_mm``, ``theta_deg`` and ``seed`` of it."""
     events = _events(log)
     end: dict[str, Any] = next((entry["end"] for entry in events if "end" in entry), {})
     body, course = truth.get("object", {}), truth["course"]
@@ -88,17 +81,14 @@ def collect(
             over.append(stop["overtravel_mm"])
     turned = np.degrees(np.linalg.norm(body.get("in_hand", [0.0] * 6)[3:]))
     return Result(
-        object_name=object_name,
-        x_mm=x_mm,
-        theta_deg=theta_deg,
-        seed=seed,
+        **start,
         inserted=bool(end.get("inserted", False)) and bool(body.get("inserted", False)),
         attempts=int(end.get("attempts", 0)),
         reason=str(end.get("reason") or ""),
         seconds=seconds,
-        final_x_mm=float(body.get("x_mm", float("nan"))),
-        final_theta_deg=float(body.get("theta_deg", float("nan"))),
-        bottom_z_mm=float(body.get("bottom_z_mm", float("nan"))),
+        final_x_mm=float(body.get("x_mm", math.nan)),
+        final_theta_deg=float(body.get("theta_deg", math.nan)),
+        bottom_z_mm=float(body.get("bottom_z_mm", math.nan)),
         blocks_moved_mm=float(course["max_block_shift_mm"]),
         blocks_tilted_deg=float(course["max_block_tilt_deg"]),
         grasp_kept=bool(truth["gripper"]["held"]) and not body.get("grasp_lost", False),
@@ -163,7 +153,8 @@ def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | Non
         return None
     with np.load(attempts[-1], allow_pickle=False) as data:
         answer = json.loads(str(data["decision"]))
-        frames, motion, valid = data["frames"], data["displacement_px"], data["valid"]
+        frames, valid = data["frames"], data["valid"]
+        motion = data["rest_px"], data["displacement_px"]
     number = int(attempts[-1].stem.split("_")[1])
     decision: attempt_picture.Decision = {
         "title": f"{result.object_name}: attempt {number} of {result.attempts}, simulated",

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from service.contract import Sensor
 from simulation.cell.emulators.abb.motion import Pose
 from simulation.physics.state import CellState
 
@@ -61,6 +62,7 @@ class World:
         regrasp: Callable[[float], None],
         pose: Callable[[], Pose],
         *,
+        sensor: Sensor,
         fps: float,
         held: bool = True,
     ) -> None:
@@ -78,7 +80,7 @@ class World:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._last: tuple[float, float, float, float] | None = None
-        self._gel: Gel = np.zeros((2, 20, 21, 3), np.float32)
+        self._gel: Gel = np.zeros((2, sensor.marker_rows, sensor.marker_columns, 3), np.float32)
 
     def on_exposure(self, sink: Callable[[Exposure], None]) -> None:
         """Have ``sink`` called with every exposure, on the world's thread."""

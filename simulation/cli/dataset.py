@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,13 +11,16 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from simulation.data import lerobot, mcap, workers
-from simulation.data.collect import Plan, scene_sha256
-from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, Trial, slice_of
+from reporting.files import write_durably
+from service.contract import ContractError, Sensor
+from simulation.data import lerobot, mcap
+from simulation.data.collect import Plan, make_shard, scene_of, scene_sha256, shard_of
+from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, slice_of
+from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
 from simulation.optics import attempt_picture
-from simulation.scene.worlds import load_scene, training_objects
+from simulation.scene.worlds import training_objects
 
 DECISION_FRAMES = 8
 
@@ -32,6 +35,8 @@ class CollectOptions:
     """Collisions to keep of each object; rounded up to whole shards."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = training_objects()
     """Scene names or TOML files."""
+    sensor: str = ""
+    """Name or TOML file of the fingers' sensor, where it is not the scenes' own."""
     seed: int = 0
     """Same seed, same data, bit for bit, whatever the number of workers."""
     workers: int = 0
@@ -57,13 +62,22 @@ def asked_manifest(options: CollectOptions) -> Manifest:
     if not names or max(names.values()) > 1:
         given = ", ".join(options.objects) or "none"
         raise DatasetError(f"--objects {given}: expected at least one, no two of the same name: a shard is named by it")
+    try:
+        sensor = Sensor.load(options.sensor) if options.sensor else None
+    except ContractError as error:
+        raise DatasetError(f"--sensor: {error}") from error
+    scenes = {name: scene_of(name, sensor) for name in options.objects}
+    sensors = {scene.sensor for scene in scenes.values()}
+    if len(sensors) > 1:
+        raise DatasetError(f"the scenes have sensors {', '.join(sorted(map(str, sensors)))}: a dataset has one")
     return Manifest(
         made_by="simulation collect",
         seed=options.seed,
         trials_per_object=options.trials_per_object,
         trials_per_shard=options.trials_per_shard,
         held_out_share=options.held_out_share,
-        scenes={name: scene_sha256(load_scene(name)) for name in options.objects},
+        scenes={name: scene_sha256(scene) for name, scene in scenes.items()},
+        sensor=sensors.pop(),
         physics=sources_sha256("simulation.data.probe"),
     )
 
@@ -77,16 +91,28 @@ def collect(arguments: list[str]) -> int:
         manifest = writer.manifest
         size, seed, share = manifest.trials_per_shard, manifest.seed, manifest.held_out_share
         plans = [
-            Plan(options.out, scene, shard, size, seed, share, options.slip_truth)
+            Plan(options.out, scene, shard, size, seed, share, options.slip_truth, manifest.sensor)
             for scene, shard in manifest.missing_shards()
         ]
-        if options.ray:
-            workers.collect_on_ray(writer, plans, options.ray)
-        else:
-            workers.collect(writer, plans, options.workers or os.cpu_count() or 1)
+        with progress("collisions", sum(plan.trials for plan in plans)) as show:
+            done = 0
+            for entry in _made(plans, options):
+                writer.commit(entry)
+                done += entry.trials
+                show(done)
         writer.finish()
     print(f"{writer.manifest.trials} collisions in {len(writer.manifest.shards)} shards under {options.out}")
     return 0
+
+
+def _made(plans: list[Plan], options: CollectOptions) -> Iterator[ShardEntry]:
+    """Every shard as it lies in the folder; from a cluster it comes as bytes."""
+    if not options.ray:
+        yield from results(make_shard, plans, options.workers)
+        return
+    for entry, data in results(shard_of, plans, ray=options.ray):
+        write_durably(options.out / entry.name, data)
+        yield entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,12 +137,11 @@ def _chosen_trials(options: ViewOptions) -> tuple[Dataset, list[int]]:
     return dataset, slice_of(numbers, options.first, options.count, options.source)
 
 
-def _true_motion_px(trial: Trial, start: int, stop: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Float32 [2, 20, 21, 2]: true motion of the dots in rectified px from frame ``start`` to frame ``stop``."""
-    pitch = np.asarray([look.mm_per_px for look in trial.appearances], np.float32)[:, None, None, None]
+def _true_motion(trial: Trial, start: int, stop: int) -> attempt_picture.Motion:
+    """Where the dots rest and their true motion from frame ``start`` to frame ``stop``, rectified px."""
     gel = trial.gel[..., :2].astype(np.float32)
-    motion: np.ndarray[tuple[int, ...], np.dtype[np.float32]] = (gel[stop] - gel[start]) / pitch
-    return motion
+    motion = (gel[stop] - gel[start]) / np.float32(trial.sensor.mm_per_px)
+    return np.broadcast_to(trial.sensor.marker_rest_px(), motion.shape), motion
 
 
 def _describe(trial: Trial, number: int) -> attempt_picture.Decision:
@@ -140,7 +165,7 @@ def view(arguments: list[str]) -> int:
     dataset, numbers = _chosen_trials(options)
     for number in numbers:
         trial = dataset.trial(number)
-        motion = _true_motion_px(trial, trial.onset_frame, trial.onset_frame + DECISION_FRAMES - 1)
+        motion = _true_motion(trial, trial.onset_frame, trial.onset_frame + DECISION_FRAMES - 1)
         path = options.out / f"trial-{number:06d}.png"
         print(attempt_picture.save(path, dataset.frames(number), _describe(trial, number), motion))
     return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,7 +23,43 @@ from simulation.scene.worlds import World, files_in, load_objects, load_world, o
 
 
 @dataclass(frozen=True)
-class Options:
+class PlayOptions:
+    """What every command states that plays insertions in lock step."""
+
+    out: Path
+    """folder for results"""
+    docs: Path
+    """folder for the report"""
+    models: Path = field(default_factory=released_models)
+    """folder with the ONNX files to evaluate; its folder `joint` holds the joint density, if there is one"""
+    objects: tuple[str, ...] = object_names()
+    """names, TOML files or folders of them"""
+    count: int = 30
+    """insertions an object; for `belief` the 4 extremes and uniform random errors"""
+    perception: Literal["pictures", "fields"] = "pictures"
+    """pictures: every frame is drawn, rectified and tracked. fields: the true marker fields, five times cheaper"""
+    seed: int = 0
+    """of the start errors, grasps and noise"""
+    workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
+    """processes; 0 takes every core"""
+    ray: str = ""
+    """address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)"""
+
+    def check(self) -> None:
+        """Raise ValueError on a count or a folder of networks that allows nothing to be played."""
+        if self.count < 1:
+            raise ValueError(f"--count {self.count}: expected at least 1")
+        if not list(self.models.glob("*.onnx")):
+            raise ValueError(f"--models {self.models}: no *.onnx there; expected the folder with the networks")
+
+    def play(self, todo: Sequence[Task], setup: Mapping[str, str]) -> list[Row]:
+        """Rows of all tasks; those that OUT already holds of the same code and networks are kept."""
+        campaign.claim(self.out, setup)
+        return campaign.run(todo, self.out / "insertions.jsonl", workers=self.workers, ray=self.ray)
+
+
+@dataclass(frozen=True)
+class Options(PlayOptions):
     """Play insertions in lock step through the real service session, client state machine and ONNX files.
 
     Results go to OUT/insertions.jsonl as they come (a second call goes on where the first stopped, also after a kill),
@@ -36,32 +73,18 @@ class Options:
     """folder for results"""
     docs: Path = Path("runs/evaluation")
     """folder for the report"""
-    models: Path = field(default_factory=released_models)
-    """folder with the ONNX files to judge; its folder `joint` holds the joint density, if there is one"""
     paper_models: Path = Path("models/paper")
     """folder with the paper's recipe (AlexNet + LSTM); its row is left out while there is none"""
-    objects: tuple[str, ...] = object_names()
-    """names, TOML files or folders of them"""
     worlds: tuple[str, ...] = ()
     """TOML files of worlds, or folders of them; needs --json"""
     json: Path | None = None
     """file for the rows; results go beside it as they come. Without --worlds: the world that was trained for"""
     controllers: tuple[str, ...] = tuple(CONTROLLERS)
     """rows of the table: the service's controllers and baselines"""
-    count: int = 30
-    """insertions an object for `belief` (the 4 extremes and uniform random errors), or a world and object"""
     baseline_count: int = 30
     """insertions an object for every other row (not more than --count)"""
-    perception: Literal["pictures", "fields"] = "pictures"
-    """pictures: every frame is drawn, rectified and tracked. fields: the true marker fields, five times cheaper"""
-    seed: int = 0
-    """of the start errors, grasps and noise"""
-    workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
-    """processes; 0 takes every core"""
     note: str = ""
     """a sentence for the report, on what is special about this run"""
-    ray: str = ""
-    """address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)"""
 
 
 def folder_of(options: Options, controller: str) -> Path:
@@ -76,10 +99,9 @@ def entered(options: Options) -> tuple[str, ...]:
     unknown = sorted(set(options.controllers) - set(CONTROLLERS))
     if unknown:
         raise ValueError(f"--controllers {', '.join(unknown)}: expected some of {', '.join(CONTROLLERS)}")
-    if options.count < 1 or options.baseline_count < 1:
-        raise ValueError(f"--count {options.count} --baseline-count {options.baseline_count}: expected at least 1")
-    if not list(options.models.glob("*.onnx")):
-        raise ValueError(f"--models {options.models}: no *.onnx there; expected the folder with the networks")
+    if options.baseline_count < 1:
+        raise ValueError(f"--baseline-count {options.baseline_count}: expected at least 1")
+    options.check()
     names = tuple(name for name in options.controllers if list(folder_of(options, name).glob("*.step.onnx")))
     if not names or not options.objects:
         looked = ", ".join(dict.fromkeys(str(folder_of(options, name)) for name in options.controllers))
@@ -115,9 +137,7 @@ def main(arguments: list[str]) -> int:
         return _play_worlds(options, options.json, names[0], objects)
     if options.worlds:
         raise ValueError("--worlds: expected --json, too, the file for the rows")
-    campaign.claim(options.out, setup)
-    log = options.out / "insertions.jsonl"
-    rows = campaign.run(tasks(options, names, objects), log, workers=options.workers, ray=options.ray)
+    rows = options.play(tasks(options, names, objects), setup)
     from simulation.closed_loop.report import write
 
     options.docs.mkdir(parents=True, exist_ok=True)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import time
+from itertools import count
 
 import numpy as np
 
+from reporting.machine import best_cpu_ms
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -34,17 +36,14 @@ def poke_ms(scene: Scene) -> float:
 
 def frame_ms(scene: Scene) -> float:
     """Best CPU time of drawing one raw frame of a gel in motion, ms."""
-    eye, best = Renderer(Appearance.draw(scene, "left", 0)), float("inf")
-    gel = np.full((20, 21, 3), 0.04, np.float32) * np.linspace(0.5, 1.0, 21, dtype=np.float32)[:, None]
-    for seed in range(2 * REPEATS):
-        start = time.process_time()
-        eye.raw(gel, seed, 0.5 * gel)
-        best = min(best, 1e3 * (time.process_time() - start))
-    return best
+    renderer, seeds = Renderer(Appearance.draw(scene, "left", 0)), count()
+    rows, columns = scene.sensor.marker_rows, scene.sensor.marker_columns
+    gel = np.full((rows, columns, 3), 0.04, np.float32) * np.linspace(0.5, 1.0, columns, dtype=np.float32)[:, None]
+    return best_cpu_ms(lambda: renderer.raw(gel, next(seeds), 0.5 * gel), 2 * REPEATS)
 
 
 def cost(scene: Scene, key: str) -> str:
-    """What an effect that is on costs a poke or, where it is only seen, a frame."""
+    """What an effect that is on costs a poke or, where only pictures show it, a frame."""
     if key == "dropped_frames":
         return "frames are drawn and thrown away"
     measure, unit = (poke_ms, "poke") if key in IN_THE_PHYSICS else (frame_ms, "frame")

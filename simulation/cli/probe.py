@@ -21,7 +21,7 @@ from simulation.studies import imprint as study
 
 
 def pictures(scene: Scene, probe: Probe, seed: int) -> list[NDArray[np.uint8]]:
-    """Rectified frames of both fingers side by side, uint8 [320, 654, 3] BGR, one a kept frame."""
+    """Rectified frames of both fingers side by side, uint8 [H, 2 W, 3] BGR, one a kept frame."""
     renderers = [Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS]
     out = []
     for i, gel in enumerate(probe.gel.astype(np.float32)):
@@ -72,7 +72,7 @@ def probe(arguments: list[str]) -> int:
         tilt = 57.29578 * float((done.in_hand[i, 3:5] ** 2).sum()) ** 0.5
         print(f"{i:5d}  {depth:8.2f}  {done.wrench[i, 2]:7.2f}  {tilt:8.2f}  {shear:8.3f}")
     if given.save is not None:
-        save(pictures(scene, done, given.seed), given.save, scene.camera.fps)
+        save(pictures(scene, done, given.seed), given.save, scene.fps)
         print(f"saved {given.save}")
     return 0
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import tyro
 
-from service.contract.shipped import released_models
+from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import benchmark, campaign, robustness
 from simulation.closed_loop.baselines import CONTROLLERS
 from simulation.closed_loop.campaign import Task
@@ -18,20 +18,15 @@ from simulation.scene.worlds import load_objects
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(PlayOptions):
     """Play insertions under one disturbance after the other: noise, friction, stiffness, clearance, wear, cameras.
 
     Results go to OUT/insertions.jsonl as they come, the report to DOCS/robustness.md and .json. All simulated.
     """
 
     out: Path = Path("runs/robustness")
-    """folder for results"""
     docs: Path = Path("runs/robustness")
-    """folder for the report"""
-    models: Path = field(default_factory=released_models)
-    """folder with the ONNX files"""
     objects: tuple[str, ...] = ("rectangle", "hexagon", "white_box")
-    """names, TOML files or folders of them"""
     tiers: tuple[Literal["bristle", "layer"], ...] = ("bristle", "layer")
     """models of the gel; the networks were trained on the bristle tier"""
     only: tuple[str, ...] = ()
@@ -40,14 +35,7 @@ class Options:
     """what decides the moves"""
     count: int = 10
     """insertions an object, disturbance and tier"""
-    perception: Literal["pictures", "fields"] = "pictures"
-    """pictures: every frame is drawn, rectified and tracked. fields: the true marker fields, five times cheaper"""
     seed: int = 7
-    """of the start errors, grasps and noise"""
-    workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
-    """processes; 0 takes every core"""
-    ray: str = ""
-    """address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)"""
 
 
 def tasks(options: Options) -> list[Task]:
@@ -89,16 +77,9 @@ def main(arguments: list[str]) -> int:
         unknown = sorted(set(given) - set(known))
         if unknown:
             raise ValueError(f"--{flag} {', '.join(unknown)}: expected some of {', '.join(known)}")
-    if options.count < 1:
-        raise ValueError(f"--count {options.count}: expected at least 1")
+    options.check()
     if not options.objects or not options.tiers:
         raise ValueError("nothing to play: expected some --objects and --tiers")
-    if not list(options.models.glob("*.onnx")):
-        raise ValueError(f"--models {options.models}: no *.onnx there; expected the folder with the networks")
     setup = campaign.fingerprint({options.controller: options.models / CONTROLLERS[options.controller].folder})
-    todo = tasks(options)
-    campaign.claim(options.out, setup)
-    log = options.out / "insertions.jsonl"
-    rows = campaign.run(todo, log, workers=options.workers, ray=options.ray)
-    sys.stdout.write(robustness.write(rows, setup, options.docs))
+    sys.stdout.write(robustness.write(options.play(tasks(options), setup), setup, options.docs))
     return 0

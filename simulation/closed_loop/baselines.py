@@ -130,7 +130,7 @@ class MagnitudeOnly:
 
 @dataclass(slots=True)
 class ForceOnly:
-    """Only the wrist's force and torque: where the block presses tells x exactly and theta from the side it leans to.
+    """Only the wrist's force and torque: where the block presses gives x exactly, and theta by the side it leans to.
 
     The pivot is a block's edge, G/2 from the gap's centre whatever the shape, so x = +-G/2 minus the lever arm. Yaw
     follows from where along the edge the force acts, by `YAW_DEG_PER_MM`. The sensor's noise is added.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from simulation.closed_loop.campaign import Task
-from simulation.closed_loop.statistics import Row, class_of, first_decisions, refused, start_errors, title_of, trials_of
+from simulation.closed_loop.statistics import Row, class_of, ends, first_decisions, start_errors, title_of
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
 
@@ -62,7 +62,7 @@ def table(rows: Sequence[Row]) -> list[Row]:
         {
             "world": world,
             "object": title_of(scene),
-            **_ends(mine := [row for row in rows if (row["condition"], row["scene"]) == (world, scene)]),
+            **ends(mine := [row for row in rows if (row["condition"], row["scene"]) == (world, scene)]),
             **_first_answers(mine),
             "worst_force_n": max(row["course"]["force_n"] for row in mine),
             "worst_block_mm": max(row["course"]["block_mm"] for row in mine),
@@ -70,17 +70,6 @@ def table(rows: Sequence[Row]) -> list[Row]:
         }
         for world, scene in pairs
     ]
-
-
-def _ends(rows: Sequence[Row]) -> Row:
-    return {
-        "insertions": len(rows),
-        "inserted": sum(row["inserted"] for row in rows),
-        "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
-        "refused": sum(refused(row) for row in rows),
-        "void": sum(row["void"] for row in rows),
-        "mean_trials": sum(trials_of(row) for row in rows) / len(rows),
-    }
 
 
 def _first_answers(rows: Sequence[Row]) -> Row:

@@ -8,17 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
 from reporting.files import write_durably
+from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
 
@@ -119,7 +115,7 @@ def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "") ->
     missing = [task for key, task in wanted.items() if key not in rows]
     _end_line(log)
     with log.open("a", encoding="utf-8") as file, progress("insertions (simulated)", len(missing)) as show:
-        for done, row in enumerate(_results(missing, workers or os.cpu_count() or 1, ray), 1):
+        for done, row in enumerate(results(play, missing, workers, ray), 1):
             rows[key_of(row)] = row
             file.write(json.dumps(row) + "\n")
             file.flush()
@@ -132,49 +128,3 @@ def _end_line(log: Path) -> None:
     if log.exists() and log.stat().st_size and not log.read_bytes().endswith(b"\n"):
         with log.open("a", encoding="utf-8") as file:
             file.write("\n")
-
-
-def _results(tasks: Sequence[Task], workers: int, ray: str) -> Iterator[Row]:
-    if not tasks:
-        return
-    if ray:
-        yield from _on_ray(tasks, ray)
-    elif workers == 1:
-        yield from map(play, tasks)
-    else:
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-            os.environ.setdefault(name, "1")  # one process a core; threads inside them would only fight
-        with multiprocessing.get_context("spawn").Pool(workers, _die_with_parent) as pool:
-            yield from pool.imap_unordered(play, tasks)
-
-
-def _die_with_parent() -> None:
-    """However the parent ends, the worker ends too; Ctrl-C is the parent's alone to handle."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-    sentinel = parent.sentinel
-
-    def follow() -> None:
-        wait([sentinel])
-        os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
-
-
-def _on_ray(tasks: Sequence[Task], address: str) -> Iterator[Row]:
-    """On the Ray cluster at ``address`` ("local" starts one here); the models folder must exist on every node."""
-    try:
-        import ray
-    except ImportError as error:
-        raise ValueError('--ray needs Ray: pip install ".[simulation,service,ray]"') from error
-    ray.init(address=None if address == "local" else address, log_to_driver=False, include_dashboard=False)
-    try:
-        remote = ray.remote(num_cpus=1, max_retries=3)(play)
-        waiting = [remote.remote(task) for task in tasks]
-        while waiting:
-            finished, waiting = ray.wait(waiting, num_returns=1)
-            yield from ray.get(finished)
-    finally:
-        ray.shutdown()

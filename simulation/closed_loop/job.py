@@ -36,8 +36,8 @@ class Job:
     stop_lag_s: float = STOP_LAG_S
     dead: Literal["", "dark", "frozen"] = ""
 
-    def cell(self) -> Scene:
-        """The object in its world; the blocks are free unless the world says otherwise. Raises SceneError."""
+    def build_scene(self) -> Scene:
+        """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""
         return load_scene(self.scene, blocks__free=True).varied(self.changes)
 
 

@@ -50,12 +50,12 @@ class Course:
 class LockstepCell:
     """Scene, hand and cameras with one clock. Poses are the TCP's, mm and deg, in the work-object frame.
 
-    With ``draws`` False frames carry no picture (uint8 [0, 0, 3]): for those who look at the gel itself. ``dead`` says
-    what ails the left finger's camera: nothing (""), "dark" frames, or for ever the first one ("frozen").
+    With ``draws`` False frames carry no picture (uint8 [0, 0, 3]): for perception that reads the gel itself. ``dead``
+    states what ails the left finger's camera: nothing (""), "dark" frames, or for ever the first one ("frozen").
     """
 
     scene: Scene
-    cell: QuasiStaticCell
+    physics: QuasiStaticCell
     renderers: tuple[Renderer, Renderer]
     stop_lag_s: float
     seed: int
@@ -73,7 +73,7 @@ class LockstepCell:
     _first: Image | None = None
 
     def __post_init__(self) -> None:
-        self.state = self.previous = self.cell.look()
+        self.state = self.previous = self.physics.look()
         self._grasped = self.state.in_hand[:3].copy()
 
     @classmethod
@@ -101,7 +101,7 @@ class LockstepCell:
     @property
     def pose(self) -> tuple[float, float, float, float]:
         """TCP x, y, z in mm and yaw in deg."""
-        x, y, z, yaw = self.cell.pose
+        x, y, z, yaw = self.physics.pose
         return float(x), float(y), float(z), math.degrees(float(yaw))
 
     def travel(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float, duration_s: float) -> None:
@@ -136,11 +136,11 @@ class LockstepCell:
 
         Raises PhysicsError when the cell is lost for good.
         """
-        self.now_ns += round(1e9 / self.scene.camera.fps)
+        self.now_ns += round(1e9 / self.scene.fps)
         self.previous = self.state
         if self.moving:
             x, y, z, yaw = self.pose
-            target = max(self.bottom_z_mm, z - self.scene.speed_mm_s / self.scene.camera.fps)
+            target = max(self.bottom_z_mm, z - self.scene.speed_mm_s / self.scene.fps)
             if self._go(x, y, target, yaw):
                 self.moving = target > self.bottom_z_mm
         self.frame += 1
@@ -174,7 +174,7 @@ class LockstepCell:
     def _go(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> bool:
         """Advance; False where no equilibrium was found: the arm is then late by a part of the move."""
         try:
-            state = self.cell.move_to(x_mm, y_mm, z_mm, yaw_deg)
+            state = self.physics.move_to(x_mm, y_mm, z_mm, yaw_deg)
         except PhysicsError:
             self.course.unsolved += 1
             self._stuck += 1

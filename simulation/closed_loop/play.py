@@ -41,7 +41,6 @@ from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
-from service.perception.rectification import CameraCalibration
 from service.session.state_machine import InsertionSession
 from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View
 from simulation.closed_loop.job import Job, Outcome, Perception
@@ -59,7 +58,7 @@ class Insertion:
 
     def __init__(
         self,
-        world: LockstepCell,
+        cell: LockstepCell,
         models: ModelSet,
         controller: Controller,
         *,
@@ -68,73 +67,73 @@ class Insertion:
         gap_error_mm: float = 0.0,
         height_error_mm: float = 0.0,
     ) -> None:
-        self.world = world
+        self.cell = cell
         self.models = models
         self.controller = controller
         self.chooser = chooser
-        left, right = (_finger(models, world, index, perception) for index in range(2))
+        left, right = (_finger(models, cell, index, perception) for index in range(2))
         self.session = InsertionSession(models, left, right, controller_name=controller.service_controller)
         if not controller.uses_networks:
             self.session.submit = self._skip_networks
         plan = Plan(
             insertion_id="simulated",
             approach=self._pose(),
-            gap_width_mm=world.scene.blocks.gap_mm + gap_error_mm,
-            grasp_height_mm=world.scene.grasp.height_mm + height_error_mm,
+            gap_width_mm=cell.scene.blocks.gap_mm + gap_error_mm,
+            grasp_height_mm=cell.scene.grasp.height_mm + height_error_mm,
             expected_depth_mm=25.0,
             creep_allowance_mm=CREEP_ALLOWANCE_MM,
             limits=FAR if chooser else ClientLimits(),
         )
         self.state = State(plan)
         self.trials: list[dict[str, Any]] = []
-        self.before = world.state  # what it was when the descent began, hanging free
+        self.before = cell.state  # what it was when the descent began, hanging free
         self._events: deque[Event] = deque()
         self._standing = False
         self._skipped: list[Work] = []
 
     def run(self) -> Outcome:
         """Play the insertion to its end; where the physics comes to its end, it is void and counts as failed."""
-        world, void = self.world, ""
+        cell, void = self.cell, ""
         try:
             self._play()
         except (PhysicsError, GraspEndError) as stuck:
             void = f"physics: {stuck}"
-        error = world.state.object_error
+        error = cell.state.object_error
         return Outcome(
-            inserted=self.state.phase is Phase.INSERTED and world.state.inserted and not void,
+            inserted=self.state.phase is Phase.INSERTED and cell.state.inserted and not void,
             claimed=self.state.phase is Phase.INSERTED,
             attempts=self.state.attempt,
             reason=void or self.state.reason,
             void=bool(void),
             final_error=(float(error[0]), float(error[1])),
-            grasp_kept=not world.state.grasp_lost,
-            course=world.course,
+            grasp_kept=not cell.state.grasp_lost,
+            course=cell.course,
             trials=self.trials,
         )
 
     def _play(self) -> None:
-        self._post(Begin(at_s=self.world.now_s, pose=self._pose()))
+        self._post(Begin(at_s=self.cell.now_s, pose=self._pose()))
         for _ in range(MAX_FRAMES):
             if self.state.done:
                 break
             self._frame()
 
     def _frame(self) -> None:
-        was_moving = self.world.moving
-        pair = self.world.next_pair(look=self.session.wants_frames)
-        now_ns = self.world.now_ns
+        was_moving = self.cell.moving
+        pair = self.cell.next_pair(look=self.session.wants_frames)
+        now_ns = self.cell.now_ns
         self._show(pair, now_ns)
         self._hear(self.session.on_tick(now_ns))
-        self._post(ClientTick(at_s=self.world.now_s))
-        if was_moving and not self.world.moving:
+        self._post(ClientTick(at_s=self.cell.now_s))
+        if was_moving and not self.cell.moving:
             self._standing = True
-        if self._standing and not self.world.moving:
+        if self._standing and not self.cell.moving:
             self._standing = False
             event = Standstill if self.state.phase is Phase.STOPPING else Arrived
-            self._post(event(at_s=self.world.now_s, pose=self._pose()))
+            self._post(event(at_s=self.cell.now_s, pose=self._pose()))
 
     def _show(self, pair: FramePair, now_ns: int) -> None:
-        arrived = self.world.arrived()
+        arrived = self.cell.arrived()
         if all(arrived):
             self._hear(self.session.on_pair(pair, now_ns))
         else:
@@ -160,23 +159,23 @@ class Insertion:
     def _hear(self, messages: list[Any]) -> None:
         for message in messages:
             noted = self._note(message) if isinstance(message, Correction | NoDecision) else message
-            self._post(FromService(at_s=self.world.now_s, message=noted))
+            self._post(FromService(at_s=self.cell.now_s, message=noted))
 
     def _note(self, message: Correction | NoDecision) -> Correction | NoDecision:
         """Log the attempt beside the truth; a baseline puts its own move in the correction's place."""
         if self.chooser and (isinstance(message, Correction) or not self.controller.uses_networks):
             message = self._chosen(self.chooser, message)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
-        wrench = [round(float(v), 3) for v in self.world.state.wrench_n_nmm]
+        wrench = [round(float(v), 3) for v in self.cell.state.wrench_n_nmm]
         self.trials.append({"error_before": list(self.before.object_error), "wrench": wrench, "decision": decision})
         return message
 
     def _chosen(self, chooser: Chooser, message: Correction | NoDecision) -> Correction:
-        scene, estimate, classes = self.world.scene, None, None
+        scene, estimate, classes = self.cell.scene, None, None
         if isinstance(message, Correction) and self.controller.uses_networks:
             estimate = (message.estimate.dx_mm, message.estimate.dtheta_deg)
             classes = message.class_probabilities
-        felt = np.asarray(self.world.state.wrench_n_nmm - self.before.wrench_n_nmm, np.float64)
+        felt = np.asarray(self.cell.state.wrench_n_nmm - self.before.wrench_n_nmm, np.float64)
         view = View(
             message.attempt,
             self.before.object_error,
@@ -200,33 +199,32 @@ class Insertion:
     def _carry_out(self, command: Command) -> None:
         match command:
             case Send():
-                self._hear(self.session.handle(command.message, self.world.now_ns))
+                self._hear(self.session.handle(command.message, self.cell.now_ns))
             case Grasp():
-                self._events.append(Grasped(at_s=self.world.now_s, width_mm=80.0))
+                self._events.append(Grasped(at_s=self.cell.now_s, width_mm=80.0))
             case Hold():
-                if self.world.moving:
-                    self.world.hold()
+                if self.cell.moving:
+                    self.cell.hold()
                 else:
                     self._standing = True
             case Move() if command.motion == "descend":
-                self.before = self.world.state
-                self.world.descend(command.target.z_mm)
+                self.before = self.cell.state
+                self.cell.descend(command.target.z_mm)
             case Move():
                 target = command.target
                 duration_s = self.state.plan.ramps.duration_s(self._pose(), target, command.motion)
-                self.world.travel(target.x_mm, target.y_mm, target.z_mm, target.yaw_deg, duration_s)
-                self._events.append(Arrived(at_s=self.world.now_s, pose=self._pose()))
+                self.cell.travel(target.x_mm, target.y_mm, target.z_mm, target.yaw_deg, duration_s)
+                self._events.append(Arrived(at_s=self.cell.now_s, pose=self._pose()))
 
     def _pose(self) -> WorkPose:
-        x, y, z, yaw = self.world.pose
+        x, y, z, yaw = self.cell.pose
         return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
 
 
-def _finger(models: ModelSet, world: LockstepCell, index: int, perception: Perception) -> FingerWatch:
+def _finger(models: ModelSet, cell: LockstepCell, index: int, perception: Perception) -> FingerWatch:
     if perception == "fields":
-        return TrueFieldFinger(world, FINGERS[index])
-    calibration = CameraCalibration(world.renderers[index].homography)
-    return TactileFinger(FINGERS[index], models.card.frame, calibration)
+        return TrueFieldFinger(cell, FINGERS[index])
+    return TactileFinger(FINGERS[index], models.card.frame, cell.renderers[index].calibration)
 
 
 def _empty_correction(refused: NoDecision) -> Correction:
@@ -246,16 +244,16 @@ def _empty_correction(refused: NoDecision) -> Correction:
 
 def stage(job: Job, models: ModelSet) -> Insertion:
     """The insertion of a job, ready to run: blocks free, the object in the hand."""
-    scene = job.cell()
+    scene = job.build_scene()
     controller = CONTROLLERS[job.controller]
     perception: Perception = job.perception if controller.uses_networks else "fields"
     draws = perception == "pictures"
-    world = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, stop_lag_s=job.stop_lag_s, draws=draws)
-    world.dead = job.dead
+    cell = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, stop_lag_s=job.stop_lag_s, draws=draws)
+    cell.dead = job.dead
     reach = (scene.x_range_mm, scene.theta_range_deg)
     chooser = controller.make(hash_seed(job.seed, job.index), reach) if controller.make else None
     return Insertion(
-        world,
+        cell,
         models,
         controller,
         chooser=chooser,

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import json
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from simulation.closed_loop.statistics import Row, refused, summarise, title_of, trials_of, wilson
+from reporting.page import page, publish
+from reporting.statistics import wilson
+from reporting.table import table
+from simulation.closed_loop.statistics import Row, ends, summarise, title_of
 from simulation.scene.scene import Scene
 
 NAME = "robustness"
@@ -32,7 +35,7 @@ class Condition:
 
     @property
     def only_in_pictures(self) -> bool:
-        """Whether nobody can be disturbed by it who does not look at the pictures."""
+        """Whether it disturbs pictures alone, so that it has to be played with them."""
         return bool(self.dead) or bool(self.values and set(self.values) <= ONLY_IN_PICTURES)
 
     def changes(self, scene: Scene) -> dict[str, Any]:
@@ -67,8 +70,8 @@ CONDITIONS: Mapping[str, Condition] = {
     "clearance 1.5 mm": Condition(clearance_mm=1.5),
     "clearance 4 mm": Condition(clearance_mm=4.0),
     "gel worn out": Condition(values={"gel.wear": 0.9}),
-    "gap told 4 mm too narrow": Condition(gap_error_mm=-4.0),
-    "gap told 4 mm too wide": Condition(gap_error_mm=4.0),
+    "gap stated 4 mm too narrow": Condition(gap_error_mm=-4.0),
+    "gap stated 4 mm too wide": Condition(gap_error_mm=4.0),
     "5 % of frames dropped": Condition(values={"camera.dropped_share": 0.05}),
     "20 % of frames dropped": Condition(values={"camera.dropped_share": 0.2}),
     "left camera dark": Condition(dead="dark"),
@@ -78,74 +81,78 @@ CONDITIONS: Mapping[str, Condition] = {
 
 def write(rows: list[Row], setup: Mapping[str, Any], docs: Path) -> str:
     """Write NAME.md and NAME.json into the folder; returns the text."""
-    docs.mkdir(parents=True, exist_ok=True)
-    text = report(rows)
-    (docs / f"{NAME}.md").write_text(text, encoding="utf-8")
-    data = {"simulated": True, "setup": dict(setup), "summaries": summarise(rows)}
-    (docs / f"{NAME}.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    return text
+    data = report_of(rows, setup)
+    return publish(docs, NAME, robustness_page(data), data)
 
 
-def report(rows: list[Row]) -> str:
-    """Success and trials by condition and tier, all objects together, as Markdown."""
-    tiers = sorted({tier_of(row) for row in rows})
-    scenes = sorted({title_of(row["scene"]) for row in rows})
-    heads = [f"{tier} tier: inserted, 95 % interval, mean trials, refused, claimed wrongly, void" for tier in tiers]
-    lines = [
-        "# Robustness of the closed loop, simulated",
-        "",
-        "Written by `make robustness`: one disturbance at a time, the belief controller with the shipped networks,",
-        "which were trained on the `bristle` tier; the `layer` tier is a finer model of the gel that they never saw.",
-        f"Objects: {', '.join(scenes)}, together. A failure counts as 16 trials. Refused: insertions in which the",
-        "service or the client ended the insertion by itself instead of using up its trials. Claimed wrongly: not in,",
-        "but the client said so. Void: the physics came to its end (no equilibrium,",
-        "or an object pushed 12 mm up in the hand, from where on its grasp is not simulated); it counts as failed.",
-        *_perception(rows),
-        "",
-        "| disturbance | " + " | ".join(heads) + " |",
-        "|---" * (len(tiers) + 1) + "|",
-    ]
-    for name in CONDITIONS:
-        cells = [_cell([r for r in rows if tier_of(r) == tier and name_of(r) == name]) for tier in tiers]
-        if any(cells):
-            lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join([*lines, ""])
+def report_of(rows: list[Row], setup: Mapping[str, Any]) -> Row:
+    """What the page is written from, as plain data."""
+    return {
+        "simulated": True,
+        "setup": dict(setup),
+        "objects": sorted({title_of(row["scene"]) for row in rows}),
+        "conditions": by_condition(rows),
+        "summaries": summarise(rows),
+    }
 
 
-def _perception(rows: Sequence[Row]) -> list[str]:
-    """What perception looked at, where it was not every picture everywhere."""
-    drawn = {name_of(row) for row in rows if row["perception"] == "pictures"}
-    if len(drawn) == len({name_of(row) for row in rows}):
-        return ["Every frame was drawn, rectified and tracked."]
-    listed = ", ".join(name for name in CONDITIONS if name in drawn) or "none"
+def by_condition(rows: Sequence[Row]) -> list[Row]:
+    """All objects together, a row a tier and disturbance, in the order of `CONDITIONS`."""
+    groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    for row in rows:
+        tier, disturbance = str(row["condition"]).split(": ", 1)
+        groups[tier, disturbance].append(row)
     return [
-        "Slip and markers are judged on the true marker field plus the tracker's measured error, which grows with the",
-        f"noise; with every frame drawn: {listed}.",
+        {
+            "tier": tier,
+            "disturbance": disturbance,
+            "perception": group[0]["perception"],
+            **ends(group),
+        }
+        for disturbance in CONDITIONS
+        for (tier, name), group in sorted(groups.items())
+        if name == disturbance
     ]
+
+
+def robustness_page(data: Row) -> str:
+    """The whole of docs/robustness.md from robustness.json."""
+    rows = data["conditions"]
+    drawn = dict.fromkeys(row["disturbance"] for row in rows if row["perception"] == "pictures")
+    fields = f"""
+        Slip and markers come from the true marker field plus the tracker's measured error, which grows with the noise.
+        With every frame drawn: {", ".join(drawn) or "none"}.
+        """
+    return page(
+        f"""
+        # Robustness of the closed loop, simulated
+
+        Written by `make robustness`: one disturbance at a time, the belief controller with the shipped networks. They
+        were trained on the `bristle` tier; the `layer` tier is a finer model of the gel that is new to them. Objects:
+        {", ".join(data["objects"])}, together. A failure counts as 16 trials. Shares have their 95 % Wilson intervals.
+
+        - Refused: the service or the client ended the insertion by itself instead of using up its trials.
+        - Claimed wrongly: not in, but the client reported an insertion.
+        - Void: the physics came to its end (no equilibrium, or an object pushed 12 mm up in the hand, from where on its
+          grasp is not simulated). It counts as failed.
+        """,
+        "Every frame was drawn, rectified and tracked."
+        if all(row["perception"] == "pictures" for row in rows)
+        else fields,
+        table(
+            rows,
+            ("disturbance", "disturbance"),
+            ("tier", "tier"),
+            ("inserted", lambda row: f"{row['inserted']}/{row['insertions']}"),
+            ("success", lambda row: wilson(row["inserted"], row["insertions"]), ".0%"),
+            ("mean trials", "mean_trials", ".2f"),
+            ("refused", "refused", "d"),
+            ("claimed wrongly", "claimed_wrongly", "d"),
+            ("void", "void", "d"),
+        ),
+    )
 
 
 def label(tier: str, name: str) -> str:
     """The condition of a job: tier and disturbance."""
     return f"{tier}: {name}"
-
-
-def tier_of(row: Row) -> str:
-    """Tier of a row's condition."""
-    return str(row["condition"]).split(": ", 1)[0]
-
-
-def name_of(row: Row) -> str:
-    """Disturbance of a row's condition."""
-    return str(row["condition"]).split(": ", 1)[1]
-
-
-def _cell(rows: Sequence[Row]) -> str:
-    if not rows:
-        return ""
-    inserted = sum(row["inserted"] for row in rows)
-    low, high = wilson(inserted, len(rows))
-    mean = sum(trials_of(row) for row in rows) / len(rows)
-    wrong = sum(row["claimed"] and not row["inserted"] for row in rows)
-    void = sum(row["void"] for row in rows)
-    ended = sum(refused(row) for row in rows)
-    return f"{inserted}/{len(rows)}, {low:.0%} .. {high:.0%}, {mean:.2f}, {ended}, {wrong}, {void}"

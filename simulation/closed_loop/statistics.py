@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from reporting.statistics import wilson
 from simulation.closed_loop.baselines import CONTROLLERS, SIGNS
 from simulation.scene.worlds import known_object
 
@@ -18,16 +19,6 @@ Row = dict[str, Any]
 
 FAILED_COUNTS_AS = 16
 STILL_MM = 1.0  # blocks that moved by less count as unmoved
-
-
-def wilson(successes: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson score interval of a share (Wilson 1927), both ends in 0..1."""
-    if count == 0:
-        return 0.0, 1.0
-    p = successes / count
-    centre = (p + z * z / (2 * count)) / (1 + z * z / count)
-    half = z * math.sqrt(p * (1 - p) / count + z * z / (4 * count * count)) / (1 + z * z / count)
-    return max(0.0, centre - half), min(1.0, centre + half)
 
 
 def start_errors(count: int, seed: int, reach: tuple[float, float] = (15.0, 15.0)) -> list[tuple[float, float]]:
@@ -94,16 +85,16 @@ def _summary(key: tuple[str, str, str, str], rows: list[Row]) -> Row:
         "insertions": len(rows),
         "inserted": inserted,
         "success": inserted / len(rows),
-        "success_interval": wilson(inserted, len(rows)),
+        "success_interval": wilson(inserted, len(rows))[1:],
         "mean_trials": float(trials.mean()),
         "mean_trials_standard_error": error,
         "max_trials": int(trials.max()),
         "blocks_under_1_mm": still / len(rows),
-        "blocks_under_1_mm_interval": wilson(still, len(rows)),
+        "blocks_under_1_mm_interval": wilson(still, len(rows))[1:],
         "worst_block_mm": max(course["block_mm"] for course in courses),
         "worst_block_tilt_deg": max(course["block_tilt_deg"] for course in courses),
         "grasp_kept": kept / len(rows),
-        "grasp_kept_interval": wilson(kept, len(rows)),
+        "grasp_kept_interval": wilson(kept, len(rows))[1:],
         "worst_slip_in_hand_mm": max(course["slipped_mm"] for course in courses),
         "worst_in_hand_mm": max(course["in_hand_mm"] for course in courses),
         "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
@@ -143,6 +134,18 @@ def first_decisions(rows: Iterable[Row]) -> list[Row]:
 def refused(row: Row) -> bool:
     """Whether the service or the client ended the insertion by itself instead of using up its trials."""
     return not (row["inserted"] or row["claimed"] or row["void"]) and row["attempts"] < FAILED_COUNTS_AS - 1
+
+
+def ends(rows: Sequence[Row]) -> Row:
+    """How insertions ended, counted; a failure counts as 16 trials."""
+    return {
+        "insertions": len(rows),
+        "inserted": sum(row["inserted"] for row in rows),
+        "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
+        "refused": sum(refused(row) for row in rows),
+        "void": sum(row["void"] for row in rows),
+        "mean_trials": sum(trials_of(row) for row in rows) / len(rows),
+    }
 
 
 def estimates(rows: list[Row]) -> Row | None:

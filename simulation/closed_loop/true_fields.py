@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from service.contract import FINGERS, Finger, TactileFrame
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation
-from service.perception.rectification import CameraCalibration, Rectifier
+from service.perception.rectification import Rectifier
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.onset import OnsetDetector
 from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
@@ -35,7 +35,7 @@ class LatePicture:
         self._pixels: Image | None = None
 
     def __array__(self, dtype: Any = None, *, copy: bool | None = None) -> Image:
-        """Uint8 [320, 327, 3]."""
+        """Uint8 [H, W, 3]."""
         if self._pixels is None:
             self._pixels = self._rectifier.apply(self._draw())
         return self._pixels
@@ -44,15 +44,15 @@ class LatePicture:
 class TrueFieldFinger:
     """A :class:`FingerWatch` that looks at the cell's gel of this moment instead of the frame."""
 
-    def __init__(self, world: LockstepCell, finger: Finger) -> None:
-        self._world = world
+    def __init__(self, cell: LockstepCell, finger: Finger) -> None:
+        self._cell = cell
         self._finger = finger
         self._index = FINGERS.index(finger)
-        self._rectifier = Rectifier(CameraCalibration(world.renderers[self._index].homography))
+        self._rectifier = Rectifier(cell.renderers[self._index].calibration)
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
         self._rearm = False
-        noise = world.scene.camera.noise_grey
+        noise = cell.scene.camera.noise_grey
         self._error_px = max(0.02, TRACKING_PX + TRACKING_PX_PER_GREY * (noise - 2.0))
 
     def rearm(self) -> None:
@@ -61,9 +61,9 @@ class TrueFieldFinger:
 
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive the moment that the frame was taken at."""
-        world = self._world
-        field = field_from_gel(self._exposed(), frame.captured_ns, marker_pitch_mm=world.scene.marker_pitch_mm)
-        rng = np.random.default_rng(hash_seed(world.seed, world.frame, self._index, 7))
+        cell = self._cell
+        field = field_from_gel(self._exposed(), frame.captured_ns, cell.scene.sensor)
+        rng = np.random.default_rng(hash_seed(cell.seed, cell.frame, self._index, 7))
         error = rng.normal(0.0, self._error_px, field.displacement_px.shape).astype(np.float32)
         field = dataclasses.replace(field, displacement_px=field.displacement_px + error, contact=None)
         onset = None
@@ -73,13 +73,13 @@ class TrueFieldFinger:
             self._rearm = False
         else:
             slip, onset = self._slip.update(field), self._onset.update(field)
-        picture = cast("NDArray[np.uint8]", LatePicture(world.picture_later(self._index), self._rectifier))
+        picture = cast("NDArray[np.uint8]", LatePicture(cell.picture_later(self._index), self._rectifier))
         onset_ns = None if onset is None else onset.captured_ns
         return Observation(self._finger, frame.seq, frame.captured_ns, picture, field, slip, onset_ns, {})
 
     def _exposed(self) -> NDArray[np.floating]:
         """The gel as a picture shows it: a smeared marker is found in the middle of its way during the exposure."""
-        now: NDArray[np.floating] = self._world.state.gel[self._index]
-        late = np.float32(0.5 * self._world.renderers[self._index].appearance.motion_blur_share)
-        exposed: NDArray[np.floating] = now - late * (now - self._world.previous.gel[self._index])
+        now: NDArray[np.floating] = self._cell.state.gel[self._index]
+        late = np.float32(0.5 * self._cell.renderers[self._index].appearance.motion_blur_share)
+        exposed: NDArray[np.floating] = now - late * (now - self._cell.previous.gel[self._index])
         return exposed

@@ -11,14 +11,14 @@ unfinished shards again and gets the same bits.
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from reporting.files import write_durably
-from service.contract import FINGERS
+from service.contract import FINGERS, Sensor
 from simulation.data.dataset import DatasetError, ShardEntry, Trial, encode_shard, split_of
 from simulation.data.manifest import shard_file_name
 from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
@@ -48,6 +48,7 @@ class Plan:
     seed: int
     held_out_share: float
     slip_truth: bool = False
+    sensor: Sensor | None = None
 
     @property
     def file_name(self) -> str:
@@ -69,6 +70,11 @@ class Fixture:
     held_out: bool
     appearances: tuple[Appearance, Appearance]
     cell_seed: int
+
+
+def scene_of(name: str, sensor: Sensor | None) -> Scene:
+    """The scene to collect from, with another sensor than its own if one is given."""
+    return load_scene(name, **({"camera__sensor": sensor} if sensor else {}))
 
 
 def scene_sha256(scene: Scene) -> str:
@@ -179,19 +185,19 @@ def trial_of(
     )
 
 
-def make_shard(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> ShardEntry:
+def make_shard(plan: Plan) -> ShardEntry:
     """Poke until ``plan.trials`` collisions are kept and write them; same plan, same bytes.
 
     Raises DatasetError if the scene hardly ever collides.
     """
-    entry, data = shard_of(plan, on_trial)
+    entry, data = shard_of(plan)
     write_durably(plan.folder / plan.file_name, data)
     return entry
 
 
-def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[ShardEntry, bytes]:
+def shard_of(plan: Plan) -> tuple[ShardEntry, bytes]:
     """As :func:`make_shard`, but the bytes are handed back: for workers on other machines."""
-    base = load_scene(plan.scene_name)
+    base = scene_of(plan.scene_name, plan.sensor)
     kept: list[Trial] = []
     outcomes: Counter[str] = Counter()
     for fixture, poke, seed, probe in pokes(plan, base):
@@ -200,7 +206,6 @@ def shard_of(plan: Plan, on_trial: Callable[[], None] = lambda: None) -> tuple[S
         outcomes[outcome if usable or outcome != "blocked" else "no_motion"] += 1
         if probe is not None and usable:
             kept.append(trial_of(fixture, poke, seed, probe, base.name, slip_truth=plan.slip_truth))
-            on_trial()
         if len(kept) == plan.trials:
             break
         if outcomes.total() >= _MAX_POKES_PER_TRIAL * plan.trials:

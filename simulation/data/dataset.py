@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reporting.files import write_durably
+from service.contract import Sensor
 from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest
 from simulation.data.trial import (
     LABELS,
@@ -148,8 +149,11 @@ def encode_shard(
 
     for trial in trials:
         trial.check()
+    sensor = trials[0].sensor if trials else Sensor.load()
     slip_truth = bool(trials) and all(trial.slipping is not None for trial in trials)
-    table = pa.Table.from_pylist([to_row(trial) for trial in trials], schema=parquet_schema(slip_truth=slip_truth))
+    table = pa.Table.from_pylist(
+        [to_row(trial) for trial in trials], schema=parquet_schema(sensor, slip_truth=slip_truth)
+    )
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, row_group_size=_ROWS_PER_GROUP, compression="zstd", use_dictionary=["appearances"])
     data = sink.getvalue().to_pybytes()
@@ -211,10 +215,10 @@ class Dataset:
     def trial(self, index: int) -> Trial:
         """Trial ``index``; its arrays are read-only views."""
         shard, row = self._where[index]
-        return from_row(self._row_group(shard, row // _ROWS_PER_GROUP)[row % _ROWS_PER_GROUP])
+        return from_row(self._row_group(shard, row // _ROWS_PER_GROUP)[row % _ROWS_PER_GROUP], self.manifest.sensor)
 
     def frames(self, index: int, start: int | None = None, count: int = 8, *, jpeg: bool = False) -> NDArray[np.uint8]:
-        """Uint8 [count, 2, 320, 327, 3]: rectified frames from ``start`` (the onset if None), both fingers.
+        """Uint8 [count, 2, H, W, 3]: rectified frames from ``start`` (the onset if None), both fingers.
 
         The same (dataset, index, frame) gives the same bits in every process. ``jpeg`` adds the coding of a camera
         that streams MJPEG at quality 95.
@@ -243,10 +247,10 @@ class Dataset:
             except (pa.ArrowException, OSError) as error:
                 raise DatasetError(f"{path}: not a Parquet shard: {error}") from error
             schema = self._files[shard].schema_arrow
-            version = self.manifest.schema_version
-            known = [parquet_schema(slip_truth=slip, schema_version=version) for slip in (False, True)]
+            version, sensor = self.manifest.schema_version, self.manifest.sensor
+            known = [parquet_schema(sensor, slip_truth=slip, schema_version=version) for slip in (False, True)]
             if not any(schema.equals(other) for other in known):
-                raise DatasetError(f"{path}: its columns are not those of schema {version}")
+                raise DatasetError(f"{path}: its columns are not those of schema {version} and sensor {sensor}")
         return self._files[shard]
 
     def _label_columns(self, shard: int) -> dict[str, list[Any]]:

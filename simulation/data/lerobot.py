@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reporting.files import write_durably
+from reporting.files import write_durably, write_json
+from service.contract import Sensor
 from simulation.data.dataset import Dataset
 from simulation.data.trial import FRAMES, Trial
 
 EPISODES_PER_FILE = 8  # about 100 MB of PNG, the size LeRobot itself rolls over at
 FILES_PER_CHUNK = 1000
-FPS = 30
 CAMERAS = ("observation.images.left", "observation.images.right")
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -27,23 +27,27 @@ _HAND = ["x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad"]
 _WRENCH = ["fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm"]
 
 
-def features() -> dict[str, dict[str, Any]]:
+def features(sensor: Sensor) -> dict[str, dict[str, Any]]:
     """The features of a frame as ``meta/info.json`` lists them."""
-    image = {"dtype": "image", "shape": [320, 327, 3], "names": ["height", "width", "channels"]}
+    image = {"dtype": "image", "shape": list(sensor.rectified.shape), "names": ["height", "width", "channels"]}
     vectors = {
         "observation.state": ["depth_mm", *_HAND],
         "observation.wrench": _WRENCH,
         "action": ["descend_mm"],
         "error": ["x_mm", "theta_deg"],
     }
-    found: dict[str, dict[str, Any]] = dict.fromkeys(CAMERAS, image)
+    listed: dict[str, dict[str, Any]] = dict.fromkeys(CAMERAS, image)
     for name, names in vectors.items():
-        found[name] = {"dtype": "float32", "shape": [len(names)], "names": names}
-    found["observation.gel"] = {"dtype": "float32", "shape": [2 * 20 * 21 * 3], "names": None}
-    found["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
+        listed[name] = {"dtype": "float32", "shape": [len(names)], "names": names}
+    listed["observation.gel"] = {
+        "dtype": "float32",
+        "shape": [2 * sensor.marker_rows * sensor.marker_columns * 3],
+        "names": None,
+    }
+    listed["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
-        found[name] = {"dtype": "int64", "shape": [1], "names": None}
-    return found
+        listed[name] = {"dtype": "int64", "shape": [1], "names": None}
+    return listed
 
 
 def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[int], None] = lambda _: None) -> None:
@@ -63,8 +67,10 @@ def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[
             stats.add(rows[-FRAMES:], frames)
             episodes.append(_episode(episode, text, place))
             show(len(episodes))
-        _write(out / _DATA.format(chunk_index=place[0], file_index=place[1]), rows, _data_schema())
-    _write_meta(out, tasks, episodes, stats)
+        _write(
+            out / _DATA.format(chunk_index=place[0], file_index=place[1]), rows, _data_schema(dataset.manifest.sensor)
+        )
+    _write_meta(out, tasks, episodes, stats, dataset.manifest.sensor)
 
 
 def _rows(trial: Trial, frames: NDArray[np.uint8], episode: int, task: int) -> list[dict[str, Any]]:
@@ -75,7 +81,7 @@ def _rows(trial: Trial, frames: NDArray[np.uint8], episode: int, task: int) -> l
     for k in range(FRAMES):
         row: dict[str, Any] = {camera: _png(frames[k, finger]) for finger, camera in enumerate(CAMERAS)}
         row |= {"observation.state": state[k], "observation.wrench": trial.wrench[k], "observation.gel": gel[k]}
-        row |= {"action": descend_mm[k], "error": [trial.x_mm, trial.theta_deg], "timestamp": k / FPS}
+        row |= {"action": descend_mm[k], "error": [trial.x_mm, trial.theta_deg], "timestamp": k / trial.sensor.fps}
         row |= {"frame_index": k, "episode_index": episode, "index": episode * FRAMES + k, "task_index": task}
         rows.append(row)
     return rows
@@ -102,14 +108,14 @@ def _episode(episode: int, task: str, place: tuple[int, int]) -> dict[str, Any]:
     }
 
 
-def _data_schema() -> Any:
+def _data_schema(sensor: Sensor) -> Any:
     """Arrow schema of the frames, with the column types that Hugging Face `datasets` reads images by."""
     import pyarrow as pa
 
     image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     fields: list[Any] = []
     types: dict[str, Any] = {}
-    for name, feature in features().items():
+    for name, feature in features(sensor).items():
         size, scalar = feature["shape"][0], feature["dtype"]
         if scalar == "image":
             kind, types[name] = image, {"_type": "Image"}
@@ -132,7 +138,9 @@ def _write(path: Path, rows: list[dict[str, Any]], schema: Any = None) -> None:
     write_durably(path, sink.getvalue().to_pybytes())
 
 
-def _write_meta(out: Path, tasks: dict[str, int], episodes: list[dict[str, Any]], stats: "_Stats") -> None:
+def _write_meta(
+    out: Path, tasks: dict[str, int], episodes: list[dict[str, Any]], stats: "_Stats", sensor: Sensor
+) -> None:
     import pyarrow as pa
 
     _write(out / _EPISODES.format(chunk_index=0, file_index=0), episodes)
@@ -154,14 +162,14 @@ def _write_meta(out: Path, tasks: dict[str, int], episodes: list[dict[str, Any]]
         "chunks_size": FILES_PER_CHUNK,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
-        "fps": FPS,
+        "fps": sensor.fps,
         "splits": {"train": f"0:{len(episodes)}"},
         "data_path": _DATA,
         "video_path": None,
-        "features": features(),
+        "features": features(sensor),
     }
-    write_durably(out / "meta/stats.json", json.dumps(stats.result(), indent=1).encode())
-    write_durably(out / "meta/info.json", json.dumps(info, indent=1).encode())  # last: a folder with it is whole
+    write_json(out / "meta/stats.json", stats.result())
+    write_json(out / "meta/info.json", info)  # last: a folder with it is whole
 
 
 class _Stats:
@@ -186,12 +194,12 @@ class _Stats:
 
     def result(self) -> dict[str, dict[str, Any]]:
         """Feature -> min, max, mean, std, count; channels of images as [3, 1, 1]."""
-        found = {}
+        results = {}
         for name, (low, high, total, squares) in self._sums.items():
             count = self._count[name]
             mean = total / count
             spread = np.sqrt(np.maximum(squares / count - mean**2, 0))
             shape = (-1, 1, 1) if name in CAMERAS else (-1,)
             figures = {"min": low, "max": high, "mean": mean, "std": spread}
-            found[name] = {key: value.reshape(shape).tolist() for key, value in figures.items()} | {"count": [count]}
-        return found
+            results[name] = {key: value.reshape(shape).tolist() for key, value in figures.items()} | {"count": [count]}
+        return results

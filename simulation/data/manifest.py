@@ -7,6 +7,7 @@ from typing import Final, Literal, Self
 from pydantic import Field, ValidationError
 
 from service.contract.frames import Contract
+from service.contract.sensor import Sensor
 
 MANIFEST = "manifest.json"
 SCHEMA_VERSION: Final = 2  # 1 did not say how high the object is held
@@ -52,7 +53,7 @@ class Manifest(Contract):
     """What a dataset holds and how it was made.
 
     ``scenes``: name -> SHA-256 of the base scene. ``physics``: hash of the code that pokes, "" in datasets older than
-    the field.
+    the field. ``sensor``: the fingers' profile.
     """
 
     schema_version: Literal[1, 2] = SCHEMA_VERSION
@@ -62,6 +63,7 @@ class Manifest(Contract):
     trials_per_shard: int = Field(ge=1)
     held_out_share: float = Field(ge=0, le=1)
     scenes: dict[str, str]
+    sensor: Sensor = Field(default_factory=Sensor.load)
     physics: str = ""
     complete: bool = False
     shards: tuple[ShardEntry, ...] = ()
@@ -84,10 +86,10 @@ class Manifest(Contract):
 
     def must_continue(self, fresh: "Manifest", path: Path) -> None:
         """DatasetError unless ``fresh`` asks for more of the same collection."""
-        for name in ("schema_version", "made_by", "seed", "trials_per_shard", "held_out_share"):
+        for name in ("schema_version", "made_by", "seed", "trials_per_shard", "held_out_share", "sensor"):
             mine, asked = getattr(self, name), getattr(fresh, name)
             if mine != asked:
-                raise DatasetError(f"{path / MANIFEST}: {name} is {mine!r}, asked for {asked!r}; use another folder")
+                raise DatasetError(f"{path / MANIFEST}: {name} is {mine}, asked for {asked}; use another folder")
         for name in self.scenes.keys() & fresh.scenes.keys():
             if self.scenes[name] != fresh.scenes[name]:
                 raise DatasetError(f"{path / MANIFEST}: scene {name} has changed since; use another folder")

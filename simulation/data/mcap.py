@@ -17,9 +17,7 @@ from reporting.files import write_durably
 from service.contract import FINGERS
 from simulation.data.dataset import Dataset
 from simulation.data.trial import FRAMES, SCALARS, Trial
-from simulation.optics.texture import marker_rest_px
 
-FPS = 30
 _OBJECT = b'{"type":"object"}'
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _IMAGE = json.dumps(
@@ -51,7 +49,7 @@ def export_trial(dataset: Dataset, number: int, path: Path) -> None:
     dots = [writer.register_channel(f"/{finger}/markers", "json", plain) for finger in FINGERS]
     state = writer.register_channel("/state", "json", plain)
     for k in range(FRAMES):
-        stamp_ns = k * 1_000_000_000 // FPS
+        stamp_ns = k * 1_000_000_000 // trial.sensor.fps
         values: list[tuple[int, dict[str, Any]]] = [(state, _state(trial, k))]
         for finger, name in enumerate(FINGERS):
             values.append((images[finger], _image(frames[k, finger], name, stamp_ns)))
@@ -86,10 +84,10 @@ def _image(frame: NDArray[np.uint8], finger: str, stamp_ns: int) -> dict[str, An
 
 
 def _markers(trial: Trial, k: int, finger: int) -> dict[str, Any]:
-    gel, pitch = trial.gel[k, finger].astype(np.float32), trial.appearances[finger].mm_per_px
-    displacement = (gel[..., :2] / pitch).round(3)
+    gel = trial.gel[k, finger].astype(np.float32)
+    displacement = (gel[..., :2] / trial.sensor.mm_per_px).round(3)
     return {
-        "rest_px": marker_rest_px().tolist(),
+        "rest_px": trial.sensor.marker_rest_px().tolist(),
         "displacement_px": displacement.tolist(),
         "pressure_n_per_mm2": gel[..., 2].tolist(),
     }

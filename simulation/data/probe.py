@@ -24,9 +24,9 @@ DECISION_FRAMES = 8
 class Probe:
     """Result of one descent; frames are those kept, frame indices count within them, -1 is "never".
 
-    gel: float16 [frames, 2, 20, 21, 3] = du mm, dv mm (finger frame), pressure N/mm2. depth_mm [frames]: approach z
-    minus z. slipping: bool [frames, 2, 20, 21], where the gel slid on the object at each marker. wrench: [frames, 6]
-    N, N mm on the object at the TCP, hand frame. in_hand: [frames, 6] mm, rad.
+    gel: float16 [frames, 2, rows, columns, 3] = du mm, dv mm (finger frame), pressure N/mm2. depth_mm [frames]: the
+    approach's z minus z. slipping: bool [frames, 2, rows, columns], where the gel slid on the object at each
+    marker. wrench: [frames, 6] N, N mm on the object at the TCP, hand frame. in_hand: [frames, 6] mm, rad.
     error_before: (x mm, theta deg) of the object when the descent began.
     """
 
@@ -120,7 +120,7 @@ def descend(
 
     phase: when the first frame falls within a frame period, 0..1.
     """
-    rate, speed = fps or cell.scene.camera.fps, speed_mm_s or cell.scene.speed_mm_s
+    rate, speed = fps or cell.scene.fps, speed_mm_s or cell.scene.speed_mm_s
     _check(frames, rate, speed, stop_delay_frames, overtravel_mm)
     if cell.coasting is not None:
         cell.coasting.speed_mm_s = speed

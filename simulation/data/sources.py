@@ -1,4 +1,4 @@
-"""What a result was computed with: one hash of a module, of all that it imports of this repository, and of the objects.
+"""What a result was computed with: one hash of a module, all that it imports from here, objects and sensors.
 
 What an earlier run left is gone on with only where this has not changed. Comments and docstrings do not count.
 """
@@ -17,7 +17,7 @@ def sources_sha256(module: str, root: Path = ROOT) -> str:
     digest = hashlib.sha256()
     for path in sorted(_closure(module, root)):
         digest.update(str(path.relative_to(root)).encode() + ast.dump(_Bare().visit(_parsed(path))).encode())
-    for path in sorted((root / "simulation" / "objects").glob("*.toml")):
+    for path in sorted([*root.glob("simulation/objects/*.toml"), *root.glob("service/sensors/*.toml")]):
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
 

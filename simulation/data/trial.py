@@ -8,13 +8,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from service.contract import Sensor
 from simulation.data.manifest import SCHEMA_VERSION, DatasetError
 from simulation.optics.appearance import Appearance
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
-FRAMES, FINGER_COUNT, ROWS, COLUMNS = 30, 2, 20, 21
-GEL_SHAPE = (FRAMES, FINGER_COUNT, ROWS, COLUMNS, 3)
+FRAMES, FINGER_COUNT = 30, 2
 VALIDATION_SHARE = 0.15
 
 
@@ -24,9 +24,9 @@ class Trial:
 
     ``x_mm``/``theta_deg``: position error before the descent (truth). ``group``: re-fixture group, the unit of the
     split. ``grasp_height_mm``: TCP above the object's bottom, 0 where the dataset does not say (schema 1).
-    ``gel`` float16 [30, 2, 20, 21, 3]: (du_mm, dv_mm, pressure N/mm2) per frame and finger (left, right).
+    ``gel`` float16 [30, 2, rows, columns, 3]: (du_mm, dv_mm, pressure N/mm2) per frame and finger (left, right).
     ``onset_frame``: first frame that shows motion of the object; a decision uses 8 frames from there.
-    ``slipping`` bool [30, 2, 20, 21], where the gel slid on the object, or None where it was not collected.
+    ``slipping`` bool [30, 2, rows, columns], where the gel slid on the object, or None where it was not collected.
     ``wrench`` float32 [30, 6] (N, N mm) at the TCP; ``depth_mm`` float32 [30]; ``in_hand`` float32 [30, 6] (mm, rad).
     """
 
@@ -51,6 +51,11 @@ class Trial:
     in_hand: NDArray[np.float32]
     slipping: NDArray[np.bool_] | None = None
 
+    @property
+    def sensor(self) -> Sensor:
+        """The profile of both fingers."""
+        return self.appearances[0].sensor
+
     def check(self) -> None:
         """Raise DatasetError naming the first label or array that cannot be right."""
         for name in LABELS:
@@ -58,13 +63,13 @@ class Trial:
                 raise DatasetError(f"trial label {name} is {getattr(self, name)}, expected a finite number")
         if self.split not in SPLITS:
             raise DatasetError(f"trial split {self.split!r}, expected one of {', '.join(SPLITS)}")
-        shapes = (("gel", GEL_SHAPE), ("depth_mm", (FRAMES,)), ("wrench", (FRAMES, 6)), ("in_hand", (FRAMES, 6)))
-        for name, shape in shapes:
+        for name, (shape, _) in arrays(self.sensor).items():
             array = getattr(self, name)
             if array.shape != shape or not np.isfinite(array).all():
                 raise DatasetError(f"trial {name} has shape {list(array.shape)}, expected finite {list(shape)}")
-        if self.slipping is not None and self.slipping.shape != GEL_SHAPE[:-1]:
-            raise DatasetError(f"trial slipping has shape {list(self.slipping.shape)}, expected {list(GEL_SHAPE[:-1])}")
+        grid = slip_shape(self.sensor)
+        if self.slipping is not None and self.slipping.shape != grid:
+            raise DatasetError(f"trial slipping has shape {list(self.slipping.shape)}, expected {list(grid)}")
         if not 0 <= self.onset_frame <= FRAMES - 8:
             raise DatasetError(f"trial onset_frame {self.onset_frame}, expected 0..{FRAMES - 8} (8 frames follow it)")
 
@@ -94,18 +99,24 @@ SCALARS = (
     "outcome",
     "split",
 )
-_ARRAYS: dict[str, tuple[tuple[int, ...], Any]] = {
-    "gel": (GEL_SHAPE, np.float16),
-    "depth_mm": ((FRAMES,), np.float32),
-    "wrench": ((FRAMES, 6), np.float32),
-    "in_hand": ((FRAMES, 6), np.float32),
-}
 
 
-_SLIP_BYTES = -(-int(np.prod(GEL_SHAPE[:-1])) // 8)
+def slip_shape(sensor: Sensor) -> tuple[int, int, int, int]:
+    """Of ``Trial.slipping``."""
+    return (FRAMES, FINGER_COUNT, sensor.marker_rows, sensor.marker_columns)
 
 
-def parquet_schema(*, slip_truth: bool = False, schema_version: int = SCHEMA_VERSION) -> Any:
+def arrays(sensor: Sensor) -> dict[str, tuple[tuple[int, ...], Any]]:
+    """Shape and dtype of each array of a trial."""
+    return {
+        "gel": ((*slip_shape(sensor), 3), np.float16),
+        "depth_mm": ((FRAMES,), np.float32),
+        "wrench": ((FRAMES, 6), np.float32),
+        "in_hand": ((FRAMES, 6), np.float32),
+    }
+
+
+def parquet_schema(sensor: Sensor, *, slip_truth: bool = False, schema_version: int = SCHEMA_VERSION) -> Any:
     """The Arrow schema of a shard: scalars, optics as JSON, arrays as fixed-size little-endian bytes.
 
     slip_truth: with ``slipping``, one bit a marker. Schema 1 has no ``grasp_height_mm``.
@@ -116,10 +127,10 @@ def parquet_schema(*, slip_truth: bool = False, schema_version: int = SCHEMA_VER
     kinds |= dict.fromkeys(("object_name", "outcome", "split", "scene_sha256"), pa.string())
     fields = [pa.field(name, kinds.get(name, pa.int64()), nullable=False) for name in scalars(schema_version)]
     fields.append(pa.field("appearances", pa.string(), nullable=False))
-    sizes = {name: int(np.prod(shape)) * np.dtype(kind).itemsize for name, (shape, kind) in _ARRAYS.items()}
+    sizes = {name: int(np.prod(shape)) * np.dtype(kind).itemsize for name, (shape, kind) in arrays(sensor).items()}
     fields += [pa.field(name, pa.binary(size), nullable=False) for name, size in sizes.items()]
     if slip_truth:
-        fields.append(pa.field("slipping", pa.binary(_SLIP_BYTES), nullable=False))
+        fields.append(pa.field("slipping", pa.binary(-(-int(np.prod(slip_shape(sensor))) // 8)), nullable=False))
     return pa.schema(fields)
 
 
@@ -132,21 +143,22 @@ def to_row(trial: Trial) -> dict[str, Any]:
     """The trial as one row of a shard."""
     row: dict[str, Any] = {name: getattr(trial, name) for name in SCALARS}
     row["appearances"] = json.dumps([look.as_dict() for look in trial.appearances], sort_keys=True)
-    for name, (_, kind) in _ARRAYS.items():
+    for name, (_, kind) in arrays(trial.sensor).items():
         row[name] = np.ascontiguousarray(getattr(trial, name), kind).tobytes()
     if trial.slipping is not None:
         row["slipping"] = np.packbits(trial.slipping).tobytes()
     return row
 
 
-def from_row(row: dict[str, Any]) -> Trial:
+def from_row(row: dict[str, Any], sensor: Sensor) -> Trial:
     """Inverse of :func:`to_row`; arrays are read-only views of the row's bytes."""
-    left, right = (Appearance.from_dict(look) for look in json.loads(row["appearances"]))
+    left, right = (Appearance.from_dict(look, sensor) for look in json.loads(row["appearances"]))
     values: dict[str, Any] = {name: row.get(name, 0.0) for name in SCALARS}
-    values |= {name: np.frombuffer(row[name], kind).reshape(shape) for name, (shape, kind) in _ARRAYS.items()}
+    values |= {name: np.frombuffer(row[name], kind).reshape(shape) for name, (shape, kind) in arrays(sensor).items()}
     if "slipping" in row:
-        bits = np.unpackbits(np.frombuffer(row["slipping"], np.uint8), count=int(np.prod(GEL_SHAPE[:-1])))
-        values["slipping"] = bits.astype(bool).reshape(GEL_SHAPE[:-1])
+        grid = slip_shape(sensor)
+        bits = np.unpackbits(np.frombuffer(row["slipping"], np.uint8), count=int(np.prod(grid)))
+        values["slipping"] = bits.astype(bool).reshape(grid)
     return Trial(appearances=(left, right), **values)
 
 
@@ -158,12 +170,12 @@ def frame_seed(trial_seed: int, frame: int, finger: int) -> int:
 def render_frames(
     trial: Trial, renderer_of: Callable[[Appearance], Any], start: int, count: int, *, jpeg: bool = False
 ) -> NDArray[np.uint8]:
-    """Uint8 [count, 2, 320, 327, 3] of ``trial`` from frame ``start``; DatasetError outside 0..30."""
+    """Uint8 [count, 2, H, W, 3] of ``trial`` from frame ``start``; DatasetError outside 0..30."""
     from simulation.optics.renderer import jpeg_round_trip
 
     if not 0 <= start <= start + count <= FRAMES:
         raise DatasetError(f"frames {start}..{start + count - 1} asked for, a trial has 0..{FRAMES - 1}")
-    out = np.empty((count, FINGER_COUNT, 320, 327, 3), np.uint8)
+    out = np.empty((count, FINGER_COUNT, *trial.sensor.rectified.shape), np.uint8)
     for finger, look in enumerate(trial.appearances):
         renderer = renderer_of(look)
         for k in range(count):

@@ -1,19 +1,14 @@
 """How one finger of one cell looks: every number of its optics, drawn once, kept beside the data, read back exactly."""
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
 
-from service.contract import FINGERS, Finger
+from service.contract import FINGERS, Finger, Sensor
 from simulation.scene.scene import Scene
 
-Corners = tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
-
-# Where the rectified image's corner pixels lie in the raw frame (top left, top right, bottom right, bottom left):
-# the camera looks along the finger, so the far (lower) edge appears at about half the width of the near one.
-NOMINAL_CORNERS_PX: Corners = ((24.0, 6.0), (402.0, 6.0), (312.0, 311.0), (114.0, 311.0))
 # A scene's word for the held surface -> (relief pattern, period in px, gain)
 OBJECT_TEXTURES = {
     "smooth": ("smooth", 5.0, 0.05),
@@ -26,12 +21,15 @@ OBJECT_TEXTURES = {
 
 @dataclass(frozen=True, slots=True)
 class Appearance:
-    """Optics of one finger. Lengths in rectified px unless the name says otherwise; light as a share of full scale."""
+    """Optics of one finger. Lengths in rectified px unless the name says otherwise; light as a share of full scale.
+
+    ``corners_raw_px`` are those of the sensor's profile, moved by how the camera is mounted.
+    """
 
     finger: Finger = "left"
     seed: int = 0
-    mm_per_px: float = 0.07
-    corners_raw_px: Corners = NOMINAL_CORNERS_PX
+    sensor: Sensor = field(default_factory=Sensor.load)
+    corners_raw_px: tuple[tuple[float, float], ...] = ()
     noise_sigma_grey: float = 4.0
     exposure: float = 1.0
     light_bgr: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -51,17 +49,22 @@ class Appearance:
     motion_blur_share: float = 0.0  # exposure time over frame period
     rolling_share: float = 0.0  # readout time of the sensor over frame period
 
+    def __post_init__(self) -> None:
+        if not self.corners_raw_px:
+            object.__setattr__(self, "corners_raw_px", self.sensor.corners_raw_px)
+
     @classmethod
     def draw(cls, scene: Scene, finger: Finger, seed: int) -> Self:
         """The appearance of ``finger`` in ``scene``; the same (scene, finger, seed) gives the same numbers.
 
-        What the scene states (mm per px, noise, exposure, textures) is taken as it is; what a maker cannot control
+        What the scene states (sensor, noise, exposure, textures) is taken as it is; what a maker cannot control
         (mounting, LED balance, yarn) is drawn from ``seed``.
         """
         rng = np.random.Generator(np.random.PCG64([seed, FINGERS.index(finger), 0x1A9]))
         given = optics_of(scene)
         jitter = rng.normal(0, 1.5, (4, 2)).round(3)
-        corners = tuple((u + du, v + dv) for (u, v), (du, dv) in zip(NOMINAL_CORNERS_PX, jitter.tolist(), strict=True))
+        nominal = scene.sensor.corners_raw_px
+        corners = tuple((u + du, v + dv) for (u, v), (du, dv) in zip(nominal, jitter.tolist(), strict=True))
         drawn: dict[str, Any] = {
             "corners_raw_px": corners,
             "light_bgr": tuple(float(x) for x in rng.uniform(0.9, 1.1, 3).round(4)),
@@ -72,19 +75,23 @@ class Appearance:
         return cls(finger=finger, **(drawn | given))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, exact: ``from_dict(as_dict()) == self``."""
-        return dataclasses.asdict(self)
+        """Plain data, exact: ``from_dict(as_dict(), sensor) == self``; of the sensor it holds the scale alone."""
+        own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "sensor"}
+        return own | {"mm_per_px": self.sensor.mm_per_px}
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Self:
+    def from_dict(cls, data: dict[str, Any], sensor: Sensor) -> Self:
         """Inverse of :meth:`as_dict` (also after JSON); keys an older shard lacks keep their defaults.
 
-        Raises ValueError naming unknown keys.
+        Raises ValueError naming unknown keys, or the scale if it is another sensor's.
         """
-        unknown = set(data) - {f.name for f in dataclasses.fields(cls)}
+        own = {name: _as_tuples(value) for name, value in data.items() if name != "mm_per_px"}
+        unknown = set(own) - {f.name for f in dataclasses.fields(cls)}
         if unknown:
             raise ValueError(f"appearance has unknown keys {sorted(unknown)}")
-        return cls(**{name: _as_tuples(value) for name, value in data.items()})
+        if data.get("mm_per_px", sensor.mm_per_px) != sensor.mm_per_px:
+            raise ValueError(f"appearance has mm_per_px {data['mm_per_px']}, sensor {sensor} {sensor.mm_per_px}")
+        return cls(sensor=sensor, **own)
 
 
 def _as_tuples(value: Any) -> Any:
@@ -100,11 +107,11 @@ def optics_of(scene: Scene) -> dict[str, Any]:
     body = scene.object
     texture, period_px, gain = OBJECT_TEXTURES[body.texture]
     if body.texture_period_mm is not None:
-        period_px = body.texture_period_mm / camera.mm_per_px
+        period_px = body.texture_period_mm / scene.sensor.mm_per_px
     if body.texture_gain is not None:
         gain = body.texture_gain
     return {
-        "mm_per_px": camera.mm_per_px,
+        "sensor": scene.sensor,
         "noise_sigma_grey": camera.noise_grey if active.camera_noise else 0.0,
         "exposure": camera.exposure * camera.light,
         "worn": scene.gel.wear if active.gel_wear else 0.0,
@@ -112,6 +119,6 @@ def optics_of(scene: Scene) -> dict[str, Any]:
         "object_texture": texture,
         "object_texture_period_px": period_px,
         "object_texture_gain": gain if active.object_texture else 0.0,
-        "motion_blur_share": camera.exposure_ms * camera.fps / 1000 if active.motion_blur else 0.0,
-        "rolling_share": camera.readout_ms * camera.fps / 1000 if active.rolling_shutter else 0.0,
+        "motion_blur_share": camera.exposure_ms * scene.fps / 1000 if active.motion_blur else 0.0,
+        "rolling_share": camera.readout_ms * scene.fps / 1000 if active.rolling_shutter else 0.0,
     }

@@ -7,11 +7,11 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.optics import texture
-
 __all__ = ["Decision", "draw", "save"]
 
-ARROW_SCALE = 3.0  # motions are a few px of 327: drawn three times longer than they are
+ARROW_SCALE = 3.0  # motions are a few px of a picture: drawn three times longer than they are
+Motion = tuple[NDArray[np.floating], NDArray[np.floating]]
+"""Where dots rest and how far they moved, both ([2,] rows, cols, 2) in px: (u, v)."""
 _FINGER_NAMES = ("left finger (+y)", "right finger (-y)")
 
 
@@ -30,13 +30,13 @@ class Decision(TypedDict, total=False):
 def draw(
     frames: NDArray[np.uint8],
     decision: Decision | None = None,
-    motion_px: NDArray[np.floating] | None = None,
+    motion: Motion | None = None,
     valid: NDArray[np.bool_] | None = None,
 ) -> Any:
     """A matplotlib figure of an attempt.
 
-    ``frames`` uint8 [n, 2, H, W, 3] BGR rectified, first to last; ``motion_px`` [2, rows, cols, 2] (u, v) of the dots
-    from the first to the last frame, drawn as arrows from their rest positions; ``valid`` bool [2, rows, cols].
+    ``frames`` uint8 [n, 2, H, W, 3] BGR rectified, first to last; ``motion`` of the dots from the first to the last
+    frame is drawn as arrows; ``valid`` bool [2, rows, cols].
     Raises ValueError on another shape of frames.
     """
     from matplotlib.figure import Figure
@@ -48,7 +48,7 @@ def draw(
     upper, lower = parts
     left, right, facts = upper.subplots(1, 3, width_ratios=(1, 1, 0.95))
     for finger, axes in enumerate((left, right)):
-        moved = None if motion_px is None else motion_px[finger]
+        moved = None if motion is None else (motion[0][finger], motion[1][finger])
         imprint(axes, frames[-1, finger], _FINGER_NAMES[finger], moved, None if valid is None else valid[finger])
     _facts(facts, decision or {})
     _differences(lower, frames)
@@ -61,7 +61,7 @@ def save(
     path: str | Path,
     frames: NDArray[np.uint8],
     decision: Decision | None = None,
-    motion_px: NDArray[np.floating] | None = None,
+    motion: Motion | None = None,
     valid: NDArray[np.bool_] | None = None,
 ) -> Path:
     """Draw (see :func:`draw`) into a PNG at ``path``; its folder is made."""
@@ -69,7 +69,7 @@ def save(
 
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure = draw(frames, decision, motion_px, valid)
+    figure = draw(frames, decision, motion, valid)
     FigureCanvasAgg(figure).print_png(str(path))
     return path
 
@@ -78,19 +78,19 @@ def imprint(
     axes: Any,
     frame: NDArray[np.uint8],
     caption: str,
-    motion_px: NDArray[np.floating] | None = None,
+    motion: Motion | None = None,
     valid: NDArray[np.bool_] | None = None,
 ) -> None:
-    """One rectified frame [H, W, 3] on ``axes`` with the dots' motion [rows, cols, 2] in px as arrows."""
+    """One rectified frame [H, W, 3] on ``axes`` with one finger's dots' motion as arrows."""
     axes.imshow(frame[..., ::-1])
     axes.set_axis_off()
-    if motion_px is not None:
-        rest, motion = texture.marker_rest_px(), np.asarray(motion_px, float)
-        shown = np.isfinite(motion).all(-1) & (True if valid is None else valid)
-        start, step = rest[shown], motion[shown] * ARROW_SCALE
+    if motion is not None:
+        rest, moved = motion[0], np.asarray(motion[1], float)
+        shown = np.isfinite(moved).all(-1) & (True if valid is None else valid)
+        start, step = rest[shown], moved[shown] * ARROW_SCALE
         style = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "color": "yellow"}
         axes.quiver(start[:, 0], start[:, 1], step[:, 0], step[:, 1], **style)
-        largest = float(np.linalg.norm(motion[shown], axis=-1).max(initial=0.0))
+        largest = float(np.linalg.norm(moved[shown], axis=-1).max(initial=0.0))
         caption += f"  dots moved up to {largest:.1f} px (arrows x{ARROW_SCALE:g})"
     axes.set_title(caption, fontsize=9)
 

@@ -3,22 +3,21 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.optics import texture
+from service.contract import Sensor
 from simulation.optics.appearance import Appearance
 
 Floats = NDArray[np.float32]
 
 
 def illumination(look: Appearance, at: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Light on the gel [3, 320, 427] (grey levels per unit of albedo) and what surrounds the gel [3, 320, 427].
+    """Light on the gel [3, h, w] (grey levels per unit of albedo) and what surrounds the gel [3, h, w].
 
-    ``at`` [320, 427, 2]: where each raw pixel lies in the rectified image, gel at rest, px.
+    ``at`` [h, w, 2]: where each raw pixel lies in the rectified image, gel at rest, px.
     GelSlim: green from LEDs at the lower corners, an olive-red cast towards the upper left and centre, brightest
     along the lower edge; beside the gel dark housing, a cable and reflections.
     """
-    u = at[..., 0] / (texture.RECTIFIED_WIDTH_PX - 1)
-    v = at[..., 1] / (texture.RECTIFIED_HEIGHT_PX - 1)
-    s = look.light_shift
+    width, height = look.sensor.width_px, look.sensor.height_px
+    u, v, s = at[..., 0] / (width - 1), at[..., 1] / (height - 1), look.light_shift
     corners = np.exp(-(((u - 0.02 - s) / 0.45) ** 2 + ((v - 1.0) / 0.55) ** 2))
     corners = corners + np.exp(-(((u - 0.98 - s) / 0.45) ** 2 + ((v - 1.0) / 0.55) ** 2))
     edge = np.exp(-(((v - 1.02) / 0.16) ** 2))
@@ -27,19 +26,17 @@ def illumination(look: Appearance, at: Floats, rng: np.random.Generator) -> tupl
     red = 0.20 + 0.06 * corners + 0.20 * edge + 0.34 * cast
     blue = 0.17 + 0.16 * corners + 0.20 * edge + 0.05 * cast
     light = (np.stack([blue, green, red], -1) + look.ambient) * look.light_bgr * (look.exposure * 255)
-    margin = np.minimum(
-        np.minimum(u, 1 - u) * texture.RECTIFIED_WIDTH_PX, np.minimum(v, 1 - v) * texture.RECTIFIED_HEIGHT_PX
-    )
+    margin = np.minimum(np.minimum(u, 1 - u) * width, np.minimum(v, 1 - v) * height)
     gel = np.clip(margin / 6 + 1.5, 0, 1)[..., None]
-    return _planes(light * gel), _planes(_housing(rng, look.exposure) * (1 - gel))
+    return _planes(light * gel), _planes(_housing(rng, look.sensor, look.exposure) * (1 - gel))
 
 
-def _housing(rng: np.random.Generator, exposure: float) -> Floats:
-    """Float32 [320, 427, 3]: black print, a grey cable and soft green reflections outside the gel."""
-    v, u = np.mgrid[: texture.RAW_HEIGHT_PX, : texture.RAW_WIDTH_PX].astype(np.float32)
-    side = rng.choice([-1, 1])
-    cable = np.exp(-(((u - 213.5 - side * (205 - 0.22 * v)) / 7) ** 2))
-    glow = np.exp(-(((v - 318) / 50) ** 2)) * np.exp(-(((np.abs(u - 213.5) - 120) / 45) ** 2))
+def _housing(rng: np.random.Generator, sensor: Sensor, exposure: float) -> Floats:
+    """Float32 [h, w, 3]: black print, a grey cable and soft green reflections outside the gel."""
+    v, u = np.mgrid[: sensor.raw_height_px, : sensor.raw_width_px].astype(np.float32)
+    middle, bottom, side = 0.5 * sensor.raw_width_px, sensor.raw_height_px - 2, rng.choice([-1, 1])
+    cable = np.exp(-(((u - middle - side * (middle - 8.5 - 0.22 * v)) / 7) ** 2))
+    glow = np.exp(-(((v - bottom) / 50) ** 2)) * np.exp(-(((np.abs(u - middle) - 120) / 45) ** 2))
     tint = np.stack([18 + 40 * cable + 30 * glow, 22 + 42 * cable + 90 * glow, 17 + 40 * cable + 26 * glow], -1)
     return np.asarray(exposure * tint, np.float32)
 

@@ -1,8 +1,8 @@
 """Gel state -> camera frame: cloth and dots carried by the gel, side light on its slopes, the lens, the sensor.
 
-A gel state is [20, 21, 3]: (du_mm, dv_mm, pressure in N/mm2) at the rest positions of the markers, in the finger's
-own frame (u right, v down). One composed map takes a raw pixel through the lens, back along the gel's motion, to a
-precomputed texture; the rest is shading. Same appearance, gel state and frame seed: the same bits.
+A gel state is [rows, columns, 3]: (du_mm, dv_mm, pressure in N/mm2) at the rest positions of the markers, in the
+finger's own frame (u right, v down). One composed map takes a raw pixel through the lens, back along the gel's motion,
+to a precomputed texture; the rest is shading. Same appearance, gel state and frame seed: the same bits.
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from service.perception.rectification import CameraCalibration
 from simulation.optics import texture as tx
 from simulation.optics.appearance import Appearance
 from simulation.optics.lighting import illumination
@@ -21,14 +22,10 @@ __all__ = ["Appearance", "Renderer", "jpeg_round_trip"]
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
-_DENSE = 5  # the 15 px marker lattice is refined to 3 px before it is sampled
+_DENSE = 5  # the marker lattice is refined to a fifth of its pitch before it is sampled
 _COARSE_PX = 5  # raw frames: displacement and shading are evaluated on every fifth pixel, then interpolated
 _INVERSE_ITERATIONS = 6  # X = p - U(X) converges like (slope of U)^n; slopes stay below about 0.3
-_STEP_PX = tx.MARKER_PITCH_PX / _DENSE
-# Rolling shutter: rows are read from the top, so the top row is early by the whole readout time, the last by nothing
-_EARLINESS = np.linspace(1, 0, tx.RAW_HEIGHT_PX, dtype=np.float32)[:, None, None]
 _CONTACT_SHARE = 0.08  # of the reference pressure: where the held surface's texture is fully seen
-GEL_SHAPE = (tx.MARKER_ROWS, tx.MARKER_COLS, 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +33,13 @@ class _Lens:
     """What depends on the camera alone, once per renderer."""
 
     homography: NDArray[np.float64]
-    map_to_rest: Floats  # [320, 427, 2] where each raw pixel lies in the textures, gel at rest
-    coarse_index: Floats  # [64, 86, 2] position of every fifth raw pixel in the refined marker lattice
+    map_to_rest: Floats  # [h, w, 2] where each raw pixel lies in the textures, gel at rest
+    coarse_index: Floats  # [h / 5, w / 5, 2] position of every fifth raw pixel in the refined marker lattice
 
 
 @dataclass(frozen=True, slots=True)
 class _Scene:
-    """A frame before its noise: the light that reaches the sensor from gel in this motion, [3] of [320, 427]."""
+    """A frame before its noise: the light that reaches the sensor from gel in this motion, [3] of [h, w]."""
 
     gel: Floats
     previous: Floats | None
@@ -56,10 +53,15 @@ class _Scene:
 
 
 class Renderer:
-    """Draws frames of one finger: about 3 ms a raw frame, 1 ms where the gel did not move; about 15 ms to make."""
+    """Draws frames of one finger: about 3 ms a raw frame, 1 ms where the gel did not move; about 15 ms to make.
+
+    Raw frames are [h, w], rectified ones [H, W], as the appearance's sensor has them.
+    """
 
     def __init__(self, appearance: Appearance) -> None:
-        self.appearance = appearance
+        self.appearance, self.sensor = appearance, appearance.sensor
+        self._step_px = self.sensor.marker_pitch_px / _DENSE
+        self._shape = self.sensor.raw.shape[:2]
         rng = np.random.Generator(np.random.PCG64(appearance.seed))
         self._lens = _lens(appearance)
         self._albedo, self._relief = _textures(appearance, rng)
@@ -71,14 +73,19 @@ class Renderer:
         """Float64 [3, 3]: raw pixel -> rectified pixel."""
         return self._lens.homography.copy()
 
+    @property
+    def calibration(self) -> CameraCalibration:
+        """The exact calibration of this camera."""
+        return CameraCalibration(self.homography, self.sensor.raw, self.sensor.rectified)
+
     def raw(self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None) -> Image:
-        """Uint8 [320, 427, 3] BGR frame of ``gel`` [20, 21, 3]; ValueError if it is not finite or of another shape.
+        """Uint8 [h, w, 3] BGR frame of ``gel`` [rows, columns, 3]; ValueError if it is not finite or of another shape.
 
         ``previous``, the gel state one frame earlier, is what motion blur and the rolling shutter see of the motion.
         """
-        gel = _checked(gel)
+        gel = self._checked(gel)
         moves = previous is not None and (self.appearance.motion_blur_share > 0 or self.appearance.rolling_share > 0)
-        before = _checked(previous) if moves and previous is not None else None
+        before = self._checked(previous) if moves and previous is not None else None
         if before is not None and np.array_equal(before[..., :2], gel[..., :2]):
             before = None  # nothing moved: neither smear nor shutter has anything to show
         last = self._last
@@ -89,10 +96,10 @@ class Renderer:
     def _lit(self, gel: Floats, previous: Floats | None) -> tuple[Floats, ...]:
         """The frame before its noise: light times albedo times shading, a plane a colour."""
         look = self.appearance
-        shift = self._inverse(_refined(gel[..., :2] * np.float32(1 / (look.mm_per_px * _STEP_PX))))
+        shift = self._inverse(_refined(gel[..., :2] * np.float32(1 / (self.sensor.mm_per_px * self._step_px))))
         rest_index = self._lens.coarse_index - shift
         gains, touched = _gains(self._slopes(gel, rest_index), look.shading_gain)
-        where = self._lens.map_to_rest - _to_raw(shift * np.float32(_STEP_PX), cv2.INTER_CUBIC)
+        where = self._lens.map_to_rest - self._to_raw(shift * np.float32(self._step_px), cv2.INTER_CUBIC)
         smear = None if previous is None else self._motion_since(gel, previous, rest_index)
         if smear is not None and look.rolling_share > 0:
             where = _rolled(where, smear, look.rolling_share)
@@ -105,16 +112,16 @@ class Renderer:
     def rectified(
         self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None
     ) -> Image:
-        """Uint8 [320, 327, 3]: the raw frame through the same warp as the service's rectifier."""
+        """Uint8 [H, W, 3]: the raw frame through the same warp as the service's rectifier."""
         return self.rectify(self.raw(gel, frame_seed, previous))
 
     def rectify(self, raw: Image) -> Image:
-        """Uint8 [320, 327, 3] from a raw [320, 427, 3], bilinear."""
-        size = (tx.RECTIFIED_WIDTH_PX, tx.RECTIFIED_HEIGHT_PX)
+        """Uint8 [H, W, 3] from a raw [h, w, 3], bilinear."""
+        size = (self.sensor.width_px, self.sensor.height_px)
         return np.asarray(cv2.warpPerspective(raw, self._lens.homography, size, flags=cv2.INTER_LINEAR), np.uint8)
 
     def _inverse(self, motion: Floats) -> Floats:
-        """How far the gel seen at each coarse raw pixel has come, [64, 86, 2], in steps of the refined lattice."""
+        """How far the gel at each coarse raw pixel has come, [h / 5, w / 5, 2], in steps of the refined lattice."""
         at = self._lens.coarse_index
         shift = np.zeros_like(at)
         for _ in range(_INVERSE_ITERATIONS if motion.any() else 0):
@@ -122,15 +129,15 @@ class Renderer:
         return shift
 
     def _slopes(self, gel: Floats, rest_index: Floats) -> Floats:
-        """Imprint height and its slopes (h, dh/du, dh/dv) per marker pitch at the coarse raw pixels, [64, 86, 3]."""
+        """Imprint height and slopes (h, dh/du, dh/dv) per marker pitch at the coarse raw pixels, [h / 5, w / 5, 3]."""
         height = gel[..., 2] * np.float32(1 / self.appearance.reference_pressure_n_per_mm2)
         slope_v, slope_u = np.gradient(height)
         return np.asarray(_remap(_refined(np.stack([height, slope_u, slope_v], -1)), rest_index), np.float32)
 
     def _motion_since(self, gel: Floats, previous: Floats, rest_index: Floats) -> Floats:
-        """Motion from ``previous`` to ``gel`` of what each raw pixel sees, [320, 427, 2], rectified px."""
-        change = _refined((gel[..., :2] - previous[..., :2]) * np.float32(1 / self.appearance.mm_per_px))
-        return _to_raw(np.ascontiguousarray(_remap(change, rest_index)[..., :2]))
+        """Motion from ``previous`` to ``gel`` of what each raw pixel sees, [h, w, 2], rectified px."""
+        change = _refined((gel[..., :2] - previous[..., :2]) * np.float32(1 / self.sensor.mm_per_px))
+        return self._to_raw(np.ascontiguousarray(_remap(change, rest_index)[..., :2]))
 
     def _blurred(self, albedo: Floats, where: Floats, smear: Floats) -> Floats:
         """The albedo seen while the gel moved: the mean of where the exposure began and where it ended."""
@@ -138,16 +145,16 @@ class Renderer:
         return np.asarray(cv2.addWeighted(albedo, 0.5, earlier, 0.5, 0), np.float32)
 
     def _bumps(self, relief: Floats, where: Floats, touched: Floats) -> Floats:
-        """The held surface's texture [320, 427] as a share of the light."""
+        """The held surface's texture [h, w] as a share of the light."""
         seen = _remap(relief, where)
-        seen *= _to_raw(touched * np.float32(self.appearance.object_texture_gain))
+        seen *= self._to_raw(touched * np.float32(self.appearance.object_texture_gain))
         return seen
 
     def _shaded(self, albedo: Floats, bumps: Floats | None, gains: Floats) -> tuple[Floats, ...]:
-        """Three planes [320, 427]: light times albedo times slope shading."""
+        """Three planes [h, w]: light times albedo times slope shading."""
         planes = []
         for channel, sign in enumerate((0.2, -0.8, 1.0)):  # a bump is lit red on one side and shaded green there
-            level = _to_raw(gains[channel])
+            level = self._to_raw(gains[channel])
             if bumps is not None:
                 cv2.scaleAdd(bumps, sign, level, dst=level)
             level *= self._light[channel]
@@ -156,14 +163,31 @@ class Renderer:
         return tuple(planes)
 
     def _grained(self, planes: tuple[Floats, ...], frame_seed: int) -> Image:
-        """Uint8 [320, 427, 3]: the planes, what is not gel, and the sensor's noise."""
+        """Uint8 [h, w, 3]: the planes, what is not gel, and the sensor's noise."""
         sigma = self.appearance.noise_sigma_grey
-        noise = _noise(frame_seed) if sigma > 0 else None
+        noise = _noise(frame_seed, *self._shape) if sigma > 0 else None
         channels = []
         for channel, plane in enumerate(planes):
             level = plane if noise is None else cv2.scaleAdd(noise[channel], sigma, plane)
             channels.append(cv2.add(level, self._surround[channel], dtype=cv2.CV_8U))  # rounds and saturates
         return np.asarray(cv2.merge(channels), np.uint8)
+
+    def _to_raw(self, coarse: Floats, interpolation: int = cv2.INTER_LINEAR) -> Floats:
+        """Every-fifth-pixel field [h / 5, w / 5, ...] to all raw pixels [h, w, ...]; a view into something wider.
+
+        Cubic for the gel's motion (a third less error than linear), linear for light; the lens is mapped pixel by
+        pixel.
+        """
+        full = cv2.resize(coarse, None, fx=_COARSE_PX, fy=_COARSE_PX, interpolation=interpolation)
+        return np.asarray(full, np.float32)[: self._shape[0], : self._shape[1]]
+
+    def _checked(self, gel: NDArray[np.floating]) -> Floats:
+        expected = (self.sensor.marker_rows, self.sensor.marker_columns, 3)
+        if gel.shape != expected:
+            raise ValueError(f"gel state has shape {list(gel.shape)}, expected {list(expected)}")
+        if not np.isfinite(gel).all():
+            raise ValueError("gel state holds a non-finite number")
+        return gel.astype(np.float32)
 
 
 def jpeg_round_trip(frame: Image, quality: int = 95) -> Image:
@@ -172,21 +196,13 @@ def jpeg_round_trip(frame: Image, quality: int = 95) -> Image:
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
 
 
-def _checked(gel: NDArray[np.floating]) -> Floats:
-    if gel.shape != GEL_SHAPE:
-        raise ValueError(f"gel state has shape {list(gel.shape)}, expected {list(GEL_SHAPE)}")
-    if not np.isfinite(gel).all():
-        raise ValueError("gel state holds a non-finite number")
-    return gel.astype(np.float32)
-
-
 def _refined(lattice: Floats) -> Floats:
-    """The lattice [20, 21, 2 or 3] with one replicated node around it, at 3 px steps, [110, 115, 3].
+    """The lattice [rows, columns, 2 or 3] with one replicated node around it, in steps of a fifth of its pitch.
 
     Node k lies at index 5 k + 7. Always three channels: with two, OpenCV interpolates at 1/32 of a step.
     """
-    padded = np.zeros((tx.MARKER_ROWS + 2, tx.MARKER_COLS + 2, 3), np.float32)
-    channels = lattice.shape[-1]
+    rows, columns, channels = lattice.shape
+    padded = np.zeros((rows + 2, columns + 2, 3), np.float32)
     padded[1:-1, 1:-1, :channels] = lattice
     padded[0], padded[-1] = padded[1], padded[-2]
     padded[:, 0], padded[:, -1] = padded[:, 1], padded[:, -2]
@@ -211,45 +227,41 @@ def _gains(felt: Floats, shading_gain: float) -> tuple[Floats, Floats]:
     return gains, np.clip(height / _CONTACT_SHARE, 0, 1).astype(np.float32)
 
 
-def _to_raw(coarse: Floats, interpolation: int = cv2.INTER_LINEAR) -> Floats:
-    """Every-fifth-pixel field [64, 86, ...] to all raw pixels [320, 427, ...]; a view into something wider.
-
-    Cubic for the gel's motion (a third less error than linear), linear for light; the lens is mapped pixel by pixel.
-    """
-    full = cv2.resize(coarse, None, fx=_COARSE_PX, fy=_COARSE_PX, interpolation=interpolation)
-    return np.asarray(full, np.float32)[: tx.RAW_HEIGHT_PX, : tx.RAW_WIDTH_PX]
-
-
 def _rolled(where: Floats, smear: Floats, rolling_share: float) -> Floats:
-    """Where each row was when it was read, [320, 427, 2]."""
-    return np.asarray(where + smear * (rolling_share * _EARLINESS), np.float32)
+    """Where each row was when it was read, [h, w, 2].
+
+    Rows are read from the top: the first is early by the whole readout time, the last by nothing.
+    """
+    earliness = np.linspace(1, 0, len(where), dtype=np.float32)[:, None, None]
+    return np.asarray(where + smear * (rolling_share * earliness), np.float32)
 
 
-def _noise(frame_seed: int) -> Floats:
-    """Float32 [3, 320, 427], unit variance: a random crop of the noise bank, or of its negative."""
+def _noise(frame_seed: int, height: int, width: int) -> Floats:
+    """Float32 [3, height, width], unit variance: a random crop of the noise bank, or of its negative."""
     rng = np.random.Generator(np.random.PCG64(frame_seed))
-    banks = tx.noise_bank()
-    height, width = tx.RAW_HEIGHT_PX, tx.RAW_WIDTH_PX
+    banks = tx.noise_bank(height, width)
     top, left, sign = (int(n) for n in rng.integers((banks.shape[2] - height, banks.shape[3] - width, 2)))
     return banks[sign, :, top : top + height, left : left + width]
 
 
 def _lens(look: Appearance) -> _Lens:
-    right, bottom = tx.RECTIFIED_WIDTH_PX - 1, tx.RECTIFIED_HEIGHT_PX - 1
+    sensor = look.sensor
+    right, bottom = sensor.width_px - 1, sensor.height_px - 1
     flat = np.asarray([[0, 0], [right, 0], [right, bottom], [0, bottom]], np.float32)
     homography = cv2.getPerspectiveTransform(np.asarray(look.corners_raw_px, np.float32), flat)
 
     def rectified_of(u: NDArray[np.floating], v: NDArray[np.floating]) -> Floats:
         points = np.stack(np.meshgrid(u, v), -1)
         mapped = cv2.perspectiveTransform(points.reshape(-1, 1, 2), homography).reshape(points.shape)
-        limit = 4.0 * tx.RECTIFIED_WIDTH_PX  # beyond it the pixel is never gel; keeps fixed-point maps in range
+        limit = 4.0 * sensor.width_px  # beyond it the pixel is never gel; keeps fixed-point maps in range
         return np.clip(mapped, -limit, limit).astype(np.float32)
 
-    full = rectified_of(np.arange(tx.RAW_WIDTH_PX, dtype=float), np.arange(tx.RAW_HEIGHT_PX, dtype=float))
+    full = rectified_of(np.arange(sensor.raw_width_px, dtype=float), np.arange(sensor.raw_height_px, dtype=float))
     half = (_COARSE_PX - 1) / 2
-    columns, rows = -(-tx.RAW_WIDTH_PX // _COARSE_PX), -(-tx.RAW_HEIGHT_PX // _COARSE_PX)
+    columns, rows = -(-sensor.raw_width_px // _COARSE_PX), -(-sensor.raw_height_px // _COARSE_PX)
     coarse = rectified_of(np.arange(columns) * _COARSE_PX + half, np.arange(rows) * _COARSE_PX + half)
-    index = (coarse - np.asarray(tx.FIRST_MARKER_PX, np.float32)) / _STEP_PX + (_DENSE + _DENSE // 2)
+    first, step_px = np.asarray(sensor.first_marker_px, np.float32), sensor.marker_pitch_px / _DENSE
+    index = (coarse - first) / step_px + (_DENSE + _DENSE // 2)
     return _Lens(np.asarray(homography, np.float64), full + tx.MARGIN_PX, index.astype(np.float32))
 
 
@@ -258,11 +270,13 @@ def _textures(look: Appearance, rng: np.random.Generator) -> tuple[Floats, Float
 
     What is off is not computed; its random numbers are drawn all the same, so that what comes after stays as it is.
     """
-    kind, period_px = look.object_texture, look.object_texture_period_px
-    fabric = tx.cloth(rng, look.cloth_period_px, look.cloth_contrast, look.worn)
-    albedo = fabric * (1 - look.dot_darkness * tx.dot_cover(rng, look.missing_dots_share))
-    bumps = tx.draw_bumps(rng, kind, period_px)
-    relief = _defocused(tx.relief(bumps, kind, period_px), look.defocus_px) if look.object_texture_gain else None
+    sensor, kind, period_px = look.sensor, look.object_texture, look.object_texture_period_px
+    fabric = tx.cloth(rng, sensor, look.cloth_period_px, look.cloth_contrast, look.worn)
+    albedo = fabric * (1 - look.dot_darkness * tx.dot_cover(rng, sensor, look.missing_dots_share))
+    bumps = tx.draw_bumps(rng, sensor, kind, period_px)
+    relief = (
+        _defocused(tx.relief(bumps, sensor, kind, period_px), look.defocus_px) if look.object_texture_gain else None
+    )
     return _defocused(np.clip(albedo, 0, 1.6), look.defocus_px), relief
 
 

@@ -10,11 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-RAW_HEIGHT_PX, RAW_WIDTH_PX = 320, 427
-RECTIFIED_HEIGHT_PX, RECTIFIED_WIDTH_PX = 320, 327
-MARKER_ROWS, MARKER_COLS = 20, 21
-MARKER_PITCH_PX, MARKER_DIAMETER_PX = 15.0, 5.0
-FIRST_MARKER_PX = (13.0, 17.0)  # (u, v) of row 0, column 0: the grid is centred in the rectified image
+from service.contract import Sensor
+
 MARGIN_PX = 30
 SPOT_PX, GRAIN_PX = 24, 4
 RELIEFS = ("smooth", "layers", "ribs", "print")
@@ -23,83 +20,75 @@ Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 
-def marker_rest_px() -> Floats:
-    """Float32 [20, 21, 2]: (u, v) of each marker at rest in rectified pixels."""
-    u = FIRST_MARKER_PX[0] + MARKER_PITCH_PX * np.arange(MARKER_COLS)
-    v = FIRST_MARKER_PX[1] + MARKER_PITCH_PX * np.arange(MARKER_ROWS)
-    return np.stack(np.meshgrid(u, v), -1).astype(np.float32)
-
-
-def texture_grid() -> tuple[Floats, Floats]:
+def texture_grid(sensor: Sensor) -> tuple[Floats, Floats]:
     """(u [1, W], v [H, 1]) of the texture's pixels in rectified coordinates, float32."""
-    u = np.arange(-MARGIN_PX, RECTIFIED_WIDTH_PX + MARGIN_PX, dtype=np.float32)[None, :]
-    v = np.arange(-MARGIN_PX, RECTIFIED_HEIGHT_PX + MARGIN_PX, dtype=np.float32)[:, None]
+    u = np.arange(-MARGIN_PX, sensor.width_px + MARGIN_PX, dtype=np.float32)[None, :]
+    v = np.arange(-MARGIN_PX, sensor.height_px + MARGIN_PX, dtype=np.float32)[:, None]
     return u, v
 
 
-def dot_cover(rng: np.random.Generator, missing_share: float) -> Floats:
+def dot_cover(rng: np.random.Generator, sensor: Sensor, missing_share: float) -> Floats:
     """Float32 [H, W] in 0..1: how much each texture pixel is covered by a black dot.
 
     Dots have a soft rim one pixel wide, small random radii and opacity as if dabbed by hand; ``missing_share`` of
     them have worn off.
     """
-    u, v = texture_grid()
-    column = np.rint((u - FIRST_MARKER_PX[0]) / MARKER_PITCH_PX)
-    row = np.rint((v - FIRST_MARKER_PX[1]) / MARKER_PITCH_PX)
-    distance = np.hypot(
-        u - FIRST_MARKER_PX[0] - MARKER_PITCH_PX * column, v - FIRST_MARKER_PX[1] - MARKER_PITCH_PX * row
-    )
-    radius = MARKER_DIAMETER_PX / 2 * rng.normal(1.0, 0.05, (MARKER_ROWS + 2, MARKER_COLS + 2))
+    u, v = texture_grid(sensor)
+    (first_u, first_v), pitch = sensor.first_marker_px, sensor.marker_pitch_px
+    column, row = np.rint((u - first_u) / pitch), np.rint((v - first_v) / pitch)
+    distance = np.hypot(u - first_u - pitch * column, v - first_v - pitch * row)
+    shape = (sensor.marker_rows + 2, sensor.marker_columns + 2)
+    radius = sensor.marker_diameter_px / 2 * rng.normal(1.0, 0.05, shape)
     opacity, lots = rng.uniform(0.85, 1.0, radius.shape), rng.random(radius.shape)
     if missing_share > 0:
         opacity *= lots >= missing_share
     opacity[[0, -1], :] = 0  # the printed grid ends; beyond it there is cloth only
     opacity[:, [0, -1]] = 0
-    rows = np.clip(row + 1, 0, MARKER_ROWS + 1).astype(np.intp)
-    columns = np.clip(column + 1, 0, MARKER_COLS + 1).astype(np.intp)
+    rows = np.clip(row + 1, 0, shape[0] - 1).astype(np.intp)
+    columns = np.clip(column + 1, 0, shape[1] - 1).astype(np.intp)
     cover: Floats = (np.clip(radius[rows, columns] - distance + 0.5, 0, 1) * opacity[rows, columns]).astype(np.float32)
     return cover
 
 
-def coarse_noise(rng: np.random.Generator, cell_px: int) -> Floats:
+def coarse_noise(rng: np.random.Generator, sensor: Sensor, cell_px: int) -> Floats:
     """The random numbers of `smooth_noise`, a cell each."""
-    u, v = texture_grid()
+    u, v = texture_grid(sensor)
     shape = (v.shape[0] // cell_px + 3, u.shape[1] // cell_px + 3)
     return rng.standard_normal(shape).astype(np.float32)
 
 
-def smoothed(coarse: Floats, cell_px: int) -> Floats:
+def smoothed(coarse: Floats, sensor: Sensor, cell_px: int) -> Floats:
     """Float32 [H, W] through `coarse_noise`, a number every ``cell_px`` pixels."""
     import cv2
 
-    u, v = texture_grid()
+    u, v = texture_grid(sensor)
     full = cv2.resize(coarse, None, fx=cell_px, fy=cell_px, interpolation=cv2.INTER_CUBIC)
     field: Floats = np.ascontiguousarray(full[cell_px : cell_px + v.shape[0], cell_px : cell_px + u.shape[1]])
     return field
 
 
-def smooth_noise(rng: np.random.Generator, cell_px: int) -> Floats:
+def smooth_noise(rng: np.random.Generator, sensor: Sensor, cell_px: int) -> Floats:
     """Float32 [H, W], roughly unit variance, varying over about ``cell_px`` pixels."""
-    return smoothed(coarse_noise(rng, cell_px), cell_px)
+    return smoothed(coarse_noise(rng, sensor, cell_px), sensor, cell_px)
 
 
-def worn_spots(coarse: Floats, worn: float) -> Floats:
+def worn_spots(coarse: Floats, sensor: Sensor, worn: float) -> Floats:
     """Float32 [H, W] in 0..1: how far the cloth is worn through."""
-    spots: Floats = np.clip(smoothed(coarse, SPOT_PX) - 1.2, 0, 1) * worn
+    spots: Floats = np.clip(smoothed(coarse, sensor, SPOT_PX) - 1.2, 0, 1) * worn
     return spots
 
 
-def cloth(rng: np.random.Generator, period_px: float, contrast: float, worn: float) -> Floats:
+def cloth(rng: np.random.Generator, sensor: Sensor, period_px: float, contrast: float, worn: float) -> Floats:
     """Float32 [H, W], mean 1: a plain weave seen by the camera, with thick and thin yarns and worn spots."""
-    u, v = texture_grid()
-    sway = 0.8 * smooth_noise(rng, 40)
+    u, v = texture_grid(sensor)
+    sway = 0.8 * smooth_noise(rng, sensor, 40)
     warp_yarn = np.sin(2 * np.pi * (u + sway) / period_px)
     weft_yarn = np.sin(2 * np.pi * (v - sway) / period_px)
-    weave = warp_yarn * weft_yarn + 0.4 * (warp_yarn + weft_yarn) + 0.5 * smooth_noise(rng, 3)
-    seat = coarse_noise(rng, SPOT_PX)  # drawn even where nothing is worn: what is drawn next must not change
+    weave = warp_yarn * weft_yarn + 0.4 * (warp_yarn + weft_yarn) + 0.5 * smooth_noise(rng, sensor, 3)
+    seat = coarse_noise(rng, sensor, SPOT_PX)  # drawn even where nothing is worn: what is drawn next must not change
     if worn <= 0:
         return np.asarray(1 + contrast * weave, np.float32)
-    spots = worn_spots(seat, worn)
+    spots = worn_spots(seat, sensor, worn)
     pattern: Floats = (1 + contrast * weave * (1 - spots) - 0.35 * spots).astype(np.float32)
     return pattern
 
@@ -112,40 +101,40 @@ class Bumps(NamedTuple):
     blotches: Floats | None
 
 
-def draw_bumps(rng: np.random.Generator, kind: str, period_px: float) -> Bumps:
+def draw_bumps(rng: np.random.Generator, sensor: Sensor, kind: str, period_px: float) -> Bumps:
     """The random numbers of `relief`. Raises ValueError for a kind that is none."""
     if kind not in RELIEFS:
         raise ValueError(f"object texture {kind!r}, expected {', '.join(RELIEFS[:-1])} or {RELIEFS[-1]}")
-    grain, phase = coarse_noise(rng, GRAIN_PX), rng.uniform(0, 2 * np.pi)
-    return Bumps(grain, phase, coarse_noise(rng, max(2, round(period_px))) if kind == "print" else None)
+    grain, phase = coarse_noise(rng, sensor, GRAIN_PX), rng.uniform(0, 2 * np.pi)
+    return Bumps(grain, phase, coarse_noise(rng, sensor, max(2, round(period_px))) if kind == "print" else None)
 
 
-def relief(bumps: Bumps, kind: str, period_px: float) -> Floats:
+def relief(bumps: Bumps, sensor: Sensor, kind: str, period_px: float) -> Floats:
     """Float32 [H, W] in -1..1: the held surface's own texture as side light shows it through the cloth.
 
     ``kind``: "smooth" (fine grain only), "layers" (horizontal lines of a 3D print), "ribs" (vertical knurling of a
     cap), "print" (blotches of a label).
     """
-    u, v = texture_grid()
-    pattern: NDArray[np.floating] = 0.25 * smoothed(bumps.grain, GRAIN_PX)
+    u, v = texture_grid(sensor)
+    pattern: NDArray[np.floating] = 0.25 * smoothed(bumps.grain, sensor, GRAIN_PX)
     if kind == "layers":
         pattern = np.sin(2 * np.pi * (v + 0.02 * u) / period_px + bumps.phase) + pattern
     elif kind == "ribs":
         pattern = np.sin(2 * np.pi * (u + 0.02 * v) / period_px + bumps.phase) + pattern
     elif bumps.blotches is not None:
-        pattern = np.tanh(2 * smoothed(bumps.blotches, max(2, round(period_px)))) + pattern
+        pattern = np.tanh(2 * smoothed(bumps.blotches, sensor, max(2, round(period_px)))) + pattern
     return np.asarray(np.clip(pattern, -1, 1), np.float32)
 
 
 @cache
-def noise_bank() -> Floats:
-    """Float32 [2, 3, 960, 1281] of unit normals and their negatives, the same in every process.
+def noise_bank(height_px: int, width_px: int) -> Floats:
+    """Float32 [2, 3, 3 height, 3 width] of unit normals and their negatives, the same in every process.
 
-    A frame adds a random crop. Drawing 400,000 normals a frame would cost more than the rest of the renderer; the
-    1.1 million crops and signs repeat too rarely to be learnt.
+    A raw frame of that size adds a random crop. Drawing 400,000 normals a frame would cost more than the rest of the
+    renderer; the 1.1 million crops and signs repeat too rarely to be learnt.
     """
     rng = np.random.Generator(np.random.PCG64(20_190_617))
-    bank = rng.standard_normal((3, 3 * RAW_HEIGHT_PX, 3 * RAW_WIDTH_PX), dtype=np.float32)
+    bank = rng.standard_normal((3, 3 * height_px, 3 * width_px), dtype=np.float32)
     both: Floats = np.stack([bank, -bank])
     both.setflags(write=False)
     return both

@@ -17,8 +17,8 @@ BASE_K = 2000.0  # a block's base corner on the table, N/mm
 
 def scene_constants(scene: Scene, active: Active) -> records.Records:
     """Constants record [1] of a scene, effects that are off left out."""
-    body, blocks, pads, pitch = scene.object, scene.blocks, scene.gel, scene.marker_pitch_mm
-    area = scene.camera.marker_rows * scene.camera.marker_columns * pitch**2 / (pads.node_rows * pads.node_columns)
+    body, blocks, pads, sensor = scene.object, scene.blocks, scene.gel, scene.sensor
+    area = sensor.gel_height_mm * sensor.gel_width_mm / (pads.node_rows * pads.node_columns)
     shear = pads.shear_modulus_n_per_mm2 / pads.thickness_mm
     values: dict[str, Any] = {
         "area": area,

@@ -58,13 +58,9 @@ class LayerPads:
     """Both pads' anchors and surface. `kernel` may be replaced (half-space) before the first grasp."""
 
     def __init__(self, scene: Scene, nodes: Records, constants: Records) -> None:
-        pads, pitch, camera = scene.gel, scene.marker_pitch_mm, scene.camera
-        grid = elastic_layer.Grid(
-            pads.node_rows,
-            pads.node_columns,
-            camera.marker_rows * pitch / pads.node_rows,
-            camera.marker_columns * pitch / pads.node_columns,
-        )
+        pads, sensor = scene.gel, scene.sensor
+        rows, columns = pads.node_rows, pads.node_columns
+        grid = elastic_layer.Grid(rows, columns, sensor.gel_height_mm / rows, sensor.gel_width_mm / columns)
         poisson = elastic_layer.poisson_ratio(pads.normal_ratio)
         kernel = elastic_layer.bonded_layer(grid, pads.thickness_mm, pads.shear_modulus_n_per_mm2, poisson)
         self.rounds, self.unsettled = 0, False

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from simulation.physics import layer_pads
 from simulation.physics.constants import BASE_K, scene_constants
 from simulation.physics.grasp import close_fingers
+from simulation.physics.ground_truth import Pose, reasons_against
 from simulation.physics.inertia import coasting_of
 from simulation.physics.kernels import bristles, contact, load_step, records
 from simulation.physics.kernels.linear import rotation_into
@@ -45,9 +46,8 @@ class QuasiStaticCell:
         self.foot = np.ascontiguousarray(scene.object.footprint_mm)
         self.readout = Readout(scene, coupled=self.active.gel_coupling)
         self.constants = scene_constants(scene, self.active)
-        pitch, camera = scene.marker_pitch_mm, scene.camera
-        height, width = camera.marker_rows * pitch, camera.marker_columns * pitch
-        self.nodes = bristles.make_nodes(scene.gel.node_rows, scene.gel.node_columns, height, width, scene.gel.crown_mm)
+        gel, size_mm = scene.gel, (scene.sensor.gel_height_mm, scene.sensor.gel_width_mm)
+        self.nodes = bristles.make_nodes(gel.node_rows, gel.node_columns, *size_mm, gel.crown_mm)
         self.layer = layer_pads.pads_of(scene, self.nodes, self.constants)
         self.coasting = coasting_of(scene) if self.active.inertia else None
         vertices = len(self.foot)
@@ -257,6 +257,8 @@ class QuasiStaticCell:
     def look(self) -> CellState:
         """The state now, without moving."""
         turn, place = self._world()
+        centre = place + turn[:, 2] * float(self.constants["bottom"][0])
+        pose, motion = Pose(turn, centre, self.foot), block_motion(self.state, 0.5 * self.scene.blocks.gap_mm)
         bottom = float(np.min(self.foot @ turn[2, :2]) + turn[2, 2] * float(self.constants["bottom"][0]) + place[2])
         touching = (self.nodes["pressure"] > 0.0).reshape(2, -1).sum(axis=1)
         slipped = self.nodes["slipped"].reshape(2, -1).sum(axis=1)
@@ -268,9 +270,9 @@ class QuasiStaticCell:
             in_hand=np.concatenate([self.state["place"], rotation_vector(self.state["turn"])]),
             object_error=self._object_error(),
             bottom_z_mm=bottom,
-            block_motion=block_motion(self.state, 0.5 * self.scene.blocks.gap_mm),
+            block_motion=motion,
             in_contact=bool(np.any(self.slots["force"][: self.base_slot] > 0.0)),
-            inserted=bool(bottom < -15.0) and not self.grasp_lost,
+            inserted=not reasons_against(pose, motion, self.scene.blocks, grasp_lost=self.grasp_lost),
             grasp_lost=self.grasp_lost,
             residual_n=float(self.state["report"][0]),
         )

@@ -24,7 +24,7 @@ def _blend(targets: Array, nodes: Array, sigma_mm: float) -> Array:
     pitch = nodes[1] - nodes[0]
     distance = np.abs(targets[:, None] - nodes[None, :])
     linear = np.clip(1.0 - distance / pitch, 0.0, None)
-    if targets.size == nodes.size and sigma_mm <= 0.0:
+    if targets.size == nodes.size and sigma_mm <= 0.0 and np.allclose(targets, nodes):
         return np.asarray(linear)
     if sigma_mm > 0.0:
         linear = np.exp(-0.5 * (distance / max(sigma_mm, 0.5 * pitch)) ** 2)
@@ -38,15 +38,15 @@ def _nearest(targets: Array, nodes: Array) -> NDArray[np.intp]:
 
 
 class Readout:
-    """Gel fields of a scene: call with stretch [n, 2] mm and pressure [n]; gives float32 [2, 20, 21, 3]."""
+    """Gel fields of a scene: call with stretch [n, 2] mm and pressure [n]; gives float32 [2, rows, columns, 3]."""
 
     def __init__(self, scene: Scene, *, coupled: bool) -> None:
-        gel, camera = scene.gel, scene.camera
-        pitch = scene.marker_pitch_mm
+        gel, sensor = scene.gel, scene.sensor
+        pitch, (margin_u, margin_v) = sensor.marker_pitch_mm, sensor.gel_margin_mm
         self.rows, self.columns = gel.node_rows, gel.node_columns
-        height, width = camera.marker_rows * pitch, camera.marker_columns * pitch
-        v = (np.arange(camera.marker_rows) + 0.5) * pitch - 0.5 * height
-        u = (np.arange(camera.marker_columns) + 0.5) * pitch - 0.5 * width
+        height, width = sensor.gel_height_mm, sensor.gel_width_mm
+        v = (np.arange(sensor.marker_rows) + margin_v / pitch) * pitch - 0.5 * height
+        u = (np.arange(sensor.marker_columns) + margin_u / pitch) * pitch - 0.5 * width
         node_v = (np.arange(self.rows) + 0.5) * height / self.rows - 0.5 * height
         node_u = (np.arange(self.columns) + 0.5) * width / self.columns - 0.5 * width
         sigma = COUPLING_PER_THICKNESS * gel.thickness_mm if coupled else 0.0
@@ -57,7 +57,7 @@ class Readout:
         self._nearest = np.ix_(np.arange(2), _nearest(v, node_v), _nearest(u, node_u))
 
     def at_markers(self, values: Array) -> Array:
-        """Values [n] at the nodes, taken from the node next to each marker: [2, 20, 21]."""
+        """Values [n] at the nodes, taken from the node next to each marker: [2, rows, columns]."""
         return values.reshape(2, self.rows, self.columns)[self._nearest]
 
     def __call__(self, stretch: Array, pressure: Array) -> NDArray[np.float32]:
@@ -78,7 +78,7 @@ class Readout:
         return out
 
     def _bulged(self, field: Array) -> tuple[Array, Array]:
-        """How far a pad's pressure [rows, columns] drives the markers up its slope, mm [20, 21] along u and v."""
+        """How far a pad's pressure [rows, columns] drives the markers up its slope, mm along u and v."""
         soft = self.along_v @ field @ self.along_u.T
         slope_v, slope_u = np.gradient(soft, self.pitch)
         return np.asarray(self.bulge * slope_u), np.asarray(self.bulge * slope_v)

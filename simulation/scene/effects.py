@@ -45,8 +45,8 @@ def _gravity(scene: Scene) -> tuple[bool, str]:
 
 def inertia_share(scene: Scene) -> float:
     """Force of a sudden stop, v sqrt(m k), over what the grip can carry."""
-    gel, camera, pitch_mm = scene.gel, scene.camera, scene.marker_pitch_mm
-    area = camera.marker_rows * camera.marker_columns * pitch_mm**2
+    gel, sensor = scene.gel, scene.sensor
+    area = sensor.gel_height_mm * sensor.gel_width_mm
     stiffness_n_per_m = 2.0 * gel.shear_modulus_n_per_mm2 / gel.thickness_mm * area * 1e3
     jolt_n = scene.speed_mm_s * 1e-3 * math.sqrt(scene.object.mass_kg * stiffness_n_per_m)
     return jolt_n / (2.0 * max(gel.friction, 1e-9) * scene.grasp.force_n)
@@ -72,11 +72,8 @@ def _gel_wear(scene: Scene) -> tuple[bool, str]:
 def _gel_coupling(scene: Scene) -> tuple[bool, str]:
     if scene.gel.tier == "layer":
         return False, "the layer tier couples by itself"
-    reach = 0.5 * scene.gel.thickness_mm
-    return (
-        reach > 0.3 * scene.marker_pitch_mm,
-        f"rubber couples over {reach:.2f} mm, markers are {scene.marker_pitch_mm:.2f} mm apart",
-    )
+    reach, pitch_mm = 0.5 * scene.gel.thickness_mm, scene.sensor.marker_pitch_mm
+    return reach > 0.3 * pitch_mm, f"rubber couples over {reach:.2f} mm, markers are {pitch_mm:.2f} mm apart"
 
 
 def _texture(scene: Scene) -> tuple[bool, str]:
@@ -84,12 +81,12 @@ def _texture(scene: Scene) -> tuple[bool, str]:
 
 
 def _blur(scene: Scene) -> tuple[bool, str]:
-    smear = scene.speed_mm_s * scene.camera.exposure_ms * 1e-3 / scene.camera.mm_per_px
+    smear = scene.speed_mm_s * scene.camera.exposure_ms * 1e-3 / scene.sensor.mm_per_px
     return smear > 0.3, f"markers smear by up to {smear:.2f} px in an exposure (limit 0.3)"
 
 
 def _rolling(scene: Scene) -> tuple[bool, str]:
-    lag = scene.speed_mm_s * scene.camera.readout_ms * 1e-3 / scene.camera.mm_per_px
+    lag = scene.speed_mm_s * scene.camera.readout_ms * 1e-3 / scene.sensor.mm_per_px
     return lag > 0.3, f"the image moves by up to {lag:.2f} px while it is read out (limit 0.3)"
 
 

@@ -1,7 +1,7 @@
 """Reads objects and worlds from TOML; a scene is a world with an object in it.
 
-An object file says what is held: its `[object]` and, where they matter, `[blocks]`, `[start]` and any other table of a
-scene. A world file says everything about the cell but the object, and wins where both speak. The folder
+An object file states what is held: its `[object]` and, where they matter, `[blocks]`, `[start]` and any other table of
+a scene. A world file states everything about the cell but the object, and wins where both do. The folder
 `simulation/objects` is the registry of the objects that are known by name.
 """
 
@@ -19,7 +19,8 @@ from pydantic import Field, ValidationError
 from service.contract import ContractError
 from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
-from simulation.scene.scene import Blocks, Camera, Gel, Grasp, HeldObject, Part, Scene, SceneError, parsed, put
+from simulation.scene.parts import Blocks, Camera, Gel, Grasp, HeldObject, Part
+from simulation.scene.scene import Scene, SceneError, parsed, put
 
 OBJECTS = Path(__file__).parents[1] / "objects"
 GAP_BEYOND_OBJECT_MM = 4.0
@@ -47,7 +48,7 @@ class Motion(Part):
 
 
 class Unstated(Part):
-    """What nobody tells the software. The errors are added to the gap and to the height of the grasp that it is given.
+    """What the software is not given. The errors are added to the gap and to the height of the grasp that it is given.
 
     A stop takes effect ``stop_lag_s`` after it was ordered.
     """
@@ -70,7 +71,7 @@ TOP_LEVEL = {"motion.descent_speed_mm_s": "speed_mm_s"}
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A cell without its object: dotted keys of a scene with their values, and what the software is not told."""
+    """A cell without its object: dotted keys of a scene with their values, and what the software is not given."""
 
     name: str = "as_trained"
     changes: Mapping[str, Any] = field(default_factory=dict)

@@ -8,6 +8,7 @@ from typing import Any
 from reporting.figure import BLUE, GREEN, GREY, RED, drawing, label
 from reporting.page import page
 from reporting.table import table
+from service.contract import Sensor
 
 Row = dict[str, Any]
 DEFAULT, LAYER = "default: load step 0.17 mm, 20 x 21 nodes", "layer, load step 0.17 mm, 20 x 21 nodes"
@@ -19,7 +20,7 @@ ERRORS = (("position um", "position_um", ".2f"), ("turn deg", "turn_deg", ".4f")
 def accuracy_page(report: Row) -> str:
     """The whole of docs/accuracy.md from accuracy.json."""
     times: dict[str, dict[str, float]] = report["probe_ms"]
-    kinds = next(iter(times.values()))
+    kinds, raw = next(iter(times.values())), Sensor.load().raw
     return page(
         """
         # What physics accuracy costs
@@ -43,9 +44,10 @@ def accuracy_page(report: Row) -> str:
         ),
         "## A whole probe, CPU ms",
         table(times.items(), ("scene", 0), *((kind, lambda row, kind=kind: row[1][kind], ".1f") for kind in kinds)),
-        """
-        One core. Images are camera frames of 427 x 320 px of both fingers, drawn and rectified. A frame whose gel has
-        not moved since the one before, as in most of a probe, is lit once, and only its noise is drawn anew.
+        f"""
+        One core. Images are camera frames of {raw.width_px} x {raw.height_px} px of both fingers, drawn and rectified.
+        A frame whose gel has not moved since the one before, as in most of a probe, is lit once, and only its noise is
+        drawn anew.
 
         Made by `make accuracy`.
         """,

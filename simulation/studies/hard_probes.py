@@ -7,17 +7,15 @@ balanced and inside the friction cones. The same (seed, number) is the same prob
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 
+from simulation.data.parallel import results
 from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene, object_names
@@ -128,10 +126,5 @@ def _chunk(work: tuple[int, int, int, str]) -> Tally:
 
 def run(count: int, seed: int, tier: str, workers: int, done: int = 0) -> Iterator[Tally]:
     """Tallies of chunks of probes done .. count - 1 in order, from that many processes (0: one a core)."""
-    work = [(seed, first, min(CHUNK, count - first), tier) for first in range(done, count, CHUNK)]
-    workers = workers or os.cpu_count() or 1
-    if workers == 1:
-        yield from map(_chunk, work)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_chunk, work)
+    chunks = [(seed, first, min(CHUNK, count - first), tier) for first in range(done, count, CHUNK)]
+    return results(_chunk, chunks, workers, in_order=True)

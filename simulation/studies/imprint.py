@@ -44,8 +44,8 @@ def _row(axes: Sequence[Any], name: str, options: Options) -> None:
     images = [held, pressed, flat, np.clip(change, 0, 255).astype(np.uint8)]
     for panel, image in zip(axes, images, strict=False):
         panel.imshow(image[..., ::-1])
-    motion_px = (after - before)[None, ..., :2] / scene.camera.mm_per_px
-    attempt_picture.imprint(axes[-1], flat, "", motion_px[0])
+    motion_px = (after - before)[..., :2] / scene.sensor.mm_per_px
+    attempt_picture.imprint(axes[-1], flat, "", (scene.sensor.marker_rest_px(), motion_px))
     for panel in axes:
         panel.set_xticks([])
         panel.set_yticks([])

@@ -59,9 +59,9 @@ def hang(nodes: int, tier: str, modulus_n_per_mm2: float = 1.0) -> QuasiStaticCe
     return cell
 
 
-def relative(found: Floats, expected: Floats) -> float:
+def relative(computed: Floats, expected: Floats) -> float:
     """Relative error of a field, in the L2 norm."""
-    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+    return float(np.linalg.norm(computed - expected) / np.linalg.norm(expected))
 
 
 def dome(r: Floats, a: float) -> Floats:

@@ -17,7 +17,7 @@ MAY_COPY = {
     "service": {"service"},
     "robot_client": {"robot_client", "service/__init__.py", "service/contract"},
     "simulation": {
-        *("simulation", "service/__init__.py", "service/contract", "service/perception"),
+        *("simulation", "service/__init__.py", "service/contract", "service/perception", "service/sensors"),
         *("robot_client/__init__.py", "robot_client/insertion", "robot_client/robots", "robot_client/grippers"),
     },
 }

@@ -13,7 +13,7 @@ from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import MotionGuide, Ramps
 from robot_client.insertion.profile import plan_profile
 from robot_client.robots.abb_egm.codec import Guidance, RobotState, encode_guidance, encode_robot
-from service.contract import wire
+from service.contract import Sensor, wire
 from service.decision.belief import BeliefGrid
 from service.decision.controllers import axis_command, make_controller
 from service.decision.evidence import Refusal, from_joint, from_pair, softmax
@@ -33,6 +33,8 @@ from tests.service.perception.synthetic import patch_fields, rigid
 from tests.simulation.strategies import made_up_trial
 from training.data.labels import class_of
 from training.metrics.figures import Predictions
+
+SENSOR = Sensor.load()
 
 BAD = (math.nan, math.inf, -math.inf)
 Door = Callable[[float], object]
@@ -193,4 +195,6 @@ def doors_of_the_perception(seed: int) -> float:
         wrong += sum(non_finite(s.residual_px, s.score, s.angle_rad, s.scale, *s.shift_px) for s in states)
         wrong += non_finite(motion.angle_rad, motion.shift_px, motion.pivot_px) + float(fit is not None)
     matrix = [np.diag([1.0, value, 1.0]) for value in BAD]
-    return wrong + not_refused([lambda m=m: CameraCalibration(m) for m in matrix], ValueError)
+    return wrong + not_refused(
+        [lambda m=m: CameraCalibration(m, SENSOR.raw, SENSOR.rectified) for m in matrix], ValueError
+    )

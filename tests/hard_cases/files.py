@@ -9,16 +9,19 @@ import numpy as np
 import onnxruntime
 
 from export.onnx.model import open_model
-from service.contract import ContractError, ModelCard
+from service.contract import ContractError, ModelCard, Sensor
 from service.contract.model_card import CARD_KEY
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
 from service.recordings.reader import Recording, RecordingError
 from service.tools.replay import ReplayError, ReplayOptions, read_clip
-from simulation.scene.scene import Gel, Scene, SceneError
+from simulation.scene.parts import Gel
+from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import load_scene
 from tests.hard_cases.instead import with_globals
 from tests.hard_cases.registry import ROOT, Guard, case, not_refused
 from training.fit.checkpoint import Checkpoint
+
+SENSOR = Sensor.load()
 
 
 def believed(_read: object) -> object:
@@ -118,7 +121,7 @@ def calibrations_that_show_nothing(_seed: int) -> float:
     horizon = np.linalg.inv(horizon)
     nan[1, 1] = np.nan
     bad = [np.zeros((3, 3)), nan, far, beside, horizon, np.ones((3, 3)), np.eye(2), np.diag([1.0, 1.0, 1e-14])]
-    return not_refused([lambda m=m: CameraCalibration(m) for m in bad], CalibrationError)
+    return not_refused([lambda m=m: CameraCalibration(m, SENSOR.raw, SENSOR.rectified) for m in bad], CalibrationError)
 
 
 @case(
@@ -134,7 +137,7 @@ def calibrations_that_show_nothing(_seed: int) -> float:
 def calibration_files_edited_by_hand(_seed: int) -> float:
     with tempfile.TemporaryDirectory() as scratch:
         good = Path(scratch) / "good.toml"
-        Calibration(CameraCalibration(np.eye(3)), CameraCalibration(np.eye(3))).save(good)
+        Calibration(*2 * [CameraCalibration(np.eye(3), SENSOR.raw, SENSOR.rectified)]).save(good)
         text = good.read_text()
         edits = [
             "",
@@ -156,7 +159,7 @@ def calibration_files_edited_by_hand(_seed: int) -> float:
     "data",
     why="a scene with a negative stiffness or a part wider than its gap has no equilibrium to find",
     holds="impossible scenes are refused with the key and its range: not refused",
-    guard=Guard("simulation.scene.scene:Gel", "the gel's values have no range", without_ranges),
+    guard=Guard("simulation.scene.parts:Gel", "the gel's values have no range", without_ranges),
 )
 def scenes_that_cannot_be(_seed: int) -> float:
     changes = [
@@ -168,7 +171,7 @@ def scenes_that_cannot_be(_seed: int) -> float:
     changes += [
         {"grasp__force_n": 0.0},
         {"object__mass_kg": -1.0},
-        {"camera__fps": 31},
+        {"camera__fps": 9},
         {"numerics__load_step_mm": 0.0},
     ]
     missed = not_refused([lambda c=c: load_scene("rectangle", **c) for c in changes], SceneError)

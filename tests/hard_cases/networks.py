@@ -177,7 +177,7 @@ def states_of_denormals(seed: int) -> float:
     "networks",
     why="a gap width is an input too, and a cell may ask for any",
     holds="gap widths from 5 to 250 mm give finite, bounded outputs: largest",
-    guard="training.networks.decider:geometry_of",
+    guard="training.networks.decider:geometry_features",
     limit=LARGEST,
 )
 def gap_widths_far_from_training(seed: int) -> float:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from service.contract import Sensor
 from service.perception.markers.field import MarkerField
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import CameraCalibration, Rectifier
@@ -14,6 +15,8 @@ from service.perception.slip.rigid import fit_motion
 from tests.hard_cases.instead import like, with_globals
 from tests.hard_cases.registry import Guard, case, non_finite, not_refused
 from tests.service.perception.synthetic import FRAME_NS, draw, grid, patch_fields, rigid, twist
+
+SENSOR = Sensor.load()
 
 TOO_FEW = "service.perception.markers.tracker:MarkerTracker._track"
 TOO_LITTLE = "service.perception.markers.tracker:TrackerSettings.lost_share"
@@ -297,7 +300,11 @@ def exposures_that_jump(seed: int) -> float:
     ),
 )
 def raw_frames_of_another_size(seed: int) -> float:
-    rectifier = Rectifier(CameraCalibration(np.array([[1.0, 0.05, -40.0], [0.02, 1.0, 5.0], [1e-4, 1e-5, 1.0]])))
+    rectifier = Rectifier(
+        CameraCalibration(
+            np.array([[1.0, 0.05, -40.0], [0.02, 1.0, 5.0], [1e-4, 1e-5, 1.0]]), SENSOR.raw, SENSOR.rectified
+        )
+    )
     rng = np.random.default_rng(seed)
     shapes = [(320, 426, 3), (321, 427, 3), (320, 427), (0, 0, 3)]
     missed = not_refused(

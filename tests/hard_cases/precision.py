@@ -12,6 +12,7 @@ from export.onnx.golden import hard_input
 from export.onnx.model import Model, open_model
 from export.onnx.verify import decide
 from export.quantise.quantise import FarOffError, quantise, refuse_far_off
+from service.contract import Sensor
 from tests.hard_cases.networks import LARGEST, PICTURES, golden, largest_of, released
 from tests.hard_cases.registry import ROOT, Guard, case
 
@@ -27,19 +28,19 @@ from tests.hard_cases.registry import ROOT, Guard, case
 def single_against_double_precision(seed: int) -> float:
     import torch
 
-    from training.config import NetworkConfig
     from training.data.labels import CLASSES
     from training.networks import build
+    from training.networks.settings import NetworkConfig
 
     torch.manual_seed(seed)
-    network = build(NetworkConfig(), len(CLASSES)).eval()
+    network = build(NetworkConfig(), len(CLASSES), Sensor.load()).eval()
     fields = torch.randn(4, 8, 2, 3, 20, 21)
-    told = torch.tensor([[56.0, 30.0]]).repeat(4, 1)
+    geometry = torch.tensor([[56.0, 30.0]]).repeat(4, 1)
     with torch.no_grad():
-        single = network.logits(network.read_fields(fields, told))
+        single = network.logits(network.read_fields(fields, geometry))
         torch.set_default_dtype(torch.float64)
         try:
-            double = network.double().logits(network.read_fields(fields.double(), told.double()))
+            double = network.double().logits(network.read_fields(fields.double(), geometry.double()))
         finally:
             torch.set_default_dtype(torch.float32)
     return float((single.double() - double).abs().max() / double.abs().max())

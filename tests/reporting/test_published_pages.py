@@ -9,10 +9,14 @@ import pytest
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {
     "accuracy": "simulation.studies.accuracy_report:accuracy_page",
+    "benchmark": "export.bench.report:benchmark_page",
+    "closed_loop": "simulation.closed_loop.report:closed_loop_page",
     "hard_cases": "tests.hard_cases.__main__:hard_cases_page",
+    "robustness": "simulation.closed_loop.robustness:robustness_page",
     "serving": "tests.benchmarks.serving_report:serving_page",
     "slip_report": "simulation.studies.slip.report:slip_page",
     "soak": "tests.service.soak.report:soak_page",
+    "tradeoff": "export.tradeoff.report:tradeoff_page",
 }
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import Finger, FramePair, TactileFrame
-from service.perception.rectification import Calibration, CameraCalibration
+from service.perception.rectification import Calibration
 from simulation.optics.renderer import Appearance, Renderer
 
 PERIOD_NS = 33_333_333
@@ -18,7 +18,7 @@ def renderer(finger: Finger) -> Renderer:
 
 
 def calibration() -> Calibration:
-    return Calibration(*(CameraCalibration(renderer(finger).homography) for finger in ("left", "right")))
+    return Calibration(*(renderer(finger).calibration for finger in ("left", "right")))
 
 
 def gel(shift_mm: float, slip_mm: float = 0.0) -> NDArray[np.float32]:

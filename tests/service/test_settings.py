@@ -95,3 +95,39 @@ def test_a_broken_calibration_is_one_line_and_exit_2(
     arguments = [*CAMERAS, "--models", str(models_folder), "--port", "0", "--calibration", str(tmp_path / "c.toml")]
     assert entry.main(["run", *arguments]) == 2
     assert "c.toml" in one_line(capsys)
+
+
+def test_an_unknown_name_is_refused_where_it_was_given_with_the_nearest_allowed_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = tmp_path / "cell.toml"
+    config.write_text("controler = 'belief'\n")
+    cases: list[tuple[list[str], dict[str, str], str]] = [
+        (["--prot", "1"], {}, "unrecognized arguments: --prot 1; did you mean 'port'?"),
+        (["--config", str(config)], {}, f"{config}: controler is not used; did you mean 'controller'?"),
+        (
+            [],
+            {"TACTILE_CALIBRATON": "c.toml"},
+            "environment: TACTILE_CALIBRATON is not used; did you mean 'TACTILE_CALIB",
+        ),
+        (
+            ["--controller", "beleif"],
+            {},
+            "--controller: Input should be 'heuristic' or 'belief'; did you mean 'belief'?",
+        ),
+        ([], {"TACTILE_CONTROLLER": "beleif"}, "TACTILE_CONTROLLER: Input should be"),
+    ]
+    for arguments, variables, expected in cases:
+        with monkeypatch.context() as environment:
+            for name, value in variables.items():
+                environment.setenv(name, value)
+            with pytest.raises(SettingsError) as refused:
+                read_settings([*CAMERAS, *arguments])
+        assert expected in str(refused.value)
+        assert "\n" not in str(refused.value)
+
+
+def test_variables_of_others_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACTILE_INSERTION_RWS_PASSWORD", "x")
+    monkeypatch.setenv("TACTILE_TRACEBACK", "1")
+    assert read_settings(CAMERAS).port == 8000

@@ -1,7 +1,9 @@
 import pytest
 
 from tests.training.synthetic import SyntheticSource
-from training.config import DataConfig, NetworkConfig, RunConfig, StageConfig
+from training.config import DataConfig, RunConfig, StageConfig
+from training.fit.train import train
+from training.networks.settings import NetworkConfig
 
 
 @pytest.fixture(scope="session")
@@ -9,15 +11,32 @@ def source():
     return SyntheticSource()
 
 
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory):
+    """Where pictures are kept once they were drawn: the same for all tests, their names say what they show."""
+    return tmp_path_factory.mktemp("drawn")
+
+
+@pytest.fixture(scope="session")
+def trained(source, cache, tmp_path_factory):
+    """A tiny run that is done: its config and its checkpoint. Its folder is to be read alone."""
+    config = tiny(tmp_path_factory.mktemp("trained"), cache)
+    return config, train(config, source)
+
+
 @pytest.fixture
-def config(tmp_path):
+def config(tmp_path, cache):
+    return tiny(tmp_path, cache)
+
+
+def tiny(folder, cache):
     stage = StageConfig(epochs=2, batch=16, learning_rate=2e-3)
     return RunConfig(
         name="tiny",
-        runs=str(tmp_path / "runs"),
+        runs=str(folder / "runs"),
         data=DataConfig(
             path="unused",
-            cache=str(tmp_path / "cache"),
+            cache=str(cache),
             rendered_training=10,
             rendered_validation=5,
             rendered_test=5,

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from service.contract import Sensor
+
 PITCH_PX, MM_PER_PX = 15.0, 0.07
 ROWS, COLS, FRAMES = 20, 21, 30
 
@@ -57,6 +59,7 @@ def _gel(x_mm, theta_deg, onset, rng):
 @dataclass
 class SyntheticManifest:
     name: str = ""
+    sensor: Sensor = field(default_factory=Sensor.load)
 
     def sha256(self):
         return hashlib.sha256(self.name.encode()).hexdigest()

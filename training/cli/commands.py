@@ -12,7 +12,7 @@ from service.contract import ContractError
 
 
 def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
-    """Train one run from its TOML file; started again, it goes on where it stopped.
+    """Train one run from its TOML file; started again, it continues where it stopped.
 
     In several processes: ``torchrun --standalone --nproc-per-node 2 -m training train CONFIG``.
 
@@ -33,13 +33,13 @@ def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = Non
 
 
 def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
-    """Train the paper's own recipe (two AlexNet-LSTM networks), the baseline; started again, it goes on.
+    """Train the paper's own recipe (two AlexNet-LSTM networks), the baseline; started again, it continues.
 
     Args:
         config: the recipe's TOML file, see training/configs/alexnet_lstm.toml.
         data: dataset folder, instead of the one the config names.
     """
-    from training.data.recipe_data import RecipeConfig
+    from training.config import RecipeConfig
     from training.fit.recipe import train_recipe
 
     loaded = RecipeConfig.load(config)
@@ -56,7 +56,7 @@ def share_backbone(config: Annotated[Path, tyro.conf.Positional], data: Path | N
         config: the recipe's TOML file.
         data: dataset folder, instead of the one the config names.
     """
-    from training.data.recipe_data import RecipeConfig
+    from training.config import RecipeConfig
     from training.fit.shared import share_backbone as share
 
     loaded = RecipeConfig.load(config)
@@ -80,7 +80,7 @@ def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
 def stress(
     run: Annotated[Path, tyro.conf.Positional], trials: int = 300, new: Path | None = None, layer: Path | None = None
 ) -> None:
-    """Score a finished run under noise, on new objects and in the dearer physics; `report` then shows it.
+    """Score a finished run under noise, on new objects and in the more accurate physics; `report` then includes it.
 
     Args:
         run: folder of the run, such as runs/compact-long.

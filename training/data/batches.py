@@ -8,12 +8,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from training.config import FRAMES_PER_DECISION, JITTER, WINDOW
+from training.config import JITTER, WINDOW
 from training.data.dataset import Trials
 from training.data.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
+from training.networks.settings import FRAMES_PER_DECISION
 
 GAP_BLUR_MM, HEIGHT_BLUR_MM = 0.3, 1.5  # of what a cell engineer measures
-LAG_FRAMES = 0.25  # how far behind its time stamp a marker may be seen: it is found in the middle of its exposure
+LAG_FRAMES = 0.25  # how far a marker lags behind its time stamp: it is located in the middle of the exposure
 HEIGHT_UNKNOWN_SHARE = 0.15  # of training decisions without a grasp height: cells may not know it
 
 
@@ -21,16 +22,16 @@ HEIGHT_UNKNOWN_SHARE = 0.15  # of training decisions without a grasp height: cel
 class Batch:
     """A batch of decisions.
 
-    ``fields`` float32 [B, 8, 2, 3, 20, 21], change against the first frame in physical units; ``drawn`` float32 [B, 8,
-    2, ...], block sums of pictures or markers tracked in them, or None; ``error`` [B, 2]; ``label`` [B]; ``told``
-    [B, 2], gap width and grasp height in mm, 0 where it is not known.
+    ``fields`` float32 [B, 8, 2, 3, rows, columns], change against the first frame in physical units; ``drawn`` float32
+    [B, 8, 2, ...], block sums of pictures or markers tracked in them, or None; ``error`` [B, 2]; ``label`` [B];
+    ``geometry`` [B, 2], gap width and grasp height in mm, 0 where it is not known.
     """
 
     fields: Tensor
     drawn: Tensor | None
     error: Tensor
     label: Tensor
-    told: Tensor
+    geometry: Tensor
 
 
 def mirror_fields(fields: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -40,7 +41,7 @@ def mirror_fields(fields: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def decisions(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generator | None, *, pictures: bool) -> Batch:
-    """Cut the eight frames out of each window; with ``rng``, jitter the onset, delay what is seen, apply symmetries."""
+    """Cut the eight frames out of each window; with ``rng``, jitter the onset, delay the markers, apply symmetries."""
     count = len(chosen)
     offset = rng.integers(0, 2 * JITTER + 1, count) if rng is not None else np.full(count, JITTER)
     steps = offset[:, None] + np.arange(FRAMES_PER_DECISION)
@@ -61,16 +62,16 @@ def decisions(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generato
         drawn=None if drawn is None else torch.from_numpy(drawn),
         error=torch.from_numpy(error),
         label=torch.from_numpy(class_of(error)),
-        told=torch.from_numpy(told_in_training(trials.told[chosen], rng)),
+        geometry=torch.from_numpy(blurred_geometry(trials.geometry[chosen], rng)),
     )
 
 
-def told_in_training(told: NDArray[np.float32], rng: np.random.Generator | None) -> NDArray[np.float32]:
-    """What the cell says of gap and grasp; in training a little wrong, and at times nothing of the grasp."""
+def blurred_geometry(geometry: NDArray[np.float32], rng: np.random.Generator | None) -> NDArray[np.float32]:
+    """Gap width and grasp height as the cell states them: in training a little wrong, at times without the grasp."""
     if rng is None:
-        return told
-    blurred = told + rng.normal(0, (GAP_BLUR_MM, HEIGHT_BLUR_MM), told.shape)
-    known = (told[:, 1] > 0) & (rng.random(len(told)) >= HEIGHT_UNKNOWN_SHARE)
+        return geometry
+    blurred = geometry + rng.normal(0, (GAP_BLUR_MM, HEIGHT_BLUR_MM), geometry.shape)
+    known = (geometry[:, 1] > 0) & (rng.random(len(geometry)) >= HEIGHT_UNKNOWN_SHARE)
     blurred[:, 1] = np.where(known, np.maximum(blurred[:, 1], 1.0), 0.0)
     return np.asarray(blurred, np.float32)
 
@@ -104,7 +105,7 @@ def epoch(
 def frame_pairs(
     trials: Trials, chosen: NDArray[np.int64], size: int, rng: np.random.Generator, pairs: int = 4
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Batches for the front: frame, reference (block sums [n, 2, 64, 65]) and field change [n, 3, 20, 21].
+    """Batches for the front: frame, reference (block sums [n, 2, h, w]) and field change [n, 3, rows, columns].
 
     Each trial gives ``pairs`` random (frame, reference) pairs, the reference being the earlier one; both fingers.
     """

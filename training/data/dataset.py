@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import track
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from service.perception.markers.sequence import track_pairs
-from training.config import FRAMES_PER_DECISION, JITTER, WINDOW, DataConfig
+from training.config import JITTER, WINDOW, DataConfig
 from training.networks.preprocessing import pool_frames
+from training.networks.settings import FRAMES_PER_DECISION
 
 SPLITS = ("train", "validation", "test")
 Reads = Literal["pictures", "markers"]
-_TABLE = 3  # format of the cached table
+_TABLE = 4  # format of the cached table
 _KEPT: dict[Reads, str] = {"pictures": "pooled-2", "markers": "tracked-1"}  # folders of what is kept of pictures
 
 
@@ -36,7 +37,7 @@ class Source(Protocol):
         ...
 
     def frames(self, index: int, start: int, count: int) -> NDArray[np.uint8]:
-        """Rendered frames [count, 2, 320, 327, 3]."""
+        """Rendered frames [count, 2, H, W, 3]."""
         ...
 
 
@@ -44,15 +45,15 @@ class Source(Protocol):
 class Trials:
     """Collided trials. All arrays share their first axis except ``drawn``, found through ``picture``.
 
-    ``error`` float32 [N, 2] (mm, deg); ``told`` float32 [N, 2], gap width and grasp height in mm, 0 where it is not
-    known; ``fields`` float16 [N, WINDOW, 2, 20, 21, 3] (du_mm, dv_mm, N/mm2) from one
+    ``error`` float32 [N, 2] (mm, deg); ``geometry`` float32 [N, 2], gap width and grasp height in mm, 0 where it is not
+    known; ``fields`` float16 [N, WINDOW, 2, rows, columns, 3] (du_mm, dv_mm, N/mm2) from one
     frame before the onset; ``motion`` float32 [N, WINDOW, 6], pose of the object in the hand (mm, rad); ``drawn``
-    what a network is shown of the pictures: block sums uint16 [M, WINDOW, 2, 2, 64, 65], or markers tracked in them
-    float32 [M, WINDOW, 2, 20, 21, 3]; ``picture`` int64 [N] row or -1.
+    what a network is shown of the pictures: block sums uint16 [M, WINDOW, 2, 2, h, w], or markers tracked in them
+    float32 [M, WINDOW, 2, rows, columns, 3]; ``picture`` int64 [N] row or -1.
     """
 
     error: NDArray[np.float32]
-    told: NDArray[np.float32]
+    geometry: NDArray[np.float32]
     split: NDArray[np.int64]
     objects: NDArray[np.str_]
     groups: NDArray[np.str_]
@@ -61,12 +62,13 @@ class Trials:
     picture: NDArray[np.int64]
     drawn: NDArray[Any]
     sha256: str
+    sensor: Sensor
 
     def __len__(self) -> int:
         return len(self.error)
 
     def of(self, split: str, *, rendered: bool = False) -> NDArray[np.int64]:
-        """Indices of a split, of its rendered trials only if asked."""
+        """Indices of a split; with ``rendered``, of its rendered trials alone."""
         chosen = self.split == SPLITS.index(split)
         return np.flatnonzero(chosen & (self.picture >= 0) if rendered else chosen)
 
@@ -95,19 +97,26 @@ def _key(trial: Any) -> str:
 
 
 def reader_sha256(source: Source, reads: Reads) -> str:
-    """What draws the pictures and reads them, told by what it makes of the first trial's decision: a hash.
+    """A hash of what draws the pictures and reads them, by what it makes of the first trial's decision.
 
-    Nobody has to remember a version number, and pictures drawn or tracked differently never meet in one cache. The
-    decision's frames show all that is drawn: before its onset no marker has moved.
+    Without any version number, pictures drawn or tracked differently never share a cache. The decision's frames show
+    all that is drawn: before its onset no marker has moved.
     """
     onset = min(max(int(source.trial(0).onset_frame or 0), 0), len(source.trial(0).gel) - FRAMES_PER_DECISION)
     frames = source.frames(0, onset, FRAMES_PER_DECISION)
-    kept = track_pairs(frames) if reads == "markers" else frames
+    kept = shown(frames, source.manifest.sensor, reads) if reads == "markers" else frames
     return hashlib.sha256(np.ascontiguousarray(kept).tobytes()).hexdigest()[:12]
 
 
+def shown(frames: NDArray[np.uint8], sensor: Sensor, reads: Reads) -> NDArray[Any]:
+    """What a network is shown of frames uint8 [n, 2, H, W, 3]: the markers tracked in them, or block sums."""
+    if reads == "markers":
+        return track_pairs(frames, sensor.markers, sensor.fps)
+    return pool_frames(frames, sensor)
+
+
 def load_trials(config: DataConfig, source: Source | None = None, reads: Reads = "pictures") -> Trials:
-    """Read labels and fields, and draw the pictures asked for, from the cache where it already holds them.
+    """Read labels and fields, and draw the configured pictures, from the cache where it already holds them.
 
     Raises ContractError on non-finite labels, on trials without their window, and on groups spread over splits.
     """
@@ -118,7 +127,7 @@ def load_trials(config: DataConfig, source: Source | None = None, reads: Reads =
     picture, drawn = _load_pictures(source, table, config, reads)
     return Trials(
         error=table["error"],
-        told=table["told"],
+        geometry=table["geometry"],
         split=table["split"],
         objects=table["objects"],
         groups=table["groups"],
@@ -127,6 +136,7 @@ def load_trials(config: DataConfig, source: Source | None = None, reads: Reads =
         picture=picture,
         drawn=drawn,
         sha256=digest,
+        sensor=source.manifest.sensor,
     )
 
 
@@ -150,7 +160,7 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
         with np.load(path) as stored:
             return {name: stored[name] for name in stored.files}
     rows: dict[str, list[Any]] = {
-        name: [] for name in ("key", "index", "start", "error", "told", "split", "objects", "groups")
+        name: [] for name in ("key", "index", "start", "error", "geometry", "split", "objects", "groups")
     }
     fields, motion = [], []
     for index in track(range(count), description="reading trials", transient=True):
@@ -162,7 +172,7 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
         rows["index"].append(index)
         rows["start"].append(start)
         rows["error"].append((trial.x_mm, trial.theta_deg))
-        rows["told"].append((trial.gap_width_mm, trial.grasp_height_mm))
+        rows["geometry"].append((trial.gap_width_mm, trial.grasp_height_mm))
         rows["split"].append(SPLITS.index(trial.split))
         rows["objects"].append(trial.object_name)
         rows["groups"].append(f"{trial.object_name}/{trial.group}")
@@ -177,12 +187,12 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
 
 
 def _as_arrays(rows: dict[str, list[Any]]) -> dict[str, NDArray[Any]]:
-    kinds = {"error": np.float32, "told": np.float32, "index": np.int64, "start": np.int64, "split": np.int64}
+    kinds = {"error": np.float32, "geometry": np.float32, "index": np.int64, "start": np.int64, "split": np.int64}
     return {name: np.array(values, kinds.get(name, np.str_)) for name, values in rows.items()}
 
 
 def _check(table: dict[str, NDArray[Any]]) -> None:
-    for name in ("error", "told", "fields", "motion"):
+    for name in ("error", "geometry", "fields", "motion"):
         if not np.isfinite(table[name]).all():
             bad = int(np.flatnonzero(~np.isfinite(table[name].reshape(len(table[name]), -1)).all(1))[0])
             raise ContractError(f"trial {int(table['index'][bad])}: {name} is not finite")
@@ -201,7 +211,7 @@ def _write(path: Path, table: dict[str, NDArray[Any]]) -> None:
 def _load_pictures(
     source: Source, table: dict[str, NDArray[Any]], config: DataConfig, reads: Reads
 ) -> tuple[NDArray[np.int64], NDArray[Any]]:
-    """What is kept of the pictures of a fixed choice of trials, a file each: a kill or a growing dataset costs none."""
+    """The pictures of a fixed choice of trials, cached in a file each: a kill or a growing dataset loses none."""
     wanted = _choose(table, config)
     drawer = reader_sha256(source, reads) if len(wanted) else "none"
     folder = Path(config.cache) / f"{_KEPT[reads]}-{drawer}"
@@ -212,7 +222,7 @@ def _load_pictures(
         if not path.exists():
             frames = source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW)
             temporary = path.with_suffix(".tmp.npy")
-            np.save(temporary, track_pairs(frames) if reads == "markers" else pool_frames(frames))
+            np.save(temporary, shown(frames, source.manifest.sensor, reads))
             temporary.replace(path)
         kept.append(np.load(path))
     picture = np.full(len(table["split"]), -1, np.int64)

@@ -1,64 +1,24 @@
-"""What the recipe trains on: its configuration, the trials chosen, and their frozen features kept on disk."""
+"""What the recipe trains on: the trials chosen, and their frozen features kept on disk."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field, JsonValue, ValidationError
 from rich.progress import track
 from torch import Tensor
 
-from service.contract.frames import Contract, ContractError, first_error
-from service.contract.toml import read_toml
-from training.config import FRAMES_PER_DECISION, JITTER, StageConfig
+from service.contract import ContractError, Sensor
+from training.config import JITTER, RecipeConfig
 from training.data.dataset import SPLITS, Source
 from training.data.labels import CLASSES, class_of
 from training.networks.alexnet import FEATURES, AlexNetLstm, difference_images
+from training.networks.settings import FRAMES_PER_DECISION
 
 RARE = ("7", "8")
 CROP_PX = 12
-
-
-class RecipeConfig(Contract):
-    """One run of the recipe. Trials are those of each split, at most so many, chosen by the hash of their content."""
-
-    name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    seed: int = Field(default=0, ge=0)
-    threads: int = Field(default=1, ge=1)
-    runs: str = "runs"
-    data: str
-    cache: str = "runs/cache"
-    imagenet: str | None = None
-    pretraining_trials: int = Field(default=500, ge=1)
-    training_trials: int = Field(default=30_000, ge=1)
-    validation_trials: int = Field(default=2000, ge=1)
-    test_trials: int = Field(default=2000, ge=1)
-    convolutions: StageConfig
-    direction: StageConfig
-    magnitude: StageConfig
-
-    @classmethod
-    def load(cls, path: Path) -> Self:
-        """Read a TOML file; raise ContractError naming the file and the key that is wrong."""
-        try:
-            return cls.model_validate(read_toml(path))
-        except OSError as error:
-            raise ContractError(f"cannot read the recipe {path}: {error.strerror}") from error
-        except ValidationError as error:
-            raise ContractError(f"{path} is not a recipe: {first_error(error)}") from error
-
-    @property
-    def folder(self) -> Path:
-        """Where this run writes."""
-        return Path(self.runs) / self.name
-
-    def settings(self) -> dict[str, JsonValue]:
-        """All that shaped the networks, for their card; places on this machine are left out."""
-        said: dict[str, JsonValue] = self.model_dump(mode="json", exclude={"runs", "data", "cache", "imagenet"})
-        return said | {"imagenet": self.imagenet is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +32,7 @@ class Rows:
     objects: NDArray[np.str_]
     groups: NDArray[np.str_]
     convolved: NDArray[np.float16]
+    sensor: Sensor
 
     def of(self, split: str) -> NDArray[np.int64]:
         """Rows of one split; doubled ones exist in training only."""
@@ -85,7 +46,7 @@ def chosen_trials(table: dict[str, NDArray[Any]], split: str, count: int) -> NDA
 
 
 def decision_frames(source: Source, table: dict[str, NDArray[Any]], trial: int) -> Tensor:
-    """The decision's frames of one trial, uint8 [8, 2, 320, 327, 3]."""
+    """The decision's frames of one trial, uint8 [8, 2, H, W, 3]."""
     start = int(table["start"][trial]) + JITTER
     return torch.from_numpy(source.frames(int(table["index"][trial]), start, FRAMES_PER_DECISION))
 
@@ -106,6 +67,7 @@ def load_rows(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any
         table["objects"][every],
         table["groups"][every],
         _convolved(config, source, table, network, every, crop),
+        source.manifest.sensor,
     )
 
 

@@ -10,11 +10,11 @@ import torch
 from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
-from service.contract import ContractError
-from training.config import NetworkConfig
+from service.contract import ContractError, Sensor
 from training.data.labels import CLASSES
 from training.metrics.figures import Scales
-from training.networks import build_any
+from training.networks import build
+from training.networks.settings import NetworkConfig
 
 _FORMAT = 1
 
@@ -33,6 +33,8 @@ class Checkpoint:
     git_commit: str
     run: dict[str, JsonValue] = field(default_factory=dict)
     """Settings of the run it came from; empty in checkpoints older than the field."""
+    sensor: Sensor = field(default_factory=Sensor.load)
+    """Of the data it was trained on."""
 
     def save(self, path: Path) -> None:
         """Write atomically."""
@@ -46,6 +48,7 @@ class Checkpoint:
             "training_data_sha256": self.training_data_sha256,
             "git_commit": self.git_commit,
             "run": self.run,
+            "sensor": self.sensor.model_dump(),
         }
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".tmp")
@@ -61,6 +64,8 @@ class Checkpoint:
             if about.pop("format") != _FORMAT:
                 raise ContractError(f"checkpoint {path} has another format, expected {_FORMAT}")
             about["network"] = NetworkConfig.model_validate(about["network"])
+            if "sensor" in about:
+                about["sensor"] = Sensor.model_validate(about["sensor"])
             for name in ("scales", "joint_scales"):
                 about[name] = Scales(**about[name])
             return cls(weights=stored["weights"], **about)
@@ -84,7 +89,7 @@ class Checkpoint:
 
     def build(self, expected: NetworkConfig | None = None) -> Any:
         """The network with its weights, in evaluation mode; raise ContractError if they do not fit ``expected``."""
-        network = build_any(expected or self.network, len(CLASSES))
+        network = build(expected or self.network, len(CLASSES), self.sensor)
         try:
             network.load_state_dict(self.weights)
         except RuntimeError as error:

@@ -23,31 +23,6 @@ WARM_UP = 0.05
 MAX_GRADIENT = 1.0
 
 
-class Log:
-    """Scalars of a run: one JSON line a call and TensorBoard events beside it."""
-
-    def __init__(self, folder: Path) -> None:
-        from torch.utils.tensorboard import SummaryWriter
-
-        folder.mkdir(parents=True, exist_ok=True)
-        self._lines = folder / "log.jsonl"
-        self._board: Any = SummaryWriter(str(folder / "tensorboard")) if parallel.first() else None
-
-    def write(self, stage: str, epoch: int, scalars: dict[str, float]) -> None:
-        """Append one row; of several processes, the first does."""
-        if self._board is None:
-            return
-        with self._lines.open("a") as file:
-            file.write(json.dumps({"stage": stage, "epoch": epoch, **scalars}) + "\n")
-        for name, value in scalars.items():
-            self._board.add_scalar(f"{stage}/{name}", value, epoch)
-
-    def close(self) -> None:
-        """Flush TensorBoard."""
-        if self._board is not None:
-            self._board.close()
-
-
 @dataclass
 class Stage:
     """What a stage trains.
@@ -85,9 +60,10 @@ def _rate(step: int, total: int) -> float:
     return 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - warm) / max(1, total - warm))))
 
 
-def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> dict[str, float]:
+def fit(network: nn.Module, stage: Stage, folder: Path, seed: int) -> dict[str, float]:
     """Train one stage and leave ``network`` at its best epoch; resumes from ``folder`` if it holds this stage.
 
+    Appends a JSON line an epoch to ``log.jsonl`` there.
     Returns the scalars of the best validation. Raises ContractError on a non-finite loss or a foreign checkpoint.
     """
     config = stage.config
@@ -96,6 +72,7 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
     total = config.epochs * stage.batches_per_epoch
     schedule = LambdaLR(optimiser, lambda step: _rate(step, total))
     at = _resume(path, network, optimiser, schedule)
+    loss_of = parallel.averaged(network, stage.loss)
     started = time.monotonic() - 60 * at.minutes
     scalars: dict[str, float] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
@@ -104,10 +81,12 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
         while not at.over(config):
             rng = np.random.default_rng(parallel.seeds(seed, at.epoch))
             torch.manual_seed(seed * 1000 + at.epoch + 7919 * parallel.rank())
-            loss = _epoch(network, stage, optimiser, schedule, rng, lambda: progress.advance(task))
+            loss = _epoch(network, stage, loss_of, optimiser, schedule, rng, lambda: progress.advance(task))
             scalars = {"loss": loss, **_validate(network, stage), "minutes": (time.monotonic() - started) / 60}
             scalars = parallel.agreed(scalars)
-            log.write(stage.name, at.epoch, scalars)
+            if parallel.first():
+                with (folder / "log.jsonl").open("a") as log:
+                    log.write(json.dumps({"stage": stage.name, "epoch": at.epoch, **scalars}) + "\n")
             progress.update(task, note=" ".join(f"{name} {value:.3f}" for name, value in scalars.items()))
             _keep_best(at, scalars, network)
             at.epoch, at.minutes = at.epoch + 1, scalars["minutes"]
@@ -121,6 +100,7 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int, log: Log) -> 
 def _epoch(
     network: nn.Module,
     stage: Stage,
+    loss_of: Callable[[Any], Tensor],
     optimiser: Optimizer,
     schedule: LambdaLR,
     rng: np.random.Generator,
@@ -129,12 +109,11 @@ def _epoch(
     network.train()
     losses = []
     for batch in stage.batches(rng):
-        loss = stage.loss(batch)
+        loss = loss_of(batch)
         if not torch.isfinite(loss):
             raise ContractError(f"stage {stage.name}: the loss is {float(loss)}, expected a finite number")
         optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        parallel.average_gradients(stage.parameters)
         nn.utils.clip_grad_norm_(stage.parameters, MAX_GRADIENT)
         optimiser.step()
         schedule.step()
@@ -186,5 +165,5 @@ def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lamb
         raise ContractError(f"{path} holds another architecture, expected this run's") from error
     optimiser.load_state_dict(stored["optimiser"])  # brings its learning rate along
     schedule.last_epoch = stored["schedule"]["last_epoch"]
-    said = {name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state")}
-    return _Progressed(**said, minutes=stored.get("minutes", 0.0))
+    at = {name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state")}
+    return _Progressed(**at, minutes=stored.get("minutes", 0.0))

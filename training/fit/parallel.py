@@ -1,19 +1,19 @@
 """One training in several processes: ``torchrun --standalone --nproc-per-node 2 -m training train CONFIG``.
 
-Every process holds the whole network and an equal share of the training trials; gradients are averaged before each
-step, so all take the same one. The first process writes; alone, a process notices nothing of this.
+Every process holds the whole network and an equal share of the training trials; DistributedDataParallel averages the
+gradients before each step, so that all take the same one. The first process writes. A single process needs none of it.
 """
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import torch
 import torch.distributed as dist
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
 
 
 @contextmanager
@@ -57,17 +57,22 @@ def seeds(*seed: int) -> list[int]:
     return [*seed, rank()] if together() else list(seed)
 
 
-def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
-    """Replace every gradient by its mean over the processes, in one exchange."""
+def averaged(network: nn.Module, loss: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
+    """``loss`` of a batch; where there are other processes, its gradients are the mean over all of them."""
     if not together():
-        return
-    gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
-    flat = torch.cat([gradient.flatten() for gradient in gradients])
-    dist.all_reduce(flat)
-    flat /= dist.get_world_size()
-    means = torch.split(flat, [gradient.numel() for gradient in gradients])
-    for gradient, mean in zip(gradients, means, strict=True):
-        gradient.copy_(mean.view_as(gradient))
+        return loss
+    return DistributedDataParallel(_Loss(network, loss), find_unused_parameters=True, broadcast_buffers=False)
+
+
+class _Loss(nn.Module):
+    """A stage's loss as one forward pass, which is what DistributedDataParallel wraps."""
+
+    def __init__(self, network: nn.Module, loss: Callable[[Any], Tensor]) -> None:
+        super().__init__()
+        self.network, self.loss = network, loss
+
+    def forward(self, batch: Any) -> Tensor:
+        return self.loss(batch)
 
 
 def agreed(value: Any) -> Any:

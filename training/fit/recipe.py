@@ -5,8 +5,7 @@ difference frame to the gel's motion). Their features are computed once and kept
 LSTM are then trained with Adam. Classes 7 and 8 are doubled with random crops, as in the paper.
 """
 
-import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +16,21 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from reporting.machine import commit
-from training.config import FRAMES_PER_DECISION, JITTER, NetworkConfig, StageConfig, pin, refuse_another
+from training.config import JITTER, RecipeConfig, StageConfig, pin, refuse_another
 from training.data.dataset import SPLITS, Source, data_sha256, load_table, open_source
 from training.data.labels import CLASSES, class_of
-from training.data.recipe_data import RecipeConfig, Rows, chosen_trials, decision_frames, load_rows
+from training.data.recipe_data import Rows, chosen_trials, decision_frames, load_rows
 from training.fit.checkpoint import Checkpoint
-from training.fit.loop import Log, Stage, fit
-from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
+from training.fit.loop import Stage, fit
+from training.metrics.figures import Predictions, by_split
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
+from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
 
-FIELD_SIZE = 3 * 20 * 21
+NETWORK = NetworkConfig(kind="alexnet_lstm")
 
 
 def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoint:
-    """Run the recipe, or go on where it stopped; raises ContractError on data or weights that do not fit."""
+    """Run the recipe, or continue where it stopped; raises ContractError on data or weights that do not fit."""
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     source = open_source(config.data) if source is None else source
@@ -40,21 +40,15 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
     digest = data_sha256(source)
     table = load_table(source, Path(config.cache) / digest[:16], len(source))
     pin(folder, config, digest)
-    pair = AlexNetPair(len(CLASSES))
-    log = Log(folder)
-    try:
-        if config.imagenet:
-            for network in (pair.direction, pair.magnitude):
-                load_imagenet(network, Path(config.imagenet))
-        else:
-            _pretrain(config, source, table, pair, log)
-        rows = load_rows(config, source, table, pair.direction)
-        for role, network in (("direction", pair.direction), ("magnitude", pair.magnitude)):
-            for parameter in network.alexnet.features.parameters():
-                parameter.requires_grad = False
-            print(role, fit(network, _head_stage(config, network, role, rows), folder, config.seed, log))
-    finally:
-        log.close()
+    pair = AlexNetPair(NETWORK, len(CLASSES))
+    if config.imagenet:
+        for network in (pair.direction, pair.magnitude):
+            load_imagenet(network, Path(config.imagenet))
+    else:
+        _pretrain(config, source, table, pair)
+    rows = load_rows(config, source, table, pair.direction)
+    _fit_heads(config, "direction", pair.direction, rows)
+    _fit_heads(config, "magnitude", pair.magnitude, rows)
     return finish(config, pair, rows, digest)
 
 
@@ -64,21 +58,19 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
 class _FieldReader(nn.Module):
     """Convolutions with a linear read-out of the marker field: what they are pretrained with."""
 
-    def __init__(self, network: AlexNetLstm) -> None:
+    def __init__(self, network: AlexNetLstm, size: int) -> None:
         super().__init__()
         self.features = network.alexnet.features
-        self.read_out = nn.Linear(FEATURES, FIELD_SIZE)
+        self.read_out = nn.Linear(FEATURES, size)
 
     def forward(self, images: Tensor) -> Tensor:
         field: Tensor = self.read_out(self.features(images).flatten(1))
         return field
 
 
-def _pretrain(
-    config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair, log: Log
-) -> None:
+def _pretrain(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair) -> None:
     """Difference frame -> change of the marker field, on training trials; both networks then start from the result."""
-    reader = _FieldReader(pair.direction)
+    reader = _FieldReader(pair.direction, int(np.prod(table["fields"].shape[3:])))
     chosen = chosen_trials(table, "train", config.pretraining_trials)
     held = chosen_trials(table, "validation", max(8, config.pretraining_trials // 10))
     fields = table["fields"][chosen].astype(np.float32)
@@ -102,7 +94,7 @@ def _pretrain(
         loss=lambda example: functional.mse_loss(reader(example[0]), example[1]),
         validate=validate,
     )
-    print("convolutions", fit(reader, stage, config.folder, config.seed, log))
+    print("convolutions", fit(reader, stage, config.folder, config.seed))
     pair.magnitude.alexnet.features.load_state_dict(pair.direction.alexnet.features.state_dict())
 
 
@@ -118,8 +110,15 @@ def _field_examples(source: Source, table: dict[str, NDArray[Any]], trial: int, 
 # ---- heads ---------------------------------------------------------------------------------------------------------
 
 
-def _head_stage(config: RecipeConfig, network: AlexNetLstm, role: str, rows: Rows) -> Stage:
-    settings: StageConfig = getattr(config, role)
+def head_stage(
+    role: str,
+    settings: StageConfig,
+    network: AlexNetLstm,
+    rows: Rows,
+    read: Callable[[NDArray[np.int64]], Tensor],
+    parameters: list[nn.Parameter],
+) -> Stage:
+    """Train ``parameters`` on the final states [B, 340] that ``read`` gives of rows: on classes, or on errors."""
     train, held = rows.of("train"), rows.of("validation")
     labels = torch.from_numpy(class_of(rows.error))
     errors = torch.from_numpy(rows.error)
@@ -130,7 +129,7 @@ def _head_stage(config: RecipeConfig, network: AlexNetLstm, role: str, rows: Row
             yield order[start : start + settings.batch]
 
     def loss(chosen: NDArray[np.int64]) -> Tensor:
-        state = network.read(_batch(rows, chosen))
+        state = read(chosen)
         if role == "direction":
             return functional.cross_entropy(network.logits(state), labels[chosen])
         return (network.error(state)[0] - errors[chosen]).square().mean()
@@ -139,8 +138,21 @@ def _head_stage(config: RecipeConfig, network: AlexNetLstm, role: str, rows: Row
         losses = [float(loss(part)) * len(part) for part in np.array_split(held, -(-len(held) // 32))]
         return {"score": sum(losses) / len(held)}
 
-    parameters = [*network.alexnet.classifier.parameters(), *network.lstm.parameters(), *network.output.parameters()]
     return Stage(role, settings, parameters, batches, -(-len(train) // settings.batch), loss, validate)
+
+
+def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows) -> None:
+    """All layers after the frozen convolutions."""
+    for parameter in network.alexnet.features.parameters():
+        parameter.requires_grad = False
+    parts = (network.alexnet.classifier, network.lstm, network.output)
+    parameters = [parameter for part in parts for parameter in part.parameters()]
+
+    def read(chosen: NDArray[np.int64]) -> Tensor:
+        return network.read(_batch(rows, chosen))
+
+    stage = head_stage(role, getattr(config, role), network, rows, read, parameters)
+    print(role, fit(network, stage, config.folder, config.seed))
 
 
 def _batch(rows: Rows, chosen: NDArray[np.int64]) -> Tensor:
@@ -157,19 +169,15 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
     spread = np.sqrt(np.square(held.error - held.truth).mean(0))
     pair.magnitude.log_sigma.copy_(torch.from_numpy(np.log(spread)))
     held = _predict(pair, rows, rows.of("validation"))
-    scales = calibrate(held)
-    tables: dict[str, dict[str, float]] = {}
-    for split in SPLITS:
-        chosen = rows.of(split)
-        chosen = chosen[~rows.crop[chosen]]
-        if not len(chosen):
-            continue
-        said = _predict(pair, rows, chosen)
-        fair = cross_calibrated(said, rows.groups[chosen]) if split == "validation" else rescaled(said, scales)
-        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    scales = held.calibration()
+    doubled = np.flatnonzero(rows.crop)
+    scored = {split: chosen for split in SPLITS if len(chosen := np.setdiff1d(rows.of(split), doubled))}
+    tables = by_split(
+        {split: (_predict(pair, rows, chosen), rows.groups[chosen]) for split, chosen in scored.items()}, scales
+    )
     checkpoint = Checkpoint(
         name=config.name,
-        network=NetworkConfig(kind="alexnet_lstm"),
+        network=NETWORK,
         weights={name: value.detach().clone() for name, value in pair.state_dict().items()},
         scales=scales,
         joint_scales=scales,
@@ -177,20 +185,18 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         training_data_sha256=digest,
         git_commit=commit(),
         run=config.settings(),
+        sensor=rows.sensor,
     )
     checkpoint.save(config.folder / "checkpoint.pt")
-    (config.folder / "figures.json").write_text(json.dumps(tables, indent=1))
     return checkpoint
 
 
 def _predict(pair: AlexNetPair, rows: Rows, chosen: NDArray[np.int64]) -> Predictions:
-    logits, errors, sigmas = [], [], []
+    parts = []
     with torch.inference_mode():
         for part in np.array_split(chosen, -(-len(chosen) // 32)):
             convolved = _batch(rows, part)
-            logits.append(pair.direction.logits(pair.direction.read(convolved)))
-            estimate = pair.magnitude.error(pair.magnitude.read(convolved))
-            errors.append(estimate[0])
-            sigmas.append(estimate[1])
-    said, error, log_sigma = (torch.cat(parts).double().numpy() for parts in (logits, errors, sigmas))
-    return Predictions(said, error, log_sigma, rows.error[chosen].astype(np.float64), rows.objects[chosen])
+            direction = pair.direction.logits(pair.direction.read(convolved))
+            parts.append((direction, *pair.magnitude.error(pair.magnitude.read(convolved))))
+    logits, error, log_sigma = (torch.cat(column).double().numpy() for column in zip(*parts, strict=True))
+    return Predictions(logits, error, log_sigma, rows.error[chosen].astype(np.float64), rows.objects[chosen])

@@ -5,7 +5,6 @@ both, and only the magnitude network's LSTM and output are trained again, on wha
 network does not change by a bit.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +14,12 @@ from rich.progress import track
 from torch import Tensor
 
 from service.contract import ContractError
-from training.config import StageConfig, pin, refuse_other_grounds
+from training.config import RecipeConfig, StageConfig, pin, refuse_other_grounds
 from training.data.dataset import Source, data_sha256, load_table, open_source
-from training.data.recipe_data import RecipeConfig, Rows, load_rows
+from training.data.recipe_data import Rows, load_rows
 from training.fit.checkpoint import Checkpoint
-from training.fit.loop import Log, Stage, fit
-from training.fit.recipe import finish
+from training.fit.loop import Stage, fit
+from training.fit.recipe import finish, head_stage
 from training.networks.alexnet import AlexNetLstm, AlexNetPair
 
 STAGE = StageConfig(epochs=8, batch=16, learning_rate=5e-4, weight_decay=0.0, patience=3)
@@ -49,11 +48,7 @@ def share_backbone(config: RecipeConfig, source: Source | None = None) -> Checkp
     named = config.model_copy(update={"name": f"{config.name}_shared"})
     named.folder.mkdir(parents=True, exist_ok=True)
     pin(named.folder, named, digest + recipe.weights_sha256())
-    log = Log(named.folder)
-    try:
-        print("magnitude", fit(fresh, _stage(fresh, rows, _read(fresh, rows)), named.folder, config.seed, log))
-    finally:
-        log.close()
+    print("magnitude", fit(fresh, _stage(fresh, rows, _read(fresh, rows)), named.folder, config.seed))
     pair.magnitude.load_state_dict(fresh.state_dict())
     return finish(named, pair, rows, digest)
 
@@ -71,23 +66,12 @@ def _read(network: AlexNetLstm, rows: Rows) -> NDArray[np.float16]:
 
 
 def _stage(network: AlexNetLstm, rows: Rows, features: NDArray[np.float16]) -> Stage:
-    train, held = rows.of("train"), rows.of("validation")
-    errors = torch.from_numpy(rows.error)
-
-    def batches(rng: np.random.Generator) -> Iterator[NDArray[np.int64]]:
-        order = rng.permutation(train)
-        for start in range(0, len(order), STAGE.batch):
-            yield order[start : start + STAGE.batch]
-
-    def loss(chosen: NDArray[np.int64]) -> Tensor:
+    def read(chosen: NDArray[np.int64]) -> Tensor:
         state = torch.zeros(len(chosen), network.state_size)
         for step in range(features.shape[1]):
             state = network.advance(torch.from_numpy(features[chosen, step].astype(np.float32)), None, state)
-        return (network.error(state)[0] - errors[chosen]).square().mean()
+        return state
 
-    def validate() -> dict[str, float]:
-        losses = [float(loss(part)) * len(part) for part in np.array_split(held, -(-len(held) // 32))]
-        return {"score": sum(losses) / len(held)}
-
-    parameters = [*network.lstm.parameters(), *network.output.parameters()]
-    return Stage("magnitude", STAGE, parameters, batches, -(-len(train) // STAGE.batch), loss, validate)
+    return head_stage(
+        "magnitude", STAGE, network, rows, read, [*network.lstm.parameters(), *network.output.parameters()]
+    )

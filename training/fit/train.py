@@ -5,8 +5,7 @@
 3. tune: pictures -> decision, through both.
 """
 
-import json
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,18 +16,17 @@ from torch import Tensor
 from torch.nn import functional
 
 from reporting.machine import commit
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from training.config import RunConfig, pin, refuse_another
 from training.data.batches import Batch, decisions, epoch, frame_pairs
 from training.data.dataset import SPLITS, Source, Trials, load_trials
 from training.data.labels import CLASSES, class_of
 from training.fit import parallel
 from training.fit.checkpoint import Checkpoint
-from training.fit.loop import Log, Stage, fit
-from training.metrics.figures import Predictions, Scales, by_object, calibrate, cross_calibrated, figures, rescaled
-from training.metrics.joint import calibrate_density, calibrated_density, cross_calibrated_density
-from training.networks import build
-from training.networks.compact import CompactNetwork
+from training.fit.loop import Stage, fit
+from training.metrics.figures import Predictions, Sample, Scales, by_split, figures
+from training.metrics.joint import Densities
+from training.networks import build, network_class, reads
 from training.networks.decider import Decider
 
 EVALUATION_BATCH = 32
@@ -52,7 +50,7 @@ class Trainer:
     def decision_loss(self, fields: Tensor, batch: Batch) -> Tensor:
         """Cross entropy of the class, and negative log likelihood of the error under one Gaussian and the mixture."""
         network, weight = self.network, self.config.loss
-        state = network.read_fields(fields, batch.told)
+        state = network.read_fields(fields, batch.geometry)
         direction = functional.cross_entropy(network.logits(state), batch.label, self.class_weights)
         error, log_sigma = network.error(state)
         z = (error - batch.error) * torch.exp(-log_sigma)
@@ -63,7 +61,7 @@ class Trainer:
     def front_loss(self, pair: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         """Mean square error of the field change, in normalised units."""
         frame, reference, change = pair
-        assert isinstance(self.network, CompactNetwork)
+        assert self.network.front is not None
         return functional.mse_loss(self.network.front(frame, reference), self._scaled(change))
 
     def trunk_loss(self, batch: Batch) -> Tensor:
@@ -89,29 +87,29 @@ class Trainer:
             for start in range(0, len(chosen), EVALUATION_BATCH):
                 batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
                 fields = self.normalised(batch) if batch.drawn is None else self.network.read_drawn(batch.drawn)
-                states.append(self.network.read_fields(fields, batch.told))
+                states.append(self.network.read_fields(fields, batch.geometry))
         return torch.cat(states)
 
     def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
-        """What the pair says of trials."""
+        """The pair's predictions of trials."""
         state = self.states(chosen, pictures=pictures)
         with torch.inference_mode():
-            said = (self.network.logits(state), *self.network.error(state))
-        logits, error, log_sigma = (value.double().numpy() for value in said)
+            outputs = (self.network.logits(state), *self.network.error(state))
+        logits, error, log_sigma = (value.double().numpy() for value in outputs)
         truth = self.trials.error[chosen].astype(np.float64)
         return Predictions(logits, error, log_sigma, truth, self.trials.objects[chosen])
 
-    def predict_density(self, chosen: NDArray[np.int64], *, pictures: bool) -> NDArray[np.float64]:
-        """Log density on the joint grid [N, 41, 40]."""
+    def predict_density(self, chosen: NDArray[np.int64], *, pictures: bool) -> Densities:
+        """The joint densities of trials."""
         state = self.states(chosen, pictures=pictures)
         with torch.inference_mode():
-            density: NDArray[np.float64] = self.network.log_density(state).double().numpy()
-        return density
+            density = self.network.log_density(state).double().numpy()
+        return Densities(density, self.trials.error[chosen], self.trials.objects[chosen])
 
     def score(self, chosen: NDArray[np.int64], *, pictures: bool) -> dict[str, float]:
         """Validation scalars; ``score`` is the loss without class weights."""
         predictions = self.predict(chosen, pictures=pictures)
-        table = figures(rescaled(predictions, calibrate(predictions)))
+        table = figures(predictions.rescaled(predictions.calibration()))
         z = (predictions.error - predictions.truth) * np.exp(-predictions.log_sigma)
         likelihood = float((0.5 * z**2 + predictions.log_sigma).mean())
         kept = {name: table[name] for name in ("accuracy", "nll", "rmse_x_mm", "rmse_theta_deg")}
@@ -137,8 +135,8 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
 
     Under torchrun every process takes an equal share of the trials; the first one writes.
     """
-    if config.network.kind == "alexnet_lstm":
-        raise ContractError("network.kind is alexnet_lstm, which `python -m training recipe` trains")
+    if not issubclass(network_class(config.network.kind), Decider):
+        raise ContractError(f"network.kind is {config.network.kind}, which `python -m training recipe` trains")
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     folder = config.folder
@@ -146,33 +144,23 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
     with parallel.group():
         with parallel.first_goes_first():
             refuse_another(folder, config)
-            trials = load_trials(config.data, source, config.network.reads)
-            grounds = trials.sha256 + (_start(config).weights_sha256() if config.start_from else "")
+            trials = load_trials(config.data, source, reads(config.network.kind))
+            grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
             pin(folder, config, grounds)  # not before: a mistyped data folder must not claim the run's
         trainer = _prepare(config, trials)
-        _run_stages(trainer, folder)
-        return _finish(trainer, folder)
-
-
-def _run_stages(trainer: Trainer, folder: Path) -> None:
-    log = Log(folder)
-    try:
         for stage in _stages(trainer):
             if stage.config.epochs:
-                scalars = _run(trainer, stage, folder, log)
-                if parallel.first():
-                    print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
-    finally:
-        log.close()
+                _run(trainer, stage, folder)
+        return _finish(trainer, folder)
 
 
 def _prepare(config: RunConfig, trials: Trials) -> Trainer:
     for split in ("train", "validation"):
         if not len(trials.of(split)):
             raise ContractError(f"the dataset has no collisions in its {split} split")
-    network = build(config.network, len(CLASSES))
+    network: Decider = build(config.network, len(CLASSES), trials.sensor)
     if config.start_from is not None:
-        network.load_state_dict(_start(config).build(config.network).state_dict())
+        network.load_state_dict(_start(config, trials.sensor).build(config.network).state_dict())
     else:
         _set_scales(network, trials)
     counts = np.bincount(class_of(trials.error[trials.of("train")]), minlength=len(CLASSES)).clip(1)
@@ -181,8 +169,11 @@ def _prepare(config: RunConfig, trials: Trials) -> Trainer:
     return Trainer(config, trials, network, torch.tensor(weights, dtype=torch.float32), torch.full((2, 3), 0.1))
 
 
-def _start(config: RunConfig) -> Checkpoint:
-    return Checkpoint.load(Path(config.start_from or ""))
+def _start(config: RunConfig, sensor: Sensor) -> Checkpoint:
+    start = Checkpoint.load(Path(config.start_from or ""))
+    if start.sensor != sensor:
+        raise ContractError(f"start_from {config.start_from} is for sensor {start.sensor}, the data are of {sensor}")
+    return start
 
 
 def _set_scales(network: Decider, trials: Trials) -> None:
@@ -206,7 +197,7 @@ def _stages(trainer: Trainer) -> list[Stage]:
         loss=trainer.trunk_loss,
         validate=lambda: trainer.score(held, pictures=False),
     )
-    if not isinstance(network, CompactNetwork):
+    if network.front is None:
         return [trunk]
     front = Stage(
         "front",
@@ -229,18 +220,20 @@ def _stages(trainer: Trainer) -> list[Stage]:
     return [front, trunk, tune]
 
 
-def _run(trainer: Trainer, stage: Stage, folder: Path, log: Log) -> dict[str, float]:
+def _run(trainer: Trainer, stage: Stage, folder: Path) -> None:
     for split in ("train", "validation"):
         if stage.name != "trunk" and not len(trainer.trials.of(split, rendered=True)):
             raise ContractError(f"stage {stage.name} needs rendered {split} trials; see data.rendered_*")
-    return fit(trainer.network, stage, folder, trainer.config.seed, log)
+    scalars = fit(trainer.network, stage, folder, trainer.config.seed)
+    if parallel.first():
+        print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
 
 
 def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     """Calibrate on validation, score every split on pictures where there are any, save."""
     pictures = len(trainer.trials.of("validation", rendered=True)) > 0
-    scales, tables = _scored(trainer, pictures=pictures)
-    joint_scales, joint_tables = _scored_joint(trainer, pictures=pictures)
+    scales, tables = _scored(trainer, trainer.predict, pictures=pictures)
+    joint_scales, joint_tables = _scored(trainer, trainer.predict_density, pictures=pictures)
     checkpoint = Checkpoint(
         name=trainer.config.name,
         network=trainer.config.network,
@@ -251,46 +244,21 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
         training_data_sha256=trainer.trials.sha256,
         git_commit=commit(),
         run=trainer.config.settings(),
+        sensor=trainer.trials.sensor,
     )
     if parallel.first():
         checkpoint.save(folder / "checkpoint.pt")
-        (folder / "figures.json").write_text(json.dumps(checkpoint.figures, indent=1))
     return checkpoint
 
 
-def _scored(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict[str, float]]]:
-    """Calibration of the pair and its figures by split and object; validation is cross-calibrated."""
+def _scored(
+    trainer: Trainer, predict: Callable[..., Sample], *, pictures: bool
+) -> tuple[Scales, dict[str, dict[str, float]]]:
+    """Calibration on all validation trials, and figures by split and object."""
     trials = trainer.trials
-    scales = calibrate(trainer.predict(trials.of("validation", rendered=pictures), pictures=pictures))
-    tables: dict[str, dict[str, float]] = {}
-    for split, chosen in _samples(trials, pictures=pictures):
-        said = trainer.predict(chosen, pictures=pictures)
-        fair = cross_calibrated(said, trials.groups[chosen]) if split == "validation" else rescaled(said, scales)
-        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
-    return scales, tables
-
-
-def _scored_joint(trainer: Trainer, *, pictures: bool) -> tuple[Scales, dict[str, dict[str, float]]]:
-    """The same for the joint density."""
-    trials = trainer.trials
-    held = trials.of("validation", rendered=pictures)
-    density = trainer.predict_density(held, pictures=pictures)
-    scales = calibrate_density(density, trials.error[held], trials.objects[held])
-    tables: dict[str, dict[str, float]] = {}
-    for split, chosen in _samples(trials, pictures=pictures):
-        density = trainer.predict_density(chosen, pictures=pictures)
-        stated = (density, trials.error[chosen], trials.objects[chosen])
-        fair = (
-            cross_calibrated_density(*stated, trials.groups[chosen])
-            if split == "validation"
-            else calibrated_density(*stated, scales)
-        )
-        tables |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
-    return scales, tables
-
-
-def _samples(trials: Trials, *, pictures: bool) -> Iterator[tuple[str, NDArray[np.int64]]]:
-    for split in SPLITS:
-        chosen = trials.of(split, rendered=pictures)[:MOST_SCORED]
-        if len(chosen):
-            yield split, chosen
+    scales = predict(trials.of("validation", rendered=pictures), pictures=pictures).calibration()
+    chosen = {split: trials.of(split, rendered=pictures)[:MOST_SCORED] for split in SPLITS}
+    samples = {
+        split: (predict(rows, pictures=pictures), trials.groups[rows]) for split, rows in chosen.items() if len(rows)
+    }
+    return scales, by_split(samples, scales)

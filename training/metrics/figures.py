@@ -1,6 +1,8 @@
 """How good the decisions are: accuracy, calibration, errors, each with the size of the sample it rests on."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +16,33 @@ NEAR = len(CLASSES) - 1
 
 
 @dataclass(frozen=True, slots=True)
+class Scales:
+    """Calibration fitted on validation trials; see :class:`service.contract.Calibration`."""
+
+    temperature: float = 1.0
+    sigma_x: float = 1.0
+    sigma_theta: float = 1.0
+
+
+class Sample(Protocol):
+    """What a network puts out for some trials, before calibration."""
+
+    def take(self, chosen: NDArray[np.bool_]) -> Self:
+        """The chosen trials."""
+        ...
+
+    def calibration(self) -> Scales:
+        """The scales that fit these trials."""
+        ...
+
+    def rescaled(self, scales: Scales) -> "Predictions":
+        """Calibrated predictions."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
 class Predictions:
-    """What a network said of N trials: ``logits`` [N, 9], ``error`` and ``log_sigma`` [N, 2], ``truth`` [N, 2]."""
+    """Predictions of N trials: ``logits`` [N, 9], ``error`` and ``log_sigma`` [N, 2], ``truth`` [N, 2] in (mm, deg)."""
 
     logits: NDArray[np.float64]
     error: NDArray[np.float64]
@@ -29,20 +56,23 @@ class Predictions:
             if not np.isfinite(getattr(self, name)).all():
                 raise ContractError(f"predictions hold a {name} that is not finite")
 
-    def take(self, chosen: NDArray[np.bool_]) -> "Predictions":
+    def take(self, chosen: NDArray[np.bool_]) -> Self:
         """The chosen rows."""
-        return Predictions(
-            self.logits[chosen], self.error[chosen], self.log_sigma[chosen], self.truth[chosen], self.objects[chosen]
-        )
+        return replace(self, **{name: getattr(self, name)[chosen] for name in self.__slots__})
 
+    def calibration(self) -> Scales:
+        """Temperature of least negative log likelihood; sigma scales whose 90 % interval covers 90 % of the errors."""
+        labels = class_of(self.truth.astype(np.float32))
+        grid = np.exp(np.linspace(np.log(0.3), np.log(5.0), 141))
+        losses = [_nll(probabilities(self.logits, t), labels) for t in grid]
+        z = np.abs(self.error - self.truth) / np.exp(self.log_sigma)
+        scale = np.maximum(np.quantile(z, 0.9, axis=0) / Z90, 1e-3)
+        return Scales(float(grid[int(np.argmin(losses))]), float(scale[0]), float(scale[1]))
 
-@dataclass(frozen=True, slots=True)
-class Scales:
-    """Calibration fitted on validation trials; see :class:`service.contract.Calibration`."""
-
-    temperature: float = 1.0
-    sigma_x: float = 1.0
-    sigma_theta: float = 1.0
+    def rescaled(self, scales: Scales) -> "Predictions":
+        """The predictions with their calibration applied."""
+        shift = np.log([scales.sigma_x, scales.sigma_theta])
+        return replace(self, logits=self.logits / scales.temperature, log_sigma=self.log_sigma + shift)
 
 
 def probabilities(logits: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
@@ -54,42 +84,26 @@ def probabilities(logits: NDArray[np.float64], temperature: float) -> NDArray[np
     return normalised
 
 
-def calibrate(predictions: Predictions) -> Scales:
-    """Temperature of least negative log likelihood; sigma scales whose 90 % interval covers 90 % of the errors."""
-    labels = class_of(predictions.truth.astype(np.float32))
-    grid = np.exp(np.linspace(np.log(0.3), np.log(5.0), 141))
-    losses = [_nll(probabilities(predictions.logits, t), labels) for t in grid]
-    z = np.abs(predictions.error - predictions.truth) / np.exp(predictions.log_sigma)
-    scale = np.maximum(np.quantile(z, 0.9, axis=0) / Z90, 1e-3)
-    return Scales(float(grid[int(np.argmin(losses))]), float(scale[0]), float(scale[1]))
-
-
-def rescaled(predictions: Predictions, scales: Scales) -> Predictions:
-    """The predictions with their calibration applied."""
-    shift = np.log([scales.sigma_x, scales.sigma_theta])
-    return replace(predictions, logits=predictions.logits / scales.temperature, log_sigma=predictions.log_sigma + shift)
-
-
-def cross_calibrated(predictions: Predictions, groups: NDArray[np.str_]) -> Predictions:
-    """Each half of the groups calibrated on the other half, so that a split may be scored on what calibrates it."""
-    half = first_half(groups)
-    if half is None:
-        return rescaled(predictions, calibrate(predictions))
-    one, other = predictions.take(half), predictions.take(~half)
-    return interleaved(rescaled(one, calibrate(other)), rescaled(other, calibrate(one)), half)
-
-
-def first_half(groups: NDArray[np.str_]) -> NDArray[np.bool_] | None:
-    """Which trials are of every other group; None where there is only one group."""
+def cross_calibrated(sample: Sample, groups: NDArray[np.str_]) -> Predictions:
+    """Each half of the groups calibrated on the other half: no trial is scored by a fit that it was part of."""
     names = np.unique(groups)
-    return np.isin(groups, names[::2]) if len(names) > 1 else None
-
-
-def interleaved(one: Predictions, other: Predictions, half: NDArray[np.bool_]) -> Predictions:
-    """The predictions of ``half`` and of the rest, back in the order of the trials."""
+    if len(names) < 2:
+        return sample.rescaled(sample.calibration())
+    half = np.isin(groups, names[::2])
+    one, other = sample.take(half), sample.take(~half)
+    parts = one.rescaled(other.calibration()), other.rescaled(one.calibration())
     order = np.argsort(np.concatenate([np.flatnonzero(half), np.flatnonzero(~half)]))
-    joined = {name: np.concatenate([getattr(one, name), getattr(other, name)])[order] for name in Predictions.__slots__}
+    joined = {name: np.concatenate([getattr(part, name) for part in parts])[order] for name in Predictions.__slots__}
     return Predictions(**joined)
+
+
+def by_split(samples: Mapping[str, tuple[Sample, NDArray[np.str_]]], scales: Scales) -> dict[str, dict[str, float]]:
+    """Figures of every object of each split's sample with its groups; validation is cross-calibrated."""
+    rows: dict[str, dict[str, float]] = {}
+    for split, (sample, groups) in samples.items():
+        fair = cross_calibrated(sample, groups) if split == "validation" else sample.rescaled(scales)
+        rows |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
+    return rows
 
 
 def _nll(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:

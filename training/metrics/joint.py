@@ -1,12 +1,13 @@
-"""Reading a joint density: what it says of the class, the error and the spread, and how sharp it should be."""
+"""Reading a joint density: class, error and spread, and how sharp it should be."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from training.data.labels import CLASSES, class_of
-from training.metrics.figures import Predictions, Scales, calibrate, first_half, interleaved, rescaled
+from training.metrics.figures import Predictions, Scales
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 
 _GRID = np.stack(np.meshgrid(GRID_X_MM, GRID_THETA_DEG, indexing="ij"), -1)
@@ -34,48 +35,34 @@ def density_temperature(log_density: NDArray[np.float64], truth: NDArray[np.floa
     return float(grid[int(np.argmin([loss(temperature) for temperature in grid]))])
 
 
-def from_density(
-    log_density: NDArray[np.float64], temperature: float, truth: NDArray[np.float32], objects: NDArray[np.str_]
-) -> Predictions:
-    """Class masses (as logits), mean and spread of each density."""
-    p = normalised(log_density, temperature)
-    mass = np.stack([p[:, index == _CELL_CLASS].sum(1) for index in range(len(CLASSES))], 1)
-    mean = np.einsum("nij,ijk->nk", p, _GRID)
-    spread = np.einsum("nij,nijk->nk", p, (_GRID - mean[:, None, None]) ** 2)
-    return Predictions(
-        np.log(np.maximum(mass, 1e-9)), mean, 0.5 * np.log(np.maximum(spread, 1e-6)), truth.astype(np.float64), objects
-    )
+@dataclass(frozen=True)
+class Densities:
+    """Log densities [N, 41, 40] of N trials on the joint grid, the true errors [N, 2] in (mm, deg), and the objects."""
 
+    log_density: NDArray[np.float64]
+    truth: NDArray[np.float32]
+    objects: NDArray[np.str_]
 
-def calibrate_density(
-    log_density: NDArray[np.float64], truth: NDArray[np.float32], objects: NDArray[np.str_]
-) -> Scales:
-    """Temperature of the density, and sigma scales of what is then read from it."""
-    temperature = density_temperature(log_density, truth)
-    return replace(calibrate(from_density(log_density, temperature, truth, objects)), temperature=temperature)
+    def take(self, chosen: NDArray[np.bool_]) -> Self:
+        """The chosen trials."""
+        return replace(
+            self, log_density=self.log_density[chosen], truth=self.truth[chosen], objects=self.objects[chosen]
+        )
 
+    def predictions(self, temperature: float) -> Predictions:
+        """Class masses (as logits), mean and spread of each density."""
+        p = normalised(self.log_density, temperature)
+        mass = np.stack([p[:, index == _CELL_CLASS].sum(1) for index in range(len(CLASSES))], 1)
+        mean = np.einsum("nij,ijk->nk", p, _GRID)
+        spread = np.einsum("nij,nijk->nk", p, (_GRID - mean[:, None, None]) ** 2)
+        logits, log_sigma = np.log(np.maximum(mass, 1e-9)), 0.5 * np.log(np.maximum(spread, 1e-6))
+        return Predictions(logits, mean, log_sigma, self.truth.astype(np.float64), self.objects)
 
-def calibrated_density(
-    log_density: NDArray[np.float64], truth: NDArray[np.float32], objects: NDArray[np.str_], scales: Scales
-) -> Predictions:
-    """What densities say with their calibration applied."""
-    said = from_density(log_density, scales.temperature, truth, objects)
-    return rescaled(said, replace(scales, temperature=1.0))
+    def calibration(self) -> Scales:
+        """Temperature of the density, and sigma scales of what is then read from it."""
+        temperature = density_temperature(self.log_density, self.truth)
+        return replace(self.predictions(temperature).calibration(), temperature=temperature)
 
-
-def cross_calibrated_density(
-    log_density: NDArray[np.float64],
-    truth: NDArray[np.float32],
-    objects: NDArray[np.str_],
-    groups: NDArray[np.str_],
-) -> Predictions:
-    """Each half of the groups calibrated on the other half: no trial is scored by a fit that saw it."""
-    half = first_half(groups)
-    if half is None:
-        return calibrated_density(log_density, truth, objects, calibrate_density(log_density, truth, objects))
-
-    def read(scored: NDArray[np.bool_]) -> Predictions:
-        fitted = calibrate_density(log_density[~scored], truth[~scored], objects[~scored])
-        return calibrated_density(log_density[scored], truth[scored], objects[scored], fitted)
-
-    return interleaved(read(half), read(~half), half)
+    def rescaled(self, scales: Scales) -> Predictions:
+        """Predictions of the densities with their calibration applied."""
+        return self.predictions(scales.temperature).rescaled(replace(scales, temperature=1.0))

@@ -1,17 +1,33 @@
-"""The networks, by name."""
+"""The networks by kind. A new one is a file beside these and a line in NETWORKS."""
 
-from training.config import NetworkConfig
+from typing import Any, Literal
+
+from service.contract import ContractError, Sensor
 from training.networks.alexnet import AlexNetPair
 from training.networks.compact import CompactNetwork
 from training.networks.decider import Decider
 from training.networks.markers import MarkerNetwork
+from training.networks.settings import NetworkConfig, nearest
+
+NETWORKS: dict[str, type[Decider | AlexNetPair]] = {
+    "alexnet_lstm": AlexNetPair,
+    "compact": CompactNetwork,
+    "markers": MarkerNetwork,
+}
 
 
-def build(settings: NetworkConfig, classes: int) -> Decider:
-    """A fresh network of ours: the compact one, which reads pictures, or the one that reads markers."""
-    return MarkerNetwork(settings, classes) if settings.kind == "markers" else CompactNetwork(settings, classes)
+def network_class(kind: str) -> type[Decider | AlexNetPair]:
+    """The class of a kind; raises ContractError on an unknown one, naming the nearest."""
+    if kind not in NETWORKS:
+        raise ContractError(f"network.kind: {kind!r} is unknown; {nearest(kind, NETWORKS)}")
+    return NETWORKS[kind]
 
 
-def build_any(settings: NetworkConfig, classes: int) -> Decider | AlexNetPair:
-    """A fresh network of the configured kind."""
-    return AlexNetPair(classes) if settings.kind == "alexnet_lstm" else build(settings, classes)
+def reads(kind: str) -> Literal["pictures", "markers"]:
+    """What a kind of network is shown of a frame."""
+    return "markers" if network_class(kind).reads_markers else "pictures"
+
+
+def build(settings: NetworkConfig, classes: int, sensor: Sensor) -> Any:
+    """A fresh network of the configured kind: a Decider, or the paper's pair; ContractError on an unknown kind."""
+    return network_class(settings.kind)(settings, classes, sensor)

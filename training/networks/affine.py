@@ -7,23 +7,25 @@ moves by tenths. A network finds that difference of differences slowly; written 
 import torch
 from torch import Tensor, nn
 
-ROWS, COLS = 20, 21
+from service.contract import Sensor
+
 NUMBERS = 41
 QUIET = 0.02
-"""Motion, in spreads of the fields, below which a field is not asked which way it goes."""
+"""Motion, in spreads of the fields, below which a field has no direction of motion."""
 _LEAST = 1e-6
 
 
 class AffineFit(nn.Module):
-    """Normalised fields [N, 2, 3, 20, 21] (du, dv, weight) -> features [N, size] of the numbers that ``raw`` gives."""
+    """Normalised fields [N, 2, 3, rows, columns] (du, dv, weight) -> features [N, size] of what ``raw`` gives."""
 
     place: Tensor
     spread: Tensor
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, sensor: Sensor) -> None:
         super().__init__()
-        rows, cols = torch.meshgrid(torch.linspace(-1, 1, ROWS), torch.linspace(-1, 1, COLS), indexing="ij")
-        self.register_buffer("place", torch.stack([cols, rows]), persistent=False)
+        rows, columns = torch.linspace(-1, 1, sensor.marker_rows), torch.linspace(-1, 1, sensor.marker_columns)
+        v, u = torch.meshgrid(rows, columns, indexing="ij")
+        self.register_buffer("place", torch.stack([u, v]), persistent=False)
         self.register_buffer("spread", torch.ones(NUMBERS))
         self.read = nn.Linear(NUMBERS, size)
 
@@ -38,14 +40,14 @@ class AffineFit(nn.Module):
     def raw(self, fields: Tensor) -> Tensor:
         """[N, NUMBERS]: the affine motion of the whole field, and of the patch that moves with the object.
 
-        The latter is told by weights that rise with a marker's motion up to the field's mean. It comes once as it is
+        The patch is weighted by numbers that rise with a marker's motion up to the field's mean. It comes once as it is
         and once over its own size, which says which way the object goes before it has gone far; last the size's
         logarithm and the centres of both patches.
         """
-        seen = fields[:, :, 2:].clamp(0, 1)
+        visible = fields[:, :, 2:].clamp(0, 1)
         motion = fields[:, :, :2].square().sum(2, keepdim=True)
-        rising = seen * motion / (motion + motion.mean((3, 4), keepdim=True) + _LEAST)
-        whole, _ = _affine(fields[:, :, :2], _shares(seen), self.place)
+        rising = visible * motion / (motion + motion.mean((3, 4), keepdim=True) + _LEAST)
+        whole, _ = _affine(fields[:, :, :2], _shares(visible), self.place)
         patch, centre = _affine(fields[:, :, :2], _shares(rising), self.place)
         size = (_shares(rising) * motion).sum((2, 3, 4)).mean(1, keepdim=True).sqrt() + QUIET
         return torch.cat([whole, patch, patch / size, size.log(), centre], 1)

@@ -9,16 +9,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from training.networks.forms import Role
-from training.networks.preprocessing import HEIGHT_PX, WIDTH_PX
+from training.networks.settings import NetworkConfig
 
 INPUT_PX = 224
 FEATURES, HIDDEN, LSTM = 9216, 4096, 170
 HIDDEN_REACH, CELL_REACH = 1.001, 1e6
 """What a stream can reach: a hidden unit is a gate times a tanh; a cell unit gains at most one a step, and a million
 steps are nine hours of frames."""
-MARGIN_PX = (WIDTH_PX - HEIGHT_PX) // 2
 IMAGENET_SPREAD = 0.226
 
 
@@ -42,11 +41,18 @@ def convolutions() -> nn.Sequential:
 
 
 def difference_images(frames: Tensor, reference: Tensor, shift_px: tuple[int, int] = (0, 0)) -> Tensor:
-    """Difference frames as AlexNet takes pictures: uint8 BGR [N, 320, 327, 3] twice -> float32 RGB [N, 3, 224, 224].
+    """Difference frames as AlexNet takes pictures: uint8 BGR [N, H, W, 3] twice -> float32 RGB [N, 3, 224, 224].
 
     The cast comes before the subtraction. ``shift_px`` (rows, columns) moves the square that is cut out: a random crop.
+    Raises ContractError on frames higher than wide.
     """
-    square = slice(MARGIN_PX, MARGIN_PX + HEIGHT_PX)
+    height, width = frames.shape[1:3]
+    if height > width:
+        raise ContractError(
+            f"frames are {height} px high and {width} px wide, alexnet_lstm cuts a square of the height"
+        )
+    margin = (width - height) // 2
+    square = slice(margin, margin + height)
     if shift_px == (0, 0):  # cutting bytes is cheaper than cutting floats
         frames, reference = frames[:, :, square], reference[:, :, square]
     change = (frames.float() - reference.float()).permute(0, 3, 1, 2)
@@ -90,11 +96,11 @@ class AlexNetLstm(nn.Module):
         return self.alexnet.features(images).flatten(1)  # type: ignore[no-any-return]
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
-        """Frames uint8 [B, 2, 320, 327, 3] -> 4096 features of either finger, left first: [B, 8192]."""
+        """Frames uint8 [B, 2, H, W, 3] -> 4096 features of either finger, left first: [B, 8192]."""
         images = difference_images(frame.flatten(0, 1), reference.flatten(0, 1))
         return self.alexnet.classifier(self.convolved(images)).reshape(-1, 2 * HIDDEN)  # type: ignore[no-any-return]
 
-    def advance(self, features: Tensor, told: Tensor | None, state: Tensor) -> Tensor:  # noqa: ARG002 the paper's networks know pictures alone
+    def advance(self, features: Tensor, geometry: Tensor | None, state: Tensor) -> Tensor:  # noqa: ARG002 the paper's networks know pictures alone
         """One step of the LSTM."""
         hidden, cell = self.lstm(features, (state[:, :LSTM], state[:, LSTM:]))
         return torch.cat([hidden, cell], 1)
@@ -113,7 +119,7 @@ class AlexNetLstm(nn.Module):
         return self.output(state[:, :LSTM])  # type: ignore[no-any-return]
 
     def error(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Error (mm, deg) of a MagnitudeNN; its log sigma is one constant, the spread seen on validation."""
+        """Error (mm, deg) of a MagnitudeNN; its log sigma is one constant, the spread on validation."""
         error = self.output(state[:, :LSTM])
         return error, self.log_sigma.expand_as(error)
 
@@ -125,9 +131,10 @@ class AlexNetLstm(nn.Module):
 class AlexNetPair(nn.Module):
     """DirectionNN and MagnitudeNN of the paper, trained independently, kept in one checkpoint."""
 
+    reads_markers = False
     roles: tuple[Role, ...] = ("direction", "magnitude", "pair")
 
-    def __init__(self, classes: int) -> None:
+    def __init__(self, _settings: NetworkConfig, classes: int, _sensor: Sensor | None = None) -> None:
         super().__init__()
         self.direction = AlexNetLstm(classes)
         self.magnitude = AlexNetLstm(2)
@@ -165,17 +172,17 @@ class SharedBackbone(nn.Module):
         self.readers = both[:1] if all(torch.equal(ours[name], theirs[name]) for name in ours) else both
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
-        """Frames uint8 [B, 2, 320, 327, 3] -> features of either finger, [B, 8192] for each reader."""
+        """Frames uint8 [B, 2, H, W, 3] -> features of either finger, [B, 8192] for each reader."""
         convolved = self.direction.convolved(difference_images(frame.flatten(0, 1), reference.flatten(0, 1)))
         read = [network.alexnet.classifier(convolved) for network in self.readers]
         return torch.cat([features.reshape(-1, 2 * HIDDEN) for features in read], 1)
 
-    def advance(self, features: Tensor, told: Tensor | None, state: Tensor) -> Tensor:
+    def advance(self, features: Tensor, geometry: Tensor | None, state: Tensor) -> Tensor:
         """One step of both LSTMs."""
         ours, *others = features.chunk(len(self.readers), 1)
         theirs = others[0] if others else ours
         first, second = state.chunk(2, 1)
-        moved = self.direction.advance(ours, told, first), self.magnitude.advance(theirs, told, second)
+        moved = self.direction.advance(ours, geometry, first), self.magnitude.advance(theirs, geometry, second)
         return torch.cat(moved, 1)
 
     def logits(self, state: Tensor) -> Tensor:

@@ -9,36 +9,37 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-from training.config import NetworkConfig
+from service.contract import Sensor
 from training.networks.affine import AffineFit
 from training.networks.density import MixtureDensity
 from training.networks.forms import Role
+from training.networks.settings import NetworkConfig
 
 FIELD_CHANNELS = 3
-MARKER_ROWS, MARKER_COLS = 20, 21
 ERROR_SCALE = 5.0
-"""Heads speak in units of 5 mm and 5 deg, so that their outputs are of order one."""
+"""Heads put out units of 5 mm and 5 deg, so that their outputs are of order one."""
 AFFINE_FEATURES = 64
 LOG_SIGMA_SPAN = 3.0
 STATE_REACH = 1.001
 """A GRU's state is a mean of its last state and a tanh, so it cannot leave +-1 by more than rounding."""
-TOLD = 3
-"""Gap width, whether the grasp height is known, grasp height: what the cell says beside the pictures."""
+GEOMETRY_FEATURES = 3
+"""Gap width, whether the grasp height is known, grasp height: what the cell gives beside the pictures."""
 
 
-def geometry_of(told: Tensor) -> Tensor:
-    """Gap width and grasp height [B, 2] in mm, height 0 if unknown -> [B, TOLD] of order one."""
-    gap, height = told[:, :1], told[:, 1:]
+def geometry_features(geometry: Tensor) -> Tensor:
+    """Gap width and grasp height [B, 2] in mm, height 0 if unknown -> [B, GEOMETRY_FEATURES] of order one."""
+    gap, height = geometry[:, :1], geometry[:, 1:]
     known = (height > 0).to(height.dtype)
     return torch.cat([(gap - 56.0) / 10.0, known, known * (height - 60.0) / 30.0], 1)
 
 
 class Trunk(nn.Module):
-    """Normalised field changes of both fingers [B, 2, 3, 20, 21], what the cell told and state -> next state."""
+    """Normalised field changes of both fingers [B, 2, 3, rows, columns], gap and grasp, and state -> next state."""
 
-    def __init__(self, settings: NetworkConfig) -> None:
+    def __init__(self, settings: NetworkConfig, sensor: Sensor) -> None:
         super().__init__()
         width = settings.trunk_width
+        cells = -(-sensor.marker_rows // 4) * -(-sensor.marker_columns // 4)
         self.convolutions = nn.Sequential(
             nn.Conv2d(FIELD_CHANNELS, width, 3, stride=2, padding=1),
             nn.ReLU(),
@@ -46,23 +47,23 @@ class Trunk(nn.Module):
             nn.ReLU(),
             nn.Flatten(),
         )
-        self.project = nn.Linear(2 * width * 5 * 6, settings.feature_size)
+        self.project = nn.Linear(2 * width * cells, settings.feature_size)
         self.dropout = nn.Dropout(settings.dropout)
-        self.affine = AffineFit(AFFINE_FEATURES) if settings.affine_fit else None
+        self.affine = AffineFit(AFFINE_FEATURES, sensor) if settings.affine_fit else None
         features = 2 * settings.feature_size + (AFFINE_FEATURES if settings.affine_fit else 0)
-        self.cell = nn.GRUCell(features + TOLD, settings.state_size)
+        self.cell = nn.GRUCell(features + GEOMETRY_FEATURES, settings.state_size)
 
     def encode(self, fields: Tensor) -> Tensor:
-        """Fields [N, 2, 3, 20, 21] -> features [N, F]: of the left finger, the right one, and of both together."""
+        """Fields [N, 2, 3, rows, columns] -> features [N, F]: of the left finger, the right one, and both together."""
         count = fields.shape[0]
-        maps = fields.reshape(count * 2, FIELD_CHANNELS, MARKER_ROWS, MARKER_COLS)
+        maps = fields.reshape(count * 2, *fields.shape[2:])
         features = torch.relu(self.project(self.convolutions(maps)))
         kept: Tensor = self.dropout(features.reshape(count, -1))
         return kept if self.affine is None else torch.cat([kept, self.affine(fields)], 1)
 
-    def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
-        """One step of the recurrent cell; ``told`` as in :func:`geometry_of`."""
-        following: Tensor = self.cell(torch.cat([features, geometry_of(told)], 1), state)
+    def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
+        """One step of the recurrent cell; ``geometry`` as for :func:`geometry_features`."""
+        following: Tensor = self.cell(torch.cat([features, geometry_features(geometry)], 1), state)
         return following
 
 
@@ -75,17 +76,19 @@ class Decider(nn.Module):
     reads_markers = False
     roles: tuple[Role, ...] = ("direction", "magnitude", "joint", "pair")
 
-    def __init__(self, settings: NetworkConfig, classes: int) -> None:
+    def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
         super().__init__()
         self.state_size = settings.state_size
-        self.trunk = Trunk(settings)
+        self.trunk = Trunk(settings, sensor)
         self.direction = nn.Linear(settings.state_size, classes)
         self.magnitude = nn.Linear(settings.state_size, 4)
         self.density = MixtureDensity(settings.state_size)
+        self.front: nn.Module | None = None
+        """Reads the pictures of a network that reads any; it is trained first, on true fields."""
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
 
     def set_scales(self, fields: Tensor) -> None:
-        """Make field changes [N, T, 2, 3, 20, 21] like these of order one; u and v alike: turns stay turns."""
+        """Make field changes [N, T, 2, 3, rows, columns] like these of order one; u and v alike: turns stay turns."""
         spread = fields.std((0, 1, 2, 4, 5)).clamp_min(1e-4)
         spread[:2] = spread[:2].square().mean().sqrt()
         self.field_scale.copy_(1.0 / spread)
@@ -93,24 +96,24 @@ class Decider(nn.Module):
             self.trunk.affine.set_spread(self.normalised(fields).flatten(0, 1))
 
     def normalised(self, fields: Tensor) -> Tensor:
-        """True field changes [.., 3, 20, 21] in (mm, mm, N/mm2) as the trunk takes them, read without error."""
+        """True field changes [.., 3, rows, columns] in (mm, mm, N/mm2) as the trunk takes them, read without error."""
         raise NotImplementedError
 
     def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:
-        """Normalised fields [B, T, 2, 3, 20, 21] as they are really read; ``front_error`` [2, 3] as measured."""
+        """Normalised fields [B, T, 2, 3, rows, columns] as they are really read; ``front_error`` [2, 3] as measured."""
         raise NotImplementedError
 
     def read_drawn(self, drawn: Tensor) -> Tensor:
-        """What was kept of pictures, [B, T, 2, ...], -> normalised field changes against the first frame."""
+        """What the dataset cache holds of pictures [B, T, 2, ...] -> normalised field changes since the first frame."""
         raise NotImplementedError
 
     def of(self, _role: Role) -> Self:
         """The network of one role: this one, roles share all but the head."""
         return self
 
-    def advance(self, features: Tensor, told: Tensor, state: Tensor) -> Tensor:
+    def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
         """One recurrent step."""
-        return self.trunk.advance(features, told, state)
+        return self.trunk.advance(features, geometry, state)
 
     def logits(self, state: Tensor) -> Tensor:
         """Class logits [B, classes]."""
@@ -127,11 +130,11 @@ class Decider(nn.Module):
         """Log density of the position error on the joint grid [B, 41, 40]."""
         return self.density.on_grid(state)
 
-    def read_fields(self, fields: Tensor, told: Tensor) -> Tensor:
-        """Decision state after normalised field changes [B, T, 2, 3, 20, 21]."""
+    def read_fields(self, fields: Tensor, geometry: Tensor) -> Tensor:
+        """Decision state after normalised field changes [B, T, 2, 3, rows, columns]."""
         count, steps = fields.shape[:2]
         features = self.trunk.encode(fields.flatten(0, 1)).reshape(count, steps, -1)
         state = torch.zeros(count, self.state_size, device=fields.device)
         for step in range(steps):
-            state = self.advance(features[:, step], told, state)
+            state = self.advance(features[:, step], geometry, state)
         return state

@@ -9,15 +9,15 @@ from typing import Literal, Protocol
 import torch
 from torch import Tensor, nn
 
-from training.config import FRAMES_PER_DECISION
+from training.networks.settings import FRAMES_PER_DECISION
 
 Role = Literal["direction", "magnitude", "joint", "pair"]
 
 
 class Recurrent(Protocol):
-    """What an exportable network offers.
+    """The interface of an exportable network.
 
-    ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3], or marker fields float32 [B, 2, 20, 21, 3].
+    ``frame`` and ``reference`` are uint8 [B, 2, H, W, 3], or marker fields float32 [B, 2, rows, columns, 3].
     """
 
     state_size: int
@@ -29,8 +29,8 @@ class Recurrent(Protocol):
         """Features of a frame pair against its reference."""
         ...
 
-    def advance(self, features: Tensor, told: Tensor | None, state: Tensor) -> Tensor:
-        """One recurrent step; ``told`` [B, 2] is gap width and grasp height in mm."""
+    def advance(self, features: Tensor, geometry: Tensor | None, state: Tensor) -> Tensor:
+        """One recurrent step; ``geometry`` [B, 2] is gap width and grasp height in mm."""
         ...
 
     def logits(self, state: Tensor) -> Tensor:
@@ -70,7 +70,7 @@ def within_reach(state: Tensor, reach: float | Tensor) -> Tensor:
     return state * torch.clamp(reach / state.abs(), max=1.0)
 
 
-def _told(gap_width_mm: Tensor | None, grasp_height_mm: Tensor | None) -> Tensor | None:
+def _geometry(gap_width_mm: Tensor | None, grasp_height_mm: Tensor | None) -> Tensor | None:
     if gap_width_mm is None or grasp_height_mm is None:
         return None
     return torch.cat([gap_width_mm, grasp_height_mm], 1)
@@ -88,8 +88,8 @@ class StepForm(_Form):
         grasp_height_mm: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """One step; ``state`` [B, state_size], zeros at first."""
-        features, told = self.network.features(frame, reference), _told(gap_width_mm, grasp_height_mm)
-        following = self.network.advance(features, told, within_reach(state, self.network.state_reach))
+        features, geometry = self.network.features(frame, reference), _geometry(gap_width_mm, grasp_height_mm)
+        following = self.network.advance(features, geometry, within_reach(state, self.network.state_reach))
         return (*self.decide(following), following)
 
 
@@ -101,10 +101,10 @@ class SequenceForm(_Form):
     ) -> tuple[Tensor, ...]:
         """A whole decision; features of all frames in one pass, so that large weights are read once."""
         count = frames.shape[0]
-        reference, told = frames[:, :1].expand_as(frames), _told(gap_width_mm, grasp_height_mm)
+        reference, geometry = frames[:, :1].expand_as(frames), _geometry(gap_width_mm, grasp_height_mm)
         features = self.network.features(frames.flatten(0, 1), reference.flatten(0, 1))
         features = features.reshape(count, FRAMES_PER_DECISION, -1)
         state = torch.zeros(count, self.network.state_size)
         for step in range(FRAMES_PER_DECISION):
-            state = self.network.advance(features[:, step], told, state)
+            state = self.network.advance(features[:, step], geometry, state)
         return self.decide(state)

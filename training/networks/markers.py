@@ -1,56 +1,63 @@
-"""The marker network: marker displacements as tracked for slip anyway -> decision. No picture is read twice.
+"""The marker network: marker displacements, which are tracked for slip anyway -> decision. No picture is read twice.
 
-The tracker finds a marker to a twentieth of a pixel, ten times finer than a network reads it from pooled pictures;
-what it cannot see is the gel's light, and so the pressure.
+The tracker locates a marker to a twentieth of a pixel, ten times finer than a network reads it from pooled pictures. It
+does not measure the gel's light, and so not the pressure.
 """
 
 import torch
 from torch import Tensor
 
+from service.contract import Sensor
 from training.networks.decider import Decider
+from training.networks.settings import NetworkConfig
 
-MM_PER_PX = 0.07
-"""Of the rectified frame. Any other camera is brought to this scale by its calibration, as its frame size is."""
 TRACKING_PX = 0.08
 """Largest tracking error trained on, RMS of an axis: it is 0.04 px at the scenes' camera noise, 0.08 at three times."""
-UNSEEN_SHARE = 0.03
+LOST_SHARE = 0.03
 MISLED_SHARE = 0.01
-"""Markers taken for where their neighbour is, or half way there: one in a hundred where the gel moves steeply."""
-SEEN = 0.5
+"""Markers located at their neighbour's place or half way there: one in a hundred where the gel moves steeply."""
+VISIBLE = 0.5
 
 
 class MarkerNetwork(Decider):
-    """Marker fields float32 [B, 2, 20, 21, 3]: (du_px, dv_px, 1 if seen)."""
+    """Marker fields float32 [B, 2, rows, columns, 3]: (du_px, dv_px, 1 if visible)."""
 
     reads_markers = True
+
+    def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
+        super().__init__(settings, classes, sensor)
+        self.mm_per_px = sensor.mm_per_px  # a camera is brought to this scale by its calibration
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
         """Fields of two instants -> features of what moved between them."""
         return self.trunk.encode(self._change(frame, reference))
 
     def _change(self, frame: Tensor, reference: Tensor) -> Tensor:
-        """[N, 2, 20, 21, 3] twice -> normalised change [N, 2, 3, 20, 21]: du, dv and whether it was seen both times."""
-        seen = (torch.minimum(frame[..., 2:], reference[..., 2:]) > SEEN).to(frame.dtype)
-        moved = (frame[..., :2] - reference[..., :2]) * MM_PER_PX * self.field_scale[:2] * seen
-        return torch.cat([moved, seen], -1).movedim(-1, -3)
+        """[N, 2, rows, columns, 3] twice -> normalised change [N, 2, 3, rows, columns].
+
+        Of each marker du, dv and whether it was visible both times.
+        """
+        visible = (torch.minimum(frame[..., 2:], reference[..., 2:]) > VISIBLE).to(frame.dtype)
+        moved = (frame[..., :2] - reference[..., :2]) * self.mm_per_px * self.field_scale[:2] * visible
+        return torch.cat([moved, visible], -1).movedim(-1, -3)
 
     def normalised(self, fields: Tensor) -> Tensor:
-        """Motion over its spread; pressure gives way to a channel that says that every marker is seen."""
+        """Motion over its spread; pressure gives way to a channel that says that every marker is visible."""
         moved = fields[..., :2, :, :] * self.field_scale[:2, None, None]
         return torch.cat([moved, torch.ones_like(moved[..., :1, :, :])], -3)
 
     def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:  # noqa: ARG002 the tracker's error is known
         """The tracker's error on every frame but the first, and markers that it lost."""
         count = fields.shape[0]
-        spread = torch.rand(count, 1, 1, 1, 1, 1) * TRACKING_PX * MM_PER_PX * self.field_scale[:2, None, None]
+        spread = torch.rand(count, 1, 1, 1, 1, 1) * TRACKING_PX * self.mm_per_px * self.field_scale[:2, None, None]
         error = torch.randn_like(fields[..., :2, :, :])
         misled = torch.rand_like(fields[..., 2:, :, :]) < MISLED_SHARE * 2.0 * torch.rand(count, 1, 1, 1, 1, 1)
         moved = fields[..., :2, :, :] * (1.0 + misled * torch.randn_like(fields[..., 2:, :, :]))
         moved = moved + spread * (error - error[:, :1])
-        lost = UNSEEN_SHARE * 2.0 * torch.rand(count, 1, 1, 1, 1, 1)
-        seen = (torch.rand_like(fields[..., 2:, :, :]) >= lost).to(fields.dtype)
-        return torch.cat([moved * seen, seen], -3)
+        lost = LOST_SHARE * 2.0 * torch.rand(count, 1, 1, 1, 1, 1)
+        visible = (torch.rand_like(fields[..., 2:, :, :]) >= lost).to(fields.dtype)
+        return torch.cat([moved * visible, visible], -3)
 
     def read_drawn(self, drawn: Tensor) -> Tensor:
-        """Tracked fields [B, T, 2, 20, 21, 3] -> normalised changes [B, T, 2, 3, 20, 21] against the first."""
+        """Tracked [B, T, 2, rows, columns, 3] -> normalised fields [B, T, 2, 3, rows, columns] since the first."""
         return self._change(drawn, drawn[:, :1].expand_as(drawn))

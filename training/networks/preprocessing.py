@@ -9,53 +9,68 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-HEIGHT_PX, WIDTH_PX = 320, 327
-BLOCK_PX = 5
-ROWS, COLS = HEIGHT_PX // BLOCK_PX, WIDTH_PX // BLOCK_PX
+from service.contract import ContractError, Sensor
+
 CHANNELS = 2
 """Green, and blue + red: the LEDs are green, so the two differ where the gel is pressed."""
-BLOCK_MEAN = 1.0 / (BLOCK_PX * BLOCK_PX)
+BLOCKS_A_PITCH = 3
+LARGEST_BLOCK_PX = 11
+"""Two colours' sum over a larger block does not fit 16 bits."""
 
 
-def pool_frames(frames: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Block sums of BGR frames: uint8 [..., 320, 327, 3] -> uint16 [..., 2, 64, 65]."""
-    lead = frames.shape[:-3]
-    if frames.dtype != np.uint8 or frames.shape[-3:] != (HEIGHT_PX, WIDTH_PX, 3):
-        raise ValueError(
-            f"frames are {frames.dtype}{list(frames.shape)}, expected uint8[..., {HEIGHT_PX}, {WIDTH_PX}, 3]"
+def block_px(sensor: Sensor) -> int:
+    """Side of a block, a third of the marker pitch; ContractError where that is no number of pixels."""
+    side, rest = divmod(sensor.marker_pitch_px, BLOCKS_A_PITCH)
+    if rest or side > LARGEST_BLOCK_PX:
+        raise ContractError(
+            f"sensor {sensor} has markers {sensor.marker_pitch_px:g} px apart; expected for pictures a multiple of"
+            f" {BLOCKS_A_PITCH} px up to {BLOCKS_A_PITCH * LARGEST_BLOCK_PX}, or network.kind = 'markers'"
         )
-    cut = frames.reshape(-1, HEIGHT_PX, WIDTH_PX, 3)[:, :, : COLS * BLOCK_PX]
-    rows = cut.reshape(-1, ROWS, BLOCK_PX, COLS * BLOCK_PX * 3).sum(2, dtype=np.uint16)
-    blocks = rows.reshape(-1, ROWS, COLS, BLOCK_PX, 3).sum(3, dtype=np.uint16)
+    return int(side)
+
+
+def pool_frames(frames: NDArray[np.uint8], sensor: Sensor) -> NDArray[np.uint16]:
+    """Block sums of a sensor's rectified BGR frames: uint8 [..., H, W, 3] -> uint16 [..., 2, H / block, W / block]."""
+    block, expected = block_px(sensor), sensor.rectified.shape
+    if frames.dtype != np.uint8 or frames.shape[-3:] != expected:
+        raise ValueError(f"frames are {frames.dtype}{list(frames.shape)}, expected uint8[..., {str(expected)[1:-1]}]")
+    *lead, height, width, _ = frames.shape
+    rows, columns = height // block, width // block
+    cut = frames.reshape(-1, height, width, 3)[:, : rows * block, : columns * block]
+    strips = cut.reshape(-1, rows, block, columns * block * 3).sum(2, dtype=np.uint16)
+    blocks = strips.reshape(-1, rows, columns, block, 3).sum(3, dtype=np.uint16)
     pooled = np.stack([blocks[..., 1], blocks[..., 0] + blocks[..., 2]], axis=1)
-    return pooled.reshape(*lead, CHANNELS, ROWS, COLS)
+    return pooled.reshape(*lead, CHANNELS, rows, columns)
 
 
-def selector() -> NDArray[np.int8]:
-    """Which bytes of a row of a BGR frame belong to which sum: int8 [327 * 3, 2 * 65] of zeros and ones.
+def selector(width_px: int, block: int) -> NDArray[np.int8]:
+    """Which bytes of a row of a BGR frame belong to which sum: int8 [3 W, 2 (W // block)] of zeros and ones.
 
     The last columns, which fill no block, belong to none.
     """
-    row = np.zeros((WIDTH_PX, 3, CHANNELS, COLS), np.int8)
-    column = np.arange(COLS * BLOCK_PX)
-    row[column, 1, 0, column // BLOCK_PX] = 1
+    columns = width_px // block
+    row = np.zeros((width_px, 3, CHANNELS, columns), np.int8)
+    column = np.arange(columns * block)
+    row[column, 1, 0, column // block] = 1
     for colour in (0, 2):
-        row[column, colour, 1, column // BLOCK_PX] = 1
-    return row.reshape(WIDTH_PX * 3, CHANNELS * COLS)
+        row[column, colour, 1, column // block] = 1
+    return row.reshape(width_px * 3, CHANNELS * columns)
 
 
 @torch.library.custom_op("tactile_insertion::block_sums", mutates_args=())
-def block_sums(frames: Tensor) -> Tensor:
-    """Block sums of BGR frames inside the graph: uint8 [N, 320, 327, 3] -> float32 [N, 2, 64, 65].
+def block_sums(frames: Tensor, block: int) -> Tensor:
+    """As :func:`pool_frames`, inside the graph: uint8 [N, H, W, 3] -> float32 [N, 2, H / block, W / block].
 
     An operator of its own, so that the exporter writes it as one product of integers (:func:`selector`): a quarter of
     the time that casting and adding takes.
     """
-    cut = frames[:, :, : COLS * BLOCK_PX].reshape(-1, ROWS, BLOCK_PX, COLS, BLOCK_PX, 3)
+    rows, columns = frames.shape[1] // block, frames.shape[2] // block
+    cut = frames[:, : rows * block, : columns * block].reshape(-1, rows, block, columns, block, 3)
     blocks = cut.float().sum((2, 4))
     return torch.stack([blocks[..., 1], blocks[..., 0] + blocks[..., 2]], 1)
 
 
 @block_sums.register_fake
-def _(frames: Tensor) -> Tensor:
-    return frames.new_empty((frames.shape[0], CHANNELS, ROWS, COLS), dtype=torch.float32)
+def _(frames: Tensor, block: int) -> Tensor:
+    count, height, width, _ = frames.shape
+    return frames.new_empty((count, CHANNELS, height // block, width // block), dtype=torch.float32)

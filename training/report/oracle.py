@@ -1,8 +1,8 @@
-"""The information limit: a decision from the true rigid motion of the object in the hand, which no camera sees exactly.
+"""The information limit: a decision from the true rigid motion of the object in the hand.
 
-Whoever reads the gel perfectly knows how the object moved in the fingers and no more. A recurrent network of the same
-size reads that motion (6 degrees of freedom, true to the last digit) beside gap width and grasp height; how well it
-decides is what the decision of any tactile network is to be measured against.
+A perfect reader of the gel knows how the object moved in the fingers and no more. A recurrent network of the same size
+reads that motion (6 degrees of freedom, exact) beside gap width and grasp height. How well it decides is the limit of
+any tactile network.
 """
 
 from pathlib import Path
@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.config import FRAMES_PER_DECISION, JITTER, StageConfig
-from training.data.batches import told_in_training
+from training.config import JITTER, StageConfig
+from training.data.batches import blurred_geometry
 from training.data.dataset import SPLITS, Trials
 from training.data.labels import CLASSES, HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
-from training.fit.loop import Log, Stage, fit
-from training.metrics.figures import Predictions, by_object, calibrate, cross_calibrated, rescaled
-from training.networks.decider import ERROR_SCALE, geometry_of
+from training.fit.loop import Stage, fit
+from training.metrics.figures import Predictions, by_split
+from training.networks.decider import ERROR_SCALE, geometry_features
+from training.networks.settings import FRAMES_PER_DECISION
 
 STAGE = StageConfig(epochs=60, batch=64, learning_rate=3e-3, patience=15)
 # Hand frame: place x, y, z in mm, turn about x, y, z in rad
@@ -41,12 +42,12 @@ class MotionOracle(nn.Module):
         self.magnitude = nn.Linear(width, 4)
         self.register_buffer("spread", spread)
 
-    def forward(self, motion: Tensor, told: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, motion: Tensor, geometry: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Class logits, error in (mm, deg) and its log sigma."""
-        seen = self.read(motion / self.spread)
+        features = self.read(motion / self.spread)
         state = torch.zeros(len(motion), self.cell.hidden_size)
         for step in range(motion.shape[1]):
-            state = self.cell(torch.cat([seen[:, step], geometry_of(told)], 1), state)
+            state = self.cell(torch.cat([features[:, step], geometry_features(geometry)], 1), state)
         out = self.magnitude(state)
         return self.direction(state), out[:, :2] * ERROR_SCALE, out[:, 2:].clamp(-4.0, 4.0)
 
@@ -59,8 +60,8 @@ def oracle_figures(trials: Trials, folder: Path, seed: int = 0) -> dict[str, dic
     oracle = MotionOracle(torch.from_numpy(motion.std((0, 1)) + 1e-6))
 
     def loss(batch: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        seen, told, error = batch
-        logits, estimate, log_sigma = oracle(seen, told)
+        motion, geometry, error = batch
+        logits, estimate, log_sigma = oracle(motion, geometry)
         z = (estimate - error) * torch.exp(-log_sigma)
         label = torch.from_numpy(class_of(error.numpy()))
         total: Tensor = functional.cross_entropy(logits, label) + 0.5 * (0.5 * z.square() + log_sigma).mean()
@@ -81,29 +82,22 @@ def oracle_figures(trials: Trials, folder: Path, seed: int = 0) -> dict[str, dic
         loss=loss,
         validate=validate,
     )
-    log = Log(folder)
-    try:
-        fit(oracle, stage, folder, seed, log)
-    finally:
-        log.close()
+    folder.mkdir(parents=True, exist_ok=True)
+    fit(oracle, stage, folder, seed)
     return _scored(oracle.eval(), trials)
 
 
 def _scored(oracle: MotionOracle, trials: Trials) -> dict[str, dict[str, float]]:
-    said = {split: _predictions(oracle, trials, trials.of(split)) for split in SPLITS[1:] if len(trials.of(split))}
-    scales = calibrate(said["validation"])
-    rows: dict[str, dict[str, float]] = {}
-    for split, predictions in said.items():
-        groups = trials.groups[trials.of(split)]
-        fair = cross_calibrated(predictions, groups) if split == "validation" else rescaled(predictions, scales)
-        rows |= {f"{split}/{name}": row for name, row in by_object(fair).items()}
-    return rows
+    chosen = {split: rows for split in SPLITS[1:] if len(rows := trials.of(split))}
+    samples = {split: _predictions(oracle, trials, rows) for split, rows in chosen.items()}
+    groups = {split: trials.groups[rows] for split, rows in chosen.items()}
+    return by_split({split: (samples[split], groups[split]) for split in chosen}, samples["validation"].calibration())
 
 
 def _predictions(oracle: MotionOracle, trials: Trials, chosen: NDArray[np.int64]) -> Predictions:
-    seen, told, error = _whole(trials, chosen)
+    motion, geometry, error = _whole(trials, chosen)
     with torch.inference_mode():
-        logits, estimate, log_sigma = (value.double().numpy() for value in oracle(seen, told))
+        logits, estimate, log_sigma = (value.double().numpy() for value in oracle(motion, geometry))
     return Predictions(logits, estimate, log_sigma, error.double().numpy(), trials.objects[chosen])
 
 
@@ -116,7 +110,7 @@ def _cut(trials: Trials, chosen: NDArray[np.int64], offset: NDArray[np.int64]) -
 
 def _whole(trials: Trials, chosen: NDArray[np.int64]) -> tuple[Tensor, Tensor, Tensor]:
     motion = _cut(trials, chosen, np.full(len(chosen), JITTER))
-    return torch.from_numpy(motion), torch.from_numpy(trials.told[chosen]), torch.from_numpy(trials.error[chosen])
+    return torch.from_numpy(motion), torch.from_numpy(trials.geometry[chosen]), torch.from_numpy(trials.error[chosen])
 
 
 def _augmented(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
@@ -127,5 +121,5 @@ def _augmented(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generat
     motion[turned] *= HALF_TURNED
     error[mirrored] *= MIRROR_SIGNS
     error[turned] *= HALF_TURN_SIGNS
-    told = told_in_training(trials.told[chosen], rng)
-    return torch.from_numpy(motion), torch.from_numpy(told), torch.from_numpy(error)
+    geometry = blurred_geometry(trials.geometry[chosen], rng)
+    return torch.from_numpy(motion), torch.from_numpy(geometry), torch.from_numpy(error)

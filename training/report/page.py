@@ -19,14 +19,13 @@ from training.fit.checkpoint import Checkpoint
 from training.fit.train import MOST_SCORED, Trainer
 from training.metrics.figures import (
     Predictions,
-    calibrate,
     calibration_curve,
     confusion,
     cross_calibrated,
     figures,
     probabilities,
-    rescaled,
 )
+from training.networks import reads
 from training.report.oracle import oracle_figures
 from training.report.stress import STRESS_FILE
 
@@ -56,7 +55,7 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
     checkpoint = Checkpoint.load(run / "checkpoint.pt")
     baseline = recipe_part(recipe, checkpoint.training_data_sha256)  # a wrong folder is refused before all the scoring
     torch.set_num_threads(config.threads)
-    trials = load_trials(config.data, source, config.network.reads)
+    trials = load_trials(config.data, source, reads(config.network.kind))
     trainer = Trainer(config, trials, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
     held = trials.of("validation", rendered=True)[:MOST_SCORED]
     if not len(held):
@@ -71,12 +70,12 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
 def _limits(trainer: Trainer) -> Rows:
     """The same decision from the true marker fields instead of pictures, calibrated as the rows above are."""
     trials, rows = trainer.trials, {}
-    scales = calibrate(trainer.predict(trials.of("validation", rendered=True)[:MOST_SCORED], pictures=False))
+    scales = trainer.predict(trials.of("validation", rendered=True)[:MOST_SCORED], pictures=False).calibration()
     for split in ("validation", "test"):
         chosen = trials.of(split, rendered=True)[:MOST_SCORED]
         if len(chosen):
             raw = trainer.predict(chosen, pictures=False)
-            fair = cross_calibrated(raw, trials.groups[chosen]) if split == "validation" else rescaled(raw, scales)
+            fair = cross_calibrated(raw, trials.groups[chosen]) if split == "validation" else raw.rescaled(scales)
             rows[f"{split}/true fields"] = figures(fair)
     return rows
 
@@ -102,7 +101,7 @@ def _networks(checkpoint: Checkpoint, trials: Trials, limits: Rows) -> Iterator[
     kept = {name: row for name, row in rows.items() if name.startswith(joint) and name.endswith("/all")}
     yield _table({name.removeprefix(joint): row for name, row in kept.items()})
     yield "## The information limit"
-    yield TRUE_FIELDS[checkpoint.network.reads]
+    yield TRUE_FIELDS[reads(checkpoint.network.kind)]
     yield """
         The oracle is a network of the same size that gets the object's true motion in the hand, which is all that a gel
         can show. What it gets wrong is no fault of a tactile network.

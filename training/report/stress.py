@@ -12,7 +12,8 @@ from training.data.dataset import Source, Trials, load_trials, open_source
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import Trainer
-from training.metrics.figures import by_object, rescaled
+from training.metrics.figures import by_object
+from training.networks import reads
 
 NOISE_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0)
 STRESS_FILE = "stress.json"
@@ -40,7 +41,7 @@ def stress(run: Path, trials: int = 300, new: Path | None = None, layer: Path | 
     rows: Rows = {}
 
     def score(name: str, data: DataConfig, source: Source) -> None:
-        drawn = load_trials(data, source, config.network.reads)
+        drawn = load_trials(data, source, reads(config.network.kind))
         rows.update({f"{name}/{row}": values for row, values in _scored(config, checkpoint, drawn).items()})
 
     few = config.data.model_copy(update={"rendered_training": 0, "rendered_validation": trials, "rendered_test": 0})
@@ -57,5 +58,5 @@ def stress(run: Path, trials: int = 300, new: Path | None = None, layer: Path | 
 def _scored(config: RunConfig, checkpoint: Checkpoint, trials: Trials) -> Rows:
     """Figures of all drawn trials; the stated calibration is the checkpoint's."""
     trainer = Trainer(config, trials, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
-    said = trainer.predict(np.flatnonzero(trials.picture >= 0), pictures=True)
-    return by_object(rescaled(said, checkpoint.scales))
+    predictions = trainer.predict(np.flatnonzero(trials.picture >= 0), pictures=True)
+    return by_object(predictions.rescaled(checkpoint.scales))

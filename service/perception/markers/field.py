@@ -7,23 +7,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from service.contract import MarkerSpec, Sensor
+
 TrackStatus = Literal["tracking", "partial", "lost", "duplicate", "no_grid"]
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
-class Lattice:
-    """Where a sensor's markers rest in its rectified frame: the first one at (u, v) px, the others a pitch apart."""
-
-    rows: int = 20
-    columns: int = 21
-    pitch_px: float = 15.0
-    first_px: tuple[float, float] = (13.0, 17.0)
-
-
-LATTICE = Lattice()
-"""Of a GelSlim's rectified frame of 327 x 320 px."""
 _CARRIED = 2  # steps; a grid further outside its lattice belongs to another camera
 _OTHER_PITCH = 0.15  # a grid whose pitch is this much off is another sensor's, not one with markers missing
 
@@ -54,8 +44,8 @@ class MarkerField:
         return self.status in {"tracking", "partial"}
 
 
-def marker_array(field: MarkerField, lattice: Lattice = LATTICE) -> FloatArray:
-    """Float32 [rows, columns, 3] on a sensor's lattice: (du_px, dv_px, 1) of each marker, zeros where it was not seen.
+def marker_array(field: MarkerField, lattice: MarkerSpec) -> FloatArray:
+    """Float32 [rows, columns, 3] on a sensor's lattice: (du_px, dv_px, 1) of each marker, zeros where it is not valid.
 
     A tracker that found fewer rows or columns, at dark edges say, fills its part: the grid is laid where most of its
     nodes rest, since a firm grasp bulges the gel by more than half a pitch before the tracker first sees it. What
@@ -97,30 +87,25 @@ def empty_field(captured_ns: int, status: TrackStatus, reason: str) -> MarkerFie
 
 
 def field_from_gel(
-    gel: NDArray[np.floating],
-    captured_ns: int,
-    *,
-    marker_pitch_mm: float,
-    pitch_px: float = 15.0,
-    contact_pressure_n_per_mm2: float = 1e-4,
+    gel: NDArray[np.floating], captured_ns: int, sensor: Sensor, *, contact_pressure_n_per_mm2: float = 1e-4
 ) -> MarkerField:
     """The true field of a simulated gel, so that slip and onset run without an image.
 
-    ``gel`` [rows, cols, 3] is (du_mm, dv_mm, pressure_n_per_mm2) at the markers' rest positions in the finger frame;
-    one ``marker_pitch_mm`` is drawn as ``pitch_px``, the first marker where a GelSlim has it. Nodes pressed above the
-    limit are in contact. Raises ValueError
-    if the shape is wrong; non-finite nodes come out invalid with zero displacement.
+    ``gel`` [rows, cols, 3] is (du_mm, dv_mm, pressure_n_per_mm2) at the markers' rest positions in the finger frame.
+    Nodes pressed above the limit are in contact. Raises ValueError if the shape is not the sensor's; non-finite nodes
+    come out invalid with zero displacement.
     """
-    if gel.ndim != 3 or gel.shape[2] != 3 or not marker_pitch_mm > 0:
-        raise ValueError(f"gel is {list(gel.shape)} at pitch {marker_pitch_mm} mm, expected [rows, cols, 3] and > 0")
+    expected = (sensor.marker_rows, sensor.marker_columns, 3)
+    if gel.shape != expected:
+        raise ValueError(f"gel is {list(gel.shape)}, expected {list(expected)}")
     state = np.asarray(gel, np.float32)
-    rows, cols = state.shape[:2]
-    grid = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), -1).astype(np.float32) * np.float32(pitch_px)
-    rest = grid + np.array(LATTICE.first_px, np.float32)
     valid: BoolArray = np.asarray(np.isfinite(state).all(-1))
-    displacement = np.where(valid[..., None], state[..., :2], 0.0) * np.float32(pitch_px / marker_pitch_mm)
+    displacement = np.where(valid[..., None], state[..., :2], 0.0) * np.float32(
+        sensor.marker_pitch_px / sensor.marker_pitch_mm
+    )
     contact: BoolArray = valid & (state[..., 2] > contact_pressure_n_per_mm2)
-    return MarkerField(rest, displacement.astype(np.float32), valid, contact, pitch_px, captured_ns)
+    rest_px, pitch_px = sensor.marker_rest_px(), sensor.marker_pitch_px
+    return MarkerField(rest_px, displacement.astype(np.float32), valid, contact, pitch_px, captured_ns)
 
 
 def neighbour_mean(values: FloatArray, valid: BoolArray) -> FloatArray:

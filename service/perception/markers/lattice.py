@@ -6,11 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from service.contract import Sensor
 from service.perception.markers.detect import Candidates, MarkerDetector
 from service.perception.markers.field import BoolArray, FloatArray
 
 _STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
-_LINK = 0.33  # a neighbour lies within this share of a pitch of where the last step says
+_LINK = 0.33  # a neighbour lies within this share of a pitch of where the last step points
 _AROUND = 12  # spots around one among which its neighbours in the grid are sought
 DIAMETERS_PX = (4.0, 5.0, 6.5, 8.5, 11.0, 14.5, 19.0, 25.0)
 
@@ -35,7 +36,7 @@ class Lattice:
 
 
 def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.intp], BoolArray]:
-    """Grid index (column, row) int [n, 2] of every point reachable from ``seed`` by lattice steps, and who was reached.
+    """Grid index (column, row) int [n, 2] of every point reachable from ``seed`` by lattice steps, and which are.
 
     ``basis`` [2, 2] starts the local basis, which then follows the grid's deformation from node to node.
     """
@@ -209,18 +210,17 @@ def fill_gaps(xy: FloatArray, detected: BoolArray) -> tuple[FloatArray, FloatArr
     return filled, basis.astype(np.float32)
 
 
-def rectifying_homography(
-    lattice: Lattice, width_px: int, height_px: int, pitch_px: float | None = None
-) -> NDArray[np.float64] | None:
-    """Homography [3, 3] that maps the lattice's image to a regular grid centred in ``width_px`` x ``height_px``.
-
-    None if the nodes do not determine one. The pitch is, unless given, the largest that leaves half a pitch of margin.
-    """
+def resting_px(lattice: Lattice, sensor: Sensor) -> NDArray[np.float64]:
+    """Where the nodes [rows, cols, 2] rest in the sensor's rectified frame; those not detected lie all around."""
     rows, cols = lattice.detected.shape
-    pitch = min(width_px / cols, height_px / rows) if pitch_px is None else pitch_px
-    ideal = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1) * pitch
-    ideal += np.array([(width_px - 1) / 2, (height_px - 1) / 2])
+    middle = np.array([sensor.marker_columns - 1, sensor.marker_rows - 1]) / 2 * sensor.marker_pitch_px
+    grid = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1)
+    return np.asarray(grid * sensor.marker_pitch_px + (sensor.first_marker_px + middle))
+
+
+def rectifying_homography(lattice: Lattice, rest_px: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Homography [3, 3] that maps the nodes' image to ``rest_px``; None if the nodes do not determine one."""
     matrix, _ = cv2.findHomography(
-        lattice.xy_px[lattice.detected], ideal[lattice.detected].astype(np.float32), cv2.RANSAC, 2.0
+        lattice.xy_px[lattice.detected], rest_px[lattice.detected].astype(np.float32), cv2.RANSAC, 2.0
     )
     return None if matrix is None or not np.isfinite(matrix).all() else np.asarray(matrix, np.float64)

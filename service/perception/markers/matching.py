@@ -1,6 +1,6 @@
 """Markers matched from frame to frame: nearest spot near the prediction, checked against the grid around it.
 
-A regular grid that jumps by nearly a pitch looks like one that moved a little the other way. What tells the two apart
+A regular grid that jumps by nearly a pitch looks like one that moved a little the other way. What separates the two
 is the grid's border, its gaps and the small irregularities of its nodes; :func:`misfit` weighs all three.
 """
 

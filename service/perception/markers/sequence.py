@@ -3,20 +3,17 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.markers.field import LATTICE, Lattice, marker_array
+from service.contract import MarkerSpec
+from service.perception.markers.field import marker_array
 from service.perception.markers.tracker import MarkerTracker
 
-FRAME_PERIOD_NS = 33_333_333
 
-
-def track_pairs(
-    frames: NDArray[np.uint8], lattice: Lattice = LATTICE, period_ns: int = FRAME_PERIOD_NS
-) -> NDArray[np.float32]:
+def track_pairs(frames: NDArray[np.uint8], lattice: MarkerSpec, fps: float) -> NDArray[np.float32]:
     """Marker fields float32 [n, 2, rows, columns, 3] of rectified frames uint8 [n, 2, H, W, 3], tracked from the first.
 
     Raises ValueError where a finger shows no such grid.
     """
-    trackers = MarkerTracker(), MarkerTracker()
+    period_ns, trackers = round(1e9 / fps), (MarkerTracker(), MarkerTracker())
     return np.stack(
         [
             np.stack(

@@ -124,7 +124,7 @@ class MarkerTracker:
         return field
 
     def _measured(self, best: Match, spots: Candidates, view: View) -> BoolArray:
-        """Which markers [rows, cols] tell where they are: followed, not carried to the image's border, and round.
+        """Which markers [rows, cols] have a reliable position: followed, not carried to the image's border, and round.
 
         One cut by the border seems to lie further inside than it does (one that always was has its place all the
         same), one smeared long where the gel is torn apart lies anywhere within.
@@ -176,7 +176,7 @@ class MarkerTracker:
         return self._stale(captured_ns, "lost", reason)
 
     def _stale(self, captured_ns: int, status: TrackStatus, reason: str) -> MarkerField:
-        """The last known field under a new stamp and a status that says that it is no new evidence."""
+        """The last field under a new stamp, with a status that marks it as no new evidence."""
         last = self._last_field
         if last is None:
             return empty_field(captured_ns, "no_grid", reason)

@@ -1,9 +1,9 @@
 """Whether anything touches the gel, from its markers alone: pressed rubber bulges and carries its markers along.
 
-Which markers lie under the object cannot be told while nothing moves. That nothing at all presses can: the markers are
-where they were printed. Where that is, a frame of the untouched gel says exactly (`FreeGel.learn`); without one, the
-print's regularity does, on a sensor whose rectified image shows a regular grid. A sensor whose lens bends its grid is
-then never called free: what is not known is left open, and slip is watched as if something were held.
+While nothing moves it is unknown which markers lie under the object. But a gel that nothing presses is recognisable:
+its markers are where they were printed. A frame of the untouched gel gives those places exactly (`FreeGel.learn`);
+without one, the regularity of the print does, on a sensor whose rectified image shows a regular grid. A sensor whose
+lens bends its grid is then never called free, and slip is detected as if something were held.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ import numpy as np
 from service.perception.markers.field import MarkerField
 from service.perception.slip.rigid import Float64
 
-_KEPT = 0.95  # share of the markers that are judged: the worst few may be worn, broken or mistaken
+_KEPT = 0.95  # share of the markers that count: the worst few may be worn, broken or mistaken
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class ContactSettings:
 
     ``home_pitch`` holds against a learnt frame (real gels come home to 0.016, a flat object held with 2 N moves them by
     0.02), ``print_pitch`` against a regular grid of unknown place, size and turn, which a press from 8 N on leaves.
-    ``valid_share``: of the markers, below which nothing is said.
+    ``valid_share``: of the markers, below which the contact stays unknown.
     """
 
     home_pitch: float = 0.018

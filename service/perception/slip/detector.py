@@ -1,4 +1,4 @@
-"""Incipient slip of one finger: who of the sticking nodes stops following the object.
+"""Incipient slip of one finger: which of the sticking nodes stop following the object.
 
 After Dong, Ma, Donlon, Rodriguez (2019): a rigid motion is fitted to the markers that stick, and slip is the deviation
 of markers in the contact from it. Unlike there, rotation is exact, a uniform scale may be fitted (pressing spreads
@@ -24,7 +24,7 @@ _UNEVEN = 5.0  # how much more half of a shaken, soft patch deviates than its st
 
 
 class SlipDetector:
-    """Judges one finger's fields against the reference taken at :meth:`rearm`, after contact was established."""
+    """Compares one finger's fields with the reference taken at :meth:`rearm`, after contact was established."""
 
     def __init__(self, settings: SlipSettings | None = None) -> None:
         self.settings = settings or SlipSettings()

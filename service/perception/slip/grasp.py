@@ -1,9 +1,9 @@
-"""A finger watched without a robot's word: when the grasp has settled, the reference is taken by itself.
+"""A finger watched without a robot: the reference is taken when the grasp has settled.
 
-In an insertion the robot client says when to arm. A clip says nothing: grasping, holding, slipping and letting go
-follow each other, and it may begin in the middle. The watch arms once the markers have been at rest for a while, and
-again whenever they rest elsewhere: after the fingers closed, the object was lifted, slipped or was let go. So the
-reference is that of the grasp as it is now, never that of open fingers.
+In an insertion the robot client arms. In a clip grasping, holding, slipping and letting go follow each other, and it
+may begin in the middle. The watch arms once the markers have been at rest for a while, and again whenever they rest
+elsewhere: after the fingers closed, the object was lifted, slipped or was let go. So the reference is that of the
+grasp as it is now, never that of open fingers.
 """
 
 import math
@@ -26,19 +26,19 @@ class GraspSettings:
 
 
 # The least limit that raises no alarm on real held objects, and a margin. `python -m simulation slip-report --real`
-# fits it and says what it does on those it was not fitted on.
+# fits it and reports what it does on those it was not fitted on.
 WATCH_SLIP_PITCH = 0.0625
 
 
 def watch_settings(slip_pitch: float) -> SlipSettings:
-    """Slip settings for a watch: nothing says when the arm moves, so a patch that stops may have been put down."""
+    """Slip settings without a robot: it is unknown when the arm moves, so a patch that stops may have been put down."""
     return SlipSettings(stall_pitch=math.inf, slip_pitch=slip_pitch)
 
 
 class GraspWatch:
     """Turns the fields of one finger into states, arming the slip detector whenever the grasp has settled.
 
-    ``free`` says when nothing touches the gel; let it learn the untouched gel where a frame of it is at hand.
+    ``free`` detects a gel that nothing touches; let it learn the untouched gel if a frame of it is available.
     """
 
     def __init__(self, slip: SlipSettings | None = None, settings: GraspSettings | None = None) -> None:

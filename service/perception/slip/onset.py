@@ -1,7 +1,7 @@
 """The first frame that captures motion of the held object.
 
 Held still, the markers only jitter; averaged over 3 x 3 nodes the jitter is a few hundredths of a pixel. The object has
-moved once the carried displacement leaves the jitter seen since the reference was taken.
+moved once the carried displacement leaves the jitter since the reference was taken.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,6 @@ class OnsetDetector:
         self.disarm()
 
     def disarm(self) -> None:
-        """Forget the reference."""
         self._reference: MarkerField | None = None
         self._onset: Onset | None = None
         self._rest: list[float] = []

@@ -30,7 +30,6 @@ class Motion:
 
 
 def still(pivot: Float64) -> Motion:
-    """No motion at all."""
     return Motion(0.0, 1.0, pivot, np.zeros(2))
 
 
@@ -62,7 +61,7 @@ def refine(
     """Iteratively reweighted fit (Geman-McClure) from ``start``; ``base`` [n] weights say which points may count.
 
     A slipping node always lags and never leads, so points ahead of the motion keep their weight up to ``_LEAD`` times
-    the tolerance: the fit follows those who stick even when most have begun to lag.
+    the tolerance: the fit follows the points that stick even when most have begun to lag.
     """
     motion: Motion | None = start
     for _ in range(3):

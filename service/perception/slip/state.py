@@ -1,4 +1,4 @@
-"""What one finger's slip detector is told and what it says."""
+"""Settings and result of one finger's slip detector."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -53,12 +53,12 @@ class SlipSettings:
 
 @dataclass(frozen=True, slots=True)
 class SlipState:
-    """What one finger feels now.
+    """The state of one finger now.
 
     ``score`` is the slip evidence, slip at 1 and above. ``residual_px`` float32 [rows, cols, 2] is each marker's
-    deviation from the object's motion, ``slipping`` and ``sticking`` [rows, cols] the nodes judged so. The object's
+    deviation from the object's motion, ``slipping`` and ``sticking`` [rows, cols] the nodes classified so. The object's
     motion since the reference is ``shift_px`` (of the patch's centre, u right, v down) and ``angle_rad`` (from u to v).
-    ``over_limit`` is the safety rule; ``stop`` says that the arm must not go on.
+    ``over_limit`` is the safety rule; ``stop``: the arm must not go on.
     """
 
     state: FingerState

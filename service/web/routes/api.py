@@ -45,7 +45,6 @@ def decide(
 
 
 def router(station: Station, access: Access) -> APIRouter:
-    """Routes under ``/v1``."""
     routes = APIRouter(prefix="/v1", tags=["v1"])
     watch, drive = [access.require("watch")], [access.require("drive")]
 

@@ -23,13 +23,10 @@ MaxHz = Annotated[float, Query(gt=0, le=240, allow_inf_nan=False, description="a
 
 
 class Mjpeg(StreamingResponse):
-    """Parts of JPEG, one a frame."""
-
     media_type = f"multipart/x-mixed-replace; boundary={BOUNDARY}"
 
 
 def router(station: Station, access: Access) -> APIRouter:
-    """Routes under ``/v1/cameras``."""
     routes = APIRouter(prefix="/v1/cameras", tags=["cameras"])
     watch = [access.require("watch")]
 
@@ -67,7 +64,7 @@ def router(station: Station, access: Access) -> APIRouter:
 
 
 async def newest_frames(station: Station, finger: Finger, max_hz: float) -> AsyncIterator[CameraFrame]:
-    """Each time the reader is ready and ``max_hz`` allows it, the newest frame it has not seen; others are skipped."""
+    """The newest frame that the reader lacks, each time it is ready and ``max_hz`` allows; others are skipped."""
     loop = asyncio.get_running_loop()
     arrived = asyncio.Event()
 
@@ -96,7 +93,6 @@ async def _jpeg(frame: CameraFrame) -> bytes:
 
 
 def encode_jpeg(frame: CameraFrame) -> bytes:
-    """A frame as JPEG."""
     return bytes(cv2.imencode(".jpg", frame.frame.pixels)[1].tobytes())
 
 

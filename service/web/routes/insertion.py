@@ -62,7 +62,7 @@ class Connection:
                 return ending
 
     async def overrun(self) -> Ending:
-        """Wait until this client lets too much wait."""
+        """Wait until too many messages wait for this client."""
         await self._overrun.wait()
         return Ending(POLICY_VIOLATION, f"{MAX_WAITING} messages wait for this client to read them")
 
@@ -103,7 +103,7 @@ def router(station: Station, access: Access) -> APIRouter:
 
 
 async def _serve(socket: WebSocket, connection: Connection, station: Station, access: Access) -> Ending:
-    """Read messages until the client leaves; anything that is no message is answered by a fault."""
+    """Read messages until the client leaves; anything else is answered by a fault."""
     try:
         hello = wire.parse_client(await asyncio.wait_for(_text(socket), HELLO_TIMEOUT_S))
         if not isinstance(hello, wire.ClientHello):
@@ -133,7 +133,7 @@ async def _drive(socket: WebSocket, connection: Connection, station: Station, he
 
 
 async def _watch(socket: WebSocket, connection: Connection, station: Station) -> Ending:
-    """Everything the driving client hears; only heartbeats are answered."""
+    """Send every message of the driving client; only heartbeats are answered."""
     name = connection.insertion_id
     connection.send(
         wire.ServiceHello(

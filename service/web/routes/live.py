@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 from fastapi import APIRouter, WebSocket
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
+from numpy.typing import NDArray
 
 from service.cameras.capture import CameraFrame, now_ns
 from service.contract import FINGERS, Finger
@@ -23,53 +25,37 @@ from service.web.closing import Ending, close, until_gone, until_one_ends
 FOLDER = Path(__file__).parent.parent / "dashboard"
 PERIOD_S = 0.15
 HEALTH_S = 1.0
-FRESH_NS = 2_000_000_000  # what was felt last stays so long, then the camera's own view is shown
+FRESH_NS = 2_000_000_000  # the last observation is shown so long, then the camera's own picture
 MAX_WAITING = 64
-_display = ThreadPoolExecutor(1, "display")  # drawing for people never delays deciding for the robot
+_display = ThreadPoolExecutor(1, "display")  # drawing never delays a decision
 
 
 def static_files() -> StaticFiles:
-    """The page's modules."""
     return StaticFiles(directory=FOLDER)
 
 
 def picture(frame: CameraFrame | None, observation: Observation | None) -> dict[str, Any] | None:
-    """What the page draws of one finger: a JPEG, and where the finger was perceived just now, markers and residual."""
+    """What the page draws of one finger: a JPEG, and if it was perceived just now its markers and their residual."""
     if observation is not None and now_ns() - observation.captured_ns < FRESH_NS:
-        height, width = observation.image.shape[:2]
-        field = observation.field
-        return {
-            "finger": observation.finger,
-            "state": observation.slip.state,
-            "score": float(observation.slip.score),
-            "width": width,
-            "height": height,
-            "jpeg": _jpeg(cv2.imencode(".jpg", observation.image)[1].tobytes()),
+        field, slip = observation.field, observation.slip
+        shown = _shown(observation.finger, observation.image, None, slip.state, float(slip.score))
+        return shown | {
             "rest": field.rest_px.ravel().round(1).tolist(),
             "moved": field.displacement_px.ravel().round(2).tolist(),
-            "residual": observation.slip.residual_px.ravel().round(2).tolist(),
+            "residual": slip.residual_px.ravel().round(2).tolist(),
             "valid": field.valid.ravel().tolist(),
-            "slipping": observation.slip.slipping.ravel().tolist(),
+            "slipping": slip.slipping.ravel().tolist(),
         }
     if frame is None:
         return None
-    height, width = frame.frame.pixels.shape[:2]
-    jpeg = frame.jpeg or cv2.imencode(".jpg", frame.frame.pixels)[1].tobytes()
-    empty: list[float] = []
-    nothing = {
-        "rest": empty,
-        "moved": empty,
-        "residual": empty,
-        "slipping": empty,
-        "valid": empty,
-        "state": "watching",
-        "score": 0.0,
-    }
-    return {"finger": frame.frame.finger, "width": width, "height": height, "jpeg": _jpeg(jpeg)} | nothing
+    shown = _shown(frame.frame.finger, frame.frame.pixels, frame.jpeg, "watching", 0.0)
+    return shown | {key: [] for key in ("rest", "moved", "residual", "valid", "slipping")}
 
 
-def _jpeg(content: bytes) -> str:
-    return base64.b64encode(content).decode()
+def _shown(finger: Finger, pixels: NDArray[np.uint8], jpeg: bytes | None, state: str, score: float) -> dict[str, Any]:
+    content = base64.b64encode(jpeg or cv2.imencode(".jpg", pixels)[1].tobytes()).decode()
+    height, width = pixels.shape[:2]
+    return {"finger": finger, "state": state, "score": score, "width": width, "height": height, "jpeg": content}
 
 
 def belief_of(command: Command) -> dict[str, Any] | None:
@@ -86,7 +72,6 @@ def belief_of(command: Command) -> dict[str, Any] | None:
 
 
 def health_of(station: Station) -> dict[str, Any]:
-    """Cameras, the driving client, drops."""
     active = station.active
     return {
         "ready": station.ready,
@@ -129,14 +114,10 @@ async def _events(socket: WebSocket, station: Station) -> Ending:
             waiting.put_nowait(event)
 
     def on_event(kind: str, content: Any) -> None:
-        if kind == "message":
+        if kind in {"message", "recorded"}:
             event = {"kind": kind, "content": content.model_dump(mode="json")}
         elif kind == "command" and (belief := belief_of(content)):
             event = {"kind": "belief", "content": belief}
-        elif kind == "finished":
-            return
-        elif kind == "recorded":
-            event = {"kind": kind, "content": content.model_dump(mode="json")}
         else:
             return
         with contextlib.suppress(RuntimeError):

@@ -37,12 +37,10 @@ class Statistics:
         self.ns: dict[tuple[str, str], int] = defaultdict(int)
 
     def add(self, model: str, kind: str, started_ns: int) -> None:
-        """One call ended."""
         self.count[model, kind] += 1
         self.ns[model, kind] += time.perf_counter_ns() - started_ns
 
     def of(self, model: str) -> dict[str, Any]:
-        """As the statistics extension reports them."""
         kinds = {k: {"count": self.count[model, k], "ns": self.ns[model, k]} for k in ("success", "fail")}
         return {
             "name": model,
@@ -71,7 +69,6 @@ def inflate(body: bytes, encoding: str) -> bytes:
 
 
 def deflate(body: bytes, encoding: str) -> tuple[bytes, dict[str, str]]:
-    """Compress as the client wants it."""
     if encoding == "gzip":
         return gzip.compress(body, 1), {"Content-Encoding": "gzip"}
     if encoding == "deflate":
@@ -126,7 +123,6 @@ class Served:
 
 
 def _infer(name: str, model: LoadedModel, headers: Headers, body: bytes) -> tuple[bytes, dict[str, str]]:
-    """Body and headers of the answer."""
     plain = inflate(body, headers.get("content-encoding", "").strip().lower())
     asked = oip_tensors.parse_request(plain, headers.get("inference-header-content-length"), model)
     try:
@@ -139,7 +135,6 @@ def _infer(name: str, model: LoadedModel, headers: Headers, body: bytes) -> tupl
 
 
 def router(station: Station, access: Access) -> APIRouter:
-    """Routes under ``/v2``."""
     served = Served(station)
     routes = APIRouter(prefix="/v2", tags=["open inference protocol"])
     for add in (_server_routes, _model_routes, _inference_routes):

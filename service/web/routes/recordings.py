@@ -25,8 +25,6 @@ Index = Annotated[int, InPath(ge=0, le=999)]
 
 
 class JPEG(Response):
-    """One picture."""
-
     media_type = "image/jpeg"
 
 
@@ -74,7 +72,6 @@ def attempt_facts(folder: Path, number: int) -> dict[str, Any]:
 
 
 def router(station: Station, access: Access) -> APIRouter:
-    """Routes under ``/v1/recordings``."""
     routes = APIRouter(prefix="/v1/recordings", tags=["recordings"])
     watch, admin = [access.require("watch")], [access.require("admin")]
     root = station.settings.recordings

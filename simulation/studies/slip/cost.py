@@ -1,4 +1,4 @@
-"""What the slip path costs a finger: rectify, track, judge contact, slip and onset, on raw simulated frames."""
+"""What the slip path costs a finger: rectify, track, detect contact, slip and onset, on raw simulated frames."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from service.contract import FINGERS
 from service.perception.markers.tracker import MarkerTracker
-from service.perception.rectification import CameraCalibration, Rectifier
+from service.perception.rectification import Rectifier
 from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.onset import OnsetDetector
@@ -22,7 +22,7 @@ def cost_ms(trials: int, seed: int, fps: int) -> dict[str, float]:
     for trial in draw_trials(trials, seed, fps):
         for finger, name in enumerate(FINGERS):
             renderer = Renderer(Appearance.draw(trial.scene, name, trial.seed))
-            rectifier = Rectifier(CameraCalibration(renderer.homography))
+            rectifier = Rectifier(renderer.calibration)
             tracker, free, slip, onset = MarkerTracker(), FreeGel(), SlipDetector(), OnsetDetector()
             for k, gel in enumerate(trial.gel):
                 raw = renderer.raw(gel[finger], trial.seed + k)

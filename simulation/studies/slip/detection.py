@@ -98,7 +98,7 @@ def track(
 ) -> list[list[MarkerField]]:
     """Marker fields of both fingers by one tracker; the CPU time of each frame after the first goes to the tally."""
     fields = []
-    stamp_ns = round(1e9 / trial.scene.camera.fps)
+    stamp_ns = round(1e9 / trial.scene.fps)
     for frames in images:
         tracker, tracked = make(), []
         for k, image in enumerate(frames):
@@ -112,11 +112,8 @@ def track(
 
 def true_fields(trial: SlipTrial) -> list[list[MarkerField]]:
     """The fields a perfect tracker would give."""
-    pitch_mm, step = trial.scene.marker_pitch_mm, round(1e9 / trial.scene.camera.fps)
-    return [
-        [field_from_gel(gel[finger], k * step, marker_pitch_mm=pitch_mm) for k, gel in enumerate(trial.gel)]
-        for finger in range(2)
-    ]
+    sensor, step = trial.scene.sensor, round(1e9 / trial.scene.fps)
+    return [[field_from_gel(gel[finger], k * step, sensor) for k, gel in enumerate(trial.gel)] for finger in range(2)]
 
 
 def alarm_of(fields: Iterable[Sequence[MarkerField]], settings: SlipSettings | None = None) -> int | None:

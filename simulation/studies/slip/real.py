@@ -76,7 +76,7 @@ def folders_of(root: Path) -> list[Path]:
 
 
 def load(root: Path, show: Callable[[int], None]) -> list[Recording]:
-    """Track every clip of the slip recordings; ``show`` is told how many are done. Raises RealDataError."""
+    """Track every clip of the slip recordings; ``show`` gets how many are done. Raises RealDataError."""
     recordings = []
     for done, folder in enumerate(folders_of(root), 1):
         fingers = []

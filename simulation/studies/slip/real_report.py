@@ -59,20 +59,21 @@ def _rate(alarms: int, frames: int) -> str:
     return f"{1500 * alarms / frames:.2f} ({1500 * poisson_upper(alarms) / frames:.1f})"
 
 
-def _slip_against_hold(found: Row) -> Iterator[str | Table]:
+def _slip_against_hold(result: Row) -> Iterator[str | Table]:
     names = {"ours": "excess lag (ours)", "plain": "plain rigid residual", "margin": "ours minus plain"}
     yield f"""
-        **Slip against hold** ({found["slip_recordings"]} slipping, {found["hold_recordings"]} held grasps): area under
-        the ROC curve of the largest value in windows of equal length from the closing of the fingers on. Both kinds of
-        evidence use the same reference, and nothing is fitted. The 95 % bootstrap intervals are over whole recordings.
+        **Slip against hold** ({result["slip_recordings"]} slipping, {result["hold_recordings"]} held grasps): area
+        under the ROC curve of the largest value in windows of equal length from the closing of the fingers on. Both
+        kinds of evidence use the same reference, and nothing is fitted. The 95 % bootstrap intervals are over whole
+        recordings.
         """
     yield table(
         names.items(),
         ("evidence", 1),
-        ("all pairs", lambda row: Estimate(found[row[0]]["value"], *found[row[0]]["interval"]), ".2f"),
-        ("pairs of the same object", lambda row: found[row[0]]["same_object"], ".2f"),
+        ("all pairs", lambda row: Estimate(result[row[0]]["value"], *result[row[0]]["interval"]), ".2f"),
+        ("pairs of the same object", lambda row: result[row[0]]["same_object"], ".2f"),
     )
-    if found["margin"]["interval"][0] > 0:
+    if result["margin"]["interval"][0] > 0:
         yield "Our evidence beats the baseline by a margin that the interval supports."
     else:
         yield """

@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.contract import Sensor
 from service.perception.markers.field import MarkerField
 from service.perception.markers.tracker import MarkerTracker, TrackerSettings
-from simulation.optics.texture import MARKER_PITCH_PX, marker_rest_px
 from simulation.studies.slip.baselines import LucasKanade, NearestBlob
 from simulation.studies.slip.detection import Tally, Tracker, alarm_of, pictures, track
 from simulation.studies.slip.trials import SlipTrial, draw_trials
 
 NOISES_GREY = (2.0, 6.0)
-GRID_N = 20 * 21
 MEASURED_N = 16  # slip trials whose displacements are compared with the truth at each noise
 TRACKERS: dict[str, Callable[[], Tracker]] = {
     "third of the resolution": lambda: MarkerTracker(TrackerSettings(shrink=3)),
@@ -40,11 +39,12 @@ TRACKERS: dict[str, Callable[[], Tracker]] = {
 def displacement_error_px(trial: SlipTrial, fields: Sequence[Sequence[MarkerField]]) -> NDArray[np.float64]:
     """Errors [n, 2] of the displacement since frame 0, at every tracked marker of every later frame."""
     errors = []
-    scale = MARKER_PITCH_PX / trial.scene.marker_pitch_mm
+    sensor = trial.scene.sensor
+    scale = sensor.marker_pitch_px / sensor.marker_pitch_mm
     for finger, sequence in enumerate(fields):
         if sequence[0].rest_px.size == 0:
             continue
-        nodes = _nodes(sequence[0])
+        nodes = _nodes(sequence[0], sensor)
         for k, field in enumerate(sequence[1:], 1):
             truth = scale * (trial.gel[k, finger, ..., :2] - trial.gel[0, finger, ..., :2])[nodes]
             off = field.displacement_px - sequence[0].displacement_px - truth
@@ -52,15 +52,16 @@ def displacement_error_px(trial: SlipTrial, fields: Sequence[Sequence[MarkerFiel
     return np.concatenate(errors) if errors else np.zeros((0, 2))
 
 
-def _nodes(field: MarkerField) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _nodes(field: MarkerField, sensor: Sensor) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Row and column [rows, cols] of the gel's node that each node of a tracker's grid is, laid where most rest.
 
     Not the nearest: a firm grasp bulges the gel by more than half a pitch before the first frame.
     """
     row, column = np.mgrid[0 : field.valid.shape[0], 0 : field.valid.shape[1]]
-    away = (field.rest_px - marker_rest_px()[0, 0]) / MARKER_PITCH_PX - np.stack([column, row], -1)
+    away = (field.rest_px - sensor.marker_rest_px()[0, 0]) / sensor.marker_pitch_px - np.stack([column, row], -1)
     most = np.rint(np.median(away.reshape(-1, 2), axis=0)).astype(int)
-    return np.clip(row + most[1], 0, 19), np.clip(column + most[0], 0, 20)
+    last = sensor.marker_rows - 1, sensor.marker_columns - 1
+    return np.clip(row + most[1], 0, last[0]), np.clip(column + most[0], 0, last[1])
 
 
 def accuracy_at_noise(
@@ -74,20 +75,21 @@ def accuracy_at_noise(
     tracked: dict[str, list[float]] = {name: [] for name in trackers}
     for trial in trials:
         noisy = replace(trial, scene=trial.scene.varied({"camera.noise_grey": noise}))
-        images = pictures(noisy)
+        images, grid_n = pictures(noisy), trial.gel[0, 0, ..., 0].size
         for name, make in trackers.items():
             fields = track(noisy, images, make, Tally())
             errors[name].append(displacement_error_px(noisy, fields))
-            tracked[name] += [float(field.valid.sum()) / GRID_N for sequence in fields for field in sequence[1:]]
+            tracked[name] += [float(field.valid.sum()) / grid_n for sequence in fields for field in sequence[1:]]
+    pitch_px = trials[0].scene.sensor.marker_pitch_px
     return {
-        name: _spread(np.concatenate(errors[name])) | {"tracked_share": float(np.mean(tracked[name]))}
+        name: _spread(np.concatenate(errors[name]), pitch_px) | {"tracked_share": float(np.mean(tracked[name]))}
         for name in errors
     }
 
 
-def _spread(off: NDArray[np.float64]) -> dict[str, float]:
+def _spread(off: NDArray[np.float64], pitch_px: float) -> dict[str, float]:
     """RMS an axis of the errors [n, 2] within a quarter pitch, and the share of those beyond: wrong identities."""
-    wrong = np.linalg.norm(off, axis=1) > 0.25 * MARKER_PITCH_PX
+    wrong = np.linalg.norm(off, axis=1) > 0.25 * pitch_px
     rms = float(np.sqrt(np.square(off[~wrong]).mean())) if (~wrong).any() else math.nan
     return {"rms_px": rms, "wrong_share": float(wrong.mean())}
 

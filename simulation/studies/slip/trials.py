@@ -31,8 +31,8 @@ DEPTH_MM = 25.0
 class SlipTrial:
     """One descent at the camera's rate; frame 0 is the reference.
 
-    ``gel`` float32 [frames, 2, 20, 21, 3], ``share`` [frames]: true slipping share of the worse pad; ``onset_frame``
-    and ``slip_frame`` are -1 where they never came. From ``still_frame`` on the arm stands still.
+    ``gel`` float32 [frames, 2, rows, columns, 3], ``share`` [frames]: true slipping share of the worse pad;
+    ``onset_frame`` and ``slip_frame`` are -1 where they never came. From ``still_frame`` on the arm stands still.
     """
 
     name: str

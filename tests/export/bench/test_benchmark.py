@@ -59,7 +59,7 @@ def test_the_slowest_of_a_thousand_is_not_read_off_fewer_calls(calls, cell):
     steady = {"tail": 1.2, "machine_tail": 1.1}
     row = {"single": times | {"p999_ms": 7.64, "calls": calls}, "steady": steady, "file": "a.onnx", "size_mb": 1.0}
     row |= {"fresh": {"load_ms": 9.0, "first_ms": 2.0, "peak_mb": 3.0}, "card": {"quantisation": "none"}}
-    assert cell in page._single(row)
+    assert cell in page._calls([row]).markdown()
 
 
 def test_a_missing_model_is_named(tmp_path):
@@ -85,17 +85,17 @@ def test_torch_is_rebuilt_from_the_released_file_alone(models):
 
 
 @pytest.mark.parametrize("name", ["direction", "magnitude", "joint/joint", "pictures/magnitude"])
-def test_the_torch_twin_of_a_released_step_says_what_the_file_says(name):
+def test_torch_computes_what_a_released_step_does(name):
     model = open_model(Path("models") / f"{name}.step.onnx")
-    said = model(example_inputs(model)).values()
-    for ours, theirs in zip(said, peer("torch", model)(), strict=True):
+    outputs = model(example_inputs(model)).values()
+    for ours, theirs in zip(outputs, peer("torch", model)(), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
 
 
-def test_a_file_whose_weights_are_strangers_has_no_torch_twin(models):
+def test_torch_rebuilds_no_int8_file(models):
     model = open_model(models / "direction.step.onnx")
     int8 = model.card.model_copy(update={"quantisation": "int8"})
-    with pytest.raises(PeerAbsentError, match="torch has no int8 twin"):
+    with pytest.raises(PeerAbsentError, match="torch has no int8 build"):
         rebuild(type(model)(model.file, int8, model.run))
 
 
@@ -145,9 +145,9 @@ def test_the_page_says_which_speed_claim_holds(report):
     write(page, report)
     text = (report / "benchmark.md").read_text()
     assert "of random weights (speed only)" in text
-    assert "| 1/200 [1/167, 1/250] | 1/150: holds |" in text
-    assert "| 1/20 [1/17, 1/25] | 1/150: does not hold |" in text
-    assert "| 1/20 [1/17, 1/25] |  |" in text
+    assert "| 1/200 (1/167 .. 1/250) | 1/150: holds |" in text
+    assert "| 1/20 (1/17 .. 1/25) | 1/150: does not hold |" in text
+    assert "| 1/20 (1/17 .. 1/25) |  |" in text
 
 
 def test_half_an_export_of_the_paper_s_networks_is_named(tmp_path):

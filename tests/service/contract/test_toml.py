@@ -11,8 +11,7 @@ from service.contract.toml import read_toml
 from service.perception.rectification import Calibration
 from service.settings import read_settings
 from simulation.scene.worlds import load_scene
-from training.config import RunConfig
-from training.data.recipe_data import RecipeConfig
+from training.config import RecipeConfig, RunConfig
 
 NO_TOML = {
     "text": b"hello world\n",

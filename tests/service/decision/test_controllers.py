@@ -34,6 +34,13 @@ def test_after_the_first_trial_no_axis_moves_more_than_4(sign: int, estimate: fl
     assert abs(axis_command(sign, estimate, first=False)) <= 4
 
 
+def test_the_heuristic_moves_the_whole_way_first_and_at_most_4_later() -> None:
+    told = certain("5", 14.0, 13.0)
+    moves = [Heuristic(LIMITS).decide(told, attempt) for attempt in (1, 2, 3, 15)]
+    assert [move.dx_mm for move in moves] == pytest.approx([-9.8, -4, -4, -4])
+    assert [move.dtheta_deg for move in moves] == pytest.approx([-9.1, -4, -4, -4])
+
+
 @given(sign=st.sampled_from([-1, 1]), estimate=errors)
 def test_the_heuristic_moves_against_the_direction_it_believes(sign: int, estimate: float) -> None:
     assert axis_command(sign, estimate, first=True) * sign < 0 or abs(estimate) < 1e-300
@@ -72,6 +79,26 @@ def test_the_belief_remembers_that_a_pose_failed() -> None:
     poses = np.cumsum([(m.dx_mm, m.dtheta_deg) for m in moves], axis=0)
     distances = [np.hypot(*(a - b)) for i, a in enumerate(poses) for b in poses[:i]]
     assert min(distances) > 1.5
+
+
+@pytest.mark.parametrize("target", [(0.0, 0.0), (3.0, -2.0), (6.5, 4.0)])
+def test_a_moves_cost_counts_the_next_attempt_its_miss_and_the_miss_of_the_best_one_after(target) -> None:
+    grid = Belief(LIMITS).grid
+    grid.absorb(certain("5", 3.0, 6.0))
+    cells, probability = grid.current_x_mm, grid.probability
+
+    def missed(x_mm: float, theta_deg: float) -> np.ndarray:
+        """P(an attempt at this error misses) for each true error: 1 - 0.95 inside soft edges of 2 mm and 3.5 deg."""
+        x = 1 / (1 + np.exp((np.abs(cells - x_mm) - 2.0) / 0.35))
+        theta = 1 / (1 + np.exp((np.abs(cells - theta_deg) - 3.5) / 0.7))
+        return 1 - 0.95 * np.outer(x, theta)
+
+    after_one = probability * missed(*target)
+    both = min((after_one * missed(x, theta)).sum() for x in cells[30:60] for theta in cells[30:70])
+    row, column = (int(np.flatnonzero(cells == value)[0]) for value in target)
+    hits = grid._aim_x @ probability @ grid._aim_theta.T
+    expected = 1 + after_one.sum() + both
+    assert grid._two_step_cost(probability, hits, row, column) == pytest.approx(expected, abs=1e-9)
 
 
 def test_contradicting_evidence_falls_back_to_the_heuristic() -> None:

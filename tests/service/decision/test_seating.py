@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.contract import FramePair, TactileFrame, wire
+from service.contract import FramePair, Sensor, TactileFrame, wire
 from service.decision.models import ModelSet, load_models
 from service.decision.seating import LEAST_PITCH, Push, SeatingEvidence, push_of, seating_evidence, strongest_push
 from service.observability.hub import Hub
@@ -117,7 +117,7 @@ def pair_of(up_px: tuple[float, float], spoil: float = 0.0, at: tuple[int, int] 
     for finger, up in zip(("left", "right"), up_px, strict=True):
         gel = np.zeros((20, 21, 3), np.float32)
         gel[..., 1] = -up * 1.05 / 15
-        field = field_from_gel(gel, 0, marker_pitch_mm=1.05)
+        field = field_from_gel(gel, 0, Sensor.load())
         if finger == "left":
             field.displacement_px[at] += np.float32(spoil)
         slip = SlipDetector().rearm(field)

@@ -7,7 +7,7 @@ from service.contract import FrameSpec, TactileFrame, wire
 from service.decision.models import load_models
 from service.perception.finger import TactileFinger
 from service.perception.observation import Observation
-from service.perception.rectification import Calibration, CameraCalibration, Rectifier
+from service.perception.rectification import Calibration
 from service.session.factory import make_session
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -25,7 +25,7 @@ def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_whil
     held = cell.look().gel[0].astype(np.float32)
     clip = [FREE] * 4 + [held * np.float32(share) for share in (0.3, 0.6)] + [held] * 6 + [FREE] * 4
     renderer = Renderer(Appearance.draw(scene, "left", 5))
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), CameraCalibration(renderer.homography))
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
     seen: list[Observation] = []
     for k, gel in enumerate(clip):
         if k == 8:
@@ -43,7 +43,7 @@ def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_whil
 def test_an_attempt_with_nothing_in_hand_says_so_and_is_not_decided(tmp_path) -> None:
     models = load_models(tiny_models.write_models(tmp_path / "m"))
     renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
-    calibration = Calibration(*(CameraCalibration(renderers[finger].homography) for finger in ("left", "right")))
+    calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
     session, states = make_session(models, calibration), set()
     session.on_observation = lambda observation: states.add(observation.slip.state)
     session.handle(wire.ClientHello(insertion_id="empty", client="test"), 0)
@@ -57,25 +57,3 @@ def test_an_attempt_with_nothing_in_hand_says_so_and_is_not_decided(tmp_path) ->
     assert states == {"no_contact"}
     assert [message.type for message in said] == ["armed", "no_decision"]
     assert (said[-1].reason, said[-1].detail) == ("no_motion", "nothing touches the gels")
-
-
-def test_a_frame_looked_ahead_at_is_not_rectified_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), drawn.calibration().camera("left"))
-    frame = TactileFrame("left", 0, 0, drawn.raw("left", 0, 3, 6))
-    finger.rectify_ahead(frame)
-    monkeypatch.setattr(Rectifier, "apply", lambda *_: pytest.fail("rectified twice"))
-    assert finger.observe(frame).field.valid.any()
-
-
-def test_a_frame_rectified_before_its_turn_is_perceived_just_the_same() -> None:
-    """Also where more were looked ahead at than are kept."""
-    spec, camera = FrameSpec(height_px=320, width_px=327), drawn.calibration().camera("left")
-    plain, ahead = (TactileFinger("left", spec, camera) for _ in range(2))
-    frames = [TactileFrame("left", k, k * drawn.PERIOD_NS, drawn.raw("left", k, 3, 6)) for k in range(8)]
-    for frame in frames:
-        ahead.rectify_ahead(frame)
-    for frame in frames:
-        one, other = plain.observe(frame), ahead.observe(frame)
-        np.testing.assert_array_equal(one.image, other.image)
-        np.testing.assert_array_equal(one.field.displacement_px, other.field.displacement_px)
-        assert other.cost_ms["rectify"] > 0

@@ -2,9 +2,11 @@ import cv2
 import numpy as np
 import pytest
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration, Rectifier
 from tests.service.perception.synthetic import draw, grid
+
+SENSOR = Sensor.load()
 
 TRAPEZOID = cv2.getPerspectiveTransform(
     np.array([(20, 10), (407, 10), (320, 310), (107, 310)], np.float32),
@@ -13,7 +15,7 @@ TRAPEZOID = cv2.getPerspectiveTransform(
 
 
 def test_a_saved_calibration_loads_back_exactly(tmp_path):
-    camera = CameraCalibration(TRAPEZOID)
+    camera = CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified)
     Calibration(camera, camera).save(tmp_path / "c.toml")
     loaded = Calibration.load(tmp_path / "c.toml")
     assert np.array_equal(loaded.left.homography, TRAPEZOID)
@@ -34,23 +36,26 @@ def test_a_saved_calibration_loads_back_exactly(tmp_path):
 )
 def test_an_unusable_homography_is_refused(matrix):
     with pytest.raises(CalibrationError):
-        CameraCalibration(matrix)
+        CameraCalibration(matrix, SENSOR.raw, SENSOR.rectified)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda text: text.replace("[left]", "[middle]"), "unknown entries"),
+        (lambda text: text.replace("[left]", "[middle]"), "middle is not used; allowed: left, right"),
         (lambda text: text.replace("schema_version = 1", "schema_version = 9"), "schema_version"),
         (lambda text: text.replace("raw_px = [427, 320]", "raw_px = [427]", 1), "left"),
-        (lambda text: text.replace("raw_px = [427, 320]", "", 1), "lacks 'raw_px'"),
+        (lambda text: text.replace("raw_px = [427, 320]", "", 1), "raw_px: Field required"),
         (lambda text: text.replace(repr(float(TRAPEZOID[0, 0])), "nan"), "finite"),
         (lambda _: "a = [", "not valid TOML"),
     ],
 )
 def test_a_broken_file_is_refused_by_name(tmp_path, change, said):
     path = tmp_path / "c.toml"
-    Calibration(CameraCalibration(TRAPEZOID), CameraCalibration(TRAPEZOID)).save(path)
+    Calibration(
+        CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified),
+        CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified),
+    ).save(path)
     path.write_text(change(path.read_text()))
     with pytest.raises(CalibrationError, match=said) as caught:
         Calibration.load(path)
@@ -61,11 +66,11 @@ def test_rectified_markers_lie_where_the_homography_puts_them():
     rng = np.random.default_rng(0)
     flat = draw(grid(), rng, noise=0)
     raw = cv2.warpPerspective(flat, np.linalg.inv(TRAPEZOID), (427, 320), flags=cv2.INTER_LINEAR)
-    again = Rectifier(CameraCalibration(TRAPEZOID)).apply(np.asarray(raw, np.uint8))
+    again = Rectifier(CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified)).apply(np.asarray(raw, np.uint8))
     inner = np.s_[5:-5, 5:-5]
     assert np.abs(again[inner].astype(int) - flat[inner]).mean() < 8
 
 
 def test_a_frame_of_another_size_is_refused():
     with pytest.raises(ContractError, match="expected uint8"):
-        Rectifier(CameraCalibration(TRAPEZOID)).apply(np.zeros((320, 320, 3), np.uint8))
+        Rectifier(CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified)).apply(np.zeros((320, 320, 3), np.uint8))

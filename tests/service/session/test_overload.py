@@ -44,9 +44,6 @@ class Clock:
         self.pass_time(self.step_ns)
         self.ages.append(self.now_ns - frame.frame.captured_ns)
 
-    def rectify_ahead(self, frame: TactileFrame) -> None:
-        """Rectifying costs the camera's thread, not this one."""
-
     def pass_time(self, ns: int) -> None:
         self.now_ns += ns
         while self.arrivals and self.arrivals[0][0] <= self.now_ns:

@@ -118,6 +118,22 @@ def test_messages_out_of_order_are_faults_that_change_nothing(session: Insertion
     assert session.attempt is None
 
 
+@pytest.mark.parametrize(("decided", "refused"), [(False, (2, 3)), (True, (1, 3))])
+def test_only_the_attempt_after_a_decided_one_is_armed(
+    session: InsertionSession, decided: bool, refused: tuple[int, int]
+) -> None:
+    hello(session)
+    probe(session, 1, 0) if decided else armed_with(session, 0)
+    first = session.attempt
+    arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    for attempt in refused:
+        assert kinds(session.handle(arm.model_copy(update={"attempt": attempt}), 10**10)) == ["fault"]
+    assert session.attempt is first
+    if not decided:
+        assert kinds(session.handle(arm, 10**10)) == ["armed"], "a repeated arm is answered again"
+        assert session.attempt is first
+
+
 def test_an_old_newest_frame_in_a_descent_is_a_fault_once(session: InsertionSession) -> None:
     hello(session)
     session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from service.__main__ import main
-from service.contract import FINGERS, Finger
+from service.contract import FINGERS, Finger, Sensor
 from service.perception.rectification import Calibration, CalibrationError
 from service.tools.calibrate import fit_camera
 from simulation.optics.appearance import Appearance
@@ -27,7 +27,7 @@ def still(camera: Renderer) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_homography_of_a_simulated_camera_is_found(seed: int):
     camera = renderer(FINGERS[seed % 2], seed)
-    fit = fit_camera(still(camera), "left")
+    fit = fit_camera(still(camera), "left", Sensor.load())
     found = cv2.perspectiveTransform(INSIDE_PX, fit.camera.homography)
     true = cv2.perspectiveTransform(INSIDE_PX, np.asarray(camera.homography))
     assert fit.lattice.detected.shape == (20, 21)
@@ -37,7 +37,7 @@ def test_the_homography_of_a_simulated_camera_is_found(seed: int):
 @pytest.mark.parametrize("image", [np.zeros((320, 427, 3), np.uint8), np.full((320, 427, 3), 255, np.uint8)])
 def test_a_frame_without_markers_is_refused_by_finger(image: np.ndarray):
     with pytest.raises(CalibrationError, match="right: no marker grid"):
-        fit_camera(image, "right")
+        fit_camera(image, "right", Sensor.load())
 
 
 def test_a_pressed_gel_is_refused():
@@ -45,7 +45,7 @@ def test_a_pressed_gel_is_refused():
     pressed[5:15, 5:16, 0] = 0.5
     camera = renderer("left", 0)
     with pytest.raises(CalibrationError, match="touches the gel"):
-        fit_camera(camera.raw(pressed, 0), "left")
+        fit_camera(camera.raw(pressed, 0), "left", Sensor.load())
 
 
 def test_the_command_writes_a_file_that_the_service_loads(tmp_path, capsys):

@@ -40,7 +40,7 @@ def expected(live: LiveService) -> dict[str, np.ndarray]:
     frame, reference = rng.integers(0, 255, SHAPE, np.uint8), rng.integers(0, 255, SHAPE, np.uint8)
     step = live.station.models.role("direction")
     assert step is not None
-    return step.model.run({"frame": frame, "reference": reference, "state": np.ones((1, 6), np.float32)})
+    return step.run({"frame": frame, "reference": reference, "state": np.ones((1, 6), np.float32)})
 
 
 @pytest.fixture(scope="module")

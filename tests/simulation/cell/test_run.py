@@ -124,6 +124,7 @@ def test_the_last_decided_attempt_is_drawn(tmp_path):
     frames = np.zeros((8, 2, 320, 327, 3), np.uint8)
     said = {"estimate": {"dx_mm": 1.0, "dtheta_deg": 2.0}, "dx_mm": -0.7, "dtheta_deg": -1.4, "class_probabilities": {}}
     arrays = {"frames": frames, "displacement_px": np.zeros((2, 20, 21, 2), np.float32)}
+    arrays["rest_px"] = arrays["displacement_px"]
     np.savez(tmp_path / "attempt_02.npz", valid=np.ones((2, 20, 21), bool), decision=json.dumps(said), **arrays)
     truth = {
         "course": {"max_block_shift_mm": 0.0, "max_block_tilt_deg": 0.0, "max_force_n": 0.0},

@@ -63,8 +63,8 @@ def test_an_object_that_slid_up_in_the_hand_without_a_slip_message_is_not_claime
 def test_nothing_is_claimed_of_an_object_that_left_the_simulated_grasp(models):
     """What the gels would see of it is not known: the insertion is void, not inserted and not a false claim."""
     play = stage(job(), models)
-    play.world.cell.grasp_lost = True
-    play.world.state = play.world.cell.look()
+    play.cell.physics.grasp_lost = True
+    play.cell.state = play.cell.physics.look()
     ended = play.run()
     assert ended.void
     assert not ended.claimed
@@ -94,7 +94,7 @@ def test_force_alone_tells_where_a_heavy_object_is_pressed(models):
 
 
 def test_the_blocks_are_free(models):
-    assert stage(job("circle"), models).world.cell.active.free_blocks
+    assert stage(job("circle"), models).cell.physics.active.free_blocks
 
 
 def test_the_same_seed_plays_the_same_insertion(models):
@@ -105,8 +105,8 @@ def test_the_same_seed_plays_the_same_insertion(models):
 
 def test_drawing_late_gives_the_bits_of_drawing_now():
     now, late = (LockstepCell.build(load_scene("circle"), 6.0, 3.0, 4, draws=draws) for draws in (True, False))
-    for world in (now, late):
-        world.descend(0.0)
+    for cell in (now, late):
+        cell.descend(0.0)
     for _ in range(18):
         pair = now.next_pair()
         late.next_pair()
@@ -133,7 +133,7 @@ def test_a_dark_camera_arms_nothing_and_moves_nothing(models):
 def test_dropped_frames_still_end_in_an_answer(models):
     play = stage(job(changes={"camera.dropped_share": 0.2}), models)
     assert play.run().inserted
-    assert not all(all(play.world.arrived()) for play.world.frame in range(50))
+    assert not all(all(play.cell.arrived()) for play.cell.frame in range(50))
 
 
 def test_a_row_says_which_job_it_came_from(models):

@@ -9,18 +9,18 @@ from simulation.scene.worlds import load_scene
 
 
 def test_true_fields_of_a_moving_gel_lie_where_the_tracker_finds_them() -> None:
-    world = LockstepCell.build(load_scene("rectangle"), 6.0, 0.0, seed=3)
-    finger, tracker = TrueFieldFinger(world, "left"), MarkerTracker()
-    rest = finger.observe(world.next_pair().left)
+    cell = LockstepCell.build(load_scene("rectangle"), 6.0, 0.0, seed=3)
+    finger, tracker = TrueFieldFinger(cell, "left"), MarkerTracker()
+    rest = finger.observe(cell.next_pair().left)
     first = tracker.update(np.asarray(rest.image), 0)
-    px_per_mm, gel_at_rest = first.pitch_px / world.scene.marker_pitch_mm, world.state.gel[0]
-    world.descend(-25.0)
+    px_per_mm, gel_at_rest = first.pitch_px / cell.scene.sensor.marker_pitch_mm, cell.state.gel[0]
+    cell.descend(-25.0)
     off_px, late_px = [], []
     for step in range(24):
-        observed = finger.observe(world.next_pair().left)
+        observed = finger.observe(cell.next_pair().left)
         tracked = tracker.update(np.asarray(observed.image), step + 1)
-        gel = world.state.gel[0]
-        if np.abs(gel - world.previous.gel[0])[..., :2].max() * px_per_mm < 0.5:
+        gel = cell.state.gel[0]
+        if np.abs(gel - cell.previous.gel[0])[..., :2].max() * px_per_mm < 0.5:
             continue
         seen = tracked.displacement_px - first.displacement_px
         said = observed.field.displacement_px - rest.field.displacement_px

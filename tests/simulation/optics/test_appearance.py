@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from service.contract import Sensor
 from simulation.optics.renderer import Appearance
 from simulation.scene.worlds import load_scene
 
@@ -11,7 +12,7 @@ from simulation.scene.worlds import load_scene
 def test_an_appearance_survives_json_and_depends_on_finger_and_seed() -> None:
     scene = load_scene("rectangle")
     look = Appearance.draw(scene, "right", 11)
-    assert Appearance.from_dict(json.loads(json.dumps(look.as_dict()))) == look
+    assert Appearance.from_dict(json.loads(json.dumps(look.as_dict())), scene.sensor) == look
     assert Appearance.draw(scene, "right", 11) == look
     assert Appearance.draw(scene, "left", 11) != look
     assert Appearance.draw(scene, "right", 12) != look
@@ -19,7 +20,7 @@ def test_an_appearance_survives_json_and_depends_on_finger_and_seed() -> None:
 
 def test_unknown_keys_are_refused() -> None:
     with pytest.raises(ValueError, match=r"unknown keys .*sparkle"):
-        Appearance.from_dict({**Appearance().as_dict(), "sparkle": 1})
+        Appearance.from_dict({**Appearance().as_dict(), "sparkle": 1}, Sensor.load())
 
 
 @pytest.mark.parametrize(

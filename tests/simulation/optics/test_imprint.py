@@ -10,13 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from simulation.optics import texture
+from service.contract import Sensor
 from simulation.optics.renderer import Appearance, Renderer, jpeg_round_trip
+
+SENSOR = Sensor.load()
 
 QUIET = dataclasses.replace(
     Appearance(), noise_sigma_grey=0.0, missing_dots_share=0.0, cloth_contrast=0.0, worn=0.0, object_texture_gain=0.0
 )
-REST_MM = 0.07 * (texture.marker_rest_px() - np.array([163.0, 159.5]))
+REST_MM = 0.07 * (SENSOR.marker_rest_px() - np.array([163.0, 159.5]))
 
 
 def still() -> NDArray[np.float64]:
@@ -48,7 +50,7 @@ def dot_centres(frame: NDArray[np.uint8], expected_px: NDArray[np.floating]) -> 
 
 def test_dots_at_rest_are_where_the_contract_puts_them() -> None:
     frame = Renderer(QUIET).rectified(still(), 0)
-    error = dot_centres(frame, texture.marker_rest_px()) - texture.marker_rest_px()
+    error = dot_centres(frame, SENSOR.marker_rest_px()) - SENSOR.marker_rest_px()
     assert np.sqrt((error**2).mean()) < 0.06
     assert np.abs(error).max() < 0.5
 
@@ -58,7 +60,7 @@ def test_dots_at_rest_are_where_the_contract_puts_them() -> None:
 def test_dots_follow_a_shift_of_the_gel(du: float, dv: float) -> None:
     gel = still()
     gel[..., 0], gel[..., 1] = du, dv
-    expected = texture.marker_rest_px() + np.array([du, dv], np.float32) / 0.07
+    expected = SENSOR.marker_rest_px() + np.array([du, dv], np.float32) / 0.07
     error = dot_centres(Renderer(QUIET).rectified(gel, 0), expected) - expected
     assert np.sqrt((error**2).mean()) < 0.15
 
@@ -66,7 +68,7 @@ def test_dots_follow_a_shift_of_the_gel(du: float, dv: float) -> None:
 @pytest.mark.parametrize("angle_deg", [-6.0, 2.0, 6.0])
 def test_a_tilt_in_the_hand_turns_the_dots(angle_deg: float) -> None:
     gel = turned(np.deg2rad(angle_deg))
-    expected = texture.marker_rest_px() + gel[..., :2] / 0.07
+    expected = SENSOR.marker_rest_px() + gel[..., :2] / 0.07
     error = dot_centres(Renderer(QUIET).rectified(gel, 0), expected) - expected
     assert np.sqrt((error**2).mean()) < 0.2
 
@@ -157,7 +159,7 @@ def test_motion_blur_smears_along_the_motion() -> None:
     moved = still()
     moved[..., 0] = 0.2
     sharp, smeared = renderer.rectified(moved, 0), renderer.rectified(moved, 0, still())
-    middle = texture.marker_rest_px() + np.array([0.1 / 0.07, 0], np.float32)
+    middle = SENSOR.marker_rest_px() + np.array([0.1 / 0.07, 0], np.float32)
     assert np.abs(dot_centres(smeared, middle) - middle)[..., 0].mean() < 0.3
     assert smeared.min() > sharp.min()
 
@@ -166,7 +168,7 @@ def test_the_rolling_shutter_shows_the_top_rows_earlier() -> None:
     moved = still()
     moved[..., 0] = 0.2
     rolling = Renderer(dataclasses.replace(QUIET, rolling_share=1.0))
-    expected = texture.marker_rest_px() + np.array([0.2 / 0.07, 0], np.float32)
+    expected = SENSOR.marker_rest_px() + np.array([0.2 / 0.07, 0], np.float32)
     lag = (expected - dot_centres(rolling.rectified(moved, 0, still()), expected))[..., 0].mean(1)
     assert lag[0] > 0.8 * 0.2 / 0.07
     assert lag[-1] < 0.35

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from simulation.data import view
+from service.contract import Sensor
+from simulation.cli import dataset, probe
 from simulation.data.dataset import DatasetError, DatasetWriter
 from simulation.optics import attempt_picture
 from simulation.optics.attempt_picture import Decision
-from simulation.studies import imprint
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 
 DECISION: attempt_picture.Decision = {
@@ -27,8 +27,9 @@ DECISION: attempt_picture.Decision = {
 @pytest.mark.parametrize("count", [1, 8, 12])
 def test_a_picture_is_drawn_from_what_is_there(tmp_path: Path, decision: Decision | None, count: int) -> None:
     frames = np.full((count, 2, 320, 327, 3), 90, np.uint8)
-    motion = np.full((2, 20, 21, 2), 2.0)
-    motion[0, 3, 3] = np.nan
+    moved = np.full((2, 20, 21, 2), 2.0)
+    moved[0, 3, 3] = np.nan
+    motion = np.broadcast_to(Sensor.load().marker_rest_px(), moved.shape), moved
     path = attempt_picture.save(tmp_path / "new" / "attempt.png", frames, decision, motion, np.ones((2, 20, 21), bool))
     assert cv2.imread(str(path)).shape == (840, 1500, 3)
 
@@ -50,14 +51,14 @@ def test_view_draws_the_trials_asked_for(tmp_path: Path) -> None:
             trials = [made_up_trial(2 * shard + k) for k in range(2)]
             writer.commit(writer.write_shard(f"rectangle-{shard:05d}.parquet", trials))
     out = tmp_path / "out"
-    assert view.main([str(tmp_path / "data" / "rectangle-00001.parquet"), "--out", str(out), "--count", "1"]) == 0
+    assert dataset.view([str(tmp_path / "data" / "rectangle-00001.parquet"), "--out", str(out), "--count", "1"]) == 0
     assert [path.name for path in out.iterdir()] == ["trial-000002.png"]
     with pytest.raises(DatasetError, match="not listed"):
-        view.main([str(tmp_path / "data" / "rectangle-00009.parquet")])
+        dataset.view([str(tmp_path / "data" / "rectangle-00009.parquet")])
     with pytest.raises(DatasetError, match="no trials from number 77"):
-        view.main([str(tmp_path / "data"), "--first", "77"])
+        dataset.view([str(tmp_path / "data"), "--first", "77"])
 
 
 def test_the_plate_of_the_docs_can_be_made_again(tmp_path: Path) -> None:
-    assert imprint.main(["--out", str(tmp_path / "imprint.png"), "--objects", "circle"]) == 0
+    assert probe.imprint(["--out", str(tmp_path / "imprint.png"), "--objects", "circle"]) == 0
     assert cv2.imread(str(tmp_path / "imprint.png")) is not None

@@ -14,6 +14,7 @@ import numpy as np
 
 from robot_client.grippers.wsg50.codec import Reply, StreamParser, decode_reply, encode_request
 from robot_client.grippers.wsg50.codes import Command, Status
+from service.contract import Sensor
 from simulation.cell.emulators.abb.motion import Pose, tool_down
 from simulation.cell.live import APPROACH_MM, LiveCell, Plant, bind_all
 from simulation.cell.options import CellOptions
@@ -60,7 +61,7 @@ def draw(gel, frame_seed, previous):
     return np.full((320, 427, 3), frame_seed % 200, np.uint8)
 
 
-def plant(physics: TwoLinePhysics, x_mm: float = 8.0, theta_deg: float = 6.0) -> Plant:
+def plant(physics: TwoLinePhysics, x_mm: float = 8.0, theta_deg: float = 6.0, fps: int = 30) -> Plant:
     return Plant(
         mechanics=physics,
         regrasp=physics.grips.append,
@@ -69,6 +70,8 @@ def plant(physics: TwoLinePhysics, x_mm: float = 8.0, theta_deg: float = 6.0) ->
         part_width_mm=80.0,
         gap_width_mm=56.0,
         save_calibration=lambda _path: None,
+        sensor=Sensor.load(),
+        fps=fps,
     )
 
 
@@ -94,7 +97,7 @@ class Bench:
         return make(*args)
 
     def _make(self, options):
-        return LiveCell(options, plant(self.physics), bind_all(options))
+        return LiveCell(options, plant(self.physics, fps=options.fps or 30), bind_all(options))
 
     def run(self, coroutine):
         return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(60.0)

@@ -45,7 +45,7 @@ def marker_difference(one: Scene, other: Scene) -> float:
 def image_difference(one: Scene, other: Scene) -> float:
     """RMS difference in grey levels of a frame in which the gel moves as fast as the arm."""
     state = poke(load_scene("rectangle", **CLEAN)).gel[-1, 0].astype(np.float32)
-    fall = one.speed_mm_s / one.camera.fps
+    fall = one.speed_mm_s / one.fps
     before = state - np.array([0.0, fall, 0.0], np.float32)
     frames = [Renderer(Appearance.draw(scene, "left", 3)).rectified(state, 5, before) for scene in (one, other)]
     return float(np.sqrt(np.mean((frames[0].astype(float) - frames[1]) ** 2)))

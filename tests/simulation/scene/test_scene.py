@@ -29,7 +29,7 @@ def test_every_built_in_scene_loads(name: str) -> None:
         ({"object__corner_radius_mm": 40.0}, "object.corner_radius_mm: must be 0 to 25.5"),
         ({"object__held_corner_radius_mm": 40.0}, "object.held_corner_radius_mm"),
         ({"gel__crown_mm": 1.0, "gel__thickness_mm": 1.0}, "gel.crown_mm: must be 0 to 0.5"),
-        ({"camera__fps": 45}, "camera.fps: Input should be 30, 60 or 90"),
+        ({"camera__fps": 9}, "camera.fps: expected a number >= 10 and <= 120 (given: 9)"),
     ],
 )
 def test_an_impossible_scene_is_refused_by_name(override: dict[str, float], named: str) -> None:

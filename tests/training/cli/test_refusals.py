@@ -9,17 +9,17 @@ import pytest
 import torch
 
 from export.cli.commands import main as export_main
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from simulation.data.dataset import DatasetWriter
 from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 from training.cli.commands import main
-from training.config import NetworkConfig
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import train
 from training.metrics.figures import Scales
 from training.networks import build
+from training.networks.settings import NetworkConfig
 
 SHARD = "rectangle-00001.parquet"
 CONFIG = """name = "mine"
@@ -120,7 +120,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(probes, run_file, tmp_path,
     taken.write_text("a file")
     run_file.write_text(CONFIG.format(runs=taken, data=probes, cache=tmp_path / "cache"))
     size = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
-    weights = build(size, len(CLASSES)).state_dict()
+    weights = build(size, len(CLASSES), Sensor.load()).state_dict()
     Checkpoint("sound", size, weights, Scales(), Scales(), {}, "0" * 64, "none").save(sound)
     words = ("train", run_file) if run is main else ("onnx", sound, "--out", taken)
     assert str(taken) in refusal(monkeypatch, capsys, run, *words)
@@ -129,8 +129,8 @@ def test_a_folder_that_cannot_be_written_is_one_line(probes, run_file, tmp_path,
 @pytest.fixture
 def foreign(tmp_path):
     """A checkpoint whose weights are of another size than it says."""
-    weights = build(NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=24), len(CLASSES))
     stated = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
+    weights = build(stated.model_copy(update={"state_size": 24}), len(CLASSES), Sensor.load())
     path = tmp_path / "foreign.pt"
     Checkpoint("foreign", stated, weights.state_dict(), Scales(), Scales(), {}, "0" * 64, "none").save(path)
     return path

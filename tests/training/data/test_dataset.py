@@ -3,13 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from tests.training.synthetic import SyntheticSource
-from training.config import FRAMES_PER_DECISION, WINDOW, DataConfig
+from training.config import WINDOW, DataConfig
 from training.data.batches import decisions, mirror_fields
 from training.data.dataset import load_trials, reader_sha256
 from training.data.labels import class_of
 from training.networks.preprocessing import pool_frames
+from training.networks.settings import FRAMES_PER_DECISION
+
+SENSOR = Sensor.load()
 
 
 @pytest.fixture(scope="module")
@@ -18,11 +21,14 @@ def small():
 
 
 @pytest.fixture(scope="module")
-def trials(small, tmp_path_factory):
+def drawing(tmp_path_factory):
     cache = str(tmp_path_factory.mktemp("cache"))
-    return load_trials(
-        DataConfig(path="unused", cache=cache, rendered_training=4, rendered_validation=3, rendered_test=1), small
-    )
+    return DataConfig(path="unused", cache=cache, rendered_training=4, rendered_validation=3, rendered_test=1)
+
+
+@pytest.fixture(scope="module")
+def trials(small, drawing):
+    return load_trials(drawing, small)
 
 
 def _counting(small, calls):
@@ -33,14 +39,13 @@ def _counting(small, calls):
     return draws
 
 
-def test_the_cache_returns_what_was_read(config, small, monkeypatch):
-    first = load_trials(config.data, small)
+def test_the_cache_returns_what_was_read(trials, drawing, small, monkeypatch):
     calls: list[int] = []
     monkeypatch.setattr(small, "frames", _counting(small, calls))
-    again = load_trials(config.data, small)
+    again = load_trials(drawing, small)
     assert calls == [0]  # one pair of pictures tells that the renderer is the same; none is drawn for training
     for name in ("error", "fields", "picture", "drawn"):
-        assert np.array_equal(getattr(first, name), getattr(again, name))
+        assert np.array_equal(getattr(trials, name), getattr(again, name))
 
 
 def test_pictures_of_another_renderer_are_drawn_anew(config, small, monkeypatch):
@@ -60,10 +65,9 @@ def test_what_is_only_drawn_of_a_gel_in_motion_tells_renderers_apart(small, monk
     assert reader_sha256(small, reads) != before
 
 
-def test_an_interrupted_drawing_goes_on_where_it_stopped(config, small, monkeypatch):
-    whole = load_trials(config.data, small).drawn.copy()
+def test_an_interrupted_drawing_goes_on_where_it_stopped(trials, drawing, small, monkeypatch):
     calls = []
-    other = config.data.model_copy(update={"cache": config.data.cache + "-2"})
+    other = drawing.model_copy(update={"cache": drawing.cache + "-2"})
 
     def dies(index, start, count):
         calls.append(index)
@@ -75,14 +79,14 @@ def test_an_interrupted_drawing_goes_on_where_it_stopped(config, small, monkeypa
     with pytest.raises(KeyboardInterrupt):
         load_trials(other, small)
     monkeypatch.undo()
-    assert np.array_equal(load_trials(other, small).drawn, whole)
+    assert np.array_equal(load_trials(other, small).drawn, trials.drawn)
 
 
 def test_pictures_belong_to_their_trials(trials, small):
     index = int(trials.of("validation", rendered=True)[0])
     trial = next(i for i, t in enumerate(small.trials) if np.allclose((t.x_mm, t.theta_deg), trials.error[index]))
     start = small.trials[trial].onset_frame - 1
-    assert np.array_equal(trials.drawn[trials.picture[index]], pool_frames(small.frames(trial, start, WINDOW)))
+    assert np.array_equal(trials.drawn[trials.picture[index]], pool_frames(small.frames(trial, start, WINDOW), SENSOR))
 
 
 def test_no_group_is_shared_between_splits(trials):
@@ -90,18 +94,18 @@ def test_no_group_is_shared_between_splits(trials):
     assert len(groups[0] | groups[1] | groups[2]) == sum(len(group) for group in groups)
 
 
-def test_a_group_in_two_splits_is_refused(config):
+def test_a_group_in_two_splits_is_refused(tmp_path):
     source = SyntheticSource(10)
     source.trials[1] = replace(source.trials[1], split="test")
     with pytest.raises(ContractError, match="re-fixture group rectangle/0"):
-        load_trials(config.data, source)
+        load_trials(DataConfig(path="unused", cache=str(tmp_path)), source)
 
 
-def test_nan_labels_are_named_and_refused(config):
+def test_nan_labels_are_named_and_refused(tmp_path):
     source = SyntheticSource(10)
     source.trials[7] = replace(source.trials[7], theta_deg=float("nan"))
     with pytest.raises(ContractError, match="trial 7: error is not finite"):
-        load_trials(config.data, source)
+        load_trials(DataConfig(path="unused", cache=str(tmp_path)), source)
 
 
 def test_a_decision_starts_at_the_onset_and_is_relative_to_it(trials):

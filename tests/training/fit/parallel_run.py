@@ -6,8 +6,9 @@ from pathlib import Path
 import torch
 
 from tests.training.synthetic import SyntheticSource
-from training.config import DataConfig, NetworkConfig, RunConfig, StageConfig
+from training.config import DataConfig, RunConfig, StageConfig
 from training.fit import parallel, train
+from training.networks.settings import NetworkConfig
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])

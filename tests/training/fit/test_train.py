@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from service.contract import ContractError
+from service.contract import ContractError, Sensor
 from tests.training.synthetic import SyntheticSource
-from training.config import NetworkConfig, RunConfig, StageConfig
+from training.config import RunConfig, StageConfig
 from training.fit.checkpoint import Checkpoint
-from training.fit.loop import Log, Stage, fit
+from training.fit.loop import Stage, fit
 from training.fit.train import train
 from training.networks.forms import SequenceForm, StepForm
+from training.networks.settings import NetworkConfig
 
 
 def test_the_trunk_learns_a_learnable_motion(config):
@@ -25,9 +26,7 @@ def test_the_trunk_learns_a_learnable_motion(config):
     assert figures["rmse_x_mm"] < 2
 
 
-def test_a_killed_run_resumes_to_the_same_weights(config, source, monkeypatch):
-    whole = train(config, source)
-    again = config.model_copy(update={"runs": config.runs + "-2"})
+def test_a_killed_run_resumes_to_the_same_weights(trained, config, source, monkeypatch):
     from training.fit import loop
 
     kept, calls = loop._save, []
@@ -40,9 +39,9 @@ def test_a_killed_run_resumes_to_the_same_weights(config, source, monkeypatch):
 
     monkeypatch.setattr(loop, "_save", dies)
     with pytest.raises(KeyboardInterrupt):
-        train(again, source)
+        train(config, source)
     monkeypatch.undo()
-    resumed = train(again, source)
+    whole, resumed = trained[1], train(config, source)
     assert all(torch.allclose(whole.weights[name], resumed.weights[name], atol=1e-6) for name in whole.weights)
 
 
@@ -64,9 +63,7 @@ def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, l
             loss=lambda given: network(given).square().mean(),
             validate=lambda: {"score": float(len(epochs))},  # the first epoch stays the best
         )
-        log = Log(tmp_path)
-        fit(network, stage, tmp_path, 0, log)
-        log.close()
+        fit(network, stage, tmp_path, 0)
 
     play()
     done = len(epochs)
@@ -75,16 +72,16 @@ def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, l
     assert len(epochs) == done
 
 
-def test_a_checkpoint_names_its_run_but_no_place_of_the_machine(config, source):
-    train(config, source)
+def test_a_checkpoint_names_its_run_but_no_place_of_the_machine(trained):
+    config, _ = trained
     said = Checkpoint.load(config.folder / "checkpoint.pt").run
     assert said["seed"] == config.seed
     assert said["trunk"]["learning_rate"] == config.trunk.learning_rate
     assert not [place for place in (config.runs, config.data.path, config.data.cache) if place in str(said)]
 
 
-def test_a_run_folder_belongs_to_one_config(config, source):
-    train(config, source)
+def test_a_run_folder_belongs_to_one_config(trained, source):
+    config, _ = trained
     with pytest.raises(ContractError, match="another config"):
         train(config.model_copy(update={"seed": 1}), source)
 
@@ -117,15 +114,15 @@ def test_a_run_does_not_go_on_from_other_weights(cheap, source):
         train(begun, source)
 
 
-def test_data_that_cannot_be_read_do_not_claim_a_run_folder(config, source, tmp_path):
-    mistyped = config.model_copy(update={"data": config.data.model_copy(update={"path": str(tmp_path / "nowhere")})})
+def test_data_that_cannot_be_read_do_not_claim_a_run_folder(cheap, source, tmp_path):
+    mistyped = cheap.model_copy(update={"data": cheap.data.model_copy(update={"path": str(tmp_path / "nowhere")})})
     with pytest.raises(ContractError, match="cannot read the dataset"):
         train(mistyped)
-    assert train(config, source).weights
+    assert train(cheap, source).weights
 
 
-def test_a_checkpoint_returns_what_was_saved(config, source, tmp_path):
-    saved = train(config, source)
+def test_a_checkpoint_returns_what_was_saved(trained):
+    config, saved = trained
     loaded = Checkpoint.load(config.folder / "checkpoint.pt")
     assert loaded.figures == saved.figures
     assert loaded.scales == saved.scales
@@ -148,8 +145,8 @@ def test_a_damaged_checkpoint_is_refused(tmp_path, content):
         Checkpoint.load(path)
 
 
-def test_a_checkpoint_of_another_architecture_is_refused(config, source):
-    train(config, source)
+def test_a_checkpoint_of_another_architecture_is_refused(trained):
+    config, _ = trained
     loaded = Checkpoint.load(config.folder / "checkpoint.pt")
     other = Checkpoint(**{**vars(loaded), "network": NetworkConfig(front_width=12)})
     with pytest.raises(ContractError, match="another architecture"):
@@ -189,6 +186,6 @@ def test_a_dataset_without_collisions_is_refused(config):
 def test_network_stays_under_a_million_parameters():
     from training.networks import build
 
-    count = sum(parameter.numel() for parameter in build(NetworkConfig(), 9).parameters())
+    count = sum(parameter.numel() for parameter in build(NetworkConfig(), 9, Sensor.load()).parameters())
     assert count < 1_000_000
     assert np.isfinite(count)

@@ -4,12 +4,10 @@ import pytest
 from training.data.labels import CLASSES, class_of
 from training.metrics.figures import (
     Predictions,
-    calibrate,
     cross_calibrated,
     expected_calibration_error,
     figures,
     probabilities,
-    rescaled,
 )
 
 
@@ -30,19 +28,19 @@ def make(count=4000, temperature=1.0, sigma_factor=1.0, seed=0):
 
 @pytest.mark.parametrize("temperature", [0.6, 1.0, 2.0])
 def test_calibration_finds_a_known_temperature(temperature):
-    assert calibrate(make(temperature=temperature)).temperature == pytest.approx(temperature, rel=0.1)
+    assert make(temperature=temperature).calibration().temperature == pytest.approx(temperature, rel=0.1)
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
 def test_calibration_finds_known_sigma_scales(factor):
-    scales = calibrate(make(sigma_factor=factor))
+    scales = make(sigma_factor=factor).calibration()
     assert scales.sigma_x == pytest.approx(factor, rel=0.06)
     assert scales.sigma_theta == pytest.approx(factor, rel=0.06)
 
 
 def test_calibrated_intervals_cover_what_they_say_on_fresh_trials():
-    scales = calibrate(make(sigma_factor=2.0, seed=1))
-    table = figures(rescaled(make(sigma_factor=2.0, seed=2), scales))
+    scales = make(sigma_factor=2.0, seed=1).calibration()
+    table = figures(make(sigma_factor=2.0, seed=2).rescaled(scales))
     assert table["coverage90_x"] == pytest.approx(0.9, abs=0.02)
     assert table["ece"] < 0.03
 

@@ -3,7 +3,8 @@ import pytest
 import torch
 
 from training.data.labels import CLASSES
-from training.metrics.joint import cross_calibrated_density, density_temperature, from_density, normalised
+from training.metrics.figures import cross_calibrated
+from training.metrics.joint import Densities, density_temperature, normalised
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM, MixtureDensity
 
 
@@ -15,7 +16,7 @@ def gaussian(truth, sigma):
 
 def test_a_density_gives_its_mean_spread_and_class():
     truth = np.array([[8.0, -9.0], [-6.0, 0.2], [0.0, 0.0]], np.float32)
-    said = from_density(gaussian(truth, 1.2), 1.0, truth, np.array(["circle"] * 3))
+    said = Densities(gaussian(truth, 1.2), truth, np.array(["circle"] * 3)).predictions(1.0)
     assert np.allclose(said.error, truth, atol=0.05)
     assert np.allclose(np.exp(said.log_sigma), 1.2, atol=0.1)
     assert [CLASSES[i].name for i in said.logits.argmax(1)] == ["6", "1", "near"]
@@ -34,9 +35,9 @@ def test_no_trial_is_scored_by_a_calibration_that_saw_it():
     truth = (centre + rng.normal(0, 1.5, centre.shape)).astype(np.float32)
     groups, objects = np.repeat(["a", "b", "c", "d"], 10), np.array(["circle"] * 40)
     own = np.isin(groups, ["a", "c"])
-    said = cross_calibrated_density(gaussian(centre, 1.4), truth, objects, groups)
+    said = cross_calibrated(Densities(gaussian(centre, 1.4), truth, objects), groups)
     elsewhere = np.where(own[:, None], -truth, truth)  # changed truths of one half move the other half alone
-    moved = cross_calibrated_density(gaussian(centre, 1.4), elsewhere, objects, groups)
+    moved = cross_calibrated(Densities(gaussian(centre, 1.4), elsewhere, objects), groups)
     assert np.array_equal(said.log_sigma[own], moved.log_sigma[own])
     assert not np.allclose(said.log_sigma[~own], moved.log_sigma[~own])
     assert np.array_equal(said.truth, truth.astype(np.float64))

@@ -6,20 +6,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from training.networks.affine import COLS, NUMBERS, QUIET, ROWS, AffineFit
+from service.contract import Sensor
+from training.networks.affine import NUMBERS, QUIET, AffineFit
 
 WHOLE, PATCH = 0, 12
 ALONG_X, ABOUT_Z, ALONG_Z = 0, 6, 7  # half the difference along u; half the sums along u and v
 DV_ALONG_U, DU_ALONG_V = 3, 4  # of the difference: a turn about the fingers' axis is half of (3) - (4)
 SIZE = 36
+SENSOR = Sensor.load()
+SHAPE = (SENSOR.marker_rows, SENSOR.marker_columns)
 Motion = tuple[float, float, float]
 
 
 def fields(left: Motion, right: Motion, rows: slice = slice(None)) -> Tensor:
     """Both fingers' (du, dv) and turn about the middle of the rows that move; every marker seen, the rest at rest."""
-    made = torch.zeros(1, 2, 3, ROWS, COLS)
+    made = torch.zeros(1, 2, 3, *SHAPE)
     made[:, :, 2] = 1.0
-    v, u = torch.meshgrid(torch.linspace(-1, 1, ROWS), torch.linspace(-1, 1, COLS), indexing="ij")
+    v, u = torch.meshgrid(*(torch.linspace(-1, 1, count) for count in SHAPE), indexing="ij")
     for finger, (du, dv, turn) in enumerate((left, right)):
         made[0, finger, 0, rows] = (du - turn * (v - v[rows].mean()))[rows]
         made[0, finger, 1, rows] = (dv + turn * u)[rows]
@@ -27,7 +30,7 @@ def fields(left: Motion, right: Motion, rows: slice = slice(None)) -> Tensor:
 
 
 def numbers(field: Tensor) -> Tensor:
-    return AffineFit(8).raw(field)[0]
+    return AffineFit(8, SENSOR).raw(field)[0]
 
 
 @given(du=st.floats(0.05, 0.5), dv=st.floats(-0.5, 0.5), part=st.sampled_from([slice(None), slice(4, 12)]))

@@ -4,15 +4,17 @@ import torch
 
 from service.contract import ContractError
 from tests.training.synthetic import SyntheticSource
-from training.config import StageConfig
+from training.config import RecipeConfig, StageConfig
 from training.data.dataset import load_table
-from training.data.recipe_data import RecipeConfig, _convolved
+from training.data.recipe_data import _convolved
 from training.fit.checkpoint import Checkpoint
 from training.fit.recipe import train_recipe
 from training.fit.shared import share_backbone
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 from training.networks.forms import SequenceForm, StepForm
+from training.networks.settings import NetworkConfig
 
+NETWORK = NetworkConfig(kind="alexnet_lstm")
 TORCHVISION = {
     "features.0": (64, 3, 11, 11),
     "features.3": (192, 64, 5, 5),
@@ -137,7 +139,7 @@ def test_the_recipe_trains_resumes_and_keeps_both_networks(tmp_path):
 
 
 def test_networks_behind_one_backbone_decide_as_apart():
-    pair = AlexNetPair(9).eval()
+    pair = AlexNetPair(NETWORK, 9).eval()
     pair.magnitude.alexnet.load_state_dict(pair.direction.alexnet.state_dict())
     both = pair.of("pair")
     frames = torch.randint(
@@ -154,4 +156,4 @@ def test_networks_behind_one_backbone_decide_as_apart():
 
 def test_different_convolutions_are_not_shared():
     with pytest.raises(ContractError, match="convolutions differ"):
-        AlexNetPair(9).of("pair")
+        AlexNetPair(NETWORK, 9).of("pair")

@@ -3,12 +3,13 @@
 import numpy as np
 import torch
 
-from training.config import NetworkConfig
+from service.contract import Sensor
 from training.data.dataset import load_trials
 from training.data.labels import CLASSES
 from training.fit.train import train
 from training.networks import build
 from training.networks.forms import SequenceForm, StepForm
+from training.networks.settings import NetworkConfig
 
 KIND = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
 
@@ -16,7 +17,7 @@ KIND = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=
 def test_it_trains_on_true_fields_and_is_scored_on_tracked_pictures(config, source):
     run = config.model_copy(update={"network": KIND})
     checkpoint = train(run, source)
-    tracked = load_trials(run.data, source, KIND.reads).drawn
+    tracked = load_trials(run.data, source, "markers").drawn
     assert tracked.shape[2:] == (2, 20, 21, 3)
     assert 0.9 < tracked[..., 2].mean() <= 1.0
     assert checkpoint.build().reads_markers
@@ -25,8 +26,8 @@ def test_it_trains_on_true_fields_and_is_scored_on_tracked_pictures(config, sour
 
 def test_tracked_markers_read_as_the_true_field_does(config, source):
     run = config.model_copy(update={"network": KIND})
-    trials = load_trials(run.data, source, KIND.reads)
-    network = build(KIND, len(CLASSES))
+    trials = load_trials(run.data, source, "markers")
+    network = build(KIND, len(CLASSES), Sensor.load())
     chosen = trials.of("validation", rendered=True)
     seen = network.read_drawn(torch.from_numpy(trials.drawn[trials.picture[chosen]]))
     fields = trials.fields[chosen].astype(np.float32)
@@ -36,21 +37,21 @@ def test_tracked_markers_read_as_the_true_field_does(config, source):
 
 
 def test_a_marker_that_was_not_seen_moves_nothing():
-    network = build(KIND, len(CLASSES)).eval()
+    network = build(KIND, len(CLASSES), Sensor.load()).eval()
     first = torch.zeros(1, 2, 20, 21, 3)
     first[..., 2] = 1.0
     then = first.clone()
     then[0, 0, 5, 5] = torch.tensor([90.0, -40.0, 0.0])
     lost = then.clone()
     lost[0, 0, 5, 5, :2] = 0.0
-    told, state = torch.tensor([[56.0, 30.0]]), torch.zeros(1, KIND.state_size)
-    said = [network.advance(network.features(frame, first), told, state) for frame in (then, lost)]
-    assert torch.equal(*said)
+    geometry, state = torch.tensor([[56.0, 30.0]]), torch.zeros(1, KIND.state_size)
+    states = [network.advance(network.features(frame, first), geometry, state) for frame in (then, lost)]
+    assert torch.equal(*states)
 
 
 def test_both_forms_decide_alike():
     torch.manual_seed(0)
-    network = build(KIND, len(CLASSES)).eval()
+    network = build(KIND, len(CLASSES), Sensor.load()).eval()
     frames = torch.rand(1, 8, 2, 20, 21, 3)
     gap, height = torch.full((1, 1), 60.0), torch.full((1, 1), 80.0)
     whole = SequenceForm(network, "direction")(frames, gap, height)[0]

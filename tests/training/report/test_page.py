@@ -1,10 +1,10 @@
 import pytest
 
 from service.contract import ContractError
-from training.config import NetworkConfig
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import train
 from training.metrics.figures import Scales
+from training.networks.settings import NetworkConfig
 from training.report.page import recipe_part, write_report
 from training.report.stress import stress
 

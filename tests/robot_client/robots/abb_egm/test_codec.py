@@ -5,6 +5,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from robot_client.insertion.geometry import Pose
 from robot_client.robots.abb_egm import codec
@@ -74,14 +75,16 @@ def test_a_quaternion_that_is_no_rotation_is_refused():
         codec.encode_guidance(Guidance(1, pose=Pose(0, 0, 0, 0.5, 0, 0, 0)))
 
 
-def test_euler_angles_are_read_as_rapid_orders_them():
+@given(st.tuples(*[st.floats(-180, 180)] * 3))
+def test_euler_angles_turn_about_z_then_the_new_y_then_the_new_x(angles):
     message = pb.EgmSensor()
     message.header.seqno = 1
     pose = message.planned.cartesian
     pose.pos.x, pose.pos.y, pose.pos.z = 1.0, 2.0, 3.0
-    pose.euler.x, pose.euler.y, pose.euler.z = 0.0, 0.0, 90.0
-    read = codec.decode_guidance(message.SerializeToString()).pose
-    assert read.quaternion == pytest.approx((math.sqrt(0.5), 0, 0, math.sqrt(0.5)))
+    pose.euler.x, pose.euler.y, pose.euler.z = angles
+    w, x, y, z = codec.decode_guidance(message.SerializeToString()).pose.quaternion
+    expected = Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_matrix()
+    assert Rotation.from_quat([x, y, z, w]).as_matrix() == pytest.approx(expected, abs=1e-6)
 
 
 def test_oversized_datagrams_are_refused():

@@ -26,3 +26,46 @@ def test_a_stop_that_cannot_even_be_asked_for_is_not_confirmed_in_words(challeng
         return outcome
 
     assert "STOP NOT CONFIRMED" in asyncio.run(story())
+
+
+def start_of(panel):
+    """How a start ended on a controller in this state, what was posted, and whether the program is ours to stop."""
+    state, posted = {"opmode": "AUTO", "ctrlstate": "motoron", "ctrlexecstate": "stopped"} | panel, []
+
+    def answer(request):
+        if request.method == "POST":
+            posted.append(request.url.params["action"])
+            state.update({"ctrlexecstate": "running"} if posted[-1] == "start" else {"ctrlstate": "motoron"})
+        return httpx.Response(200, json={"_embedded": {"_state": [{**state, "speedratio": "100"}]}})
+
+    async def story():
+        client = RwsClient(RwsSettings(start_timeout_s=0.05, motors_timeout_s=0.05, poll_s=0.01))
+        await client._client.aclose()
+        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
+        try:
+            await client.start_program()
+            return "", posted, client.started
+        except RwsError as error:
+            return str(error), posted, client.started
+        finally:
+            await client._client.aclose()
+
+    return asyncio.run(story())
+
+
+def test_a_fit_controller_runs_the_program_which_is_then_ours_to_stop():
+    assert start_of({}) == ("", ["start"], True)
+
+
+@pytest.mark.parametrize(
+    ("panel", "reason"),
+    [
+        ({"opmode": "MANR"}, "operating mode is MANR, expected AUTO"),
+        ({"ctrlstate": "guardstop"}, "controller state is guardstop"),
+        ({"ctrlexecstate": "running"}, "runs already"),
+    ],
+)
+def test_nothing_is_started_on_a_controller_that_is_not_fit_for_it(panel, reason):
+    error, posted, started = start_of(panel)
+    assert reason in error
+    assert (posted, started) == ([], False)

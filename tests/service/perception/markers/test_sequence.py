@@ -7,17 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.contract import MarkerSpec
+from service.contract import Sensor
 from service.decision.evidence import Refusal
 from service.decision.network_input import network_frames
-from service.perception.markers.field import LATTICE, MarkerField, empty_field, field_from_gel, marker_array
+from service.perception.markers.field import MarkerField, empty_field, field_from_gel, marker_array
 from service.perception.markers.sequence import track_pairs
 from tests.service import tiny_models
+
+SENSOR = Sensor.load()
 
 
 def true_field(seed: int = 0) -> MarkerField:
     gel = np.random.default_rng(seed).normal(0, 0.05, (20, 21, 3))
-    return field_from_gel(gel, 0, marker_pitch_mm=1.05)
+    return field_from_gel(gel, 0, SENSOR)
 
 
 @given(
@@ -34,8 +36,8 @@ def test_a_part_of_the_grid_fills_its_part_of_the_lattice(top, left, rows, colum
         whole.rest_px[cut] + 2.0, whole.displacement_px[cut], whole.valid[cut], None, whole.pitch_px, 0, "partial"
     )
     expected = np.zeros((20, 21, 3), np.float32)
-    expected[cut] = marker_array(whole)[cut]
-    assert np.array_equal(marker_array(part), expected)
+    expected[cut] = marker_array(whole, SENSOR.markers)[cut]
+    assert np.array_equal(marker_array(part, SENSOR.markers), expected)
 
 
 def test_a_gel_that_bulges_by_more_than_half_a_pitch_fills_every_node_of_the_lattice_once() -> None:
@@ -45,9 +47,10 @@ def test_a_gel_that_bulges_by_more_than_half_a_pitch_fills_every_node_of_the_lat
     way = (whole.rest_px - middle) / 60.0
     bulge = 10.0 * 1.6 * way * np.exp(0.5 - 0.5 * np.square(way).sum(-1, keepdims=True))
     assert np.linalg.norm(bulge, axis=-1).max() > 7.5
+    grid = SENSOR.markers
     for carried in (np.zeros(2), np.array([0.0, -14.0]), np.array([9.0, 20.0])):
         rest = (whole.rest_px + bulge + carried).astype(np.float32)
-        assert np.array_equal(marker_array(replace(whole, rest_px=rest)), marker_array(whole))
+        assert np.array_equal(marker_array(replace(whole, rest_px=rest), grid), marker_array(whole, grid))
 
 
 def test_no_grid_another_pitch_or_another_place_is_refused_by_name() -> None:
@@ -56,16 +59,14 @@ def test_no_grid_another_pitch_or_another_place_is_refused_by_name() -> None:
     away = MarkerField(field.rest_px + 400.0, field.displacement_px, field.valid, None, 15.0, 0)
     for wrong, word in ((empty_field(0, "no_grid", ""), "0 x 0"), (coarse, "22.0 px"), (away, "outside")):
         with pytest.raises(ValueError, match=word):
-            marker_array(wrong)
+            marker_array(wrong, SENSOR.markers)
 
 
 def test_pictures_without_markers_are_no_input_for_a_network_that_reads_markers(tmp_path) -> None:
-    card = tiny_models.card("direction", "step").model_copy(
-        update={"markers": MarkerSpec(rows=20, columns=21, pitch_px=15.0, first_px=LATTICE.first_px)}
-    )
+    card = tiny_models.card("direction", "step").model_copy(update={"markers": SENSOR.markers})
     black = np.zeros((2, 2, 320, 327, 3), np.uint8)
     with pytest.raises(ValueError, match="expected 20 x 21"):
-        track_pairs(black)
+        track_pairs(black, SENSOR.markers, SENSOR.fps)
     with pytest.raises(Refusal, match="expected 20 x 21"):
         network_frames(card, black)
     assert card.input_shape == (20, 21, 3)

@@ -5,10 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from service.contract import Sensor
 from service.perception.markers.field import MarkerField, empty_field, field_from_gel
 from service.perception.slip.detector import SlipDetector, SlipSettings
 from service.perception.slip.onset import OnsetDetector
 from tests.service.perception.synthetic import FRAME_NS, patch_fields, rigid
+
+SENSOR = Sensor.load()
 
 
 def judge(fields):
@@ -99,7 +102,7 @@ def test_a_soft_object_that_is_shaken_has_no_node_that_stands_out():
 
 def straight_slide(seconds_still):
     """A whole patch carried up, most of it lagging a little, that then stands still in its fingers."""
-    rest = field_from_gel(np.zeros((20, 21, 3), np.float32), 0, marker_pitch_mm=1.05).rest_px
+    rest = field_from_gel(np.zeros((20, 21, 3), np.float32), 0, SENSOR).rest_px
     lag = np.linspace(0.0, 1.0, rest.shape[0])[:, None]
     fields = []
     for k in range(10 + int(seconds_still / (FRAME_NS / 1e9))):
@@ -199,7 +202,7 @@ def test_true_fields_of_a_simulated_gel_run_without_an_image():
     for k in range(15):
         shear = np.minimum(0.05 * k, 0.5 * pressure) * (pressure > 0)
         gel = np.stack([np.zeros_like(shear), shear, pressure], -1)
-        field = field_from_gel(gel, k * FRAME_NS, marker_pitch_mm=1.05)
+        field = field_from_gel(gel, k * FRAME_NS, SENSOR)
         if k == 0:
             detector.rearm(field)
         slips.append(detector.update(field).slip)
@@ -208,7 +211,7 @@ def test_true_fields_of_a_simulated_gel_run_without_an_image():
 
 
 def test_a_gel_that_touches_nothing_is_no_contact_and_no_reference():
-    free = field_from_gel(np.zeros((20, 21, 3)), 0, marker_pitch_mm=1.05)
+    free = field_from_gel(np.zeros((20, 21, 3)), 0, SENSOR)
     detector = SlipDetector()
     assert detector.update(free).state == "no_contact"
     assert detector.rearm(free).state == "no_contact"

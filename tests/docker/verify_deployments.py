@@ -15,8 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from images import ROOT, VerificationError, base_image, buildah, call
-from sim_loop import Loop, free_port, waited
+from tests.docker.images import ROOT, VerificationError, base_image, buildah, call
+from tests.docker.sim_loop import Loop, free_port, waited
 
 LOCAL_PROMETHEUS = "localhost/prometheus:debian"
 PINNED = "0"
@@ -61,8 +61,8 @@ def check_live(add: Add, loop: Loop) -> None:
         try:
             call([*live, "up", "--detach", "--no-build", "service"])
             seconds = loop.wait_healthy("service", 120)
-            found = live_cameras(loop)
-            add("live profile, cameras by URL: ready", f"after {seconds:.0f} s, {found} cameras live", found == 2)
+            count = live_cameras(loop)
+            add("live profile, cameras by URL: ready", f"after {seconds:.0f} s, {count} cameras live", count == 2)
             status = Path(f"/proc/{loop.process('service')}/status").read_text()
             cores = status.split("Cpus_allowed_list:")[1].split()[0]
             add(f"live profile, SERVICE_CPUSET={PINNED}: runs on", f"processor {cores}", cores == PINNED)
@@ -176,10 +176,10 @@ def check_bundle(add: Add, archive: Path) -> None:
     ]
     started = time.monotonic()
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
-    verdict = (done.stdout + done.stderr).strip().splitlines()[-1:]
+    last = (done.stdout + done.stderr).strip().splitlines()[-1:]
     add(
         "bundle without network: installed, models checked, rehearsal",
         f"exit {done.returncode} after {time.monotonic() - started:.0f} s, {archive.stat().st_size / 1e6:.0f} MB"
-        + ("" if done.returncode == 0 else f": {verdict}"),
+        + ("" if done.returncode == 0 else f": {last}"),
         done.returncode == 0,
     )

@@ -18,9 +18,9 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from images import IMAGES, ROOT, VerificationError, build_all, call, prepare_engine, say
-from sim_loop import Loop, free_ports, waited
-from verify_deployments import check_bundle, check_live, check_monitoring, check_pod
+from tests.docker.images import IMAGES, ROOT, VerificationError, build_all, call, prepare_engine, say
+from tests.docker.sim_loop import Loop, free_ports, waited
+from tests.docker.verify_deployments import check_bundle, check_live, check_monitoring, check_pod
 
 SERVICE_MB, IDLE_RSS_MB, IDLE_CPU_SHARE = 450.0, 300.0, 0.05
 FORBIDDEN = {
@@ -120,7 +120,7 @@ def check_idle(report: Report, loop: Loop, seconds: float = 20.0) -> None:
 
 def check_decision_time(report: Report, outside: str, rounds: int = 9) -> None:
     """The networks' step inside the container against outside it, taken in turns; the median of the ratios counts."""
-    script = (ROOT / "docker" / "decision_time.py").read_text()
+    script = Path(__file__).with_name("decision_time.py").read_text()
     inside_command = [
         *("podman", "run", "--rm", "-i", "--network", "none", "--read-only", "--cpus", "1.5", "-m", "768m"),
         *("--entrypoint", "python", IMAGES["service"], "-", "/models"),
@@ -147,27 +147,27 @@ def check_decision_time(report: Report, outside: str, rounds: int = 9) -> None:
 
 
 def insert(report: Report, loop: Loop, what: str, tries: int = 3) -> bool:
-    """An insertion that must end with 0 and with the object in the gap, on one of a few tries; every try is told."""
+    """An insertion that must end with 0 and the object in the gap, on one of a few tries; every try is reported."""
     started = time.monotonic()
-    told = []
+    endings = []
     for attempt in range(tries):
         time.sleep(10.0 * attempt)  # an overloaded machine makes it hold, rightly; give that time to pass
         with loop.client() as client:
             output = client.communicate(timeout=300)[0]
         inserted = dict_of(loop.truth().get("object")).get("inserted") is True
         attempts = output.count("\nattempt ")
-        told.append(f"exit {client.returncode} after {attempts} attempts: {ending(output)}")
+        endings.append(f"exit {client.returncode} after {attempts} attempts: {ending(output)}")
         if client.returncode == 0 and inserted:
             break
-    report.add(what, f"{'; then '.join(told)}; {time.monotonic() - started:.0f} s", inserted)
+    report.add(what, f"{'; then '.join(endings)}; {time.monotonic() - started:.0f} s", inserted)
     return inserted
 
 
 def ending(output: str) -> str:
     """The line of a client's output that says how it ended."""
     lines = [line.strip() for line in output.splitlines()]
-    verdicts = [line for line in lines if line.startswith(("INSERTED", "HOLD", "FAILED SAFE", "error"))]
-    return (verdicts or lines or ["nothing"])[-1][:160]
+    endings = [line for line in lines if line.startswith(("INSERTED", "HOLD", "FAILED SAFE", "error"))]
+    return (endings or lines or ["nothing"])[-1][:160]
 
 
 def dict_of(value: object) -> dict[str, object]:
@@ -198,8 +198,8 @@ def break_and_recover(report: Report, loop: Loop) -> None:
         f"{rest_s:.1f} s, then moved {moved_mm:.3f} mm",
         moved_mm < 0.05,
     )
-    said = f"exit {client.returncode}: {ending(output)}"
-    report.add("service killed in the descent: client says", said, client.returncode == 1)
+    ended = f"exit {client.returncode}: {ending(output)}"
+    report.add("service killed in the descent: client says", ended, client.returncode == 1)
     loop.wait_healthy("service-sim", 120)
     report.add("service killed in the descent: healthy again by itself after", f"{time.monotonic() - killed:.1f} s")
     insert(report, loop, "next insertion after the kill")

@@ -1,4 +1,4 @@
-"""The `sim` profile under podman-compose on free ports, for `verify_images.py`."""
+"""The `sim` profile under podman-compose on free ports, for `verify_images`."""
 
 import contextlib
 import json
@@ -9,7 +9,7 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator
 
-from images import ROOT, VerificationError, call
+from tests.docker.images import ROOT, VerificationError, call
 
 PROJECT = "verify-images"
 PORT_NAMES = ("SERVICE", "EGM", "RWS", "GRIPPER", "CAMERA_LEFT", "CAMERA_RIGHT", "ADMIN")

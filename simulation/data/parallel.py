@@ -1,0 +1,75 @@
+"""Many pieces of work on all cores or on a Ray cluster, one result after the other."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing.connection import wait
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def results(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int = 0, ray: str = "", *, in_order: bool = False
+) -> Iterator[Result]:
+    """``work`` of every item as it is finished, or in the order of the items; raises what ``work`` raises.
+
+    ``workers``: processes, 0 for one a core, 1 for none beside this one. ``ray``: address of a Ray cluster to work on
+    instead ("local" starts one here); what the items name must exist on every node. Raises ValueError without Ray.
+    """
+    workers = min(workers or os.cpu_count() or 1, len(items))
+    if ray and items:
+        yield from _on_ray(work, items, ray)
+    elif workers <= 1:
+        yield from map(work, items)
+    else:
+        yield from _in_processes(work, items, workers, in_order)
+
+
+def _in_processes(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int, in_order: bool
+) -> Iterator[Result]:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # one process a core; threads inside them would only fight
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _die_with_parent) as pool:
+        futures = [pool.submit(work, item) for item in items]
+        try:
+            yield from (future.result() for future in (futures if in_order else as_completed(futures)))
+        except BaseException:  # an interruption too: nobody waits for what is still being worked on
+            for process in list(pool._processes.values()):  # noqa: SLF001 (no public way to stop a busy worker)
+                process.terminate()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _die_with_parent() -> None:
+    """However the parent ends, the worker ends too; Ctrl-C is the parent's alone to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def _on_ray(work: Callable[[Item], Result], items: Sequence[Item], address: str) -> Iterator[Result]:
+    try:
+        import ray
+    except ImportError as error:
+        raise ValueError('--ray needs Ray: pip install ".[simulation,service,ray]"') from error
+    ray.init(address=None if address == "local" else address, log_to_driver=False, include_dashboard=False)
+    try:
+        remote = ray.remote(num_cpus=1, max_retries=3)(work)
+        waiting = [remote.remote(item) for item in items]
+        while waiting:
+            finished, waiting = ray.wait(waiting, num_returns=1)
+            yield from ray.get(finished)
+    finally:
+        ray.shutdown()

@@ -1,0 +1,61 @@
+"""Whether an object is inserted: the one definition that every table, report and live cell uses.
+
+An object counts as inserted when all of its bottom face is deep enough below the block tops, when it lies in its gap
+as an object of its size can, stands upright, is still in the grasp, and has not made its own room by pushing a block.
+A lowest corner that is deep enough proves nothing: a box jammed at 42 degrees has one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.scene.parts import Blocks
+
+Array = NDArray[np.float64]
+
+TILT_DEG = 2.0
+BLOCK_MM = 1.0  # how far a block may have been moved
+OVERLAP_MM = 0.15  # how far a wall may be pressed in: 120 N on the scenes' 1000 N/mm, rounded up
+
+
+class Pose(NamedTuple):
+    """Where the held object is, in the work-object frame.
+
+    turn [3, 3]: its axes. bottom [3], mm: the centre of its bottom face. footprint [v, 2], mm: that face's outline in
+    the object's frame.
+    """
+
+    turn: Array
+    bottom: Array
+    footprint: Array
+
+    @property
+    def outline(self) -> Array:
+        """The bottom face's outline [v, 3], mm, in the work-object frame."""
+        return np.asarray(self.footprint @ self.turn[:, :2].T + self.bottom)
+
+
+def reasons_against(pose: Pose, block_motion: Array, blocks: Blocks, *, grasp_lost: bool) -> list[str]:
+    """Why the object does not count as inserted, one sentence each; none if it is inserted.
+
+    block_motion [2, 4]: dx, dy mm, yaw, tilt deg of each block. blocks: as the scene has them. Numbers that are not
+    finite are reasons, too.
+    """
+    outline, depth_mm, half_gap_mm = pose.outline, blocks.insertion_depth_mm, 0.5 * blocks.gap_mm
+    highest, across = float(outline[:, 2].max()), float(np.abs(outline[:, 0]).max())
+    tilt_deg = float(np.degrees(np.arccos(np.clip(pose.turn[2, 2], -1.0, 1.0))))
+    moved_mm = float(np.hypot(block_motion[:, 0], block_motion[:, 1]).max())
+    checks = (
+        (highest <= -depth_mm, f"its bottom is {-highest:.1f} mm deep at its highest point, {depth_mm:g} are needed"),
+        (
+            across <= half_gap_mm + OVERLAP_MM,
+            f"it reaches {across:.1f} mm from the gap's centre, {half_gap_mm:g} fit",
+        ),
+        (tilt_deg < TILT_DEG, f"it is tilted by {tilt_deg:.1f} deg, below {TILT_DEG:g} counts"),
+        (moved_mm < BLOCK_MM, f"a block was moved by {moved_mm:.1f} mm, below {BLOCK_MM:g} counts"),
+        (not grasp_lost, "it is not in the grasp any more"),
+    )
+    return [sentence for holds, sentence in checks if not holds]

@@ -1,0 +1,178 @@
+"""The tables of a scene: the object, the blocks, the gel, the grasp, the cameras, and what is computed how."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from service.contract import Sensor
+from simulation.scene import shapes
+
+Switch = Literal["auto", "on", "off"]
+
+
+class Part(BaseModel):
+    """Base of all parts of a scene: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class HeldObject(Part):
+    """The object: footprint at its flat bottom, section where it is held (the same unless given), weight.
+
+    A polygon states its convex bottom by vertices_mm, counter-clockwise; its sizes are their extent.
+    The texture's period and gain (contrast of its relief, 0..1) follow from its name unless given.
+    """
+
+    shape: shapes.Outline
+    vertices_mm: tuple[tuple[float, float], ...] | None = Field(default=None, min_length=3, max_length=32)
+    size_x_mm: float = Field(gt=5.0, le=200.0)
+    size_y_mm: float = Field(gt=5.0, le=110.0)
+    corner_radius_mm: float = Field(default=0.0, ge=0.0, le=50.0)
+    held_shape: shapes.Shape | None = None
+    held_size_x_mm: float | None = Field(default=None, gt=5.0, le=200.0)
+    held_size_y_mm: float | None = Field(default=None, gt=5.0, le=110.0)
+    held_corner_radius_mm: float = Field(default=0.0, ge=0.0, le=50.0)
+    mass_kg: float = Field(default=0.08, gt=0.0, le=5.0)
+    centre_of_mass_height_mm: float = Field(default=30.0, ge=0.0, le=300.0)
+    texture: Literal["smooth", "paper", "ribbed", "label", "layers"] = "smooth"
+    texture_period_mm: float | None = Field(default=None, ge=0.1, le=10.0)
+    texture_gain: float | None = Field(default=None, ge=0.0, le=0.5)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _sizes_of_a_polygon(cls, data: Any) -> Any:
+        if not (isinstance(data, dict) and data.get("vertices_mm")):
+            return data
+        try:
+            x, y = np.ptp(np.asarray(data["vertices_mm"], np.float64), axis=0)
+        except (ValueError, TypeError):
+            return data  # the field itself says what is wrong
+        return data | {"size_x_mm": float(x), "size_y_mm": float(y)}
+
+    @property
+    def footprint_mm(self) -> NDArray[np.float64]:
+        """Bottom polygon [n, 2], mm, object frame."""
+        if self.vertices_mm:
+            return shapes.centred(self.vertices_mm)
+        return shapes.footprint(self.shape, self.size_x_mm, self.size_y_mm, self.corner_radius_mm)
+
+    @property
+    def held_profile(self) -> NDArray[np.float64]:
+        """Held surface as in `shapes.held_profile`, array [5], mm."""
+        if self.held_shape is None and self.vertices_mm:
+            return np.array([shapes.crest_mm(self.vertices_mm), 0.5 * self.size_x_mm, 1.0, 1.0, 0.0])
+        if self.held_shape is None:
+            return shapes.held_profile(self.shape, self.size_x_mm, self.size_y_mm, self.corner_radius_mm)
+        size_x = self.held_size_x_mm or self.size_x_mm
+        size_y = self.held_size_y_mm or self.size_y_mm
+        return shapes.held_profile(self.held_shape, size_x, size_y, self.held_corner_radius_mm)
+
+    @property
+    def held_faces(self) -> NDArray[np.float64] | None:
+        """Held sides of a polygon as in `shapes.faces`; None where `held_profile` says it all."""
+        return shapes.faces(self.vertices_mm) if self.vertices_mm and self.held_shape is None else None
+
+
+class Blocks(Part):
+    """The two blocks that leave the gap. `free` lets them slide on the table and tip.
+
+    ``insertion_depth_mm``: how deep all of an object's bottom face must be below their tops to count as inserted.
+    """
+
+    gap_mm: float = Field(gt=5.0, le=250.0)
+    free: bool = False
+    size_x_mm: float = Field(default=45.0, ge=5.0, le=500.0)
+    size_y_mm: float = Field(default=155.0, ge=5.0, le=1000.0)
+    height_mm: float = Field(default=60.0, ge=25.0, le=500.0)
+    mass_kg: float = Field(default=0.6, gt=0.0, le=20.0)
+    stiffness_n_per_mm: float = Field(default=1000.0, ge=5.0, le=50000.0)
+    friction: float = Field(default=0.25, ge=0.0, le=2.0)
+    table_friction: float = Field(default=0.4, ge=0.0, le=2.0)
+    insertion_depth_mm: float = Field(default=15.0, ge=1.0, le=100.0)
+
+
+class Gel(Part):
+    """The two gel pads.
+
+    A bristle's stiffness per area is G / thickness along the pad, normal_ratio times that into it.
+    """
+
+    tier: Literal["bristle", "layer"] = "bristle"
+    thickness_mm: float = Field(default=2.5, ge=0.3, le=10.0)
+    shear_modulus_n_per_mm2: float = Field(default=0.1, ge=0.005, le=5.0)
+    normal_ratio: float = Field(default=3.0, ge=0.5, le=50.0)
+    friction: float = Field(default=0.8, ge=0.0, le=2.0)
+    crown_mm: float = Field(default=0.12, ge=0.0, le=1.0)
+    wear: float = Field(default=0.1, ge=0.0, le=1.0)
+    node_rows: int = Field(default=20, ge=4, le=120)
+    node_columns: int = Field(default=21, ge=4, le=126)
+
+
+class Grasp(Part):
+    """How the object is held. Spreads are standard deviations over re-fixtures."""
+
+    force_n: float = Field(default=20.0, ge=0.5, le=120.0)
+    height_mm: float = Field(default=30.0, ge=5.0, le=150.0)
+    pre_tilt_spread_deg: float = Field(default=0.5, ge=0.0, le=5.0)
+    pre_yaw_spread_deg: float = Field(default=0.3, ge=0.0, le=5.0)
+    force_limit_n: float = Field(default=60.0, ge=5.0, le=500.0)
+
+
+class Camera(Part):
+    """The finger cameras: the sensor's profile, and how they are run. ``fps`` is the sensor's own unless given.
+
+    ``sensor`` is a name or a TOML file; keys of it below a scene's `[camera.sensor]` replace those of the default one.
+    """
+
+    sensor: Sensor = Field(default_factory=Sensor.load)
+    fps: int | None = Field(default=None, ge=10, le=120)
+    noise_grey: float = Field(default=2.0, ge=0.0, le=30.0)
+    exposure: float = Field(default=1.0, ge=0.3, le=3.0)
+    exposure_ms: float = Field(default=8.0, ge=0.1, le=33.0)
+    readout_ms: float = Field(default=0.0, ge=0.0, le=33.0)
+    light: float = Field(default=1.0, ge=0.2, le=3.0)
+    dropped_share: float = Field(default=0.0, ge=0.0, le=0.5)
+
+    @field_validator("sensor", mode="before")
+    @classmethod
+    def _profile(cls, given: Any) -> Any:
+        if isinstance(given, dict):
+            return Sensor.load().model_dump() | given
+        return Sensor.load(given) if isinstance(given, str | Path) else given
+
+
+class Numerics(Part):
+    """What buys accuracy with time."""
+
+    load_step_mm: float = Field(default=0.17, ge=0.001, le=1.0)
+    residual_n: float = Field(default=1e-7, ge=1e-12, le=1e-3)
+    slip_share: float = Field(default=0.25, gt=0.0, le=1.0)
+
+
+class Effects(Part):
+    """`auto` follows the predicate in `simulation.scene.effects`; `on` and `off` force it."""
+
+    gravity: Switch = "auto"
+    inertia: Switch = "auto"
+    edge_friction: Switch = "auto"
+    free_blocks: Switch = "auto"
+    gel_wear: Switch = "auto"
+    gel_coupling: Switch = "auto"
+    object_texture: Switch = "auto"
+    motion_blur: Switch = "auto"
+    rolling_shutter: Switch = "auto"
+    camera_noise: Switch = "auto"
+    dropped_frames: Switch = "auto"
+
+
+class Figures(Part):
+    """Success, 0..1, and mean and largest number of trials of one object; a failure counts as 16 trials."""
+
+    success: float = Field(ge=0.0, le=1.0)
+    mean_trials: float = Field(ge=1.0, le=16.0)
+    max_trials: int | None = Field(default=None, ge=1, le=16)

@@ -1,0 +1,65 @@
+"""One small change to a module: an operator, comparison, boolean, constant or flag at one place in its syntax tree."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+SWAPS = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Mod: ast.Mult, ast.Pow: ast.Mult,
+    ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And,
+}  # fmt: skip
+EDGES = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
+UNTOUCHED = {"annotation", "returns", "decorator_list"}
+
+
+class Mutant(NamedTuple):
+    """A changed module: its path from the root, the line, the expression before and after, and the whole source."""
+
+    module: str
+    line: int
+    before: str
+    after: str
+    source: str
+
+
+def changes(tree: ast.AST) -> Iterator[tuple[ast.AST, str, object]]:
+    """Every change as node, field and new value; annotations, decorators and messages stay as they are."""
+    yield from ((tree, field, value) for field, value in _of_node(tree))
+    for field, value in ast.iter_fields(tree):
+        if field not in UNTOUCHED and not isinstance(tree, ast.JoinedStr):
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from changes(child)
+
+
+def _of_node(node: ast.AST) -> Iterator[tuple[str, object]]:
+    match node:
+        case ast.BinOp(op=op) | ast.AugAssign(op=op) | ast.BoolOp(op=op) if type(op) in SWAPS:
+            yield "op", SWAPS[type(op)]()
+        case ast.Compare(ops=[first, *rest]):
+            yield "ops", [SWAPS[type(first)](), *rest]
+            if type(first) in EDGES:
+                yield "ops", [EDGES[type(first)](), *rest]
+        case ast.UnaryOp(op=ast.USub()):
+            yield "op", ast.UAdd()
+        case ast.If(test=test) | ast.IfExp(test=test) | ast.While(test=test):
+            yield "test", ast.UnaryOp(ast.Not(), test)
+        case ast.Constant(value=bool(value)):
+            yield "value", not value
+        case ast.Constant(value=int(value)):
+            yield "value", value + 1
+        case ast.Constant(value=float(value)):
+            yield "value", value * 1.5 + 0.1
+
+
+def mutant(root: Path, path: Path, number: int) -> Mutant:
+    """The module with one of its ``changes`` made."""
+    tree = ast.parse(path.read_text())
+    node, field, value = list(changes(tree))[number]
+    before = ast.unparse(node).splitlines()[0]
+    setattr(node, field, value)
+    return Mutant(
+        str(path.relative_to(root)), node.lineno, before, ast.unparse(node).splitlines()[0], ast.unparse(tree)
+    )

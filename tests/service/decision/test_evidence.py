@@ -1,0 +1,51 @@
+"""What a network's outputs say, by the plain statistics of the density that they came from."""
+
+import numpy as np
+import pytest
+
+from service.decision.evidence import Density, Evidence, Refusal, from_joint
+from tests.service import tiny_models
+
+GRID_X_MM, GRID_THETA_DEG = np.linspace(-20, 20, 161), np.linspace(-24, 24, 193)
+MEAN, SIGMA = (3.0, -4.0), (1.5, 2.5)
+
+
+def joint_evidence(temperature: float = 1.0) -> Evidence:
+    card = tiny_models.card(
+        "joint",
+        "step",
+        grid_x_mm=tuple(GRID_X_MM),
+        grid_theta_deg=tuple(GRID_THETA_DEG),
+        calibration={"temperature": temperature, "sigma_scale_x": 1.2, "sigma_scale_theta": 0.8},
+    )
+    off = ((GRID_X_MM - MEAN[0]) / SIGMA[0])[:, None], ((GRID_THETA_DEG - MEAN[1]) / SIGMA[1])[None]
+    return from_joint(card, {"log_density": -0.5 * (off[0] ** 2 + off[1] ** 2)[None]})
+
+
+@pytest.mark.parametrize("temperature", [1.0, 2.0])
+def test_a_joint_density_states_its_mean_and_its_calibrated_standard_deviation(temperature: float) -> None:
+    evidence = joint_evidence(temperature)
+    wider = np.sqrt(temperature)
+    assert evidence.error == pytest.approx(MEAN, abs=1e-3)
+    assert evidence.sigma == pytest.approx((1.2 * SIGMA[0] * wider, 0.8 * SIGMA[1] * wider), rel=1e-3)
+
+
+def test_a_classs_probability_is_the_share_of_draws_on_its_side() -> None:
+    x_mm, theta_deg = np.random.default_rng(0).normal(MEAN, SIGMA, (100_000, 2)).T
+    evidence = joint_evidence()
+    draws = np.sign(x_mm) * (abs(x_mm) > 2.5), np.sign(theta_deg) * (abs(theta_deg) > 5)
+    for entry, probability in zip(evidence.classes, evidence.probabilities, strict=True):
+        share = np.mean((draws[0] == entry.sign_x) & (draws[1] == entry.sign_theta))
+        assert probability == pytest.approx(share, abs=0.05)  # a cell on the edge belongs to one side as a whole
+    assert evidence.probabilities.sum() == pytest.approx(1)
+    assert evidence.best.name == "2"
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("where", ["probability", "error", "sigma", "density"])
+def test_no_evidence_is_made_of_numbers_that_are_not_finite(where: str, bad: float) -> None:
+    values = {name: np.array([bad if name == where else 0.5]) for name in ("probability", "error", "sigma", "density")}
+    density = Density(GRID_X_MM, GRID_THETA_DEG, np.full((161, 193), values["density"][0]))
+    numbers = (float(values["error"][0]), 0.5), (float(values["sigma"][0]), 0.5)
+    with pytest.raises(Refusal, match="finite"):
+        Evidence(tiny_models.CLASSES, np.full(9, values["probability"][0]), *numbers, density)

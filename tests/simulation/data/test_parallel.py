@@ -1,0 +1,35 @@
+"""Work is done once each, in order where asked, and nobody waits for what a failure made useless."""
+
+import time
+
+import pytest
+
+from simulation.data.parallel import results
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def fail_or_sleep(number: int) -> int:
+    if number == 0:
+        raise ArithmeticError("the first fails")
+    time.sleep(60.0)
+    return number
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_item_is_worked_on_once(workers):
+    assert list(results(square, range(20), workers, in_order=True)) == [n * n for n in range(20)]
+    assert sorted(results(square, range(20), workers)) == [n * n for n in range(20)]
+
+
+def test_nothing_to_do_starts_nothing():
+    assert not list(results(square, (), 2))
+
+
+def test_a_failure_ends_the_others_at_once():
+    began = time.monotonic()
+    with pytest.raises(ArithmeticError, match="the first fails"):
+        list(results(fail_or_sleep, range(4), 2))
+    assert time.monotonic() - began < 45.0

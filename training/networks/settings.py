@@ -1,0 +1,32 @@
+"""Which network, and how large."""
+
+import difflib
+from collections.abc import Iterable
+
+from pydantic import Field
+
+from service.contract.frames import Contract
+
+FRAMES_PER_DECISION = 8
+
+
+class NetworkConfig(Contract):
+    """Kind and sizes of a network; ``kind`` is a key of :data:`training.networks.NETWORKS`.
+
+    ``affine_fit`` puts the motion of the object as a whole, fitted to the field, beside what convolutions find.
+    """
+
+    kind: str = "compact"
+    front_width: int = Field(default=32, ge=4)
+    trunk_width: int = Field(default=24, ge=4)
+    feature_size: int = Field(default=96, ge=8)
+    state_size: int = Field(default=128, ge=8)
+    dropout: float = Field(default=0.1, ge=0, lt=1)
+    affine_fit: bool = False
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """The end of a refusal of ``name``: the nearest allowed name, or all of them where none is near."""
+    allowed = sorted(allowed)
+    near = difflib.get_close_matches(name, allowed, 1)
+    return f"nearest allowed: {near[0]}" if near else f"allowed: {', '.join(allowed)}"
