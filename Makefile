@@ -72,7 +72,9 @@ test-all: $(VENV)/ready ## the fast tests and the long ones; properties draw new
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest --timeout=1800
 
 # Torch comes in its lowest version where an index of CPU wheels is named; PyPI has only CUDA builds of it.
-test-lowest: ## the lowest versions that pyproject.toml allows: every module imports, commands of each room run (needs uv)
+LOWEST_TESTS = tests/service/recordings tests/service/web/test_api.py tests/robot_client/session tests/training/networks \
+  tests/export/onnx tests/export/quantise
+test-lowest: ## every module and some tests with the lowest versions that pyproject.toml allows (needs uv)
 	rm -rf $(LOWEST_VENV)
 	$(PYTHON) -m venv $(LOWEST_VENV)
 	sh requirements/torch.sh $(LOWEST_VENV)/bin/pip $(if $(TORCH_CPU_INDEX),$(TORCH_LOWEST),$(TORCH_VERSION))
@@ -80,9 +82,10 @@ test-lowest: ## the lowest versions that pyproject.toml allows: every module imp
 	uv pip install -q --python $(LOWEST_VENV)/bin/python --resolution lowest-direct --override requirements/no-torch.txt \
 	  -r pyproject.toml --extra training
 	$(LOWEST_VENV)/bin/python -m tests.import_everything
-	$(LOWEST_VENV)/bin/python -m simulation probe rectangle --x-mm 8 --theta-deg 5
 	$(LOWEST_VENV)/bin/python -m export verify $(MODELS)
-	$(LOWEST_VENV)/bin/python -m simulation run --out $(OUT)
+	$(LOWEST_VENV)/bin/python -m simulation probe rectangle --x-mm 8 --theta-deg 5
+	uv pip install -q --python $(LOWEST_VENV)/bin/python pytest pytest-timeout pytest-xdist hypothesis
+	$(LOWEST_VENV)/bin/python -m pytest -n 2 -m "not slow" -o filterwarnings= $(LOWEST_TESTS)
 
 # ---- from probes to released models -------------------------------------------------------------------------------
 
