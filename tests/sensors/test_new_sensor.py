@@ -111,7 +111,7 @@ def test_a_network_of_its_size_trains_a_step(collected: Dataset, kind: str, tmp_
     optimiser = torch.optim.AdamW(network.parameters(), lr=1e-3)
     fields = network.read_drawn(batch.drawn)
     assert fields.shape == network.normalised(batch.fields).shape
-    loss = functional.cross_entropy(network.logits(network.read_fields(fields, batch.told)), batch.label)
+    loss = functional.cross_entropy(network.logits(network.read_fields(fields, batch.geometry)), batch.label)
     loss.backward()
     optimiser.step()
     moved = [name for name, value in network.named_parameters() if not torch.equal(value, before[name])]

@@ -69,7 +69,7 @@ def test_commands_that_point_the_other_way_are_counted():
     theirs = np.array([[1.0, 1.0], [-1.0, 1.0], [-0.02, 1.0], [1.05, 1.3]])
     agreement = Agreement.of((classes, classes), (ours, theirs))
     assert (agreement.same_commands, agreement.sign_flips) == (2, 2)
-    assert "50.0 % [" in str(agreement)
+    assert "50.0 % (" in str(agreement)
 
 
 def test_an_int8_model_is_not_quantised_again(blocked, decisions, tmp_path):

@@ -33,7 +33,7 @@ def test_pressure_and_partial_slip_on_a_half_space_follow_hertz_cattaneo_and_min
 
 def test_a_sheared_paraboloid_on_bristles_sticks_where_winkler_says() -> None:
     cell = theory.hang(64, "bristle", modulus_n_per_mm2=0.5)
-    for compared in theory.bristles(64, cell):
+    for compared in theory.winkler(64, cell):
         assert compared.error < compared.limit, compared.what
     a = (4.0 * theory.FORCE_N * theory.CURVATURE_MM / (math.pi * float(cell.constants["kn"][0]))) ** 0.25
     assert a < 0.5 * theory.WIDTH_MM
