@@ -233,6 +233,7 @@ class LiveCell:
                 "in_hand": [float(v) for v in state.in_hand],
                 "in_contact": bool(state.in_contact),
                 "inserted": bool(state.inserted),
+                "shortfalls": list(state.shortfalls),
                 "grasp_lost": bool(state.grasp_lost),
                 "wrench_n_nmm": [float(v) for v in state.wrench_n_nmm],
                 "slipping_share": [float(v) for v in state.slipping_share],

@@ -79,12 +79,14 @@ def collect(
             frozen.append(max(0.0, (stop["frozen_ns"] - slip_ns) / 1e6))
             rest.append((stop["rest_ns"] - slip_ns) / 1e6)
             over.append(stop["overtravel_mm"])
+    claimed, shortfalls = bool(end.get("inserted", False)), "; ".join(body.get("shortfalls", []))
+    contradiction = f"the client claims an insertion, but {shortfalls} (truth)" if claimed and shortfalls else ""
     turned = np.degrees(np.linalg.norm(body.get("in_hand", [0.0] * 6)[3:]))
     return Result(
         **start,
-        inserted=bool(end.get("inserted", False)) and bool(body.get("inserted", False)),
+        inserted=claimed and bool(body.get("inserted", False)),
         attempts=int(end.get("attempts", 0)),
-        reason=str(end.get("reason") or ""),
+        reason=contradiction or str(end.get("reason") or ""),
         seconds=seconds,
         final_x_mm=float(body.get("x_mm", math.nan)),
         final_theta_deg=float(body.get("theta_deg", math.nan)),

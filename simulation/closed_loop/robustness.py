@@ -136,6 +136,7 @@ def robustness_page(data: Row) -> str:
         - Void: the physics came to its end (no equilibrium, or an object pushed 12 mm up in the hand, from where on its
           grasp is not simulated). It counts as failed.
         """,
+        data.get("note", ""),
         "Every frame was drawn, rectified and tracked."
         if all(row["perception"] == "pictures" for row in rows)
         else fields,

@@ -272,7 +272,7 @@ class QuasiStaticCell:
             bottom_z_mm=bottom,
             block_motion=motion,
             in_contact=bool(np.any(self.slots["force"][: self.base_slot] > 0.0)),
-            inserted=not reasons_against(pose, motion, self.scene.blocks, grasp_lost=self.grasp_lost),
+            shortfalls=tuple(reasons_against(pose, motion, self.scene.blocks, grasp_lost=self.grasp_lost)),
             grasp_lost=self.grasp_lost,
             residual_n=float(self.state["report"][0]),
         )

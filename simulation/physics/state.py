@@ -47,9 +47,14 @@ class CellState:
     bottom_z_mm: float
     block_motion: Array
     in_contact: bool
-    inserted: bool
+    shortfalls: tuple[str, ...]  # why it does not count as inserted, see `ground_truth`
     grasp_lost: bool
     residual_n: float
+
+    @property
+    def inserted(self) -> bool:
+        """Ground truth of an insertion: nothing speaks against it."""
+        return not self.shortfalls
 
 
 def block_motion(state: Any, half_gap_mm: float) -> Array:

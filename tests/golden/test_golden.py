@@ -124,7 +124,10 @@ def job(row: dict[str, Any]) -> Job:
 
 def compare_insertions(rows: list[dict[str, Any]]) -> None:
     for row in rows:
-        agree(insert(job(row), models_of(MODELS)), row["result"], f"{row['job']['scene']}")
+        made, recorded = insert(job(row), models_of(MODELS)), dict(row["result"])
+        # Recorded before the ground truth became strict: what it counts as inserted was counted then, too.
+        assert recorded.pop("inserted") or not made["inserted"]
+        agree(made, recorded, f"{row['job']['scene']}")
 
 
 def test_insertions_in_lock_step_are_as_recorded() -> None:

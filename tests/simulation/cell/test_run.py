@@ -114,6 +114,21 @@ def test_the_report_puts_log_and_truth_together(tmp_path):
     assert "overtravel 0.20 mm" in text
 
 
+def test_a_claim_that_is_not_true_says_what_speaks_against_it(tmp_path):
+    log = tmp_path / "episode.jsonl"
+    log.write_text(json.dumps({"end": {"inserted": True, "attempts": 2}}))
+    truth = {
+        "object": {"inserted": False, "shortfalls": ["it is tilted by 2.2 deg, below 2 counts"]},
+        "course": {"max_block_shift_mm": 0.1, "max_block_tilt_deg": 0.0, "max_force_n": 9.0},
+        "gripper": {"held": True},
+        "stops": [],
+    }
+    result = run_report.collect(truth, log, object_name="rectangle", x_mm=8.0, theta_deg=6.0, seed=0, seconds=12.0)
+    text = "\n".join(run_report.screen(result, None, None, Path("x")))
+    assert text.startswith("NOT INSERTED")
+    assert "the client claims an insertion, but it is tilted by 2.2 deg" in text
+
+
 def test_a_log_that_breaks_off_still_counts(tmp_path):
     log = tmp_path / "episode.jsonl"
     log.write_text('{"plan": {}}\n{"event": {"ki')

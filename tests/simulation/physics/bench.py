@@ -28,6 +28,7 @@ STATE = {
     "block_motion": np.zeros((2, 4)),
     "in_contact": False,
     "inserted": False,
+    "shortfalls": (),
     "grasp_lost": False,
 }
 
