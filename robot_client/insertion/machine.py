@@ -208,7 +208,7 @@ def _on_finished(state: State, message: wire.Finished) -> Result:
 
 
 def _on_attempt_message(
-    state: State, message: wire.Armed | wire.Slip | wire.Correction | wire.NoDecision, at_s: float
+    state: State, message: wire.Armed | wire.Slip | wire.Enough | wire.Correction | wire.NoDecision, at_s: float
 ) -> Result:
     """Late messages of an older attempt and repeated ones change nothing; one of a future attempt is a fault."""
     if message.attempt > state.attempt:
@@ -216,6 +216,8 @@ def _on_attempt_message(
         return fail(state, "service", "protocol", detail)
     if isinstance(message, wire.Slip) and state.phase is Phase.DESCENDING:  # of any attempt: stopping is safe
         return hold(state, f"slip on finger {message.finger}, frame {message.frame_seq}", at_s)
+    if isinstance(message, wire.Enough) and state.phase is Phase.DESCENDING:
+        return hold(state, f"pressed by {message.pressed_mm:.2f} mm, frame {message.frame_seq}", at_s)
     result: Result = state, ()
     if message.attempt < state.attempt:
         return result

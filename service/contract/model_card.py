@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, JsonValue, ValidationError, model_validator
 
 from service.contract.frames import Contract, ContractError, FrameSpec, first_error
+from service.contract.pressing import Pressing
 from service.contract.sensor import MarkerSpec, Sensor
 
 CARD_KEY = "tactile_insertion.card"
@@ -57,13 +58,15 @@ class ModelCard(Contract):
       ``state`` float32 [B, state_size]
     - with ``markers``, fingers are not pictures but marker fields: float32 [.., 2, rows, columns, 3] in place of uint8
       [.., 2, H, W, 3], each marker (du_px, dv_px, 1 or 0 if it was not seen), displaced since any one instant
+    - with ``pressing``, fingers are fields on its lattice, a step of depth each: float32 [.., 2, rows, columns, 3] of
+      (du_mm, dv_mm, 1 or 0 if it was not seen), and ``conditions`` float32 [B, 6] come with them, 0 where not known
     - both, if ``gap_width_input``: ``gap_width_mm`` float32 [B, 1]
     - both, if ``grasp_height_input``: ``grasp_height_mm`` float32 [B, 1], 0 where it is not known
 
     Outputs: ``direction`` -> ``logits`` float32 [B, len(classes)]; ``magnitude`` -> ``error`` float32 [B, 2]
     (dx in mm, dtheta in deg: the estimated position error) and, if ``has_sigma``, ``log_sigma`` float32 [B, 2];
     ``pair`` -> all three, from one pass; ``joint`` -> ``log_density`` float32 [B, len(grid_x_mm),
-    len(grid_theta_deg)], unnormalised. ``step`` adds ``next_state`` float32 [B, state_size]. The two
+    len(grid_theta_deg)], unnormalised. A ``pressing`` with a limit adds ``strangeness`` float32 [B, 1]. ``step`` adds ``next_state`` float32 [B, state_size]. The two
     fingers are ordered left, right. A fresh state is all zeros.
     """
 
@@ -73,6 +76,7 @@ class ModelCard(Contract):
     form: Literal["sequence", "step"]
     frame: FrameSpec
     markers: MarkerSpec | None = None
+    pressing: Pressing | None = None
     sensor: Sensor | None = None
     frames_per_decision: int = Field(ge=1, le=64)
     state_size: int = Field(ge=0, default=0)
@@ -105,6 +109,8 @@ class ModelCard(Contract):
             raise ValueError("a joint network needs grid_x_mm and grid_theta_deg")
         if self.form == "step" and self.state_size == 0:
             raise ValueError("a step network needs a state_size")
+        if self.pressing and (self.markers or self.frames_per_decision != self.pressing.steps_n):
+            raise ValueError("a network that reads steps of depth reads no markers, and a frame of a decision is a step")
         if self.sensor and (self.frame != self.sensor.rectified or self.markers not in (None, self.sensor.markers)):
             raise ValueError(f"frame and markers must be those of its sensor {self.sensor}")
         return self
@@ -117,19 +123,21 @@ class ModelCard(Contract):
     @property
     def input_shape(self) -> tuple[int, int, int]:
         """What the graph reads of one finger at one instant: (H, W, 3) or (rows, columns, 3)."""
+        if self.pressing:
+            return (self.pressing.lattice.rows, self.pressing.lattice.columns, 3)
         return (self.markers.rows, self.markers.columns, 3) if self.markers else self.frame.shape
 
     @property
     def input_dtype(self) -> type[np.uint8 | np.float32]:
-        """Of pictures uint8, of markers float32."""
-        return np.float32 if self.markers else np.uint8
+        """Of pictures uint8, of fields float32."""
+        return np.float32 if self.markers or self.pressing else np.uint8
 
     def check(self, pair: NDArray[np.uint8] | NDArray[np.float32]) -> None:
         """Raise ContractError unless ``pair`` is [2, *input_shape] of the right dtype, and finite."""
         if pair.shape != (2, *self.input_shape) or pair.dtype != self.input_dtype:
             expected = f"{np.dtype(self.input_dtype)} {[2, *self.input_shape]}"
             raise ContractError(f"a pair is {pair.dtype} {list(pair.shape)}, {self.name} reads {expected}")
-        if self.markers and not np.isfinite(pair).all():
+        if self.input_dtype is np.float32 and not np.isfinite(pair).all():
             raise ContractError(f"a marker field holds a number that is not finite, {self.name} cannot read it")
 
     @classmethod
@@ -151,6 +159,7 @@ class ModelCard(Contract):
         shared = (
             "frame",
             "markers",
+            "pressing",
             "profile",
             "frames_per_decision",
             "reference_rule",

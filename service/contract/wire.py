@@ -5,7 +5,7 @@ Every message carries the insertion id and, where it concerns one, the attempt n
 millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock.
 
 client:  hello -> (arm -> descending -> stopped)* ; abort and heartbeat at any time
-service: hello -> (armed -> slip? -> correction | no_decision)* -> finished ; fault and heartbeat at any time
+service: hello -> (armed -> (slip | enough)? -> correction | no_decision)* -> finished ; fault and heartbeat at any time
 """
 
 from typing import Annotated, Any, Literal
@@ -47,20 +47,24 @@ class Arm(_Message):
 
     ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them; None if the
     cell does not know it. It is the lever arm of the edge's friction: without it the size of an error is a guess.
+    ``grip_n`` is the fingers' force, ``shear_reach_mm`` how far the gel shears under it before it slides.
     """
 
     type: Literal["arm"] = "arm"
     attempt: Attempt
     gap_width_mm: float = Field(gt=0, le=1000)
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
+    grip_n: float | None = Field(default=None, gt=0, le=1000)
+    shear_reach_mm: float | None = Field(default=None, gt=0, le=100)
     expected_depth_mm: float = Field(gt=0, le=1000)
 
 
 class Descending(_Message):
-    """The guarded descent has begun."""
+    """The guarded descent has begun, at this speed; networks that read depth need to know it."""
 
     type: Literal["descending"] = "descending"
     attempt: Attempt
+    speed_mm_s: float | None = Field(default=None, gt=0, le=1000)
 
 
 class Stopped(_Message):
@@ -153,6 +157,17 @@ class Slip(_Message):
     reason: str
 
 
+class Enough(_Message):
+    """The object was pressed as deep as the networks read: stop the arm now, as on slip."""
+
+    type: Literal["enough"] = "enough"
+    attempt: Attempt
+    frame_seq: int
+    captured_ns: int
+    age_ms: float
+    pressed_mm: float
+
+
 class Estimate(Contract):
     """The estimated position error before the correction, with one-sigma and 90 % interval where the model gives it."""
 
@@ -215,7 +230,7 @@ class ServiceHeartbeat(_Message):
 
 
 ServiceMessage = Annotated[
-    ServiceHello | Armed | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat,
+    ServiceHello | Armed | Slip | Enough | Correction | NoDecision | Finished | Fault | ServiceHeartbeat,
     Field(discriminator="type"),
 ]
 

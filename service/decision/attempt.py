@@ -7,9 +7,10 @@ from enum import Enum, auto
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import Finger, TactileFrame
+from service.contract import Finger, ModelCard, TactileFrame
 from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome
 from service.decision.evidence import DecisionRun, Evidence, Refusal
+from service.decision.press import Descent
 from service.decision.seating import Push, push_of
 from service.perception.observation import FingerWatch, PairObservation
 
@@ -38,7 +39,10 @@ class WorkResult:
 
 @dataclass(slots=True)
 class Attempt:
-    """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones."""
+    """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones.
+
+    ``fed``: the networks were given the last of their input. ``stop_ns``: capture of the frame that stopped the arm.
+    """
 
     arm: Arm
     armed_ns: int
@@ -53,7 +57,11 @@ class Attempt:
     decision_pairs: list[PairObservation] = field(default_factory=list)
     network_reference: PairObservation | None = None
     run: DecisionRun | None = None
+    descent: Descent | None = None
+    speed_mm_s: float | None = None
+    fed: bool = False
     slip_sent: bool = False
+    stop_ns: int | None = None
     stale_sent: bool = False
     stopped_ns: int | None = None
     outcome: Outcome | None = None
@@ -121,6 +129,37 @@ class Attempt:
             fresh = pairs[index : index + frames_n]
         self.decision_pairs += fresh
         return fresh
+
+    def told(self) -> dict[str, float | None]:
+        """The conditions of the attempt as far as the client told them; see `service.contract.pressing.CONDITIONS`."""
+        arm = self.arm
+        return {
+            "gap_width_mm": arm.gap_width_mm,
+            "grasp_height_mm": arm.grasp_height_mm,
+            "grip_n": arm.grip_n,
+            "shear_reach_mm": arm.shear_reach_mm,
+            "speed_mm_s": self.speed_mm_s,
+        }
+
+    def stops(self, now_ns: int) -> None:
+        """The arm is ordered to stop because of a frame captured then."""
+        self.slip_sent, self.stop_ns = True, now_ns
+
+    def take_steps(self, card: ModelCard) -> list[NDArray[np.float32]]:
+        """The steps of depth that the newest pair completes; the descent that shows them begins with the onset."""
+        pair, descent = self.ring[-1], self.descent
+        if self.stop_ns is not None and pair.captured_ns > self.stop_ns:
+            return []
+        if descent is not None:
+            self.decision_pairs.append(pair)
+            return descent.add(pair)
+        index = self.onset_index()
+        if index is None:
+            return []
+        pairs = list(self.ring)
+        self.decision_pairs += pairs[index:]
+        self.descent = Descent(card, self.told())
+        return self.descent.begin(pairs, index)
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """The frames of the decision, as :mod:`service.recordings.writer` documents for ``attempt_XX.npz``."""

@@ -118,7 +118,7 @@ class Insertion:
         attempt = self.session.attempt
         near = attempt is not None and attempt.stage is Stage.STOPPED
         if near and paired and attempt is not None:
-            near = len(attempt.decision_pairs) >= self.session.models.card.frames_per_decision
+            near = attempt.fed
         if not near or now - self._settled_ns > HOLD_S * 1e9:
             self._settle()
 
@@ -194,7 +194,7 @@ def _record_sent(recorder: Recorder, reply: ServiceMessage, now: int) -> None:
 
 
 def with_current_age(message: ServiceMessage) -> ServiceMessage:
-    """The same message; a slip's age is measured at the moment of sending."""
-    if isinstance(message, wire.Slip):
+    """The same message; an order to stop's age is measured at the moment of sending."""
+    if isinstance(message, wire.Slip | wire.Enough):
         return message.model_copy(update={"age_ms": (now_ns() - message.captured_ns) / 1e6})
     return message

@@ -15,7 +15,7 @@ from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.controllers import Command, make_controller
 from service.decision.decider import Decider, Decision
 from service.decision.models import ModelSet
-from service.decision.work import Work, plan_work, slip_message
+from service.decision.work import Work, enough_message, plan_steps, plan_work, slip_message
 from service.perception.observation import FingerWatch, Observation, PairObservation, belongs
 from service.settings import Deadlines
 
@@ -121,7 +121,7 @@ class InsertionSession:
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:
         if self.attempt and self._is_current(message.attempt, {Stage.ARMED}):
-            self.attempt.descending_ns = now_ns
+            self.attempt.descending_ns, self.attempt.speed_mm_s = now_ns, message.speed_mm_s
             return []
         return [self._fault("protocol", f"descending in attempt {message.attempt}, which is not armed; send arm first")]
 
@@ -172,7 +172,7 @@ class InsertionSession:
         self.on_observation(observation)
         if attempt.stage is not Stage.ARMED or not observation.slip.stop or attempt.slip_sent:
             return []
-        attempt.slip_sent = True
+        attempt.stops(observation.captured_ns)
         return [slip_message(str(self.insertion_id), attempt, observation, now_ns)]
 
     def on_pair(self, pair: FramePair, now_ns: int) -> Replies:
@@ -198,8 +198,16 @@ class InsertionSession:
     def _feed(self, attempt: Attempt, now_ns: int) -> Replies:
         card = self.models.card
         replies: Replies = []
-        for pair in attempt.take_decision_pairs(card.frames_per_decision, card.reference_rule):
-            replies += self._submit(plan_work(self.models, attempt, pair), now_ns)
+        if card.pressing:
+            works = plan_steps(self.models, attempt)
+            if self.watches_slip and attempt.descent and attempt.descent.enough:
+                replies.append(enough_message(str(self.insertion_id), attempt, now_ns))
+                attempt.stops(attempt.ring[-1].captured_ns)
+        else:
+            pairs = attempt.take_decision_pairs(card.frames_per_decision, card.reference_rule)
+            works = [plan_work(self.models, attempt, pair) for pair in pairs]
+        for work in works:
+            replies += self._submit(work, now_ns)
         return replies
 
     # ---- networks ------------------------------------------------------------------------------------------------
