@@ -11,6 +11,7 @@ from service.contract import wire
 from tests.docs.commands import ROOT, blocks
 
 DEPTH_MM = 25.0
+TOKEN = "a-token-for-driving"
 
 
 class Arm:
@@ -125,14 +126,14 @@ def insert():
 def test_the_documented_client_stops_where_nobody_watches(url: str, insert):
     arm = Arm()
     with pytest.raises(RuntimeError, match="nobody watches"):
-        insert(arm, url)
+        insert(arm, TOKEN, url)
     assert not arm.descending()
     assert arm.depth_mm() < DEPTH_MM - 1.0
 
 
 def test_the_documented_client_stops_on_slip_and_corrects_once(url: str, insert):
     arm = Arm()
-    assert insert(arm, url)["outcome"] == "inserted"
+    assert insert(arm, TOKEN, url)["outcome"] == "inserted"
     assert arm.moves == [(-2.0, 1.0)]
     assert arm.retracted == 1
     assert arm.depth_mm() == DEPTH_MM
