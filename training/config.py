@@ -18,7 +18,8 @@ WINDOW = FRAMES_PER_DECISION + 2 * JITTER
 class DataConfig(Contract):
     """Which trials are read. ``rendered`` bounds the training trials drawn as images (the costly part).
 
-    ``views``: cameras drawn for each training trial that is read as steps of depth."""
+    ``views``: cameras drawn for each training trial that is read as steps of depth.
+    """
 
     path: str
     cache: str = "runs/cache"

@@ -18,7 +18,7 @@ from export.onnx.model import open_model
 from export.onnx.runtime import session
 from export.onnx.verify import OPSET, verify_forms
 from reporting.machine import cpu_name
-from service.contract import Calibration, ContractError, ModelCard, Sensor
+from service.contract import Calibration, ContractError, ModelCard
 from service.contract.self_test import CONDITIONS, make_self_test
 from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.fit.checkpoint import Checkpoint

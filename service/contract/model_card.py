@@ -66,8 +66,8 @@ class ModelCard(Contract):
     Outputs: ``direction`` -> ``logits`` float32 [B, len(classes)]; ``magnitude`` -> ``error`` float32 [B, 2]
     (dx in mm, dtheta in deg: the estimated position error) and, if ``has_sigma``, ``log_sigma`` float32 [B, 2];
     ``pair`` -> all three, from one pass; ``joint`` -> ``log_density`` float32 [B, len(grid_x_mm),
-    len(grid_theta_deg)], unnormalised. A ``pressing`` with a limit adds ``strangeness`` float32 [B, 1]. ``step`` adds ``next_state`` float32 [B, state_size]. The two
-    fingers are ordered left, right. A fresh state is all zeros.
+    len(grid_theta_deg)], unnormalised. A ``pressing`` with a limit adds ``strangeness`` float32 [B, 1]. ``step`` adds
+    ``next_state`` float32 [B, state_size]. The two fingers are ordered left, right. A fresh state is all zeros.
     """
 
     schema_version: Literal[1] = 1
@@ -110,7 +110,9 @@ class ModelCard(Contract):
         if self.form == "step" and self.state_size == 0:
             raise ValueError("a step network needs a state_size")
         if self.pressing and (self.markers or self.frames_per_decision != self.pressing.steps_n):
-            raise ValueError("a network that reads steps of depth reads no markers, and a frame of a decision is a step")
+            raise ValueError(
+                "a network that reads steps of depth reads no markers, and a frame of a decision is a step"
+            )
         if self.sensor and (self.frame != self.sensor.rectified or self.markers not in (None, self.sensor.markers)):
             raise ValueError(f"frame and markers must be those of its sensor {self.sensor}")
         return self

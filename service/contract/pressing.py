@@ -74,7 +74,9 @@ class Pressing(Contract):
             raise ValueError(f"least_steps_n is {self.least_steps_n}, more than all {self.steps_n} steps")
         unknown = set(self.trained) - {*CONDITIONS, MARKER_PITCH}
         if unknown:
-            raise ValueError(f"trained: {', '.join(sorted(unknown))} is none of {', '.join((*CONDITIONS, MARKER_PITCH))}")
+            raise ValueError(
+                f"trained: {', '.join(sorted(unknown))} is none of {', '.join((*CONDITIONS, MARKER_PITCH))}"
+            )
         return self
 
     @property

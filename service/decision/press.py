@@ -1,4 +1,4 @@
-"""From an attempt's frame pairs to steps of depth, for networks that read those; see :mod:`service.perception.pressing`.
+"""From an attempt's frame pairs to steps of depth, for networks that read those (`service.perception.pressing`).
 
 The networks are fed each step as it is complete. The decision is complete after the card's last step, or with the
 steps there are once the arm was ordered to stop: what follows shows an object at rest, and no known depth.
@@ -74,7 +74,8 @@ class Descent:
         try:
             self._check(pairs)
             speed_mm_s, spec = self.told["speed_mm_s"], self.card.pressing
-            assert spec is not None and speed_mm_s is not None
+            assert spec is not None
+            assert speed_mm_s is not None
             self._steps = DepthSteps(spec, speed_mm_s)
             self._steps.begin([pair.captured_ns for pair in pairs], [self._read(pair) for pair in pairs], first)
             return self._steps.fresh()

@@ -25,6 +25,15 @@ class Work:
     run: Callable[[], WorkResult | None]
 
 
+def plan(models: ModelSet, attempt: Attempt) -> list[Work]:
+    """All network work that the newest pair makes possible, in order."""
+    card = models.card
+    if card.pressing:
+        return plan_steps(models, attempt)
+    pairs = attempt.take_decision_pairs(card.frames_per_decision, card.reference_rule)
+    return [plan_work(models, attempt, pair) for pair in pairs]
+
+
 def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work:
     """The networks' step on one pair of the attempt's decision; the step on its last pair returns the result."""
     number, generation = attempt.arm.attempt, attempt.generation
@@ -121,7 +130,7 @@ def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, 
     )
 
 
-def enough_message(insertion_id: str, attempt: Attempt, now_ns: int) -> wire.Enough:
+def enough_message(insertion_id: str, attempt: Attempt) -> wire.Enough:
     """Stop now: the networks have seen all they read."""
     pair = attempt.ring[-1]
     return wire.Enough(
@@ -129,7 +138,6 @@ def enough_message(insertion_id: str, attempt: Attempt, now_ns: int) -> wire.Eno
         attempt=attempt.arm.attempt,
         frame_seq=pair.seq,
         captured_ns=pair.captured_ns,
-        age_ms=(now_ns - pair.captured_ns) / 1e6,
         pressed_mm=attempt.descent.pressed_mm if attempt.descent else 0.0,
     )
 

@@ -55,7 +55,7 @@ def onset_depth(depths_mm: Doubles, moved: Floats, first: int) -> float:
 
 
 def step_weights(depths_mm: Doubles, begin_mm: float, end_mm: float) -> Doubles:
-    """Weights [n] of frames at rising depths for the mean, from ``begin_mm`` to ``end_mm``, of what lies between them."""
+    """Weights [n] of frames at rising depths for the mean of what lies between them, from ``begin_mm`` to ``end_mm``."""
     inner = depths_mm[(depths_mm > begin_mm) & (depths_mm < end_mm)]
     places = np.concatenate([[begin_mm], inner, [end_mm]])
     upper = np.clip(np.searchsorted(depths_mm, places), 1, len(depths_mm) - 1)

@@ -169,10 +169,12 @@ class Insertion:
             reply = with_current_age(answer)
             if self.send is not None:
                 self.send(reply)
-            if not isinstance(reply, wire.ServiceHeartbeat):
+            if isinstance(reply, wire.ServiceHeartbeat):
+                continue
+            sent.append(reply)
+            if not isinstance(reply, wire.Watching):  # one a pair of frames: watchers see the frames themselves
                 self._sent = True
                 self._later.append(partial(self.publish, "message", reply))
-                sent.append(reply)
         return sent
 
     def _show(self) -> None:
@@ -194,7 +196,7 @@ def _record_sent(recorder: Recorder, reply: ServiceMessage, now: int) -> None:
 
 
 def with_current_age(message: ServiceMessage) -> ServiceMessage:
-    """The same message; an order to stop's age is measured at the moment of sending."""
-    if isinstance(message, wire.Slip | wire.Enough):
+    """The same message; a slip's age is measured at the moment of sending."""
+    if isinstance(message, wire.Slip):
         return message.model_copy(update={"age_ms": (now_ns() - message.captured_ns) / 1e6})
     return message

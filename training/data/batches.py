@@ -24,8 +24,8 @@ class Batch:
 
     ``fields`` float32 [B, 8, 2, 3, rows, columns], change against the first frame in physical units; ``drawn`` float32
     [B, 8, 2, ...], block sums of pictures or markers tracked in them, or None; ``error`` [B, 2]; ``label`` [B];
-    ``geometry`` [B, 2], gap width and grasp height in mm, 0 where it is not known. Of steps of depth: ``fields`` against
-    rest, ``geometry`` [B, 6] all conditions, ``length`` [B] how many steps there are.
+    ``geometry`` [B, 2], gap width and grasp height in mm, 0 where it is not known. Of steps of depth: ``fields``
+    against rest, ``geometry`` [B, 6] all conditions, ``length`` [B] how many steps there are.
     """
 
     fields: Tensor

@@ -121,7 +121,7 @@ def _vary(
 
 
 def load_pressed(config: DataConfig, source: Source | None = None) -> Pressed:
-    """The views of a dataset's collisions, from the cache where it already holds them; ContractError as `load_trials`."""
+    """The views of a dataset's collisions, from the cache if it holds them; ContractError as `load_trials`."""
     source = open_source(config.path) if source is None else source
     digest, count = data_sha256(source), min(len(source), config.max_trials)
     path = Path(config.cache) / digest[:16] / f"pressed-{_TABLE}-{count}-{config.views}.npz"
@@ -173,8 +173,11 @@ def _told(stored: "Stored", spacing_mm: float, rng: np.random.Generator) -> NDAr
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """One trial on the lattice: ``depths_mm`` [n], rising, 0 at its onset frame; ``fields`` [n, 2 * points * 2] in mm
-    since the first of them; ``carried_mm`` [n], what notices an onset; true conditions [5] without the spacing."""
+    """One trial on the lattice, n moments.
+
+    ``depths_mm`` [n], rising, 0 at its onset frame; ``fields`` [n, 2 * points * 2] in mm since the first of them;
+    ``carried_mm`` [n], what notices an onset; ``conditions``: true, without the spacing of frames.
+    """
 
     depths_mm: NDArray[np.float64]
     fields: NDArray[np.float64]

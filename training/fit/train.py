@@ -20,7 +20,7 @@ from service.contract import ContractError, Sensor
 from service.contract.pressing import Pressing
 from training.config import RunConfig, pin, refuse_another
 from training.data.batches import Batch, frame_pairs
-from training.data.dataset import SPLITS, Source, Trials
+from training.data.dataset import SPLITS, Source
 from training.data.labels import CLASSES, class_of
 from training.data.pressed import Pressed
 from training.data.reading import Samples, decisions, epoch, load
@@ -283,7 +283,8 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
 def _learn_usual(trainer: Trainer) -> Pressing:
     """Teach the network what fields look like in training; the limit is what hardly any of validation exceeds."""
     trials, network = trainer.trials, trainer.network
-    assert isinstance(trials, Pressed) and isinstance(network, PressingNetwork)
+    assert isinstance(trials, Pressed)
+    assert isinstance(network, PressingNetwork)
     usual = trials.of("train")[:: max(1, len(trials.of("train")) // MOST_USUAL)]
     network.strange.learn(trainer.last_steps(usual))
     held = network.strange(trainer.last_steps(trials.of("validation")))
