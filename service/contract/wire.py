@@ -123,9 +123,8 @@ class ClientHeartbeat(_Message):
     sent_ns: int | None = None
 
 
-ClientMessage = Annotated[
-    ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat, Field(discriminator="type")
-]
+_Client = ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat
+ClientMessage = Annotated[_Client, Field(discriminator="type")]
 
 # ---- service to client ------------------------------------------------------------------------------------------
 
@@ -192,7 +191,6 @@ class Enough(_Message):
     type: Literal["enough"] = "enough"
     attempt: Attempt
     frame_seq: int
-    captured_ns: int
     pressed_mm: float
 
 
@@ -246,7 +244,7 @@ class Fault(_Message):
 class ServiceHeartbeat(_Message):
     """Answer to a client heartbeat, same count; the age is of the newest frame of the finger that is further behind.
 
-    The age is for a person to read: a frame that came is not one that was judged (:class:`Watching`).
+    It is for a person to read: a frame that came is not one that was judged (:class:`Watching`).
     """
 
     type: Literal["heartbeat"] = "heartbeat"
@@ -273,7 +271,7 @@ _SERVICE: TypeAdapter[Any] = TypeAdapter(ServiceMessage)
 
 
 def clock(message: ClientHello | ClientHeartbeat, now_ns: int) -> Clock | None:
-    """The answer to a client's clock at ``now_ns`` of the service's; None for one that did not ask."""
+    """The answer to a client's clock at ``now_ns`` of the service's; None where it did not ask."""
     return None if message.sent_ns is None else Clock(sent_ns=message.sent_ns, service_ns=now_ns)
 
 
@@ -293,7 +291,7 @@ def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
 
 
 def parse_client(text: str | bytes) -> ClientMessage:
-    """Parse what a client sent; raise ContractError naming the field that is wrong."""
+    """What a client sent; raise ContractError naming the field that is wrong."""
     return _parse(_CLIENT, text)  # type: ignore[no-any-return]
 
 

@@ -137,7 +137,6 @@ def enough_message(insertion_id: str, attempt: Attempt) -> wire.Enough:
         insertion_id=insertion_id,
         attempt=attempt.arm.attempt,
         frame_seq=pair.seq,
-        captured_ns=pair.captured_ns,
         pressed_mm=attempt.descent.pressed_mm if attempt.descent else 0.0,
     )
 

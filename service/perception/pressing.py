@@ -15,6 +15,7 @@ from service.contract.pressing import Lattice, Pressing
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 SEEN = 0.25  # of the markers that could show a point's motion
+CLOSEST_MM = 1e-4  # no two moments are nearer
 _LEAST_GROWTH = 1e-6
 
 
@@ -51,11 +52,11 @@ def onset_depth(depths_mm: Doubles, moved: Floats, first: int) -> float:
     gone_mm = depths_mm[first + 1] - depths_mm[first]
     back_mm = gone_mm * share / max(1.0 - share, _LEAST_GROWTH)
     earliest = depths_mm[first - 1] if first else depths_mm[first] - gone_mm
-    return float(np.clip(depths_mm[first] - back_mm, earliest, depths_mm[first]))
+    return float(np.clip(depths_mm[first] - back_mm, earliest, depths_mm[first] - CLOSEST_MM))
 
 
 def step_weights(depths_mm: Doubles, begin_mm: float, end_mm: float) -> Doubles:
-    """Weights [n] of frames at rising depths for the mean of what lies between them, from ``begin_mm`` to ``end_mm``."""
+    """Weights [n] of frames at rising depths for the mean of what lies between ``begin_mm`` and ``end_mm``."""
     inner = depths_mm[(depths_mm > begin_mm) & (depths_mm < end_mm)]
     places = np.concatenate([[begin_mm], inner, [end_mm]])
     upper = np.clip(np.searchsorted(depths_mm, places), 1, len(depths_mm) - 1)
@@ -77,41 +78,44 @@ class DepthSteps:
     speed_mm_s: float
     begin_mm: float | None = None
     steps_n: int = 0
-    _stamps_ns: list[int] = field(default_factory=list)
+    _start_ns: int = 0
+    _first: int = 0
+    _depths_mm: list[float] = field(default_factory=list)
     _fields: list[Floats] = field(default_factory=list)
     _rest: Floats | None = None
-    _first: int = 0
 
     @property
     def pressed_mm(self) -> float:
         """How far the object has been pressed since its onset, 0 while that is not known."""
-        return 0.0 if self.begin_mm is None else float(self._depths()[-1]) - self.begin_mm
+        return 0.0 if self.begin_mm is None else self._depths_mm[-1] - self.begin_mm
 
     def begin(self, stamps_ns: list[int], fields: list[Floats], first: int) -> None:
         """Take the frames up to now, fields [2, rows, columns, 3] each; ``first`` is the first to show motion.
 
         What was seen before it is at rest; the frame just before may have begun to move.
         """
-        before = fields[: max(1, first - 1)] if first else fields[:1]
+        before = fields[: max(1, first - 1)]
         self._rest = np.mean(before, 0, dtype=np.float32)
         self._rest[..., 2] = np.min([one[..., 2] for one in before], 0)
         kept = max(0, first - 1)
-        self._stamps_ns, self._fields = list(stamps_ns[kept:]), [self._moved(one) for one in fields[kept:]]
-        self._first = first - kept
-        self._find_onset()
+        self._start_ns, self._first = stamps_ns[kept], first - kept
+        for stamp_ns, one in zip(stamps_ns[kept:], fields[kept:], strict=True):
+            self.add(stamp_ns, one)
 
     def add(self, stamp_ns: int, field_mm: Floats) -> None:
         """Take the next frame; one that is not later than the last shows nothing new and is left out."""
-        if self._stamps_ns and stamp_ns <= self._stamps_ns[-1]:
+        depth_mm = (stamp_ns - self._start_ns) * 1e-9 * self.speed_mm_s
+        if self._depths_mm and depth_mm < self._depths_mm[-1] + CLOSEST_MM:
             return
-        self._stamps_ns.append(stamp_ns)
+        self._depths_mm.append(depth_mm)
         self._fields.append(self._moved(field_mm))
-        self._find_onset()
+        if self.begin_mm is None and len(self._fields) > self._first + 1:
+            self._find_onset()
 
     def fresh(self) -> list[Floats]:
         """The steps [2, rows, columns, 3] that were completed since the last call, at most ``spec.steps_n`` in all."""
         steps: list[Floats] = []
-        depths_mm, size_mm = self._depths(), self.spec.step_mm
+        depths_mm, size_mm = np.array(self._depths_mm), self.spec.step_mm
         while self.begin_mm is not None and self.steps_n < self.spec.steps_n:
             end_mm = self.begin_mm + (self.steps_n + 1) * size_mm
             if depths_mm[-1] < end_mm:
@@ -133,11 +137,9 @@ class DepthSteps:
         return np.concatenate([(field_mm[..., :2] - self._rest[..., :2]) * seen, seen], -1)
 
     def _find_onset(self) -> None:
-        if self.begin_mm is None and len(self._fields) > self._first + 1:
-            count = self._first + 2
-            moved = np.stack(self._fields[:count])[..., :2]
-            self.begin_mm = onset_depth(self._depths()[:count], moved, self._first)
-
-    def _depths(self) -> Doubles:
-        stamps = np.asarray(self._stamps_ns, np.float64)
-        return (stamps - stamps[0]) * 1e-9 * self.speed_mm_s if len(stamps) else stamps
+        """Put a field at rest where the motion began, in place of the frames before it."""
+        first, moved = self._first, np.stack(self._fields)[..., :2]
+        self.begin_mm = onset_depth(np.array(self._depths_mm), moved, first)
+        still = np.zeros_like(self._fields[0])
+        still[..., 2] = self._fields[first][..., 2]
+        self._depths_mm[:first], self._fields[:first] = [self.begin_mm], [still]

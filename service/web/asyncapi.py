@@ -33,7 +33,7 @@ _CORRECTION: dict[str, Any] = {
 EXAMPLES: tuple[BaseModel, ...] = (
     wire.ClientHello(**_INSERTION, client="cell controller 3.1", sent_ns=87_000_000_000),
     wire.Arm(**_ATTEMPT, gap_width_mm=56.0, expected_depth_mm=25.0),
-    wire.Descending(**_ATTEMPT),
+    wire.Descending(**_ATTEMPT, speed_mm_s=10.0),
     wire.Stopped(**_ATTEMPT, depth_mm=6.4, outcome="blocked"),
     wire.Abort(**_INSERTION, cause="operator", reason="stopped at the panel"),
     wire.ClientHeartbeat(**_INSERTION, count=7, sent_ns=88_000_000_000),
@@ -42,6 +42,7 @@ EXAMPLES: tuple[BaseModel, ...] = (
     wire.Refused(**_ATTEMPT, reason="no_reference", detail="left: 12 markers found, expected 420"),
     wire.Watching(**_ATTEMPT, frame_captured_ns=4_366_000_000, judged_ns=4_381_000_000),
     wire.Slip(**_ATTEMPT, **_SLIP, reason="slip: 9 markers off the rigid motion"),
+    wire.Enough(**_ATTEMPT, frame_seq=139, pressed_mm=1.53),
     wire.Correction(**_ATTEMPT, **_CORRECTION),
     wire.NoDecision(**_ATTEMPT, reason="no_motion", detail="neither finger saw the object move"),
     wire.Finished(**_INSERTION, outcome="inserted", attempts=2, recording="recordings/x/insertion.mcap"),

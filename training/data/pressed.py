@@ -227,8 +227,10 @@ class Reader:
             frames_mm = np.linspace(-spacing_mm, last_mm, 4)
         taken = _between(stored.depths_mm, frames_mm)
         noise_mm = rng.uniform(*TRACKING_MM)
-        begin_mm = self._onset(stored, frames_mm, taken, noise_mm, rng)
-        return *self._steps(stored, frames_mm, taken, begin_mm, noise_mm, rng), spacing_mm
+        first, begin_mm = self._onset(stored, frames_mm, taken, noise_mm, rng)
+        frames_mm = np.concatenate([[begin_mm], frames_mm[first:]])
+        taken = np.concatenate([np.zeros((1, taken.shape[1])), taken[first:]])
+        return *self._steps(stored, frames_mm, taken, noise_mm, rng), spacing_mm
 
     def _onset(
         self,
@@ -237,24 +239,24 @@ class Reader:
         taken: NDArray[np.float64],
         noise_mm: float,
         rng: np.random.Generator,
-    ) -> float:
+    ) -> tuple[int, float]:
+        """The first frame that shows motion, and the depth at which the service takes it to have begun."""
         noticed = taken @ stored.carried_mm > rng.uniform(*NOTICED_MM)
         first = min(max(int(np.argmax(noticed)) if noticed.any() else len(taken), 1), len(taken) - 2)
         moved = np.zeros((first + 2, stored.fields.shape[1]), np.float32)
         seen = taken[first : first + 2] @ stored.fields
         moved[first:] = seen + rng.normal(0.0, noise_mm, seen.shape)
-        return onset_depth(frames_mm[: first + 2], moved, first)
+        return first, onset_depth(frames_mm[: first + 2], moved, first)
 
     def _steps(
         self,
         stored: Stored,
         frames_mm: NDArray[np.float64],
         taken: NDArray[np.float64],
-        begin_mm: float,
         noise_mm: float,
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.float16], int]:
-        ends_mm = begin_mm + STEP_MM * np.arange(1, STEPS + 1)
+        ends_mm = frames_mm[0] + STEP_MM * np.arange(1, STEPS + 1)
         length = max(1, int((ends_mm <= frames_mm[-1]).sum()))
         weights = np.stack([step_weights(frames_mm, end - STEP_MM, end) for end in ends_mm[:length]])
         quiet = np.sqrt((weights**2).sum(1, keepdims=True))
