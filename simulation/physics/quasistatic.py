@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from simulation.physics import layer_pads
 from simulation.physics.constants import BASE_K, scene_constants
 from simulation.physics.grasp import close_fingers
-from simulation.physics.ground_truth import Pose, reasons_against
 from simulation.physics.inertia import coasting_of, duration_s
 from simulation.physics.kernels import contact, load_step, records
 from simulation.physics.kernels.linear import rotation_into
 from simulation.physics.pads import nodes_of, pad_of
 from simulation.physics.readout import Readout
-from simulation.physics.state import CellState, PhysicsError, Reason, block_motion, rotation_vector
+from simulation.physics.state import block_motion, rotation_vector
 from simulation.scene.effects import Active, active_effects
+from simulation.scene.ground_truth import Pose, reasons_against
 from simulation.scene.scene import APPROACH_MM, Scene
+from simulation.scene.state import CellState, PhysicsError, Reason
 
 __all__ = ["CellState", "PhysicsError", "QuasiStaticCell"]
 
@@ -148,8 +149,7 @@ class QuasiStaticCell:
         if self.relaxes and not ticks:
             count = min(MOST_PAUSES, math.ceil(time_s / (PAUSE_SHARE * self.scene.gel.relaxation_s)))
             ticks = [time_s / count] * count
-        if ticks:
-            self.nodes["slipped"] = 0.0
+        self.nodes["slipped"][:] = 0.0 if ticks else self.nodes["slipped"]
         for dt_s in ticks:
             self._advance(self.pose, dt_s=dt_s)
         return self.look()

@@ -92,7 +92,7 @@ def test_the_documented_client_stops_on_slip_and_corrects_once(url: str):
     space: dict = {}
     exec(compile(block.text, block.name, "exec"), space)
     arm = Arm()
-    assert space["insert"](arm, url)["outcome"] == "inserted"
+    assert space["insert"](arm, "a-token-for-driving", url)["outcome"] == "inserted"
     assert arm.moves == [(-2.0, 1.0)]
     assert arm.retracted == 1
     assert arm.depth_mm() == DEPTH_MM

@@ -188,7 +188,7 @@ def test_a_cut_camera_is_a_fault_and_comes_back(live: LiveService) -> None:
 def test_the_first_message_must_be_hello(live: LiveService) -> None:
     from websockets.sync.client import connect
 
-    with connect(live.url("/", "ws"), compression=None) as socket:
+    with connect(live.url("/", "ws"), additional_headers=live.bearer, compression=None) as socket:
         socket.send(wire.Abort(insertion_id="x", reason="").model_dump_json())
         fault = wire.parse_service(socket.recv(5))
     assert isinstance(fault, wire.Fault)
