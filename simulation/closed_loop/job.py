@@ -56,3 +56,9 @@ class Outcome:
     grasp_kept: bool
     course: Course
     trials: list[dict[str, Any]] = field(default_factory=list)
+
+    @classmethod
+    def never_held(cls, job: Job, reason: str) -> Outcome:
+        """Of an object that could not even be grasped."""
+        start = (job.x_mm, job.theta_deg)
+        return cls(False, False, 0, reason, True, start, grasp_kept=False, course=Course())

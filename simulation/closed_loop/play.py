@@ -31,6 +31,7 @@ from robot_client.insertion.events import (
 )
 from robot_client.insertion.events import Tick as ClientTick
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import FAST_S, SLOW_MM, Lease
 from robot_client.insertion.limits import Limits as ClientLimits
 from robot_client.insertion.machine import step
 from robot_client.insertion.motion import Ramps
@@ -46,7 +47,7 @@ from service.perception.observation import FingerWatch
 from service.session.state_machine import InsertionSession
 from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View
 from simulation.closed_loop.job import Job, Outcome, Perception
-from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, Course, GraspEndError, LockstepCell, hash_seed
+from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import TrueFieldFinger
 from simulation.physics.quasistatic import PhysicsError
 from simulation.scene.unstated import Unstated
@@ -232,6 +233,7 @@ def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits) -> Plan:
         creep_allowance_mm=CREEP_ALLOWANCE_MM,
         limits=limits,
         ramps=ramps.model_copy(update={"descend": descend}),
+        lease=Lease(travel_mm=max(SLOW_MM, FAST_S * scene.speed_mm_s)),
     )
 
 
@@ -284,16 +286,7 @@ def insert(job: Job, models: ModelSet) -> dict[str, Any]:
     try:
         outcome = stage(job, models).run()
     except PhysicsError as error:
-        outcome = Outcome(
-            inserted=False,
-            claimed=False,
-            attempts=0,
-            reason=f"physics: {error}",
-            void=True,
-            final_error=(job.x_mm, job.theta_deg),
-            grasp_kept=False,
-            course=Course(),
-        )
+        outcome = Outcome.never_held(job, f"physics: {error}")
     return asdict(job) | asdict(outcome)
 
 

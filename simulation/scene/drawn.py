@@ -23,7 +23,8 @@ Tables = dict[str, dict[str, Any]]
 Map = Callable[[float], Any]
 
 REACH_PITCHES = (0.15, 3.0)  # shear reach of a pad that is touched all over
-BLIND_MM = 3.0  # a cell is run so slowly that the arm goes no further than this before a stop takes effect
+SPEED_MM_S = (3.0, 40.0)
+BLIND_MM = 3.0  # what the arm goes before a stop takes effect, in a cell that is run with care
 HELD_MM = 8.0  # an object that a soft pad touches on less is no part to be held
 PAD_MM2, PITCH_MM = 463.05, 1.05  # of the sensor that worlds are drawn for
 MU, FORCE_N, THICKNESS_MM = (0.45, 1.0), (10.0, 40.0), (1.5, 4.0)
@@ -98,13 +99,23 @@ def _world(u: Mapping[str, float]) -> Tables:
     for pair, parts in PAIRS.items():
         flat[pair] = [flat.pop(part) for part in parts]
     flat |= gel_of_reach(u["reach"], u["friction"], u["force"], u["thickness"])
-    seconds = 1.0 / flat["camera.fps"] + 1e-3 * flat["camera.latency_ms"] + flat["world.stop_lag_s"]
-    flat["motion.descent_speed_mm_s"] = _log(3.0, min(40.0, max(BLIND_MM / seconds, 3.0)))(u["speed"])
+    late_s = 1e-3 * flat["camera.latency_ms"] + flat["world.stop_lag_s"]
+    top_mm_s = max(SPEED_MM_S[0], min(SPEED_MM_S[1], fastest_mm_s(flat["camera.fps"], late_s)))
+    flat["motion.descent_speed_mm_s"] = _log(SPEED_MM_S[0], top_mm_s)(u["speed"])
     tables: Tables = {}
     for dotted, value in flat.items():
         table, key = dotted.split(".")
         tables.setdefault(table, {})[key] = value
     return tables
+
+
+def fastest_mm_s(fps: float, late_s: float) -> float:
+    """How fast a cell is run: `BLIND_MM` until a stop takes effect, and within the client's motion lease.
+
+    The lease is 1.5 mm, or 0.1 s where that is further; one and a half frames and 60 ms of it are used up.
+    """
+    used_s = 1.5 / fps + 0.06
+    return min(BLIND_MM / (1.0 / fps + late_s), math.inf if used_s <= 0.1 else 1.5 / used_s)
 
 
 def gel_of_reach(reach: float, friction: float, force: float, thickness: float) -> dict[str, float]:
