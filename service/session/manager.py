@@ -9,13 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from service.cameras.capture import Camera
+from service.cameras.capture import Camera, now_ns
 from service.contract import Finger, wire
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.hub import Hub
 from service.perception.rectification import Calibration
-from service.recordings.retention import make_room
+from service.recordings.retention import make_room, problem_of
 from service.recordings.writer import Recorder
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
@@ -38,12 +38,27 @@ class InsertionManager:
     submit: Callable[[Work], None]
     active: Insertion | None = None
     opened_n: int = 0
+    unrecorded_n: int = 0
+    _unrecorded: str = ""
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
     _calibration_text: str = field(init=False)
 
     def __post_init__(self) -> None:
         """Read the calibration's file once: later it may have changed or gone."""
         self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
+
+    @property
+    def recording_problem(self) -> str:
+        """Why insertions are not recorded whole: the last one was not, or the next one cannot be; empty if they are."""
+        recorder = self.active.recorder if self.active else None
+        return (recorder.error if recorder else "") or self._unrecorded or problem_of(self.settings.recordings)
+
+    def _note_recorded(self, problem: str) -> None:
+        """An insertion was recorded whole, or there is a problem."""
+        self._unrecorded = problem
+        if problem:
+            self.unrecorded_n += 1
+            self.hub.publish("error", problem)
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
         return tuple(camera.entry for camera in self.cameras.values())
@@ -64,7 +79,7 @@ class InsertionManager:
                 )
                 send(wire.Fault(insertion_id=hello.insertion_id, code="busy", detail=detail, fatal=True))
                 return
-            self.abort("another client takes over after a lost connection")
+            self.abort("link", "another client takes over after a lost connection")
             active = None
         if active is None:
             try:
@@ -86,7 +101,7 @@ class InsertionManager:
             self.active.message(message)
         elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self._ended:
             # while its recording is being closed, a client that waits for `finished` must not see silence
-            send(wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=None))
+            send(wire.beat(message, now_ns(), None))
 
     def disconnect(self, send: Send) -> None:
         """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
@@ -101,17 +116,17 @@ class InsertionManager:
         if self.active:
             self.active.camera_fault(code, detail)
 
-    def tick(self, now_ns: int) -> None:
+    def tick(self, at_ns: int) -> None:
         if self.active:
             self.active.tick()
-        if self.active and (now_ns - self.active.received_ns) * 1e-9 > self.settings.client_timeout_s:
-            self.abort("the driving client fell silent")
+        if self.active and (at_ns - self.active.received_ns) * 1e-9 > self.settings.client_timeout_s:
+            self.abort("link", "the driving client fell silent")
 
-    def abort(self, reason: str) -> None:
+    def abort(self, cause: wire.Cause, reason: str) -> None:
         """End the insertion under way, if any; its recording is kept."""
         active = self.active
         if active and active.session.insertion_id and not active.closing:
-            active.message(wire.Abort(insertion_id=active.session.insertion_id, reason=reason))
+            active.message(wire.Abort(insertion_id=active.session.insertion_id, cause=cause, reason=reason))
 
     def _open(self, hello: wire.ClientHello) -> Insertion:
         session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
@@ -147,7 +162,7 @@ class InsertionManager:
             largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))
             return Recorder(root, insertion_id, facts, largest)
         except OSError as error:
-            self.hub.publish("error", f"cannot record into {root}: {error}")
+            self._note_recorded(f"cannot record into {root}: {error}")
             return None
 
     def _publish(self, kind: str, content: Any) -> None:
@@ -164,19 +179,17 @@ class InsertionManager:
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)
 
-        threading.Thread(target=_keep, args=(self.hub, [insertion], finished), name="close-recording").start()
+        threading.Thread(target=self._keep, args=([insertion], finished), name="close-recording").start()
 
-
-def _keep(hub: Hub, ended: list[Insertion], finished: wire.Finished) -> None:
-    """Close an ended insertion's recording, inform its client, and free its memory."""
-    insertion = ended.pop()
-    if insertion.recorder:
-        insertion.recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
-        if insertion.recorder.error:
-            hub.publish("error", f"recording {insertion.recorder.path}: {insertion.recorder.error}")
-    insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
-    if insertion.send:
-        insertion.send(finished)
-    hub.publish("recorded", finished)
-    del insertion
-    give_back()
+    def _keep(self, ended: list[Insertion], finished: wire.Finished) -> None:
+        """Close an ended insertion's recording, inform its client, and free its memory."""
+        insertion = ended.pop()
+        if recorder := insertion.recorder:
+            recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
+            self._note_recorded(f"recording {recorder.path}: {recorder.error}" if recorder.error else "")
+        insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
+        if insertion.send:
+            insertion.send(finished)
+        self.hub.publish("recorded", finished)
+        del insertion
+        give_back()

@@ -103,7 +103,7 @@ class Station:
 
     def stop(self) -> None:
         """Abort a running insertion, close its recording, end all threads."""
-        self.post(lambda: self.manager.abort("service stops"))
+        self.post(lambda: self.manager.abort("service", "service stops"))
         self._inbox.put(None)
         self._thread.join(10.0)
         for camera in self.cameras.values():
@@ -122,6 +122,11 @@ class Station:
     def ready(self) -> bool:
         """Models warm and both cameras live."""
         return all(camera.state == "live" for camera in self.cameras.values())
+
+    @property
+    def recording_problem(self) -> str:
+        """Why insertions are not recorded whole; empty if they are."""
+        return self.manager.recording_problem
 
     # ---- inbox -----------------------------------------------------------------------------------------------------
 

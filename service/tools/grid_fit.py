@@ -291,9 +291,7 @@ def _least_squares(off: Callable[[Float64], Float64 | None], terms: int) -> Floa
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope.T @ now)
         tried = off(p + step)
         if tried is None or tried @ tried >= now @ now:
-            damping *= 10
-            if damping > 1e4:
-                break
+            damping *= 30
             continue
         small = tried @ tried > (1 - 1e-4) * (now @ now)
         p, now, damping = p + step, tried, damping / 5

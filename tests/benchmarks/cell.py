@@ -128,7 +128,7 @@ class SteppedCell:
         name = f"bench-{self.done}-{time.monotonic_ns()}"
         self.show(0)
         url = self.service.url("/v1/insertions/ws", "ws")
-        with connect(url, compression=None) as link:
+        with connect(url, additional_headers=self.service.bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id=name, client="bench").model_dump_json())
             self._until(link, "hello")
             arm = wire.Arm(insertion_id=name, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
@@ -143,7 +143,7 @@ class SteppedCell:
             self.show(LAST)
             answer = self._until(link, "correction", "no_decision")
             taken = (time.monotonic_ns() - max(finger.left_ns for finger in self.fingers.values())) / 1e6
-            link.send(wire.Abort(insertion_id=name, reason="done").model_dump_json())
+            link.send(wire.Abort(insertion_id=name, cause="operator", reason="done").model_dump_json())
             self._until(link, "finished")
         if answer.type != "correction":
             raise RuntimeError(f"no correction but {answer.reason}: {answer.detail}")

@@ -42,6 +42,7 @@ function told(message) {
     case "slip": return `attempt ${message.attempt}: slip, ${message.finger} finger, seen after ${message.age_ms.toFixed(0)} ms`;
     case "correction": return `attempt ${message.attempt}: move ${signed(message.dx_mm)} mm, turn ${signed(message.dtheta_deg)}°`;
     case "no_decision": return `attempt ${message.attempt}: no decision, ${message.detail}`;
+    case "refused": return `attempt ${message.attempt}: refused, ${message.detail}`;
     case "finished": return `${message.outcome} after ${message.attempts} attempts`;
     default: return `${message.code ?? message.type}: ${message.detail ?? ""}`;
   }
@@ -58,6 +59,7 @@ function onMessage(message) {
   if (message.type === "armed") say(`Attempt ${message.attempt}: feeling`, "good");
   if (message.type === "slip") say(`Attempt ${message.attempt}: slip, stopped`, "warn");
   if (message.type === "fault") say(message.code.replaceAll("_", " "), "bad");
+  if (message.type === "refused") say(message.reason.replaceAll("_", " "), "bad");
   if (message.type === "no_decision") say(`Attempt ${message.attempt}: no decision`, "bad");
   if (message.type === "finished") { say(`${message.outcome}, ${message.attempts} attempts`, message.outcome === "inserted" ? "good" : "bad"); }
   if (message.type === "correction") onCorrection(message);
@@ -86,7 +88,8 @@ function onHealth(health) {
   const cameras = Object.entries(health.cameras).map(([finger, c]) => [c.state === "live" ? "good" : "bad", `${finger} ${c.state === "live" && c.frame_rate_hz ? c.frame_rate_hz.toFixed(0) + " Hz" : c.state}`]);
   const robot = [health.driver ? "good" : "off", health.driver ? `robot ${health.driver}` : "no robot"];
   const dropped = [growing(health.frames_dropped_n) ? "bad" : "good", `dropped ${health.frames_dropped_n}`];
-  at("health").replaceChildren(...[...cameras, robot, dropped].map(([kind, text]) => Object.assign(document.createElement("li"), { className: kind, textContent: text })));
+  const kept = health.recording ? [["bad", `not recorded: ${health.recording}`]] : [];
+  at("health").replaceChildren(...[...cameras, robot, dropped, ...kept].map(([kind, text]) => Object.assign(document.createElement("li"), { className: kind, textContent: text })));
   if (!health.ready) say(NOT_LIVE, "bad");
   else if (at("status").textContent === NOT_LIVE || (!health.driver && at("status").className === "")) say("ready", "good");
 }

@@ -7,6 +7,7 @@ from typing import Any
 import structlog
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
+from service.cameras.capture import now_ns
 from service.contract import ContractError, wire
 from service.contract.wire import ServiceMessage
 from service.session.station import Station
@@ -17,6 +18,7 @@ from service.web.closing import (
     POLICY_VIOLATION,
     TRY_AGAIN_LATER,
     Ending,
+    Seats,
     close,
     until_gone,
     until_one_ends,
@@ -24,6 +26,7 @@ from service.web.closing import (
 
 HELLO_TIMEOUT_S = 30.0  # a robot client connects first, then switches motors on and waits for the arm to be guided
 MAX_WAITING = 256
+MAX_WATCHERS = 8  # connections that may not drive, which leaves room for the one that does
 log = structlog.get_logger()
 
 
@@ -81,6 +84,7 @@ def ending_of(message: ServiceMessage) -> Ending | None:
 def router(station: Station, access: Access) -> APIRouter:
     """Route ``/v1/insertions/ws``, also as ``/v1/insertion`` and, for clients that name no path, ``/``."""
     routes = APIRouter()
+    watchers = Seats(MAX_WATCHERS)
 
     @routes.websocket("/")
     @routes.websocket("/v1/insertion")
@@ -89,6 +93,14 @@ def router(station: Station, access: Access) -> APIRouter:
         if not await access.admit(socket, "watch"):
             return
         await socket.accept()
+        if access.allows(socket, "drive"):
+            await converse(socket)
+        else:
+            async with watchers.taken(socket) as seated:
+                if seated:
+                    await converse(socket)
+
+    async def converse(socket: WebSocket) -> None:
         connection = Connection(socket)
         ending = Ending(GOING_AWAY, "the service stops")
         try:
@@ -116,7 +128,7 @@ async def _serve(socket: WebSocket, connection: Connection, station: Station, ac
     if hello.role == "watch":
         return await _watch(socket, connection, station)
     if not access.allows(socket, "drive"):
-        connection.fault("forbidden", "this token may watch only; use the drive token", fatal=True)
+        connection.fault("forbidden", "without the token for driving a client may only watch", fatal=True)
         return await until_gone(socket)
     return await _drive(socket, connection, station, hello)
 
@@ -149,8 +161,7 @@ async def _watch(socket: WebSocket, connection: Connection, station: Station) ->
         while True:
             message: Any = wire.parse_client(await _text(socket))
             if isinstance(message, wire.ClientHeartbeat):
-                age_ms = station.frame_age_ms()
-                connection.send(wire.ServiceHeartbeat(insertion_id=name, count=message.count, frame_age_ms=age_ms))
+                connection.send(wire.beat(message, now_ns(), station.frame_age_ms()))
             else:
                 detail = f"a watching client may send heartbeats only, not {message.type}"
                 connection.fault("watch_only", detail, fatal=False)
