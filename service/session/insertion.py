@@ -2,7 +2,8 @@
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -17,6 +18,7 @@ from service.session.state_machine import InsertionSession, Replies, ignore
 
 Send = Callable[[ServiceMessage], None]
 LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
+NOTHING: Mapping[Any, Any] = MappingProxyType({})
 HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be recorded
 
 
@@ -66,8 +68,10 @@ class Insertion:
         self.session.prime(frame.frame)
         self._settle()
 
-    def frame(self, frame: CameraFrame, pair: FramePair | None) -> None:
-        """A camera frame, and the pair it completes, if any."""
+    def frame(
+        self, frame: CameraFrame, pair: FramePair | None, jpegs: Mapping[tuple[Finger, int], bytes | None] = NOTHING
+    ) -> None:
+        """A camera frame, and the pair it completes, if any; ``jpegs`` are what recent frames were decoded from."""
         now = now_ns()
         slip: Replies = []
         try:
@@ -79,7 +83,7 @@ class Insertion:
             self._write(slip, now)
         if pair is not None:
             for half in (pair.left, pair.right):
-                self._record(CameraFrame(half, None))
+                self._record(CameraFrame(half, jpegs.get((half.finger, half.seq))))
             now = now_ns()
             self._call({"call": "pair", "left": pair.left.seq, "right": pair.right.seq}, now)
             self._emit(self.session.on_pair(pair, now), now)

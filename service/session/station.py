@@ -32,6 +32,7 @@ from service.session.warm_up import warm_up
 from service.settings import Settings
 
 BACKLOG_FRAMES = 8  # two fingers' worth of about 4 frames; older ones are dropped
+RECENT_N = 16  # frames a finger, whose JPEG is at hand when they make a pair
 PERIOD_NS = 33_000_000  # of a camera whose rate is not known yet
 TICK_S = 0.05
 
@@ -65,6 +66,7 @@ class Station:
             for finger in FINGERS
         }
         self.viewers_n = 0
+        self._jpegs: dict[tuple[Finger, int], bytes | None] = {}
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._networks = ThreadPoolExecutor(1, "networks")  # slip detection never waits for a network
@@ -179,8 +181,10 @@ class Station:
 
     def _on_camera_frame(self, frame: CameraFrame) -> None:
         if self.active:
-            pair = self.pairer.add(frame.frame)
-            self._frames.append((frame, pair))
+            seq = frame.frame.seq
+            self._jpegs[frame.frame.finger, seq] = frame.jpeg
+            self._jpegs.pop((frame.frame.finger, seq - RECENT_N), None)
+            self._frames.append((frame, self.pairer.add(frame.frame)))
             self.post(self._next_frame)
         self.hub.frame(frame)
 
@@ -192,7 +196,7 @@ class Station:
             return
         frame, pair = self._frames.popleft()
         if self.active and self.active.wants_frames:
-            self.active.frame(frame, pair)
+            self.active.frame(frame, pair, self._jpegs)
 
     def _is_outdated(self) -> bool:
         """Whether the oldest waiting frame is older than a frame period while slip is watched and a newer one waits.
