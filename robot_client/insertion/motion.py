@@ -4,6 +4,7 @@ import math
 from typing import Literal, get_args
 
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import Unwatched, check_leased
 from robot_client.insertion.limits import LimitError, Limits, Motion, StepGuard, check_pose
 from robot_client.insertion.profile import Profile, plan_profile
 from service.contract.frames import Contract
@@ -73,6 +74,7 @@ class MotionGuide:
         self._motion: Motion = "travel"
         self._start = self._end = start
         self._profile: Profile | None = None
+        self._until_s: float | None = None
         self._walked_s = 0.0
         self._rate = 1.0
         self._waiting: Settled | None = None
@@ -89,14 +91,23 @@ class MotionGuide:
         """Kind of the move under way or of the last one."""
         return self._motion
 
-    def move(self, end: WorkPose, motion: Motion) -> None:
-        """Begin a straight move to ``end``; raises LimitError and changes nothing if the end is not allowed."""
+    def move(self, end: WorkPose, motion: Motion, until_s: float | None = None) -> None:
+        """Begin a straight move to ``end``; raises LimitError and changes nothing if the end is not allowed.
+
+        A descent walks only before ``until_s``, on the clock that :meth:`advance` is told, and has to have one.
+        """
+        check_leased(motion, until_s)
         check_pose(self.limits, end)
         self._guard.rest()
         self._start, self._end, self._motion = self.target, end, motion
         self._profile = self.ramps.profile(self.target, end, motion)
-        self._walked_s, self._rate = 0.0, 1.0
+        self._walked_s, self._rate, self._until_s = 0.0, 1.0, until_s
         self._waiting, self._still = "arrived", None
+
+    def renew(self, until_s: float) -> None:
+        """The descent under way may walk until then."""
+        if self._until_s is not None:
+            self._until_s = max(self._until_s, until_s)
 
     def hold(self) -> None:
         """Freeze the target where it is and report when the arm stands; idempotent."""
@@ -105,13 +116,17 @@ class MotionGuide:
         self._profile = None
         self._waiting = "standstill"
 
-    def advance(self, elapsed_s: float) -> WorkPose:
+    def advance(self, elapsed_s: float, now_s: float) -> WorkPose:
         """Target after ``elapsed_s``; raises LimitError (target unchanged) if it may not be sent.
+
+        Unwatched is raised once the lease of a descent is over at ``now_s`` (``time.monotonic``).
 
         Over a gap of more than MISSED_CYCLES the target takes their way at most, then gains speed on a ramp.
         """
         if self._profile is None or elapsed_s <= 0.0:
             return self.target
+        if self._until_s is not None and now_s >= self._until_s:
+            raise Unwatched(f"no frame was judged in time: the lease ended {(now_s - self._until_s) * 1e3:.0f} ms ago")
         if elapsed_s > (MISSED_CYCLES + 0.5) * CYCLE_S:
             self._rate = min(self._rate, MISSED_CYCLES * CYCLE_S / elapsed_s)
             self._walked_s += elapsed_s * self._rate

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
+from robot_client.insertion.lease import Unwatched
 from robot_client.insertion.limits import LimitError, Limits, Motion
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
 from robot_client.ports import Arm, DeviceSettings, Post
@@ -42,9 +43,13 @@ class DryArm(Arm):
         self._task = asyncio.get_running_loop().create_task(self._run())
         return self.settings.start
 
-    def move(self, target: WorkPose, motion: Motion) -> None:
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
         """Begin a move; raises LimitError if it is not allowed."""
-        self._guide.move(target, motion)
+        self._guide.move(target, motion, until_s)
+
+    def renew(self, until_s: float) -> None:
+        """The descent under way may go on until then, in real time."""
+        self._guide.renew(until_s)
 
     def hold(self, reason: str, *, stop: bool) -> None:  # noqa: ARG002 the port's signature
         """Freeze the target."""
@@ -80,11 +85,14 @@ class DryArm(Arm):
 
     def _advanced(self) -> WorkPose:
         try:
-            return self._guide.advance(CYCLE_S)
+            return self._guide.advance(CYCLE_S, time.monotonic())
         except LimitError as error:  # what the real arm's driver would refuse
-            self._guide.hold()
-            self._post(Failure(at_s=time.monotonic(), source="arm", code="limits", detail=str(error)))
+            self._fail("unwatched" if isinstance(error, Unwatched) else "limits", str(error))
             return self._guide.target
+
+    def _fail(self, code: str, detail: str) -> None:
+        self._guide.hold()
+        self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
 
 
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:  # noqa: ARG001 the port's signature

@@ -162,7 +162,7 @@ def refused(
             with contextlib.suppress(TimeoutError):
                 fault = wire.parse_service(link.recv(0.1))
         recorded = station.active.recorder
-        link.send(wire.Abort(insertion_id="unlike", reason="done").model_dump_json())
+        link.send(wire.Abort(insertion_id="unlike", cause="operator", reason="done").model_dump_json())
         while wire.parse_service(link.recv(20)).type != "finished":
             pass
     # frames may be captured before the arm is heard, and one pair may still be under way when the fault comes
@@ -196,7 +196,7 @@ def test_a_full_disk_is_said_while_it_is_full_and_the_insertion_ends_as_it_shoul
                 show()
                 assert time.monotonic() < until
             assert metric(service.url("/metrics"), "tactile_recording_ok") == 0.0
-            link.send(wire.Abort(insertion_id="full", reason="done").model_dump_json())
+            link.send(wire.Abort(insertion_id="full", cause="operator", reason="done").model_dump_json())
             while wire.parse_service(link.recv(20)).type != "finished":
                 show()
         until = time.monotonic() + 60

@@ -36,7 +36,7 @@ def is_served(service: ServiceProcess) -> None:
         name = f"robot-{time.monotonic_ns()}"
         link.send(wire.ClientHello(insertion_id=name, client="robot").model_dump_json())
         assert wire.parse_service(link.recv(20)).type == "hello"
-        link.send(wire.Abort(insertion_id=name, reason="done").model_dump_json())
+        link.send(wire.Abort(insertion_id=name, cause="operator", reason="done").model_dump_json())
         assert wire.parse_service(link.recv(20)).type == "finished"
 
 
