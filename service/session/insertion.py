@@ -3,9 +3,9 @@
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from dataclasses import dataclass, field
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from service.cameras.capture import CameraFrame, now_ns
@@ -40,6 +40,9 @@ class Insertion:
     received_ns: int = field(default_factory=now_ns)
     closing: bool = False
     recorded_seq: dict[Finger, int] = field(default_factory=dict)
+    episode: wire.Episode | None = None
+    telemetry_lost_n: int = 0
+    _client_ahead_ns: int | None = None
     _observed: list[Observation] = field(default_factory=list)
     _later: deque[Callable[[], None]] = field(default_factory=deque)
     _sent: bool = False
@@ -56,10 +59,36 @@ class Insertion:
 
     def message(self, message: Any) -> None:
         now = self.received_ns = now_ns()
+        if isinstance(message, wire.Telemetry):
+            self._robot(message, now)
+            return
+        if isinstance(message, wire.Episode):
+            self.episode = message
+            self._note(_record_told, message, now)
+            return
         if message.type != "heartbeat":
             self._note(_record_received, message, now)
         self._emit(self.session.handle(message, now), now)
         self._settle()
+
+    def _robot(self, message: wire.Telemetry, now: int) -> None:
+        """Record where the robot was, on this machine's clock: what came fastest tells best how far the other is ahead.
+
+        The error is the time that the fastest message took, a fraction of a millisecond on one machine.
+        """
+        ahead_ns = message.sent_ns - now
+        self._client_ahead_ns = max(ahead_ns, self._client_ahead_ns if self._client_ahead_ns is not None else ahead_ns)
+        self.telemetry_lost_n += message.left_out_n
+        for sample in message.samples:
+            self._note(Recorder.robot, sample, sample.at_ns - self._client_ahead_ns)
+        self._settle_unless_near(now, paired=False)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the summary says of the task."""
+        told = self.episode
+        task = {} if told is None else told.model_dump(mode="json", include={"object", "start", "approach", "versions"})
+        return {**task, "robot_samples_lost_n": self.telemetry_lost_n}
 
     def prime(self, frame: CameraFrame) -> None:
         """Show the trackers a first frame."""
@@ -187,6 +216,10 @@ class Insertion:
             self.show(observation)
             self._note(Recorder.observation, observation)
         self._observed.clear()
+
+
+def _record_told(recorder: Recorder, message: Any, now: int) -> None:
+    recorder.message("client", message.model_dump(mode="json"), now)
 
 
 def _record_received(recorder: Recorder, message: Any, now: int) -> None:
