@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 from service.cameras.capture import CameraFrame, now_ns
@@ -18,7 +17,6 @@ from service.session.state_machine import InsertionSession, Replies, ignore
 
 Send = Callable[[ServiceMessage], None]
 LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
-NOTHING: Mapping[Any, Any] = MappingProxyType({})
 HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be recorded
 
 
@@ -27,9 +25,10 @@ class Insertion:
     """Feeds a session, records its input and output, and passes its messages on.
 
     Only the perception thread calls its methods. ``send`` is the driving client (None while it is away); ``publish``
-    takes (kind, content) for watchers and metrics, ``show`` each observation. A message goes to the client first,
-    then to watchers, then into the recording: each of the three wakes a thread that may take this one's core. What
-    comes just before an answer is recorded after it, at most ``HOLD_S`` later.
+    takes (kind, content) for watchers and metrics, ``show`` each observation, ``jpegs`` holds what recent frames were
+    decoded from. A message goes to the client first, then to watchers, then into the recording: each of the three wakes
+    a thread that may take this one's core. What comes just before an answer is recorded after it, at most ``HOLD_S``
+    later.
     """
 
     session: InsertionSession
@@ -40,6 +39,7 @@ class Insertion:
     received_ns: int = field(default_factory=now_ns)
     closing: bool = False
     recorded_seq: dict[Finger, int] = field(default_factory=dict)
+    jpegs: Mapping[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     episode: wire.Episode | None = None
     telemetry_lost_n: int = 0
     _client_ahead_ns: int | None = None
@@ -97,10 +97,8 @@ class Insertion:
         self.session.prime(frame.frame)
         self._settle()
 
-    def frame(
-        self, frame: CameraFrame, pair: FramePair | None, jpegs: Mapping[tuple[Finger, int], bytes | None] = NOTHING
-    ) -> None:
-        """A camera frame, and the pair it completes, if any; ``jpegs`` are what recent frames were decoded from."""
+    def frame(self, frame: CameraFrame, pair: FramePair | None) -> None:
+        """A camera frame, and the pair it completes, if any."""
         now = now_ns()
         slip: Replies = []
         try:
@@ -112,7 +110,7 @@ class Insertion:
             self._write(slip, now)
         if pair is not None:
             for half in (pair.left, pair.right):
-                self._record(CameraFrame(half, jpegs.get((half.finger, half.seq))))
+                self._record(CameraFrame(half, self.jpegs.get((half.finger, half.seq))))
             now = now_ns()
             self._call({"call": "pair", "left": pair.left.seq, "right": pair.right.seq}, now)
             self._emit(self.session.on_pair(pair, now), now)

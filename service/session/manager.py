@@ -53,6 +53,7 @@ class InsertionManager:
     submit: Callable[[Work], None]
     active: Insertion | None = None
     opened_n: int = 0
+    jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     unrecorded_n: int = 0
     _unrecorded: str = ""
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
@@ -148,7 +149,7 @@ class InsertionManager:
         session.cameras, session.submit = self.camera_entries, self.submit
         session.deadlines, session.checks_full_depth = self.settings.deadlines, self.settings.full_depth_look
         recorder = self._recorder(hello.insertion_id, session)
-        insertion = Insertion(session, recorder, None, self._publish, self.hub.observation)
+        insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
         try:

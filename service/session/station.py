@@ -66,7 +66,6 @@ class Station:
             for finger in FINGERS
         }
         self.viewers_n = 0
-        self._jpegs: dict[tuple[Finger, int], bytes | None] = {}
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._networks = ThreadPoolExecutor(1, "networks")  # slip detection never waits for a network
@@ -182,8 +181,8 @@ class Station:
     def _on_camera_frame(self, frame: CameraFrame) -> None:
         if self.active:
             seq = frame.frame.seq
-            self._jpegs[frame.frame.finger, seq] = frame.jpeg
-            self._jpegs.pop((frame.frame.finger, seq - RECENT_N), None)
+            self.manager.jpegs[frame.frame.finger, seq] = frame.jpeg
+            self.manager.jpegs.pop((frame.frame.finger, seq - RECENT_N), None)
             self._frames.append((frame, self.pairer.add(frame.frame)))
             self.post(self._next_frame)
         self.hub.frame(frame)
@@ -196,7 +195,7 @@ class Station:
             return
         frame, pair = self._frames.popleft()
         if self.active and self.active.wants_frames:
-            self.active.frame(frame, pair, self._jpegs)
+            self.active.frame(frame, pair)
 
     def _is_outdated(self) -> bool:
         """Whether the oldest waiting frame is older than a frame period while slip is watched and a newer one waits.
