@@ -5,7 +5,7 @@ Every message carries the insertion id and, where it concerns one, the attempt n
 millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock; only ``sent_ns``
 is the client's, which the service sends back beside its own clock (:class:`Clock`).
 
-client:  hello -> (arm -> descending -> stopped)* ; abort and heartbeat at any time
+client:  hello -> episode? -> (arm -> descending -> stopped)* ; abort, heartbeat and telemetry at any time
 service: hello -> (armed -> watching* -> (slip | enough)? -> correction | no_decision)* -> finished
          refused instead of armed; fault and heartbeat at any time
 """
@@ -14,45 +14,54 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from service.contract.frames import Contract, ContractError, Finger, first_error
+from service.contract.frames import ContractError, Finger, first_error
 from service.contract.wire_parts import (
+    MAX_ATTEMPTS,
+    Attempt,
     CameraEntry,
     Cause,
     Clock,
     ControllerName,
     Doubt,
     DoubtReason,
+    Enough,
+    Episode,
     Estimate,
+    InsertionId,
     Limits,
     ModelEntry,
     Outcome,
     RefusalReason,
+    RobotSample,
+    Telemetry,
+    ToolPose,
 )
+from service.contract.wire_parts import InsertionMessage as _Message
 
 __all__ = [
+    "MAX_ATTEMPTS",
+    "Attempt",
     "CameraEntry",
     "Cause",
     "Clock",
     "ControllerName",
     "Doubt",
     "DoubtReason",
+    "Enough",
+    "Episode",
     "Estimate",
+    "InsertionId",
     "Limits",
     "ModelEntry",
     "Outcome",
     "RefusalReason",
+    "RobotSample",
+    "Telemetry",
+    "ToolPose",
 ]  # the parts; what is defined here goes without saying
 
 PROTOCOL = 2
-MAX_ATTEMPTS = 15
 MAX_TEXT_BYTES = 65536
-
-InsertionId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
-
-
-class _Message(Contract):
-    insertion_id: InsertionId
 
 
 # ---- client to service ------------------------------------------------------------------------------------------
@@ -123,7 +132,7 @@ class ClientHeartbeat(_Message):
     sent_ns: int | None = None
 
 
-_Client = ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat
+_Client = ClientHello | Episode | Arm | Descending | Stopped | Abort | ClientHeartbeat | Telemetry
 ClientMessage = Annotated[_Client, Field(discriminator="type")]
 
 # ---- service to client ------------------------------------------------------------------------------------------
@@ -183,15 +192,6 @@ class Slip(_Message):
     age_ms: float
     score: float
     reason: str
-
-
-class Enough(_Message):
-    """The object was pressed as deep as the networks read: stop the arm now, as on slip."""
-
-    type: Literal["enough"] = "enough"
-    attempt: Attempt
-    frame_seq: int
-    pressed_mm: float
 
 
 class Correction(_Message):

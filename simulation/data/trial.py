@@ -131,7 +131,8 @@ def parquet_schema(
 ) -> Any:
     """The Arrow schema of a shard: scalars, optics as JSON, arrays as fixed-size little-endian bytes.
 
-    slip_truth: with ``slipping``, one bit a marker. drawn: with the columns of drawn cells. Schema 1 has no ``grasp_height_mm``.
+    slip_truth: with ``slipping``, one bit a marker. drawn: with the columns of drawn cells. Schema 1 has no
+    ``grasp_height_mm``.
     """
     import pyarrow as pa
 

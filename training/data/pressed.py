@@ -128,7 +128,7 @@ def load_pressed(config: DataConfig, source: Source | None = None) -> Pressed:
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".tmp.npz")
-        np.savez(temporary, **_table(source, count, config.views))
+        np.savez(temporary, **_table(source, count, config.views))  # type: ignore[arg-type]
         temporary.replace(path)
     with np.load(path) as stored:
         return Pressed(**{name: stored[name] for name in stored.files}, sha256=digest, sensor=source.manifest.sensor)

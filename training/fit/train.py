@@ -17,25 +17,22 @@ from torch.nn import functional
 
 from reporting.machine import commit
 from service.contract import ContractError, Sensor
-from service.contract.pressing import Pressing
 from training.config import RunConfig, pin, refuse_another
 from training.data.batches import Batch, frame_pairs
-from training.data.dataset import SPLITS, Source
+from training.data.dataset import SPLITS, Source, Trials
 from training.data.labels import CLASSES, class_of
 from training.data.pressed import Pressed
 from training.data.reading import Samples, decisions, epoch, load
 from training.fit import parallel
 from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Stage, fit
+from training.fit.usual import learn_usual
 from training.metrics.figures import Predictions, Sample, Scales, by_split, figures
 from training.metrics.joint import Densities
 from training.networks import build, network_class
 from training.networks.decider import Decider
-from training.networks.pressing import PressingNetwork
 
 EVALUATION_BATCH = 32
-MOST_USUAL = 5000
-FALSE_STOPS = 0.005  # of usual decisions that the limit of strangeness refuses
 MOST_SCORED = 2000
 
 
@@ -144,6 +141,7 @@ class Trainer:
 
     def front_score(self, chosen: NDArray[np.int64]) -> dict[str, float]:
         """Front's mean square error on validation pictures; also keeps the size of its error for the trunk."""
+        assert isinstance(self.trials, Trials)
         front, rng = self.network.get_submodule("front"), np.random.default_rng(0)
         residuals = [
             front(frame, reference) - self._scaled(change)
@@ -224,7 +222,7 @@ def _stages(trainer: Trainer) -> list[Stage]:
         loss=trainer.trunk_loss,
         validate=lambda: trainer.score(held, pictures=False),
     )
-    if network.front is None:
+    if network.front is None or isinstance(trials, Pressed):
         return [trunk]
     front = Stage(
         "front",
@@ -261,7 +259,11 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     pictures = len(trainer.trials.of("validation", rendered=True)) > 0
     scales, tables = _scored(trainer, trainer.predict, pictures=pictures)
     joint_scales, joint_tables = _scored(trainer, trainer.predict_density, pictures=pictures)
-    pressing = _learn_usual(trainer) if isinstance(trainer.trials, Pressed) else None
+    pressing = (
+        learn_usual(trainer.network, trainer.trials, trainer.last_steps)
+        if isinstance(trainer.trials, Pressed)
+        else None
+    )
     checkpoint = Checkpoint(
         name=trainer.config.name,
         network=trainer.config.network,
@@ -278,17 +280,6 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     if parallel.first():
         checkpoint.save(folder / "checkpoint.pt")
     return checkpoint
-
-
-def _learn_usual(trainer: Trainer) -> Pressing:
-    """Teach the network what fields look like in training; the limit is what hardly any of validation exceeds."""
-    trials, network = trainer.trials, trainer.network
-    assert isinstance(trials, Pressed)
-    assert isinstance(network, PressingNetwork)
-    usual = trials.of("train")[:: max(1, len(trials.of("train")) // MOST_USUAL)]
-    network.strange.learn(trainer.last_steps(usual))
-    held = network.strange(trainer.last_steps(trials.of("validation")))
-    return trials.pressing(float(torch.quantile(held, 1.0 - FALSE_STOPS)))
 
 
 def _scored(
