@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from service.contract import Sensor
 from simulation.cell.emulators.abb.motion import Pose
-from simulation.physics.state import CellState
+from simulation.scene.state import CellState
 
 Gel = NDArray[np.floating[Any]]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from simulation.physics.kernels import load_step
 from simulation.physics.kernels.records import Workspace
-from simulation.physics.state import PhysicsError
 from simulation.scene.scene import Scene
+from simulation.scene.state import PhysicsError
 
 BISECTIONS = 60
 

@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from simulation.physics import layer_pads
 from simulation.physics.constants import BASE_K, scene_constants
 from simulation.physics.grasp import close_fingers
-from simulation.physics.ground_truth import Pose, reasons_against
 from simulation.physics.inertia import coasting_of
 from simulation.physics.kernels import bristles, contact, load_step, records
 from simulation.physics.kernels.linear import rotation_into
 from simulation.physics.readout import Readout
-from simulation.physics.state import CellState, PhysicsError, Reason, block_motion, rotation_vector
+from simulation.physics.state import block_motion, rotation_vector
 from simulation.scene.effects import Active, active_effects
+from simulation.scene.ground_truth import Pose, reasons_against
 from simulation.scene.scene import Scene
+from simulation.scene.state import CellState, PhysicsError, Reason
 
 __all__ = ["CellState", "PhysicsError", "QuasiStaticCell"]
 

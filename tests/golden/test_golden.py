@@ -17,7 +17,7 @@ import pytest
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import insert, models_of
 from simulation.data.probe import run_probe
-from simulation.physics.state import PhysicsError
+from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import load_scene
 
 HERE = Path(__file__).parent

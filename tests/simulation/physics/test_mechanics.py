@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simulation.data.probe import PhysicsError, QuasiStaticCell, run_probe
-from simulation.physics.state import Reason
+from simulation.scene.state import Reason
 from simulation.scene.worlds import load_scene
 from simulation.studies.hard_probes import ImpossibleStateError, Tally, _check, hard_probe, run
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulation.physics.ground_truth import OVERLAP_MM, Pose, reasons_against
 from simulation.physics.kernels.linear import rotation_into
 from simulation.physics.quasistatic import QuasiStaticCell
+from simulation.scene.ground_truth import OVERLAP_MM, Pose, reasons_against
 from simulation.scene.scene import Blocks
 from simulation.scene.worlds import load_scene
 

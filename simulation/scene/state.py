@@ -1,0 +1,80 @@
+"""What a moment of a simulated cell looks like to the outside, why there may be none, and what a cell can do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+Reason = Literal["gel squeezed through", "pads unsettled", "forces unbalanced", "friction unsettled"]
+
+
+class PhysicsError(RuntimeError):
+    """The equilibrium could not be found; the text says where. The cell's state is the last one that was found.
+
+    reason: the grip is more than the gel bears; the layer's pads do not settle; no iteration balances the forces; or
+    they balance, but the friction limits jump from round to round (stick and slip both end in the other).
+    """
+
+    def __init__(self, text: str, reason: Reason) -> None:
+        super().__init__(text)
+        self.reason: Reason = reason
+
+
+@dataclass(frozen=True, slots=True)
+class CellState:
+    """One moment; forces and displacements are those at the end of the last move.
+
+    gel: float32 [2, rows, columns, 3] = du mm, dv mm (finger frame), pressure N/mm2, at marker rest positions.
+    slipping: bool [2, rows, columns], the gel there slid on the object in the last load step. slipping_share [2]: of
+    the pressed nodes of a pad. wrench_n_nmm [6]: what blocks, gravity and inertia do to the object, at the TCP, hand
+    frame. in_hand [6]: mm and rotation vector, rad. object_error: (x mm, theta deg). block_motion [2, 4]: dx, dy mm,
+    yaw, tilt deg.
+    """
+
+    gel: NDArray[np.float32]
+    slipping: NDArray[np.bool_]
+    slipping_share: Array
+    wrench_n_nmm: Array
+    in_hand: Array
+    object_error: tuple[float, float]
+    bottom_z_mm: float
+    block_motion: Array
+    in_contact: bool
+    shortfalls: tuple[str, ...]  # why it does not count as inserted, see `ground_truth`
+    grasp_lost: bool
+    residual_n: float
+
+    @property
+    def inserted(self) -> bool:
+        """Ground truth of an insertion: nothing speaks against it."""
+        return not self.shortfalls
+
+
+class Cell(Protocol):
+    """A simulated cell: a hand with an object above a gap. Frames and signs are those of the work object.
+
+    ``pose`` [4]: the TCP's x, y, z in mm and its yaw in rad.
+    """
+
+    scene: Scene
+    pose: Array
+
+    def regrasp(self, x_mm: float, theta_deg: float) -> CellState:
+        """Put the object into the hand anew, its error as given, at approach height. Raises PhysicsError."""
+
+    def reset_blocks(self) -> None:
+        """Put both blocks back where the scene has them."""
+
+    def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
+        """Move the TCP in a straight line. Raises PhysicsError where no equilibrium was found."""
+
+    def look(self) -> CellState:
+        """The state now, without moving."""
