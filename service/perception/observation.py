@@ -29,6 +29,11 @@ class Observation:
     onset_ns: int | None
     cost_ms: dict[str, float]
 
+    @property
+    def judged(self) -> bool:
+        """Whether this frame says anything about slip: its markers were found anew and compared with the reference."""
+        return self.field.usable and self.slip.state not in {"unknown", "lost"}
+
 
 class FingerWatch(Protocol):
     """Perception of one finger; not thread safe."""
