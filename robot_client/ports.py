@@ -52,8 +52,15 @@ class Arm(Protocol):
     async def start(self, post: Post) -> WorkPose:
         """Connect, start guidance, and return where the TCP stands; raises DriverError."""
 
-    def move(self, target: WorkPose, motion: Motion) -> None:
-        """Begin a straight move; Arrived follows. Raises LimitError if it is not allowed."""
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
+        """Begin a straight move; Arrived follows. Raises LimitError if it is not allowed.
+
+        A descent goes on only before ``until_s`` (``time.monotonic``); then the driver itself holds, latched, and
+        reports a failure ``unwatched``, even if nothing else of the client runs any more.
+        """
+
+    def renew(self, until_s: float) -> None:
+        """The descent under way may go on until then."""
 
     def hold(self, reason: str, *, stop: bool) -> None:
         """Freeze the target before returning; Standstill follows. ``stop``: end the controller's program too."""

@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field, ValidationError
 from robot_client import devices
 from robot_client.devices import GRIPPERS, ROBOTS
 from robot_client.insertion.geometry import CellFrame
+from robot_client.insertion.lease import Lease
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
@@ -60,6 +61,7 @@ class Settings(Contract):
     limits: Limits = Limits()
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
+    lease: Lease = Lease()
     task: Task = Task()
 
     def make_arm(self) -> Arm:

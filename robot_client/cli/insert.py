@@ -37,6 +37,7 @@ def make_plan(
         limits=settings.limits,
         ramps=settings.ramps,
         timeouts=settings.timeouts,
+        lease=settings.lease,
     )
 
 

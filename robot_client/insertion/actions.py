@@ -3,12 +3,13 @@
 import math
 from dataclasses import replace
 
-from robot_client.insertion.events import Command, Hold, Move, Send, Source
+from robot_client.insertion.events import Command, Hold, Move, Renew, Send, Source
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Motion, check_pose
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
 
+_AHEAD_S = 0.001
 Result = tuple[State, tuple[Command, ...]]
 
 
@@ -16,15 +17,47 @@ def send(message: wire.ClientMessage) -> Send:
     return Send(message=message)
 
 
+_CAUSES: dict[str, wire.Cause] = {
+    "unwatched": "unwatched",
+    "attempts": "attempts",
+    "part_lost": "part_lost",
+    "no_decision": "no_decision",
+    "refused": "refused",
+    "timeout": "timeout",
+    "not_seated": "not_confirmed",
+    "not_seen": "not_confirmed",
+    "not_confirmed": "not_confirmed",
+}
+_SERVICE_CAUSES: dict[str, wire.Cause] = {
+    "link": "link",
+    "silent": "link",
+    "camera": "camera",
+    "camera_lost": "camera",
+    "camera_stalled": "camera",
+    "camera_frozen": "camera",
+    "camera_size": "camera",
+    "stale_frames": "camera",
+}
+
+
+def cause_of(source: Source, code: str) -> wire.Cause:
+    """What a failure is counted as: by its code where that says it, else by who failed."""
+    if cause := _CAUSES.get(code) or (_SERVICE_CAUSES.get(code) if source == "service" else None):
+        return cause
+    return source
+
+
 def fail(state: State, source: Source, code: str, detail: str) -> Result:
     reason = f"{source}: {code}: {detail}"[:500]
     stop = source in ("arm", "operator") or state.phase is Phase.STOPPING
-    abort = wire.Abort(insertion_id=state.plan.insertion_id, reason=reason)
+    abort = wire.Abort(insertion_id=state.plan.insertion_id, cause=cause_of(source, code), reason=reason)
     held = Hold(reason=reason, stop=stop)
     return replace(state, phase=Phase.FAILED, deadline_s=math.inf, path=(), reason=reason), (held, send(abort))
 
 
-def go(state: State, phase: Phase, path: tuple[WorkPose, ...], motion: Motion, at_s: float) -> Result:
+def go(
+    state: State, phase: Phase, path: tuple[WorkPose, ...], motion: Motion, at_s: float, until_s: float | None = None
+) -> Result:
     """Send the arm along ``path``, one straight line at a time, if every corner of it is allowed."""
     plan = state.plan
     assert state.pose is not None
@@ -36,7 +69,7 @@ def go(state: State, phase: Phase, path: tuple[WorkPose, ...], motion: Motion, a
         return fail(state, "limits", "target", str(error))
     deadline_s = at_s + 3.0 * duration_s + plan.timeouts.motion_s
     state = replace(state, phase=phase, path=path[1:], deadline_s=deadline_s)
-    return state, (Move(target=path[0], motion=motion),)
+    return state, (Move(target=path[0], motion=motion, until_s=until_s),)
 
 
 def approach(state: State, at_s: float) -> Result:
@@ -63,15 +96,45 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
     return state, (send(message),)
 
 
-def descend(state: State, at_s: float) -> Result:
+def descend(state: State, captured_ns: int, at_s: float) -> Result:
+    """Go down on the lease of the reference frame; without one nothing moves."""
+    state = watched(state, captured_ns, at_s)
+    if at_s >= state.until_s:
+        return unwatched(state, at_s)
     assert state.armed is not None
     plan = state.plan
     bottom = state.armed.at_height(state.armed.z_mm - state.bottom_mm)
-    state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s)
+    state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s, state.until_s)
     if state.done:
         return state, commands
     message = wire.Descending(insertion_id=plan.insertion_id, attempt=state.attempt)
     return state, (send(message), *commands)
+
+
+def watched(state: State, captured_ns: int, at_s: float) -> State:
+    """The state with a judged frame of the service's stamp ``captured_ns``; an older or a repeated one changes nothing.
+
+    A stamp that lies ahead of us for certain is of a clock that jumped: it counts for nothing.
+    """
+    captured_s = -math.inf if state.clock is None else state.clock.ours_s(captured_ns, at_s)
+    return replace(state, watched_s=captured_s) if state.watched_s < captured_s <= at_s + _AHEAD_S else state
+
+
+def renew(state: State, captured_ns: int, at_s: float) -> Result:
+    """Go on for a judged frame; a lease that has ended is not renewed, however young the frame is."""
+    if at_s >= state.until_s:
+        return unwatched(state, at_s)
+    newer = watched(state, captured_ns, at_s)
+    return newer, () if newer is state else (Renew(until_s=newer.until_s),)
+
+
+def unwatched(state: State, at_s: float) -> Result:
+    """Hold for good: nobody looks."""
+    age_ms, allowed_ms = (at_s - state.watched_s) * 1e3, (state.until_s - state.watched_s) * 1e3
+    known = "the service's clock is not known" if state.clock is None else f"judged {age_ms:.0f} ms ago"
+    if state.clock is not None:
+        known += f", of which {state.clock.uncertainty_s * 1e3:.1f} ms are the clocks'"
+    return fail(state, "service", "unwatched", f"newest frame {known}; allowed {allowed_ms:.0f} ms")
 
 
 def hold(state: State, reason: str, at_s: float) -> Result:

@@ -87,11 +87,22 @@ class Grasp(Contract):
 
 
 class Move(Contract):
-    """Go to ``target`` in a straight line; the driver answers with Arrived."""
+    """Go to ``target`` in a straight line; the driver answers with Arrived.
+
+    ``until_s``: the lease of a descent, after which the driver itself must let the target stand (None: no lease).
+    """
 
     kind: Literal["move"] = "move"
     target: WorkPose
     motion: Motion
+    until_s: float | None = None
+
+
+class Renew(Contract):
+    """The lease of the descent under way now ends later."""
+
+    kind: Literal["renew"] = "renew"
+    until_s: float
 
 
 class Hold(Contract):
@@ -109,8 +120,8 @@ class Send(Contract):
     message: ClientMessage
 
 
-Command = Annotated[Grasp | Move | Hold | Send, Field(discriminator="kind")]
-MOTION_COMMANDS = (Grasp, Move)
+Command = Annotated[Grasp | Move | Renew | Hold | Send, Field(discriminator="kind")]
+MOTION_COMMANDS = (Grasp, Move, Renew)
 
 EVENT: TypeAdapter[Event] = TypeAdapter(Event)
 COMMAND: TypeAdapter[Command] = TypeAdapter(Command)

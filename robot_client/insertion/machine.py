@@ -12,7 +12,19 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from robot_client.insertion.actions import Result, approach, arm, descend, fail, go, hold, retract, send
+from robot_client.insertion.actions import (
+    Result,
+    approach,
+    arm,
+    descend,
+    fail,
+    go,
+    hold,
+    renew,
+    retract,
+    send,
+    unwatched,
+)
 from robot_client.insertion.events import (
     Arrived,
     Begin,
@@ -26,6 +38,7 @@ from robot_client.insertion.events import (
     Standstill,
     Tick,
 )
+from robot_client.insertion.lease import ClockMap
 from robot_client.insertion.limits import LimitError, check_correction, check_pose
 from robot_client.insertion.motion import check_ramps
 from robot_client.insertion.state import Phase, Plan, State, Timeouts
@@ -65,6 +78,8 @@ def _on_failure(state: State, event: Failure) -> Result:
 
 
 def _on_tick(state: State, event: Tick) -> Result:
+    if state.phase is Phase.DESCENDING and event.at_s >= state.until_s:
+        return unwatched(state, event.at_s)
     if event.at_s < state.deadline_s:
         return state, ()
     source: Source = "arm" if state.phase in _MOVING else "service"
@@ -90,9 +105,15 @@ def _on_begin(state: State, event: Begin) -> Result:
         for target in (plan.approach, plan.deepest):
             check_pose(plan.limits, target, "plan")
         check_ramps(plan.limits, plan.ramps)
+        plan.lease.check(plan.ramps.descend.speed_mm_s)
     except LimitError as error:
         return fail(state, "limits", "plan", str(error))
-    hello = wire.ClientHello(insertion_id=plan.insertion_id, client=plan.client, controller=plan.controller)
+    hello = wire.ClientHello(
+        insertion_id=plan.insertion_id,
+        client=plan.client,
+        sent_ns=round(event.at_s * 1e9),
+        controller=plan.controller,
+    )
     deadline_s = event.at_s + plan.timeouts.greeting_s
     return replace(state, phase=Phase.GREETING, pose=event.pose, deadline_s=deadline_s), (send(hello),)
 
@@ -176,7 +197,7 @@ def _on_service(state: State, event: FromService) -> Result:
         case wire.ServiceHello():
             return _on_hello(state, message, at_s)
         case wire.ServiceHeartbeat():
-            return _on_heartbeat(state, message)
+            return _on_clock(state, message.clock, at_s)
         case wire.Finished():
             return _on_finished(state, message)
         case _:
@@ -191,14 +212,25 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
         return fail(state, "service", "camera", f"camera of finger {', '.join(lost)} is lost")
     if state.phase is not Phase.GREETING:
         return state, ()
+    try:
+        for camera in message.cameras:
+            state.plan.lease.check_rate(state.plan.ramps.descend.speed_mm_s, camera)
+    except LimitError as error:
+        return fail(state, "limits", "camera_rate", str(error))
+    state, _ = _on_clock(state, message.clock, at_s)
     return replace(state, phase=Phase.GRASPING, deadline_s=at_s + state.plan.timeouts.grasping_s), (Grasp(),)
 
 
-def _on_heartbeat(state: State, message: wire.ServiceHeartbeat) -> Result:
-    age_ms, bound_ms = message.frame_age_ms, state.plan.max_frame_age_ms
-    if state.phase is Phase.DESCENDING and (age_ms is None or not age_ms <= bound_ms):
-        return fail(state, "service", "camera_stale", f"newest frame is {age_ms} ms old, allowed {bound_ms:g}")
-    return state, ()
+def _on_clock(state: State, clock: wire.Clock | None, at_s: float) -> Result:
+    """A reading of both clocks narrows their mapping; that is all a heartbeat is for, it shows no frame."""
+    if clock is None:
+        return state, ()
+    read = ClockMap.read(clock, at_s)
+    mapped = read if state.clock is None else state.clock.narrowed(read)
+    if mapped is None:
+        detail = "the service's clock and ours contradict their earlier readings: one of them stood still or jumped"
+        return fail(state, "service", "clock", detail)
+    return replace(state, clock=mapped), ()
 
 
 def _on_finished(state: State, message: wire.Finished) -> Result:
@@ -207,9 +239,10 @@ def _on_finished(state: State, message: wire.Finished) -> Result:
     return fail(state, "service", "finished", f"the service closed the insertion: {message.outcome}")
 
 
-def _on_attempt_message(
-    state: State, message: wire.Armed | wire.Slip | wire.Correction | wire.NoDecision, at_s: float
-) -> Result:
+AttemptMessage = wire.Armed | wire.Refused | wire.Watching | wire.Slip | wire.Correction | wire.NoDecision
+
+
+def _on_attempt_message(state: State, message: AttemptMessage, at_s: float) -> Result:
     """Late messages of an older attempt and repeated ones change nothing; one of a future attempt is a fault."""
     if message.attempt > state.attempt:
         detail = f"{message.type} of attempt {message.attempt} during attempt {state.attempt}"
@@ -221,7 +254,11 @@ def _on_attempt_message(
         return result
     match message:
         case wire.Armed() if state.phase is Phase.ARMING:
-            result = descend(state, at_s)
+            result = descend(state, message.frame_captured_ns, at_s)
+        case wire.Refused() if state.phase is Phase.ARMING:
+            result = fail(state, "service", "refused", f"{message.reason}: {message.detail}")
+        case wire.Watching() if state.phase is Phase.DESCENDING:
+            result = renew(state, message.frame_captured_ns, at_s)
         case wire.Correction() if state.phase is Phase.DECIDING:
             result = _on_correction(state, message, at_s)
         case wire.NoDecision() if state.phase is Phase.DECIDING:

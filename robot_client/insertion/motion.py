@@ -4,6 +4,7 @@ import math
 from typing import Literal, get_args
 
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import check_leased
 from robot_client.insertion.limits import LimitError, Limits, Motion, StepGuard, check_pose
 from robot_client.insertion.profile import Profile, plan_profile
 from service.contract.frames import Contract
@@ -73,6 +74,7 @@ class MotionGuide:
         self._motion: Motion = "travel"
         self._start = self._end = start
         self._profile: Profile | None = None
+        self._until_s: float | None = None
         self._walked_s = 0.0
         self._rate = 1.0
         self._waiting: Settled | None = None
@@ -89,14 +91,29 @@ class MotionGuide:
         """Kind of the move under way or of the last one."""
         return self._motion
 
-    def move(self, end: WorkPose, motion: Motion) -> None:
-        """Begin a straight move to ``end``; raises LimitError and changes nothing if the end is not allowed."""
+    def move(self, end: WorkPose, motion: Motion, until_s: float | None = None) -> None:
+        """Begin a straight move to ``end``; raises LimitError and changes nothing if the end is not allowed.
+
+        A descent walks only before ``until_s``, on the clock that :meth:`unwatched` is asked with: None refuses it.
+        """
+        check_leased(motion, until_s)
         check_pose(self.limits, end)
         self._guard.rest()
         self._start, self._end, self._motion = self.target, end, motion
         self._profile = self.ramps.profile(self.target, end, motion)
-        self._walked_s, self._rate = 0.0, 1.0
+        self._walked_s, self._rate, self._until_s = 0.0, 1.0, until_s
         self._waiting, self._still = "arrived", None
+
+    def renew(self, until_s: float) -> None:
+        """The descent under way may walk until then."""
+        if self._until_s is not None:
+            self._until_s = max(self._until_s, until_s)
+
+    def unwatched(self, now_s: float) -> float | None:
+        """For how many seconds the lease of the descent is over, None while it lasts; ask before each target."""
+        if self._profile is None or self._until_s is None or now_s < self._until_s:
+            return None
+        return now_s - self._until_s
 
     def hold(self) -> None:
         """Freeze the target where it is and report when the arm stands; idempotent."""

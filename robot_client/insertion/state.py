@@ -7,6 +7,7 @@ from enum import StrEnum
 from pydantic import Field
 
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import ClockMap, Lease
 from robot_client.insertion.limits import Limits, Positive
 from robot_client.insertion.motion import Ramps
 from service.contract import wire
@@ -61,12 +62,12 @@ class Plan(Contract):
     depth_tolerance_mm: float = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
-    max_frame_age_ms: float = 1000.0
     client: str = "tactile-insertion robot client"
     controller: wire.ControllerName | None = None
     limits: Limits = Limits()
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
+    lease: Lease = Lease()
 
     @property
     def deepest(self) -> WorkPose:
@@ -80,6 +81,7 @@ class State:
 
     ``first_touch_mm`` is the depth at which the first blocked attempt stopped, ``creep_mm`` how much deeper the last
     one did: the object stood on the blocks at both, so it has been pushed up in the hand by about that much.
+    ``watched_s`` is the earliest that the newest judged frame can have been captured, on the client's clock.
     """
 
     plan: Plan
@@ -95,6 +97,13 @@ class State:
     reason: str = ""
     first_touch_mm: float | None = None
     creep_mm: float = 0.0
+    clock: ClockMap | None = None
+    watched_s: float = -math.inf
+
+    @property
+    def until_s(self) -> float:
+        """When the target of a descent must stand still unless a newer frame is judged."""
+        return self.watched_s + self.plan.lease.lasts_s(self.plan.ramps.descend.speed_mm_s)
 
     @property
     def done(self) -> bool:

@@ -15,7 +15,7 @@ from robot_client.insertion.events import COMMAND, EVENT, Command, Event
 from robot_client.insertion.state import Plan
 from service.contract.frames import ContractError, first_error
 
-LOG_VERSION = 1
+LOG_VERSION = 2
 
 
 class Recorder:

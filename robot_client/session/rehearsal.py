@@ -20,6 +20,7 @@ from service.contract import wire
 _CONTACT_MM = 6.0  # below the approach pose: 5 mm of air and what the pads give
 _CLEARANCE_MM, _CLEARANCE_DEG = 2.0, 3.0
 _SHARE = 0.7
+_CYCLES_A_FRAME = 8  # 30 frames a second of the arm that is rehearsed
 
 
 def rehearsal_ports(plan: Plan) -> tuple[Arm, Gripper, DecisionService]:
@@ -41,6 +42,7 @@ class DryService:
     _error: WorkPose | None = None
     _attempt: int = 0
     _watching: bool = False
+    _targets_n: int = 0
 
     async def start(self, post: Post) -> None:
         """Nothing to connect."""
@@ -49,6 +51,14 @@ class DryService:
     def watch(self, pose: WorkPose) -> None:
         """Take the arm's pose; contact above the gap's blocks is slip."""
         self._error = pose
+        self._targets_n += 1
+        if self._watching and self._targets_n % _CYCLES_A_FRAME == 0:
+            now_ns = time.monotonic_ns()
+            self._send(
+                wire.Watching(
+                    insertion_id=self.insertion_id, attempt=self._attempt, frame_captured_ns=now_ns, judged_ns=now_ns
+                )
+            )
         blocked = abs(pose.x_mm) > _CLEARANCE_MM or abs(pose.yaw_deg) > _CLEARANCE_DEG
         if self._watching and blocked and self.approach_z_mm - pose.z_mm >= _CONTACT_MM:
             self._watching = False
@@ -78,21 +88,30 @@ class DryService:
     def _answer(self, message: wire.ClientMessage) -> None:
         match message:
             case wire.ClientHello():
-                self._send(self._hello())
+                self._send(self._hello(message))
             case wire.Arm():
                 self._attempt, self._watching = message.attempt, True
-                self._send(wire.Armed(insertion_id=self.insertion_id, attempt=message.attempt, reference_seq=0))
+                named, now_ns = self.insertion_id, time.monotonic_ns()
+                self._send(
+                    wire.Armed(insertion_id=named, attempt=message.attempt, reference_seq=0, frame_captured_ns=now_ns)
+                )
             case wire.Stopped(outcome="inserted"):
+                self._watching = False
                 self._send(wire.Finished(insertion_id=self.insertion_id, outcome="inserted", attempts=message.attempt))
             case wire.Stopped(outcome="blocked"):
                 self._send(self._correction(message.attempt))
 
-    def _hello(self) -> wire.ServiceHello:
+    def _hello(self, message: wire.ClientHello) -> wire.ServiceHello:
         bounds = wire.Limits(
             max_dx_mm=self.limits.max_dx_mm, max_dtheta_deg=self.limits.max_dtheta_deg, max_frame_age_ms=1000.0
         )
         return wire.ServiceHello(
-            insertion_id=self.insertion_id, models=(), cameras=(), controller="heuristic", limits=bounds
+            insertion_id=self.insertion_id,
+            clock=wire.clock(message, time.monotonic_ns()),
+            models=(),
+            cameras=(),
+            controller="heuristic",
+            limits=bounds,
         )
 
     def _correction(self, attempt: int) -> wire.Correction:

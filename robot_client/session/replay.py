@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from robot_client.insertion.events import Begin, Command, Event, Grasp, Hold, Move, Send
+from robot_client.insertion.events import Begin, Command, Event, Grasp, Hold, Move, Renew, Send
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import State
 from robot_client.session.recorder import read_log
@@ -24,7 +24,7 @@ def replay(path: Path, show: Any = print) -> State:
     expected: list[Command] = []
     start_s: float | None = None
     for number, entry in enumerate(entries, 2):
-        if isinstance(entry, Grasp | Hold | Move | Send):
+        if isinstance(entry, Grasp | Hold | Move | Renew | Send):
             if not expected or expected.pop(0) != entry:
                 raise ReplayError(f"{path}, line {number}: logged {entry.kind}, the machine orders something else")
             continue
@@ -48,7 +48,7 @@ def _print(show: Any, event: Event, state: State, start_s: float | None) -> None
     name: str = event.kind
     message = getattr(event, "message", None)
     if message is not None:
-        if message.type == "heartbeat":
+        if message.type in {"heartbeat", "watching"}:
             return
         name = f"service {message.type}"
     show(f"{event.at_s - (start_s or event.at_s):8.3f} s  {name:20s} -> {state.phase}")

@@ -8,7 +8,7 @@ from collections.abc import Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from robot_client.insertion.events import Begin, Command, Event, Failure, Grasp, Hold, Move, Send, Tick
+from robot_client.insertion.events import Begin, Command, Event, Failure, Grasp, Hold, Move, Renew, Send, Tick
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import Phase, Plan, State
@@ -107,7 +107,9 @@ class Runner:
                 case Hold():
                     self.arm.hold(command.reason, stop=command.stop)
                 case Move():
-                    self.arm.move(command.target, command.motion)
+                    self.arm.move(command.target, command.motion, command.until_s)
+                case Renew():
+                    self.arm.renew(command.until_s)
                 case Grasp():
                     self.gripper.grasp()
                 case Send():

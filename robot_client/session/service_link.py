@@ -121,7 +121,8 @@ class ServiceLink:
             if not self._greeted:
                 continue
             count += 1
-            self.send(wire.ClientHeartbeat(insertion_id=self.insertion_id, count=count))
+            now_ns = time.monotonic_ns()
+            self.send(wire.ClientHeartbeat(insertion_id=self.insertion_id, count=count, sent_ns=now_ns))
             silent_s = self._silence.over(time.monotonic())
             if silent_s is not None:
                 self._fail("silent", f"no message for {silent_s * 1e3:.0f} ms")

@@ -2,10 +2,12 @@
 
 Text frames are JSON objects with a ``type``; binary frames are :func:`service.contract.frames.encode_frame`.
 Every message carries the insertion id and, where it concerns one, the attempt number (1-based). Positions are
-millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock.
+millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock; only ``sent_ns``
+is the client's, which the service sends back beside its own clock (:class:`Clock`).
 
 client:  hello -> (arm -> descending -> stopped)* ; abort and heartbeat at any time
-service: hello -> (armed -> slip? -> correction | no_decision)* -> finished ; fault and heartbeat at any time
+service: hello -> (armed -> watching* -> slip? -> correction | no_decision)* -> finished
+         refused instead of armed; fault and heartbeat at any time
 """
 
 from typing import Annotated, Any, Literal
@@ -13,16 +15,40 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, TypeAdapter, ValidationError
 
 from service.contract.frames import Contract, ContractError, Finger, first_error
-from service.contract.model_card import ModelCard
+from service.contract.wire_parts import (
+    CameraEntry,
+    Cause,
+    Clock,
+    ControllerName,
+    Doubt,
+    DoubtReason,
+    Estimate,
+    Limits,
+    ModelEntry,
+    Outcome,
+    RefusalReason,
+)
 
-PROTOCOL = 1
+__all__ = [
+    "CameraEntry",
+    "Cause",
+    "Clock",
+    "ControllerName",
+    "Doubt",
+    "DoubtReason",
+    "Estimate",
+    "Limits",
+    "ModelEntry",
+    "Outcome",
+    "RefusalReason",
+]  # the parts; what is defined here goes without saying
+
+PROTOCOL = 2
 MAX_ATTEMPTS = 15
 MAX_TEXT_BYTES = 65536
 
 InsertionId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
-Outcome = Literal["blocked", "inserted", "dropped", "stopped"]
-ControllerName = Literal["heuristic", "belief"]
 
 
 class _Message(Contract):
@@ -38,6 +64,7 @@ class ClientHello(_Message):
     type: Literal["hello"] = "hello"
     protocol: int = PROTOCOL
     client: str = Field(max_length=128)
+    sent_ns: int | None = None
     role: Literal["drive", "watch"] = "drive"
     controller: ControllerName | None = None
 
@@ -77,17 +104,19 @@ class Stopped(_Message):
 
 
 class Abort(_Message):
-    """The client gives up; the recording is kept."""
+    """The client gives up; the recording is kept. ``cause`` is what is counted, ``reason`` is for a person."""
 
     type: Literal["abort"] = "abort"
+    cause: Cause
     reason: str = Field(max_length=512)
 
 
 class ClientHeartbeat(_Message):
-    """Sent at least every second; the service answers with its own."""
+    """Sent at least every second; the service answers with its own. It maps clocks, and shows nothing but a link."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int = Field(ge=0)
+    sent_ns: int | None = None
 
 
 ClientMessage = Annotated[
@@ -97,35 +126,12 @@ ClientMessage = Annotated[
 # ---- service to client ------------------------------------------------------------------------------------------
 
 
-class ModelEntry(Contract):
-    """A loaded model: its card and the SHA-256 of its file."""
-
-    card: ModelCard
-    sha256: str
-
-
-class CameraEntry(Contract):
-    """One finger's camera as the service sees it."""
-
-    finger: Finger
-    source: str
-    state: Literal["live", "stalled", "lost", "starting"]
-    frame_rate_hz: float | None = None
-
-
-class Limits(Contract):
-    """The largest correction the service ever sends, and how old a frame may be to decide on."""
-
-    max_dx_mm: float = Field(gt=0)
-    max_dtheta_deg: float = Field(gt=0)
-    max_frame_age_ms: float = Field(gt=0)
-
-
 class ServiceHello(_Message):
     """Answer to the client's hello; the client checks it before it moves."""
 
     type: Literal["hello"] = "hello"
     protocol: int = PROTOCOL
+    clock: Clock | None = None
     models: tuple[ModelEntry, ...]
     cameras: tuple[CameraEntry, ...]
     controller: ControllerName
@@ -133,11 +139,34 @@ class ServiceHello(_Message):
 
 
 class Armed(_Message):
-    """Reference taken at this frame; the descent may begin."""
+    """Reference taken at this frame; the descent may begin. ``frame_captured_ns`` is the first one to move on."""
 
     type: Literal["armed"] = "armed"
     attempt: Attempt
     reference_seq: int
+    frame_captured_ns: int
+
+
+class Refused(_Message):
+    """The attempt is not armed, for this reason; the client must not descend."""
+
+    type: Literal["refused"] = "refused"
+    attempt: Attempt
+    reason: RefusalReason
+    detail: str
+
+
+class Watching(_Message):
+    """Both fingers were judged on new frames, and nothing speaks against going on: the arm may move a little longer.
+
+    ``frame_captured_ns`` is the capture of the older of the two fingers' newest judged frames, ``judged_ns`` when this
+    was sent. The client moves only while the newest of these is younger than its lease.
+    """
+
+    type: Literal["watching"] = "watching"
+    attempt: Attempt
+    frame_captured_ns: int
+    judged_ns: int
 
 
 class Slip(_Message):
@@ -151,17 +180,6 @@ class Slip(_Message):
     age_ms: float
     score: float
     reason: str
-
-
-class Estimate(Contract):
-    """The estimated position error before the correction, with one-sigma and 90 % interval where the model gives it."""
-
-    dx_mm: float
-    dtheta_deg: float
-    sigma_x_mm: float | None = None
-    sigma_theta_deg: float | None = None
-    interval_x_mm: tuple[float, float] | None = None
-    interval_theta_deg: tuple[float, float] | None = None
 
 
 class Correction(_Message):
@@ -189,11 +207,16 @@ class NoDecision(_Message):
 
 
 class Finished(_Message):
-    """The insertion is closed and its recording complete. No other outcome than ``inserted`` is an insertion."""
+    """The insertion is closed and its recording complete. No other outcome than ``inserted`` is an insertion.
+
+    ``not_confirmed``: full depth was reached, and ``doubts`` says why that is not claimed to be an insertion.
+    """
 
     type: Literal["finished"] = "finished"
-    outcome: Literal["inserted", "failed", "aborted"]
+    outcome: Literal["inserted", "not_confirmed", "failed", "aborted"]
     attempts: int
+    cause: Cause | None = None
+    doubts: tuple[Doubt, ...] = ()
     recording: str | None = None
 
 
@@ -207,15 +230,19 @@ class Fault(_Message):
 
 
 class ServiceHeartbeat(_Message):
-    """Answer to a client heartbeat, same count; the age is of the newest frame of the finger that is further behind."""
+    """Answer to a client heartbeat, same count; the age is of the newest frame of the finger that is further behind.
+
+    The age is for a person to read: a frame that came is not one that was judged (:class:`Watching`).
+    """
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int
+    clock: Clock | None = None
     frame_age_ms: float | None
 
 
 ServiceMessage = Annotated[
-    ServiceHello | Armed | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat,
+    ServiceHello | Armed | Refused | Watching | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat,
     Field(discriminator="type"),
 ]
 
@@ -230,6 +257,17 @@ def unspoken(hello: ClientHello) -> Fault | None:
 
 _CLIENT: TypeAdapter[Any] = TypeAdapter(ClientMessage)
 _SERVICE: TypeAdapter[Any] = TypeAdapter(ServiceMessage)
+
+
+def clock(message: ClientHello | ClientHeartbeat, now_ns: int) -> Clock | None:
+    """The answer to a client's clock at ``now_ns`` of the service's; None for one that did not ask."""
+    return None if message.sent_ns is None else Clock(sent_ns=message.sent_ns, service_ns=now_ns)
+
+
+def beat(message: ClientHeartbeat, now_ns: int, frame_age_ms: float | None) -> ServiceHeartbeat:
+    """The answer to a client's heartbeat at ``now_ns`` of the service's clock."""
+    named, count = message.insertion_id, message.count
+    return ServiceHeartbeat(insertion_id=named, count=count, clock=clock(message, now_ns), frame_age_ms=frame_age_ms)
 
 
 def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:

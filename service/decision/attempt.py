@@ -1,17 +1,19 @@
 """One attempt of an insertion: from the reference to the frames the networks decide on."""
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum, auto
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import Finger, TactileFrame
-from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome
+from service.contract import FINGERS, Finger, TactileFrame
+from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome, RefusalReason, Refused, Watching
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.seating import Push, push_of
-from service.perception.observation import FingerWatch, PairObservation
+from service.perception.observation import FingerWatch, Observation, PairObservation
 
 RING_PAIRS = 24  # onset is certain a few frames late; the ring reaches back past it
 
@@ -53,6 +55,8 @@ class Attempt:
     decision_pairs: list[PairObservation] = field(default_factory=list)
     network_reference: PairObservation | None = None
     run: DecisionRun | None = None
+    watched_ns: int = 0
+    _judged_ns: dict[Finger, int] = field(default_factory=dict)
     slip_sent: bool = False
     stale_sent: bool = False
     stopped_ns: int | None = None
@@ -86,8 +90,30 @@ class Attempt:
             return None
         self.reference, self.stage = both, Stage.ARMED
         self.ring.append(both)
-        self.armed = Armed(insertion_id=self.arm.insertion_id, attempt=self.arm.attempt, reference_seq=both.seq)
+        self.watched_ns = min(o.captured_ns for o in both.fingers)
+        self.armed = Armed(**self._named, reference_seq=both.seq, frame_captured_ns=self.watched_ns)
         return self.armed
+
+    @property
+    def _named(self) -> dict[str, Any]:
+        return {"insertion_id": self.arm.insertion_id, "attempt": self.arm.attempt}
+
+    def refusal(self, reason: RefusalReason, detail: str) -> Refused:
+        """Why this attempt is not armed."""
+        return Refused(**self._named, reason=reason, detail=detail)
+
+    def judged(self, seen: Observation, now_ns: int) -> Iterator[Watching]:
+        """`watching`, if with this frame both fingers were judged on newer ones than before.
+
+        Its stamp is the older finger's: neither of them detects slip for the other.
+        """
+        if self.spoilt or not seen.judged:
+            return
+        self._judged_ns[seen.finger] = seen.captured_ns
+        oldest_ns = min(self._judged_ns.values())
+        if len(self._judged_ns) == len(FINGERS) and oldest_ns > self.watched_ns:
+            self.watched_ns = oldest_ns
+            yield Watching(**self._named, frame_captured_ns=oldest_ns, judged_ns=now_ns)
 
     def take_in(self, both: PairObservation) -> None:
         """Add a pair after the reference; it may show the onset of motion."""

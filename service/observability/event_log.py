@@ -13,7 +13,8 @@ LOGGED = {
     "correction": ("attempt", "dx_mm", "dtheta_deg", "confidence", "latency_ms"),
     "no_decision": ("attempt", "reason", "detail"),
     "armed": ("attempt",),
-    "finished": ("outcome", "attempts"),
+    "refused": ("attempt", "reason", "detail"),
+    "finished": ("outcome", "attempts", "cause"),
     "fault": ("code", "detail", "fatal"),
 }
 SHORT = {"frame_seq": "frame"}
@@ -27,7 +28,7 @@ def log_events(hub: Hub) -> None:
 def _on_event(kind: str, content: Any) -> None:
     if kind == "message":
         line = facts(content)
-        level = log.warning if content.type in {"fault", "no_decision"} else log.info
+        level = log.warning if content.type in {"fault", "no_decision", "refused"} else log.info
         level(content.type, **line)
     elif kind == "camera_fault":
         log.warning("camera", **content)

@@ -31,6 +31,11 @@ class Observation:
     cost_ms: dict[str, float]
     bulge: float | None = None
 
+    @property
+    def judged(self) -> bool:
+        """Whether this frame says anything about slip: its markers were found anew and compared with the reference."""
+        return self.field.usable and self.slip.state not in {"unknown", "lost"}
+
 
 class FingerWatch(Protocol):
     """Perception of one finger; not thread safe."""

@@ -169,10 +169,12 @@ class Insertion:
             reply = with_current_age(answer)
             if self.send is not None:
                 self.send(reply)
-            if not isinstance(reply, wire.ServiceHeartbeat):
+            if isinstance(reply, wire.ServiceHeartbeat):
+                continue
+            sent.append(reply)
+            if not isinstance(reply, wire.Watching):  # one a pair of frames: watchers see the frames themselves
                 self._sent = True
                 self._later.append(partial(self.publish, "message", reply))
-                sent.append(reply)
         return sent
 
     def _show(self) -> None:

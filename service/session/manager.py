@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from service.cameras.capture import Camera
+from service.cameras.capture import Camera, now_ns
 from service.contract import Finger, wire
 from service.decision.models import ModelSet
 from service.decision.work import Work
@@ -64,7 +64,7 @@ class InsertionManager:
                 )
                 send(wire.Fault(insertion_id=hello.insertion_id, code="busy", detail=detail, fatal=True))
                 return
-            self.abort("another client takes over after a lost connection")
+            self.abort("link", "another client takes over after a lost connection")
             active = None
         if active is None:
             try:
@@ -86,7 +86,7 @@ class InsertionManager:
             self.active.message(message)
         elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self._ended:
             # while its recording is being closed, a client that waits for `finished` must not see silence
-            send(wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=None))
+            send(wire.beat(message, now_ns(), None))
 
     def disconnect(self, send: Send) -> None:
         """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
@@ -101,17 +101,17 @@ class InsertionManager:
         if self.active:
             self.active.camera_fault(code, detail)
 
-    def tick(self, now_ns: int) -> None:
+    def tick(self, at_ns: int) -> None:
         if self.active:
             self.active.tick()
-        if self.active and (now_ns - self.active.received_ns) * 1e-9 > self.settings.client_timeout_s:
-            self.abort("the driving client fell silent")
+        if self.active and (at_ns - self.active.received_ns) * 1e-9 > self.settings.client_timeout_s:
+            self.abort("link", "the driving client fell silent")
 
-    def abort(self, reason: str) -> None:
+    def abort(self, cause: wire.Cause, reason: str) -> None:
         """End the insertion under way, if any; its recording is kept."""
         active = self.active
         if active and active.session.insertion_id and not active.closing:
-            active.message(wire.Abort(insertion_id=active.session.insertion_id, reason=reason))
+            active.message(wire.Abort(insertion_id=active.session.insertion_id, cause=cause, reason=reason))
 
     def _open(self, hello: wire.ClientHello) -> Insertion:
         session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)

@@ -67,14 +67,11 @@ class InsertionSession:
         replies: Replies = []
         match message:
             case wire.ClientHello():
-                replies = self._hello(message)
+                replies = self._hello(message, now_ns)
             case _ if self.insertion_id is None:
                 replies = [self._fault("protocol", f"{message.type} before hello", message.insertion_id)]
             case wire.ClientHeartbeat():
-                age_ms = self._age_ms(now_ns)
-                replies = [
-                    wire.ServiceHeartbeat(insertion_id=message.insertion_id, count=message.count, frame_age_ms=age_ms)
-                ]
+                replies = [wire.beat(message, now_ns, self._age_ms(now_ns))]
             case _ if self.finished is not None:
                 replies = [self.finished]
             case wire.Arm():
@@ -84,10 +81,10 @@ class InsertionSession:
             case wire.Stopped():
                 replies = self._stopped(message, now_ns)
             case wire.Abort():
-                replies = self._finish("aborted")
+                replies = self._finish("aborted" if message.cause == "operator" else "failed", message.cause)
         return replies
 
-    def _hello(self, message: wire.ClientHello) -> Replies:
+    def _hello(self, message: wire.ClientHello, now_ns: int) -> Replies:
         if refused := wire.unspoken(message):
             return [refused]
         if self.insertion_id is None:
@@ -96,6 +93,7 @@ class InsertionSession:
         return [
             wire.ServiceHello(
                 insertion_id=self.insertion_id,
+                clock=wire.clock(message, now_ns),
                 models=self.models.entries,
                 cameras=self.cameras(),
                 controller=self.controller_name,
@@ -133,7 +131,7 @@ class InsertionSession:
             return [self._fault("protocol", f"stopped in attempt {message.attempt}, which is not armed")]
         attempt.outcome, attempt.depth_mm = message.outcome, message.depth_mm
         if message.outcome == "dropped":
-            return self._end(attempt, "failed")
+            return self._end(attempt, "failed", "part_lost")
         if attempt.stage is Stage.ARMED:
             attempt.stage, attempt.stopped_ns = Stage.STOPPED, now_ns
         return self._conclude(now_ns)
@@ -160,7 +158,7 @@ class InsertionSession:
         watch.observe(frame)
 
     def on_frame(self, frame: TactileFrame, now_ns: int) -> Replies:
-        """Perceive one finger's frame and report slip at once; the slip path never waits for the other finger."""
+        """Perceive one finger's frame; report slip at once, and else that both fingers are watched."""
         self._newest_ns[frame.finger] = frame.captured_ns
         attempt = self.attempt
         if attempt is None or not self.wants_frames:
@@ -170,8 +168,10 @@ class InsertionSession:
         observation = watch.observe(frame)
         self._observations[frame.finger] = observation
         self.on_observation(observation)
-        if attempt.stage is not Stage.ARMED or not observation.slip.stop or attempt.slip_sent:
+        if attempt.stage is not Stage.ARMED or attempt.slip_sent:
             return []
+        if not observation.slip.stop:
+            return [*attempt.judged(observation, now_ns)]
         attempt.slip_sent = True
         return [slip_message(str(self.insertion_id), attempt, observation, now_ns)]
 
@@ -208,8 +208,7 @@ class InsertionSession:
         if self.submit is not None:
             self.submit(work)
             return []
-        result = work.run()
-        return self.on_result(result, now_ns) if result else []
+        return self.on_result(result, now_ns) if (result := work.run()) else []
 
     def on_result(self, result: WorkResult, now_ns: int) -> Replies:
         """Take a result of the networks; results of another attempt or an earlier arming are dropped."""
@@ -224,10 +223,9 @@ class InsertionSession:
         attempt = self.attempt
         if attempt is None or not self.wants_frames:
             return []
-        fault = self._fault(code, detail)
         if attempt.stage is Stage.ARMED:
             attempt.broken = detail
-        return [fault]
+        return [self._fault(code, detail)]
 
     # ---- decisions ------------------------------------------------------------------------------------------------
 
@@ -239,8 +237,7 @@ class InsertionSession:
         if attempt.stage is Stage.ARMING and now_ns - attempt.armed_ns > self.deadlines.reference_s * 1e9:
             self.attempt = None if attempt.arm.attempt == 1 else attempt
             attempt.stage = Stage.DECIDED
-            why = attempt.problem or "no frame pair arrived"
-            return [self._fault("no_reference", f"attempt {attempt.arm.attempt} could not be armed: {why}")]
+            return [attempt.refusal("no_reference", attempt.problem or "no frame pair arrived")]
         if attempt.stage is Stage.STOPPED:
             return self._conclude(now_ns)
         return self._check_age(attempt, now_ns)
@@ -268,29 +265,32 @@ class InsertionSession:
         return [] if decision is None else self._decided(self.attempt, decision)
 
     def _conclude_full_depth(self, attempt: Attempt, decider: Decider, now_ns: int) -> Replies:
-        against = (
-            decider.full_depth_objections(attempt, now_ns, self.limits.max_frame_age_ms)
-            if self.checks_full_depth
-            else ()
-        )
-        return [] if against is None else [*against, *self._end(attempt, "failed" if against else "inserted")]
+        if not self.checks_full_depth:
+            return self._end(attempt, "inserted")
+        against = decider.full_depth_objections(attempt, now_ns, self.limits.max_frame_age_ms)
+        if against:
+            return [*against, *self._end(attempt, "failed", "not_confirmed")]
+        return [] if against is None else self._end(attempt, "inserted")
 
     def _decided(self, attempt: Attempt, decision: Decision) -> Replies:
         attempt.stage, attempt.decision = Stage.DECIDED, decision
         self.on_attempt(attempt)
         if attempt.arm.attempt >= wire.MAX_ATTEMPTS:
-            return [decision, *self._finish("failed")]
+            return [decision, *self._finish("failed", "attempts")]
         return [decision]
 
-    def _end(self, attempt: Attempt, outcome: Any) -> Replies:
+    def _end(self, attempt: Attempt, outcome: Any, cause: wire.Cause | None = None) -> Replies:
         attempt.stage = Stage.DECIDED
         self.on_attempt(attempt)
-        return self._finish(outcome)
+        return self._finish(outcome, cause)
 
-    def _finish(self, outcome: Any) -> Replies:
-        attempts = self.attempt.arm.attempt if self.attempt else 0
+    def _finish(self, outcome: Any, cause: wire.Cause | None = None) -> Replies:
         self.finished = wire.Finished(
-            insertion_id=str(self.insertion_id), outcome=outcome, attempts=attempts, recording=self.recording
+            insertion_id=str(self.insertion_id),
+            outcome=outcome,
+            attempts=self.attempt.arm.attempt if self.attempt else 0,
+            cause=cause,
+            recording=self.recording,
         )
         return [self.finished]
 

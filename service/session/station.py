@@ -103,7 +103,7 @@ class Station:
 
     def stop(self) -> None:
         """Abort a running insertion, close its recording, end all threads."""
-        self.post(lambda: self.manager.abort("service stops"))
+        self.post(lambda: self.manager.abort("service", "service stops"))
         self._inbox.put(None)
         self._thread.join(10.0)
         for camera in self.cameras.values():

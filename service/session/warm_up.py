@@ -44,7 +44,7 @@ def _attempt(insertion: Insertion, frames: Sequence[TactileFrame]) -> None:
         left, right = (_moved(frame, index) for frame in sorted(frames, key=lambda frame: frame.finger))
         for frame, pair in ((left, None), (right, FramePair(left, right))):
             insertion.frame(CameraFrame(frame, None), pair)
-    insertion.message(wire.Abort(insertion_id=NAME, reason="warmed up"))
+    insertion.message(wire.Abort(insertion_id=NAME, cause="operator", reason="warmed up"))
 
 
 def _moved(frame: TactileFrame, index: int) -> TactileFrame:

@@ -18,6 +18,7 @@ _INSERTION: dict[str, Any] = {"insertion_id": "insertion-1"}
 _ATTEMPT: dict[str, Any] = _INSERTION | {"attempt": 1}
 _CAMERA = wire.CameraEntry(finger="left", source="v4l2:0", state="live", frame_rate_hz=60.0)
 _LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=150.0)
+_CLOCK = wire.Clock(sent_ns=88_000_000_000, service_ns=5_000_000_000)
 _SLIP: dict[str, Any] = {"finger": "left", "frame_seq": 141, "captured_ns": 5_000_000_000, "age_ms": 6.5, "score": 1.4}
 _CORRECTION: dict[str, Any] = {
     "dx_mm": -6.0,
@@ -30,20 +31,22 @@ _CORRECTION: dict[str, Any] = {
     "latency_ms": {"networks_last_step": 2.4},
 }
 EXAMPLES: tuple[BaseModel, ...] = (
-    wire.ClientHello(**_INSERTION, client="cell controller 3.1"),
+    wire.ClientHello(**_INSERTION, client="cell controller 3.1", sent_ns=87_000_000_000),
     wire.Arm(**_ATTEMPT, gap_width_mm=56.0, expected_depth_mm=25.0),
     wire.Descending(**_ATTEMPT),
     wire.Stopped(**_ATTEMPT, depth_mm=6.4, outcome="blocked"),
-    wire.Abort(**_INSERTION, reason="operator"),
-    wire.ClientHeartbeat(**_INSERTION, count=7),
-    wire.ServiceHello(**_INSERTION, models=(), cameras=(_CAMERA,), controller="belief", limits=_LIMITS),
-    wire.Armed(**_ATTEMPT, reference_seq=120),
+    wire.Abort(**_INSERTION, cause="operator", reason="stopped at the panel"),
+    wire.ClientHeartbeat(**_INSERTION, count=7, sent_ns=88_000_000_000),
+    wire.ServiceHello(**_INSERTION, models=(), cameras=(_CAMERA,), controller="belief", limits=_LIMITS, clock=_CLOCK),
+    wire.Armed(**_ATTEMPT, reference_seq=120, frame_captured_ns=4_300_000_000),
+    wire.Refused(**_ATTEMPT, reason="no_reference", detail="left: 12 markers found, expected 420"),
+    wire.Watching(**_ATTEMPT, frame_captured_ns=4_366_000_000, judged_ns=4_381_000_000),
     wire.Slip(**_ATTEMPT, **_SLIP, reason="slip: 9 markers off the rigid motion"),
     wire.Correction(**_ATTEMPT, **_CORRECTION),
     wire.NoDecision(**_ATTEMPT, reason="no_motion", detail="neither finger saw the object move"),
     wire.Finished(**_INSERTION, outcome="inserted", attempts=2, recording="recordings/x/insertion.mcap"),
     wire.Fault(**_INSERTION, code="camera_lost", detail="left gone", fatal=False),
-    wire.ServiceHeartbeat(**_INSERTION, count=7, frame_age_ms=12.5),
+    wire.ServiceHeartbeat(**_INSERTION, count=7, clock=_CLOCK, frame_age_ms=12.5),
 )
 
 

@@ -25,6 +25,7 @@ from robot_client.insertion.events import (
     Grasped,
     Hold,
     Move,
+    Renew,
     Send,
     Standstill,
 )
@@ -207,6 +208,8 @@ class Insertion:
                     self.cell.hold()
                 else:
                     self._standing = True
+            case Renew():
+                pass  # the machine is asked at every frame whether the lease lasts
             case Move() if command.motion == "descend":
                 self.before = self.cell.state
                 self.cell.descend(command.target.z_mm)

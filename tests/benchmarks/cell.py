@@ -143,7 +143,7 @@ class SteppedCell:
             self.show(LAST)
             answer = self._until(link, "correction", "no_decision")
             taken = (time.monotonic_ns() - max(finger.left_ns for finger in self.fingers.values())) / 1e6
-            link.send(wire.Abort(insertion_id=name, reason="done").model_dump_json())
+            link.send(wire.Abort(insertion_id=name, cause="operator", reason="done").model_dump_json())
             self._until(link, "finished")
         if answer.type != "correction":
             raise RuntimeError(f"no correction but {answer.reason}: {answer.detail}")

@@ -50,7 +50,7 @@ def armed(service: ServiceProcess) -> Iterator[ClientConnection]:
         while wire.parse_service(link.recv(60)).type != "armed":
             pass
         yield link
-        link.send(wire.Abort(insertion_id=name, reason="done").model_dump_json())
+        link.send(wire.Abort(insertion_id=name, cause="operator", reason="done").model_dump_json())
         with contextlib.suppress(TimeoutError):
             link.recv(5)
 

@@ -128,6 +128,7 @@ def gripper_commands_that_are_no_numbers(_seed: int) -> float:
     return not_refused([lambda v=v: encode_request(Command.GRASP, v, 30.0) for v in BAD], WsgError)
 
 
+CLOCK = wire.Clock(sent_ns=0, service_ns=0)
 MESSAGES = MappingProxyType({"insertion_id": "t-1", "attempt": 1})
 
 
@@ -135,14 +136,16 @@ def deciding() -> State:
     """The state machine with the arm at rest, waiting for a correction."""
     plan = Plan(insertion_id="t-1", approach=pose(x=8.0, yaw=6.0), gap_width_mm=56.0, expected_depth_mm=25.0)
     limits = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
-    hello = wire.ServiceHello(insertion_id="t-1", models=(), cameras=(), controller="belief", limits=limits)
+    hello = wire.ServiceHello(
+        insertion_id="t-1", models=(), cameras=(), controller="belief", limits=limits, clock=CLOCK
+    )
     at_height, above = plan.approach, plan.approach.at_height(60.0)
     story = [
         Begin(at_s=0.0, pose=pose(z=60.0)),
         FromService(at_s=0.1, message=hello),
         Grasped(at_s=0.2, width_mm=80.0),
         *(Arrived(at_s=0.3, pose=there) for there in (pose(z=60.0), above, at_height)),
-        FromService(at_s=0.4, message=wire.Armed(**MESSAGES, reference_seq=3)),
+        FromService(at_s=0.4, message=wire.Armed(**MESSAGES, reference_seq=3, frame_captured_ns=400_000_000)),
         FromService(
             at_s=0.9,
             message=wire.Slip(**MESSAGES, finger="left", frame_seq=9, captured_ns=1, age_ms=4.0, score=2.0, reason="r"),

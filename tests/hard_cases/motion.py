@@ -222,7 +222,7 @@ def messages_with_numbers_that_are_none(_seed: int) -> float:
 )
 def time_going_backwards(_seed: int) -> float:
     guide = MotionGuide(Limits(), Ramps(), pose())
-    guide.move(pose(z=10.0), "descend")
+    guide.move(pose(z=10.0), "descend", 1e9)
     for _ in range(50):
         guide.advance(CYCLE_S)
     before = guide.target

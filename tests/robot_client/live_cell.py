@@ -31,6 +31,7 @@ from simulation.cell.emulators.wsg50_gripper import Gripper
 
 # A busy machine may stop this process, emulators included, for long: who tests a time sets it.
 _RWS_TIMES = ("request_timeout_s", "motors_timeout_s", "start_timeout_s", "stop_timeout_s")
+FRAME_S = 0.03
 CONTACT_MM, CLEARANCE_MM, CLEARANCE_DEG = 6.0, 2.5, 3.5
 LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
 
@@ -70,7 +71,7 @@ class TruthfulService:
     delays_s: dict = field(default_factory=dict)
     mute: bool = False
     silent_heartbeat: bool = False
-    frame_age_ms: float | None = 10.0
+    sees: bool = True
     connection: object = None
     _attempt: int = 0
     _watching: bool = False
@@ -124,9 +125,18 @@ class TruthfulService:
         values = {"models": (), "cameras": (), "controller": "heuristic", "limits": LIMITS}
         return wire.ServiceHello(insertion_id=self.insertion_id, **{**values, **changes})
 
+    def watching(self, **changes):
+        now_ns = time.monotonic_ns()
+        values = {"attempt": self._attempt, "frame_captured_ns": now_ns, "judged_ns": now_ns}
+        return wire.Watching(insertion_id=self.insertion_id, **{**values, **changes})
+
     async def _watch(self):
+        watched_s = 0.0
         while True:
             await asyncio.sleep(0.002)
+            if self._watching and self.sees and time.monotonic() - watched_s > FRAME_S:
+                watched_s = time.monotonic()
+                await self.say(self.watching())
             x, theta = self.error
             depth = self.approach_z_mm - self.cabinet.arm.pose.position_mm[2]
             blocked = abs(x) > CLEARANCE_MM or abs(theta) > CLEARANCE_DEG
@@ -141,16 +151,18 @@ class TruthfulService:
         self.insertion_id = message.insertion_id
         match message:
             case wire.ClientHello():
-                replies = [self.hello()]
+                replies = [self.hello(clock=wire.clock(message, time.monotonic_ns()))]
             case wire.ClientHeartbeat() if not self.silent_heartbeat:
-                replies = [wire.ServiceHeartbeat(**name, count=message.count, frame_age_ms=self.frame_age_ms)]
+                replies = [wire.beat(message, time.monotonic_ns(), 10.0)]
             case wire.Arm():
                 self._attempt, self._watching = message.attempt, True
-                replies = [wire.Armed(**name, attempt=message.attempt, reference_seq=1)]
+                now_ns = time.monotonic_ns()
+                replies = [wire.Armed(**name, attempt=message.attempt, reference_seq=1, frame_captured_ns=now_ns)]
             case wire.Stopped(outcome="blocked"):
                 self._watching = False
                 replies = [self.correction(message.attempt)]
             case wire.Stopped():
+                self._watching = False
                 replies = [wire.Finished(**name, outcome="inserted", attempts=message.attempt)]
             case wire.Abort():
                 replies = [wire.Finished(**name, outcome="aborted", attempts=self._attempt)]

@@ -81,11 +81,16 @@ class EgmArm:
         self._watchdog()
         return self._guide.target
 
-    def move(self, target: WorkPose, motion: Motion) -> None:
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
         """Begin a move; raises LimitError if it is not allowed or the arm is latched."""
         if self._failed or self._guide is None:
             raise LimitError(f"the arm takes no motion: {self._failed or 'not started'}")
-        self._guide.move(target, motion)
+        self._guide.move(target, motion, until_s)
+
+    def renew(self, until_s: float) -> None:
+        """The descent under way may go on until then: checked before each of the 250 targets a second."""
+        if self._guide is not None:
+            self._guide.renew(until_s)
 
     def hold(self, reason: str, *, stop: bool) -> None:
         """Freeze the target and put it on the wire now, without waiting for the robot's next datagram."""
@@ -181,7 +186,7 @@ class EgmArm:
             return
         self._measured = measured
         self._check(state, measured, tilt_deg)
-        self._advance(elapsed_s)
+        self._advance(elapsed_s, now_s)
         self._answer()
         self._report(measured, now_s)
 
@@ -212,8 +217,10 @@ class EgmArm:
             bound_mm = self.limits.max_tracking_mm
             self._fail("tracking", f"the arm is {away_mm:.2f} mm away from its target, allowed {bound_mm:g}")
 
-    def _advance(self, elapsed_s: float) -> None:
+    def _advance(self, elapsed_s: float, now_s: float) -> None:
         assert self._guide is not None
+        if (over_s := self._guide.unwatched(now_s)) is not None:
+            self._fail("unwatched", f"no frame was judged in time: the lease ended {over_s * 1e3:.0f} ms ago")
         try:
             self._guide.advance(elapsed_s)
         except LimitError as error:

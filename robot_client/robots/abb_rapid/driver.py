@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
+from robot_client.insertion.lease import check_leased
 from robot_client.insertion.limits import LimitError, Limits, Motion, check_pose
 from robot_client.insertion.motion import Ramps
 from robot_client.ports import Arm, Check, DriverError, Finding, Post
@@ -23,6 +24,7 @@ from robot_client.robots.abb_rapid.settings import Settings
 from robot_client.robots.abb_rws.client import RwsClient
 from robot_client.silence import Silence
 
+_LEASE_CHECK_S = 0.005
 _STILL_MM, _STILL_DEG, _STILL_S = 0.03, 0.05, 0.15  # the guard answers with 0.01 mm
 
 
@@ -53,6 +55,7 @@ class SocketArm:
     _latched: str = ""
     _answers: int = 0
     _tilt_deg: float = 0.0
+    _until_s: float | None = None
 
     def __post_init__(self) -> None:
         self._silence = Silence(self.settings.silence_s, self.settings.poll_s)
@@ -67,7 +70,7 @@ class SocketArm:
         guard_reader, self._guard = await self._connect(self.settings.guard_port, "guard")
         self._silence.heard(time.monotonic())
         motion = self._read(motion_reader, self._on_motion, "motion server")
-        for work in (motion, self._read(guard_reader, self._on_guard, "guard"), self._beat()):
+        for work in (motion, self._read(guard_reader, self._on_guard, "guard"), self._beat(), self._lapse()):
             self._tasks.append(asyncio.get_running_loop().create_task(work))
         deadline_s = time.monotonic() + self.settings.connect_timeout_s
         while self._here is None:
@@ -77,8 +80,9 @@ class SocketArm:
         self._post = post
         return self._here
 
-    def move(self, target: WorkPose, motion: Motion) -> None:
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
         """Lower the guard's stop flag, then send the move; raises LimitError if it is not allowed."""
+        check_leased(motion, until_s)
         check_pose(self.limits, target)
         if self._latched or self._guard is None or self._here is None:
             raise LimitError(f"the arm takes no motion: {self._latched or 'not started'}")
@@ -86,12 +90,18 @@ class SocketArm:
         top = self.limits.max_descent_speed_mm_s if motion == "descend" else self.limits.max_speed_mm_s
         if not speed <= top:
             raise LimitError(f"{motion} speed mm/s = {speed:g}, allowed up to {top:g}")
+        self._until_s = until_s
         self._move = self._next()
         self._pending, self._waiting, self._still = (self._move, target, speed), "arrived", None
         self._ask_guard("R", self._move)
 
+    def renew(self, until_s: float) -> None:
+        """The descent under way may go on until then."""
+        self._until_s = until_s
+
     def hold(self, reason: str, *, stop: bool) -> None:
         """Raise the guard's stop flag now; a move that still waits for its release is dropped."""
+        self._until_s = None
         self._pending, self._waiting, self._still = None, "standstill", None
         self._ask_guard("S", self._next())
         if stop:
@@ -100,6 +110,7 @@ class SocketArm:
 
     async def close(self) -> str:
         """Stop, end the program, disconnect."""
+        self._until_s = None
         self._post, self._latched = None, self._latched or "closed"
         self._ask_guard("S", self._next())
         self._stop_program()
@@ -162,6 +173,13 @@ class SocketArm:
             silent_s = self._silence.over(time.monotonic())
             if silent_s is not None:
                 self._fail("silent", f"the guard has not answered for {silent_s * 1e3:.0f} ms")
+
+    async def _lapse(self) -> None:
+        """Raise the stop flag when the lease of a descent ends."""
+        while True:
+            await asyncio.sleep(_LEASE_CHECK_S)
+            if self._until_s is not None and time.monotonic() >= self._until_s:
+                self._fail("unwatched", "no frame was judged in time: the lease ended")
 
     async def _read(self, reader: asyncio.StreamReader, on_text: Callable[[str], None], name: str) -> None:
         parser = TextParser()
@@ -236,7 +254,7 @@ class SocketArm:
         if self._latched or self._post is None:
             return
         self._latched = f"{code}: {detail}"
-        self._pending = None
+        self._pending = self._until_s = None
         self._ask_guard("S", self._next())
         self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
 

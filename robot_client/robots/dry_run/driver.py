@@ -42,9 +42,13 @@ class DryArm(Arm):
         self._task = asyncio.get_running_loop().create_task(self._run())
         return self.settings.start
 
-    def move(self, target: WorkPose, motion: Motion) -> None:
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
         """Begin a move; raises LimitError if it is not allowed."""
-        self._guide.move(target, motion)
+        self._guide.move(target, motion, until_s)
+
+    def renew(self, until_s: float) -> None:
+        """The descent under way may go on until then, in real time."""
+        self._guide.renew(until_s)
 
     def hold(self, reason: str, *, stop: bool) -> None:  # noqa: ARG002 the port's signature
         """Freeze the target."""
@@ -79,12 +83,17 @@ class DryArm(Arm):
             await asyncio.sleep(0.0 if self._guide.moving else 0.001)
 
     def _advanced(self) -> WorkPose:
+        if (over_s := self._guide.unwatched(time.monotonic())) is not None:
+            self._fail("unwatched", f"no frame was judged in time: the lease ended {over_s * 1e3:.0f} ms ago")
         try:
             return self._guide.advance(CYCLE_S)
         except LimitError as error:  # what the real arm's driver would refuse
-            self._guide.hold()
-            self._post(Failure(at_s=time.monotonic(), source="arm", code="limits", detail=str(error)))
+            self._fail("limits", str(error))
             return self._guide.target
+
+    def _fail(self, code: str, detail: str) -> None:
+        self._guide.hold()
+        self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
 
 
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:  # noqa: ARG001 the port's signature

@@ -42,6 +42,7 @@ function told(message) {
     case "slip": return `attempt ${message.attempt}: slip, ${message.finger} finger, seen after ${message.age_ms.toFixed(0)} ms`;
     case "correction": return `attempt ${message.attempt}: move ${signed(message.dx_mm)} mm, turn ${signed(message.dtheta_deg)}°`;
     case "no_decision": return `attempt ${message.attempt}: no decision, ${message.detail}`;
+    case "refused": return `attempt ${message.attempt}: refused, ${message.detail}`;
     case "finished": return `${message.outcome} after ${message.attempts} attempts`;
     default: return `${message.code ?? message.type}: ${message.detail ?? ""}`;
   }
@@ -58,6 +59,7 @@ function onMessage(message) {
   if (message.type === "armed") say(`Attempt ${message.attempt}: feeling`, "good");
   if (message.type === "slip") say(`Attempt ${message.attempt}: slip, stopped`, "warn");
   if (message.type === "fault") say(message.code.replaceAll("_", " "), "bad");
+  if (message.type === "refused") say(message.reason.replaceAll("_", " "), "bad");
   if (message.type === "no_decision") say(`Attempt ${message.attempt}: no decision`, "bad");
   if (message.type === "finished") { say(`${message.outcome}, ${message.attempts} attempts`, message.outcome === "inserted" ? "good" : "bad"); }
   if (message.type === "correction") onCorrection(message);

@@ -7,6 +7,7 @@ from typing import Any
 import structlog
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
+from service.cameras.capture import now_ns
 from service.contract import ContractError, wire
 from service.contract.wire import ServiceMessage
 from service.session.station import Station
@@ -149,8 +150,7 @@ async def _watch(socket: WebSocket, connection: Connection, station: Station) ->
         while True:
             message: Any = wire.parse_client(await _text(socket))
             if isinstance(message, wire.ClientHeartbeat):
-                age_ms = station.frame_age_ms()
-                connection.send(wire.ServiceHeartbeat(insertion_id=name, count=message.count, frame_age_ms=age_ms))
+                connection.send(wire.beat(message, now_ns(), station.frame_age_ms()))
             else:
                 detail = f"a watching client may send heartbeats only, not {message.type}"
                 connection.fault("watch_only", detail, fatal=False)

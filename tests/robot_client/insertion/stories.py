@@ -16,15 +16,27 @@ APPROACH = WorkPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
 PLAN = Plan(insertion_id=ID, approach=APPROACH, gap_width_mm=56.0, expected_depth_mm=25.0)
 LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
 
+CLOCK = wire.Clock(sent_ns=0, service_ns=0)
+
 
 def hello(insertion_id=ID, **changes):
     return wire.ServiceHello(
-        insertion_id=insertion_id, **{"models": (), "cameras": (), "controller": "belief", "limits": LIMITS, **changes}
+        insertion_id=insertion_id,
+        **{"models": (), "cameras": (), "controller": "belief", "limits": LIMITS, "clock": CLOCK, **changes},
     )
 
 
-def armed(attempt, insertion_id=ID):
-    return wire.Armed(insertion_id=insertion_id, attempt=attempt, reference_seq=3)
+def armed(attempt, insertion_id=ID, at_s=0.0):
+    """The service's clock shows what ours does."""
+    captured_ns = round(at_s * 1e9)
+    return wire.Armed(insertion_id=insertion_id, attempt=attempt, reference_seq=3, frame_captured_ns=captured_ns)
+
+
+def watching(attempt, captured_s, insertion_id=ID):
+    captured_ns = round(captured_s * 1e9)
+    return wire.Watching(
+        insertion_id=insertion_id, attempt=attempt, frame_captured_ns=captured_ns, judged_ns=captured_ns
+    )
 
 
 def slip(attempt, insertion_id=ID):

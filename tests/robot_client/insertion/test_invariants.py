@@ -34,6 +34,7 @@ from tests.robot_client.insertion.stories import (
     no_decision,
     service,
     slip,
+    watching,
 )
 
 FOLLOWS = {
@@ -79,7 +80,7 @@ def make_event(kind, number, state, now):
         lambda: service(hello(insertion_id), now),
         lambda: Grasped(at_s=now, width_mm=50.0),
         lambda: at(here if state.path or number % 4 else here.at_height(30.0), Arrived, now),
-        lambda: service(armed(attempt, insertion_id), now),
+        lambda: service(armed(attempt, insertion_id, now), now),
         lambda: service(slip(attempt, insertion_id), now),
         lambda: at(here.at_height(here.z_mm - depth), Standstill, now),
         lambda: service(correction(attempt, dx, dtheta, insertion_id), now),
@@ -88,7 +89,7 @@ def make_event(kind, number, state, now):
         lambda: PartLost(at_s=now),
         lambda: Tick(at_s=now + (0.0 if number % 5 else 100.0)),
         lambda: service(wire.Fault(insertion_id=insertion_id, code="c", detail="d"), now),
-        lambda: service(wire.ServiceHeartbeat(insertion_id=ID, count=1, frame_age_ms=number * 4.5), now),
+        lambda: service(watching(attempt, now - number / 1000, insertion_id), now),
         lambda: Failure(at_s=now, source=("arm", "gripper", "service", "operator")[number % 4], code="c", detail="d"),
         lambda: Standstill(at_s=now, pose=here),
     )
@@ -121,6 +122,10 @@ class Watch:
             assert math.isfinite(state.deadline_s), "nothing may wait for ever"
         for command in commands:
             self.check_command(before, state, command)
+            until_s = getattr(command, "until_s", None)
+            if until_s is not None:
+                captured_s = event.message.frame_captured_ns / 1e9
+                assert event.at_s < until_s <= captured_s + PLAN.lease.lasts_s(10.0) + 1e-9
 
     def check_reactions(self, before, event, state, commands):
         if isinstance(event, Tick) and event.at_s >= before.deadline_s and not before.done:

@@ -49,7 +49,7 @@ def test_a_profile_refuses_limits_that_are_none(bad):
 @given(INSIDE, INSIDE, st.sampled_from(["travel", "descend", "retract"]), st.integers(1, 3))
 def test_every_target_of_every_move_passes_the_limits(start, end, motion, slow):
     guide = MotionGuide(Limits(), Ramps(), start)
-    guide.move(end, motion)
+    guide.move(end, motion, 1e9 if motion == "descend" else None)
     dt = CYCLE_S * slow
     for _ in range(40000):
         guide.advance(dt)
@@ -61,7 +61,7 @@ def test_every_target_of_every_move_passes_the_limits(start, end, motion, slow):
 @given(st.floats(-5, 5), st.integers(0, 300))
 def test_a_hold_freezes_the_target_at_once(x, cycles):
     guide = MotionGuide(Limits(), Ramps(), pose(x=x))
-    guide.move(pose(x=x, z=10.0), "descend")
+    guide.move(pose(x=x, z=10.0), "descend", 1e9)
     for _ in range(cycles):
         guide.advance(CYCLE_S)
     held = guide.target
@@ -72,7 +72,7 @@ def test_a_hold_freezes_the_target_at_once(x, cycles):
 
 def test_over_a_gap_in_the_stream_the_target_takes_three_cycles_of_way_and_then_gains_speed_again():
     guide = MotionGuide(Limits(), Ramps(), pose())
-    guide.move(pose(z=10.0), "descend")
+    guide.move(pose(z=10.0), "descend", 1e9)
     for _ in range(200):
         guide.advance(CYCLE_S)
     before = guide.target
@@ -102,7 +102,7 @@ def test_no_rhythm_of_the_stream_makes_a_move_unlawful_or_endless(rhythm_ms, sta
 
 def test_the_descent_reaches_ten_mm_per_second_and_takes_the_way_straight_down():
     guide = MotionGuide(Limits(), Ramps(), pose(x=3, yaw=7))
-    guide.move(pose(x=3, yaw=7, z=10.0), "descend")
+    guide.move(pose(x=3, yaw=7, z=10.0), "descend", 1e9)
     steps = []
     while guide.moving:
         before = guide.target
@@ -191,7 +191,7 @@ def test_arrival_is_reported_once_after_settling():
 
 def test_standstill_waits_for_the_lagging_arm():
     guide = MotionGuide(Limits(), Ramps(), pose())
-    guide.move(pose(z=10), "descend")
+    guide.move(pose(z=10), "descend", 1e9)
     measured, now = 35.0, 0.0
     for _ in range(250):
         now += CYCLE_S

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from service.contract import ContractError
 from service.contract.wire import (
     MAX_TEXT_BYTES,
+    PROTOCOL,
     Abort,
     Arm,
     ClientHello,
@@ -17,6 +18,7 @@ from service.contract.wire import (
     Stopped,
     parse_client,
     parse_service,
+    unspoken,
 )
 
 CORRECTION = Correction(
@@ -40,7 +42,7 @@ CORRECTION = Correction(
         Arm(insertion_id="a", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0),
         Descending(insertion_id="a", attempt=15),
         Stopped(insertion_id="a", attempt=2, depth_mm=6.5, outcome="blocked"),
-        Abort(insertion_id="a", reason="operator"),
+        Abort(insertion_id="a", cause="operator", reason="panel"),
     ],
 )
 def test_client_messages_survive_the_wire(message):
@@ -74,6 +76,15 @@ def test_a_wrong_field_is_named(change, named):
     body = json.loads(Arm(insertion_id="a", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0).model_dump_json())
     with pytest.raises(ContractError, match=named):
         parse_client(json.dumps(body | change))
+
+
+def test_a_hello_of_version_1_is_read_and_refused_with_a_sentence():
+    """It lacks what version 2 added, and must still be understood as far as its version."""
+    old = {"type": "hello", "insertion_id": "a", "protocol": 1, "client": "older"}
+    refused = unspoken(parse_client(json.dumps(old)))
+    assert refused is not None
+    assert refused.fatal
+    assert refused.detail == f"client speaks protocol 1, this service {PROTOCOL}; update the older one"
 
 
 def test_an_oversized_message_is_refused_unread():

@@ -192,7 +192,7 @@ def test_a_client_that_waits_for_the_end_of_its_recording_hears_heartbeats(model
     desk = InsertionManager(settings, models, None, {}, Hub(), lambda _: None)
     said: list[wire.ServiceMessage] = []
     desk.connect(wire.ClientHello(insertion_id=ID, client="test"), said.append)
-    desk.receive(wire.Abort(insertion_id=ID, reason="test"), said.append)
+    desk.receive(wire.Abort(insertion_id=ID, cause="operator", reason="test"), said.append)
     assert desk.active is None
     desk.receive(wire.ClientHeartbeat(insertion_id=ID, count=3), said.append)
     desk.receive(wire.ClientHeartbeat(insertion_id="another", count=4), said.append)

@@ -9,7 +9,7 @@ def test_every_log_line_of_an_insertion_carries_its_id() -> None:
     hub = Hub()
     log_events(hub)
     messages = [
-        wire.Armed(insertion_id="logged", attempt=1, reference_seq=3),
+        wire.Armed(insertion_id="logged", attempt=1, reference_seq=3, frame_captured_ns=1),
         wire.NoDecision(insertion_id="logged", attempt=1, reason="no_motion", detail="nothing moved"),
         wire.Fault(insertion_id="logged", code="camera_lost", detail="left gone", fatal=False),
         wire.Finished(insertion_id="logged", outcome="aborted", attempts=1),

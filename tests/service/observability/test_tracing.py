@@ -38,10 +38,10 @@ def test_an_insertion_is_one_trace_with_a_span_an_attempt_and_a_stage() -> None:
     Spans(provider.get_tracer("test"), hub)
     hello = wire.ServiceHello(insertion_id="traced", limits=LIMITS, **HELLO)
     hub.publish("message", hello)
-    hub.publish("message", wire.Armed(insertion_id="traced", attempt=1, reference_seq=4))
+    hub.publish("message", wire.Armed(insertion_id="traced", attempt=1, reference_seq=4, frame_captured_ns=1))
     hub.publish("message", hello)  # the client lost its connection and came back
     hub.publish("message", correction(1))
-    hub.publish("message", wire.Armed(insertion_id="traced", attempt=2, reference_seq=9))
+    hub.publish("message", wire.Armed(insertion_id="traced", attempt=2, reference_seq=9, frame_captured_ns=2))
     hub.publish("message", wire.Finished(insertion_id="traced", outcome="inserted", attempts=2))
     spans = {f"{s.name}": s for s in memory.get_finished_spans()}
     names = [s.name for s in memory.get_finished_spans()]

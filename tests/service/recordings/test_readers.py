@@ -37,7 +37,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
             frame = TactileFrame(finger, index, 1_000_000_000 + index * 33_000_000, pixels)
             recorder.frame(CameraFrame(frame, jpeg))
             recorder.observation(watch.observe(frame))
-    abort = wire.Abort(insertion_id="strangers", reason="x").model_dump(mode="json")
+    abort = wire.Abort(insertion_id="strangers", cause="operator", reason="x").model_dump(mode="json")
     recorder.message("client", abort, 1_100_000_000)
     recorder.call({"call": "message", "message": abort}, 1_100_000_000)
     return recorder.close({"outcome": "aborted"})

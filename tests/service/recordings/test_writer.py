@@ -69,7 +69,7 @@ def test_raw_frames_come_back_exactly(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 255, (320, 427, 3), np.uint8)
     recorder = Recorder(tmp_path, "raw", {})
     recorder.frame(CameraFrame(TactileFrame("left", 5, 123_456_789, pixels), None))
-    recorder.message("client", wire.Abort(insertion_id="raw", reason="x").model_dump(), 123_456_790)
+    recorder.message("client", wire.Abort(insertion_id="raw", cause="operator", reason="x").model_dump(), 123_456_790)
     recording = Recording(recorder.close({"outcome": "aborted"}))
     frame = recording.frames("left")[5]
     assert frame.captured_ns == 123_456_789

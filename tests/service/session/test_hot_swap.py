@@ -75,6 +75,6 @@ def test_models_are_not_swapped_under_an_insertion(swappable: LiveService) -> No
     refused = httpx.post(swappable.url(LOAD))
     assert (refused.status_code, "insertion is under way" in refused.json()["error"]) == (400, True)
     driver.attempt(1)
-    driver.send(wire.Abort(insertion_id="under-way", reason="done"))
+    driver.send(wire.Abort(insertion_id="under-way", cause="operator", reason="done"))
     driver.until("finished")
     driver.close()

@@ -88,7 +88,7 @@ def test_what_waits_for_an_answer_that_does_not_come_is_written_down_all_the_sam
 def test_an_end_is_written_down_before_it_is_published_and_the_recording_is_whole(witness: Witness) -> None:
     witness.until_stopped()
     witness.show(17)
-    witness.insertion.message(wire.Abort(insertion_id="first", reason="done"))
+    witness.insertion.message(wire.Abort(insertion_id="first", cause="operator", reason="done"))
     assert witness.events[-2:] == ["message", "finished"]
     path = witness.recorder.close({})
     said = [entry.json()["message"]["type"] for entry in Recording(path).of("/messages")]

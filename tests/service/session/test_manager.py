@@ -84,7 +84,7 @@ def test_a_recording_keeps_the_calibration_that_the_service_began_with(
         path.write_text(text)
     client = Client(opened)
     assert client.connect().type == "hello"
-    opened.abort("done")
+    opened.abort("operator", "done")
     wait_for_recorders()
     (recorded,) = tmp_path.glob("r/*/insertion.mcap")
     assert Recording(recorded).metadata["calibration"] == began_with
@@ -101,19 +101,19 @@ def test_a_client_that_loses_its_insertion_to_another_connection_is_told_at_once
     assert [message.type for message in second.heard] == ["hello"]
     second.connect()
     assert [message.type for message in second.heard] == ["hello", "hello"], "who says hello again loses nothing"
-    shared.abort("done")
+    shared.abort("operator", "done")
     wait_for_recorders()
 
 
 def test_asking_for_the_end_of_an_insertion_ends_no_other_one(models: ModelSet, tmp_path: Path) -> None:
     shared = manager(models, tmp_path)
     Client(shared).connect("first")
-    shared.abort("done")
+    shared.abort("operator", "done")
     driver = Client(shared)
     driver.connect("second")
     shared.disconnect(driver.send)
     assert Client(shared).connect("first").type == "finished"
     assert shared.active is not None
     assert shared.active.session.insertion_id == "second"
-    shared.abort("done")
+    shared.abort("operator", "done")
     wait_for_recorders()

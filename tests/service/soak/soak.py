@@ -92,8 +92,10 @@ class Story:
                 return message
             if isinstance(message, wire.Fault):
                 self.seen[f"fault {message.code}"] += 1
-                if message.fatal or message.code == "no_reference":
+                if message.fatal:
                     raise ConnectionError(message.code)
+            if isinstance(message, wire.Refused):
+                raise ConnectionError(message.reason)
 
     def check(self, message: object) -> None:
         """Nothing may ever come for another insertion or attempt."""

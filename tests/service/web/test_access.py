@@ -176,7 +176,7 @@ def test_a_client_that_does_not_read_is_cut_off_and_the_service_goes_on(live: Li
         with connect(live.url("/v1/insertions/ws", "ws"), compression=None) as link:
             link.send(wire.ClientHello(insertion_id="beside-deaf", client="test").model_dump_json())
             assert wire.parse_service(link.recv(20)).type == "hello"
-            link.send(wire.Abort(insertion_id="beside-deaf", reason="done").model_dump_json())
+            link.send(wire.Abort(insertion_id="beside-deaf", cause="operator", reason="done").model_dump_json())
             assert wire.parse_service(link.recv(20)).type == "finished"
 
 

@@ -22,7 +22,7 @@ def test_a_recorded_insertion_is_listed_played_and_removed(live: LiveService) ->
     driver = Driver(live, "listed")
     driver.until("hello")
     driver.attempt(1)
-    driver.send(wire.Abort(insertion_id="listed", reason="done"))
+    driver.send(wire.Abort(insertion_id="listed", cause="operator", reason="done"))
     driver.until("finished")
     driver.close()
     (entry,) = [r for r in httpx.get(live.url("/v1/recordings")).json()["recordings"] if r["insertion_id"] == "listed"]

@@ -97,7 +97,7 @@ def test_the_page_shows_an_insertion_as_it_happens(live: LiveService, page: Any)
 def test_a_past_insertion_is_played_back_with_the_keyboard_alone(live: LiveService, page: Any) -> None:
     driver = insertion(live, "keys")
     driver.attempt(1)
-    driver.send(wire.Abort(insertion_id="keys", reason="done"))
+    driver.send(wire.Abort(insertion_id="keys", cause="operator", reason="done"))
     driver.until("finished")
     driver.close()
     page.get_by_role("button", name=re.compile("keys")).wait_for()
@@ -144,7 +144,7 @@ def test_everything_fits_a_panel_and_can_be_read_from_two_metres(live: LiveServi
           .map(s => `${s.className} ${s.scrollHeight} in ${s.clientHeight}`)"""
     )
     assert clipped == []
-    driver.send(wire.Abort(insertion_id="read", reason="done"))
+    driver.send(wire.Abort(insertion_id="read", cause="operator", reason="done"))
     driver.until("finished")
     driver.close()
 

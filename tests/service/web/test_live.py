@@ -41,7 +41,7 @@ def test_an_ended_insertion_is_freed_at_once(live: LiveService) -> None:
         driver.until("hello")
         driver.attempt(1)
         session = weakref.ref(live.station.active.session.left)
-        driver.send(wire.Abort(insertion_id="freed", reason="done"))
+        driver.send(wire.Abort(insertion_id="freed", cause="operator", reason="done"))
         driver.until("finished")
         driver.close()
         deadline = time.monotonic() + 20
@@ -74,7 +74,7 @@ def test_only_one_client_drives_and_others_watch(live: LiveService) -> None:
         assert watcher.receive().code == "watch_only"
         driver.attempt(1)
         assert watcher.until("correction").insertion_id == "first"
-        driver.send(wire.Abort(insertion_id="first", reason="done"))
+        driver.send(wire.Abort(insertion_id="first", cause="operator", reason="done"))
         assert driver.until("finished").outcome == "aborted"
     finally:
         for client in (driver, second, watcher):
@@ -91,7 +91,7 @@ def test_garbage_is_answered_by_a_fault_and_the_insertion_goes_on(live: LiveServ
     driver.socket.send(b"\0" * 100)
     assert driver.receive().code == "bad_message"
     driver.attempt(1)
-    driver.send(wire.Abort(insertion_id="garbled", reason="done"))
+    driver.send(wire.Abort(insertion_id="garbled", cause="operator", reason="done"))
     driver.until("finished")
     driver.close()
 
@@ -105,7 +105,7 @@ def test_a_client_that_lost_its_connection_takes_its_insertion_up_again(live: Li
     again = Driver(live, "resumed")
     again.until("hello")
     again.attempt(2)
-    again.send(wire.Abort(insertion_id="resumed", reason="done"))
+    again.send(wire.Abort(insertion_id="resumed", cause="operator", reason="done"))
     assert again.until("finished").attempts == 2
     again.close()
 
@@ -121,7 +121,7 @@ def test_a_client_that_is_gone_makes_room_for_the_next_one_at_once(live: LiveSer
         time.sleep(0.01)
     following = Driver(live, "following")
     assert following.until("hello").insertion_id == "following"
-    following.send(wire.Abort(insertion_id="following", reason="done"))
+    following.send(wire.Abort(insertion_id="following", cause="operator", reason="done"))
     following.until("finished")
     following.close()
     while not list(live.recordings.glob("*_gone/summary.json")):  # its recording is closed beside the next insertion
@@ -180,7 +180,7 @@ def test_a_cut_camera_is_a_fault_and_comes_back(live: LiveService) -> None:
     driver.send(wire.Stopped(insertion_id="cut", attempt=1, depth_mm=3.0, outcome="blocked"))
     refused = driver.receive()
     assert (refused.type, refused.reason) == ("no_decision", "stale")
-    driver.send(wire.Abort(insertion_id="cut", reason="done"))
+    driver.send(wire.Abort(insertion_id="cut", cause="operator", reason="done"))
     driver.until("finished")
     driver.close()
 
@@ -189,7 +189,7 @@ def test_the_first_message_must_be_hello(live: LiveService) -> None:
     from websockets.sync.client import connect
 
     with connect(live.url("/", "ws"), compression=None) as socket:
-        socket.send(wire.Abort(insertion_id="x", reason="").model_dump_json())
+        socket.send(wire.Abort(insertion_id="x", cause="operator", reason="").model_dump_json())
         fault = wire.parse_service(socket.recv(5))
     assert isinstance(fault, wire.Fault)
     assert fault.fatal

@@ -87,7 +87,7 @@ def test_a_move_is_released_carried_out_and_reported():
 def test_a_hold_goes_to_the_guard_at_once_and_standstill_follows():
     async def story():
         async with connected() as (peer, arm, events):
-            arm.move(pose(z=20.0), "descend")
+            arm.move(pose(z=20.0), "descend", 1e9)
             while peer.cabinet.arm.pose.position_mm[2] > 42.0:  # noqa: ASYNC110 moved by the clock
                 await asyncio.sleep(0.004)
             flagged = []
@@ -117,7 +117,7 @@ class Flag:
 def test_a_hold_right_after_a_move_keeps_it_from_ever_starting():
     async def story():
         async with connected() as (peer, arm, events):
-            arm.move(pose(z=20.0), "descend")
+            arm.move(pose(z=20.0), "descend", 1e9)
             arm.hold("slip", stop=False)
             assert isinstance(await soon(events), Standstill)
             assert peer.moves == []
@@ -128,7 +128,7 @@ def test_a_hold_right_after_a_move_keeps_it_from_ever_starting():
 def test_the_guard_stops_the_arm_when_the_client_falls_silent():
     async def story():
         async with connected(silence_s=0.3) as (peer, arm, events):
-            arm.move(pose(z=20.0), "descend")
+            arm.move(pose(z=20.0), "descend", 1e9)
             await asyncio.sleep(0.3)
             arm._tasks[2].cancel()
             assert isinstance(await soon(events), Failure)  # the guard hung up
@@ -142,7 +142,7 @@ def test_the_guard_stops_the_arm_when_the_client_falls_silent():
 def test_trouble_is_a_failure_and_the_arm_takes_no_more_moves(fault):
     async def story():
         async with connected() as (peer, arm, events):
-            arm.move(pose(z=20.0), "descend")
+            arm.move(pose(z=20.0), "descend", 1e9)
             await asyncio.sleep(0.2)
             if fault == "mute":
                 peer.mute = True
@@ -166,7 +166,7 @@ def test_no_move_leaves_the_box():
     async def story():
         async with connected() as (peer, arm, _):
             with pytest.raises(LimitError):
-                arm.move(pose(z=1.0), "descend")
+                arm.move(pose(z=1.0), "descend", 1e9)
             assert peer.moves == []
 
     asyncio.run(story())

@@ -45,7 +45,7 @@ def test_an_arm_stands_still_only_once_the_motion_server_has_answered_for_the_mo
     arm, events = SocketArm(Settings(), Limits(), Ramps()), []
     arm._motion, arm._guard, arm._post = Writer(), Writer(), events.append
     guard_says(arm, 0, stopped=True)
-    arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=10.0, yaw_deg=0.0), "descend")
+    arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=10.0, yaw_deg=0.0), "descend", 1e9)
     guard_says(arm, 1, stopped=False)
     assert arm._motion.sent[0].startswith("M 1 ")
     arm.hold("slip", stop=False)
@@ -60,7 +60,7 @@ def test_an_arm_that_was_never_sent_off_stands_still_at_once(clock):
     arm, events = SocketArm(Settings(), Limits(), Ramps()), []
     arm._motion, arm._guard, arm._post = Writer(), Writer(), events.append
     guard_says(arm, 0, stopped=True)
-    arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=10.0, yaw_deg=0.0), "descend")
+    arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=10.0, yaw_deg=0.0), "descend", 1e9)
     arm.hold("slip", stop=False)
     rests(arm, clock, 2)
     assert [type(event) for event in events] == [Standstill]

@@ -1,0 +1,88 @@
+"""The motion lease: how long the arm may go on after the last frame that the service judged. Pure, no clock of its own.
+
+The bound is a way, not a time: from the capture of the newest judged frame to standstill the arm may go ``travel_mm``.
+What the arm needs to stop is part of it, and so is what is not known of the service's clock.
+"""
+
+from dataclasses import dataclass
+
+from robot_client.insertion.limits import LimitError, Motion, Positive
+from service.contract import wire
+from service.contract.frames import Contract
+
+SLOW_MM, FAST_S = 1.5, 0.1  # the largest travel that may be asked for: 1.5 mm, from 15 mm/s on what 0.1 s are
+FRAMES_N, JUDGING_S = 1.5, 0.02  # a lease outlasts so many frame periods, and this much for transport and judging
+_DRIFT = 2e-4  # two quartz clocks may drift apart this fast
+_ROUNDING_S = 1e-6
+
+
+class Lease(Contract):
+    """``travel_mm`` from a frame's capture to standstill, of which the arm goes on for ``stop_lag_s`` at full speed.
+
+    ``stop_lag_s`` is from the last lowered target to standstill: what the arm lags behind its targets, and a cycle.
+    """
+
+    travel_mm: Positive = SLOW_MM
+    stop_lag_s: Positive = 0.04
+
+    def lasts_s(self, speed_mm_s: float) -> float:
+        """How old the newest judged frame may grow while the target still walks at ``speed_mm_s``."""
+        return self.travel_mm / speed_mm_s - self.stop_lag_s
+
+    def check(self, speed_mm_s: float) -> None:
+        """Raise LimitError for a travel beyond what any cell may ask for, or a lag that leaves nothing of it."""
+        most_mm = max(SLOW_MM, FAST_S * speed_mm_s)
+        if not self.travel_mm <= most_mm:
+            where = f"allowed up to {most_mm:g} at {speed_mm_s:g} mm/s"
+            raise LimitError(f"lease.travel_mm = {self.travel_mm:g}, {where}")
+        if not self.lasts_s(speed_mm_s) > JUDGING_S:
+            lag = f"{self.stop_lag_s * 1e3:.0f} ms of stop lag"
+            raise LimitError(f"lease.travel_mm = {self.travel_mm:g} is used up by {lag} at {speed_mm_s:g} mm/s")
+
+    def check_rate(self, speed_mm_s: float, camera: wire.CameraEntry) -> None:
+        """Raise LimitError for a camera too slow for this speed: descend slower then, never on a longer lease."""
+        if camera.frame_rate_hz is None:
+            return
+        needed_s = FRAMES_N / camera.frame_rate_hz + JUDGING_S
+        if self.lasts_s(speed_mm_s) < needed_s:
+            slower = self.travel_mm / (needed_s + self.stop_lag_s)
+            raise LimitError(
+                f"the {camera.finger} camera gives {camera.frame_rate_hz:.1f} frames a second: too few for a lease of"
+                f" {self.lasts_s(speed_mm_s) * 1e3:.0f} ms; descend at {slower:.1f} mm/s or slower (ramps.descend)"
+            )
+
+
+def check_leased(motion: Motion, until_s: float | None) -> None:
+    """Raise LimitError for a descent without a lease, and for any other move with one."""
+    if (until_s is None) == (motion == "descend"):
+        raise LimitError(f"{motion} with a lease of {until_s}: a descent has one, and nothing else")
+
+
+@dataclass(frozen=True, slots=True)
+class ClockMap:
+    """Our monotonic clock is the service's plus an offset within [``earliest_s``, ``latest_s``], as of ``at_s``."""
+
+    earliest_s: float
+    latest_s: float
+    at_s: float
+
+    @classmethod
+    def read(cls, clock: wire.Clock, at_s: float) -> "ClockMap":
+        """From one answer, received at ``at_s``: the service's reading lies between our question and now."""
+        return cls((clock.sent_ns - clock.service_ns) * 1e-9, at_s - clock.service_ns * 1e-9, at_s)
+
+    def narrowed(self, other: "ClockMap") -> "ClockMap | None":
+        """Both readings together; None where they contradict each other, because a clock stood still or jumped."""
+        drift_s = _DRIFT * max(0.0, other.at_s - self.at_s)
+        earliest_s = max(self.earliest_s - drift_s, other.earliest_s)
+        latest_s = min(self.latest_s + drift_s, other.latest_s)
+        return None if earliest_s > latest_s + _ROUNDING_S else ClockMap(earliest_s, latest_s, other.at_s)
+
+    @property
+    def uncertainty_s(self) -> float:
+        """How much of the offset is not known: the shortest round trip, and the drift since."""
+        return self.latest_s - self.earliest_s
+
+    def ours_s(self, service_ns: int, at_s: float) -> float:
+        """The earliest that a stamp of the service can be on our clock: the uncertainty is counted as age."""
+        return service_ns * 1e-9 + self.earliest_s - _DRIFT * max(0.0, at_s - self.at_s)

@@ -1,0 +1,160 @@
+"""The motion lease: the arm goes on for frames that were judged, and for nothing else."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_client.insertion.events import Hold, Move, Renew, Tick
+from robot_client.insertion.lease import ClockMap, Lease
+from robot_client.insertion.limits import LimitError, Limits
+from robot_client.insertion.machine import Phase, State, step
+from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
+from service.contract import wire
+from tests.robot_client.insertion.stories import (
+    APPROACH,
+    ID,
+    PLAN,
+    TO_ARMING,
+    TO_DESCENT,
+    armed,
+    hello,
+    run,
+    service,
+    watching,
+)
+
+LASTS_S = PLAN.lease.lasts_s(10.0)
+
+
+def descending():
+    return run(TO_DESCENT)
+
+
+def test_a_descent_carries_the_end_of_its_lease_and_every_judged_frame_puts_it_off():
+    state, commands = descending()
+    (move,) = [c for c in commands if isinstance(c, Move) and c.motion == "descend"]
+    assert move.until_s == pytest.approx(LASTS_S)
+    state, (renewed,) = step(state, service(watching(1, 0.05), 0.07))
+    assert isinstance(renewed, Renew)
+    assert renewed.until_s == pytest.approx(0.05 + LASTS_S, abs=1e-4)
+
+
+def test_without_a_judged_frame_the_descent_ends_whatever_else_the_service_says():
+    state, _ = descending()
+    beat = wire.ServiceHeartbeat(insertion_id=ID, count=1, clock=wire.Clock(sent_ns=0, service_ns=0), frame_age_ms=1.0)
+    for now_s in (0.03, 0.06, 0.09):
+        state, commands = step(state, service(beat, now_s))
+        assert (state.phase, commands) == (Phase.DESCENDING, ())
+    state, commands = step(state, Tick(at_s=LASTS_S + 0.001))
+    assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
+    assert commands[1].message.cause == "unwatched"
+
+
+@pytest.mark.parametrize("captured_s", [-0.5, 0.0])
+def test_a_frame_that_comes_late_or_twice_renews_nothing(captured_s):
+    state, _ = descending()
+    after, commands = step(state, service(watching(1, captured_s), 0.05))
+    assert (after, commands) == (state, ())
+
+
+def test_a_stamp_from_the_future_renews_nothing():
+    state, _ = descending()
+    assert step(state, service(watching(1, 7.0), 0.05)) == (state, ())
+
+
+def test_a_lease_that_has_ended_is_not_renewed_by_a_fresh_frame():
+    state, _ = descending()
+    late_s = LASTS_S + 0.2
+    state, commands = step(state, service(watching(1, late_s - 0.01), late_s))
+    assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
+
+
+def test_nothing_descends_before_the_clocks_are_mapped_or_on_an_old_reference():
+    strange = [*TO_ARMING[:1], service(hello(clock=None)), *TO_ARMING[2:], service(armed(1))]
+    old = [*TO_ARMING, service(armed(1), 0.5)]
+    for story in (strange, old):
+        state, commands = run(story)
+        assert state.phase is Phase.FAILED
+        assert "unwatched" in state.reason
+        assert not [c for c in commands if isinstance(c, Move) and c.motion == "descend"]
+
+
+@given(
+    st.floats(-1e4, 1e4),
+    st.lists(st.tuples(st.floats(0.0, 0.2), st.floats(0.0, 0.2), st.floats(0.01, 1.0)), min_size=1, max_size=20),
+)
+def test_no_stamp_is_ever_taken_for_younger_than_it_is(offset_s, trips):
+    """Whatever the ways there and back take, the mapped capture is not later than the true one."""
+    now_s, mapped = 0.0, None
+    for there_s, back_s, pause_s in trips:
+        read = wire.Clock(sent_ns=round(now_s * 1e9), service_ns=round((now_s + there_s + offset_s) * 1e9))
+        now_s += there_s + back_s
+        taken = ClockMap.read(read, now_s)
+        mapped = taken if mapped is None else mapped.narrowed(taken)
+        assert mapped is not None
+        truth_s = now_s
+        assert mapped.ours_s(round((truth_s + offset_s) * 1e9), now_s) <= truth_s + 1e-5
+        assert truth_s - mapped.ours_s(round((truth_s + offset_s) * 1e9), now_s) <= mapped.uncertainty_s + 1e-5
+        now_s += pause_s
+
+
+def test_a_clock_that_stood_still_or_jumped_holds_the_arm():
+    """A suspended client comes back with a clock behind: a frame from before would look young."""
+    state, _ = descending()
+    jumped = wire.Clock(sent_ns=10_000_000, service_ns=5_000_000_000)
+    beat = wire.ServiceHeartbeat(insertion_id=ID, count=1, clock=jumped, frame_age_ms=1.0)
+    state, commands = step(state, service(beat, 0.02))
+    assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
+    assert "clock" in state.reason
+
+
+@pytest.mark.parametrize(("speed_mm_s", "most_mm"), [(5.0, 1.5), (10.0, 1.5), (15.0, 1.5), (25.0, 2.5)])
+def test_no_setting_makes_the_way_longer_than_the_bound(speed_mm_s, most_mm):
+    Lease(travel_mm=most_mm).check(speed_mm_s)
+    with pytest.raises(LimitError, match="travel_mm"):
+        Lease(travel_mm=most_mm + 0.01).check(speed_mm_s)
+    with pytest.raises(LimitError, match="stop lag"):
+        Lease(travel_mm=most_mm, stop_lag_s=most_mm / speed_mm_s).check(speed_mm_s)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "descends"), [(60.0, True), (30.0, True), (20.0, True), (15.0, False), (10.0, False)]
+)
+def test_cameras_too_slow_for_the_descent_are_refused_by_name(rate_hz, descends):
+    camera = wire.CameraEntry(finger="right", source="s", state="live", frame_rate_hz=rate_hz)
+    state, _ = run([TO_ARMING[0], service(hello(cameras=(camera,)))])
+    assert (state.phase is Phase.GRASPING) == descends
+    if not descends:
+        assert "right camera" in state.reason
+        slower = float(state.reason.split("descend at ")[1].split()[0])
+        PLAN.lease.check_rate(slower - 0.05, camera)
+
+
+def test_the_driver_lets_its_target_stand_when_the_lease_ends_even_if_nobody_tells_it():
+    guide = MotionGuide(Limits(), Ramps(), APPROACH)
+    guide.move(APPROACH.at_height(15.0), "descend", until_s=0.2)
+    now_s, asked = 0.0, []
+    while guide.unwatched(now_s) is None and now_s < 5.0:
+        asked.append(guide.advance(CYCLE_S).z_mm)
+        now_s += CYCLE_S
+    assert now_s == pytest.approx(0.2, abs=CYCLE_S)
+    guide.renew(math.inf)
+    assert guide.unwatched(now_s) is None
+
+
+@pytest.mark.parametrize(("motion", "until_s"), [("descend", None), ("travel", 9.0)])
+def test_a_descent_without_a_lease_is_refused(motion, until_s):
+    guide = MotionGuide(Limits(), Ramps(), APPROACH)
+    with pytest.raises(LimitError, match="lease"):
+        guide.move(APPROACH.at_height(20.0), motion, until_s)
+    assert not guide.moving
+
+
+def test_a_hold_ends_the_lease_with_the_descent():
+    guide = MotionGuide(Limits(), Ramps(), APPROACH)
+    guide.move(APPROACH.at_height(15.0), "descend", until_s=0.2)
+    guide.hold()
+    assert guide.unwatched(9.0) is None
+    assert State(PLAN).until_s == -math.inf
