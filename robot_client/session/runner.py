@@ -63,7 +63,7 @@ class Runner:
             await self.gripper.start(self.post)
             if not self.state.done:  # after a failure no motors, no program
                 pose = await self.arm.start(self.post)
-                self.post(Begin(at_s=time.monotonic(), pose=pose))
+                self.post(Begin(at_s=time.monotonic(), pose=pose, held=self.gripper.held))
             while not self._done.is_set():
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(self._done.wait(), _TICK_S)

@@ -1,4 +1,4 @@
-"""What has to be shown before full depth is claimed to be an insertion, and before a descent may begin at all.
+"""What has to be shown before full depth is claimed to be an insertion.
 
 Absence of a signal is no evidence: each check asks for something that was measured, and what could not be measured is
 a doubt. One doubt is enough for "not confirmed".
@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.contract.wire import Arm, Doubt, DoubtReason
+from service.contract.wire import Doubt, DoubtReason
 from service.decision.attempt import Attempt
-from service.decision.seating import seating_evidence, strongest_push
-from service.perception.observation import PairObservation
+from service.decision.seating import Push, seating_evidence, strongest_push
 
 DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the depth that was asked for
 FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was not reached by one
-LEAST_WIDTH_MM = 2.0  # fingers closer than this hold nothing but each other
 WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; gel gives way by less
 BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry
 PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
@@ -65,25 +63,6 @@ def turn_deg(attempt: Attempt) -> float:
     left, right = (finger.slip.angle_rad for finger in attempt.ring[-1].fingers)
     turn = math.degrees(0.5 * (left - right))
     return turn if math.isfinite(turn) else 0.0
-
-
-# ---- before a descent -------------------------------------------------------------------------------------------
-
-
-def nothing_held(both: PairObservation) -> str:
-    """Why the hand counts as empty, or nothing: both gels lie as they do where nothing touches them.
-
-    One finger alone may look so: a flat object in a light grip hardly bulges it.
-    """
-    untouched = [finger.bulge is not None and finger.bulge < 1.0 for finger in both.fingers]
-    return "both gels look as they do when nothing touches them" if all(untouched) else ""
-
-
-def implausible_width(arm: Arm) -> str:
-    """Why the gripper's width cannot be that of a held object, or nothing."""
-    if arm.gripper_width_mm is None or arm.gripper_width_mm >= LEAST_WIDTH_MM:
-        return ""
-    return f"the fingers are {arm.gripper_width_mm:.1f} mm apart, a held object keeps them at least {LEAST_WIDTH_MM:g}"
 
 
 # ---- at full depth ----------------------------------------------------------------------------------------------
@@ -160,16 +139,18 @@ def _pushed(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
         yield _doubt("push", str(seating), seating.push_pitch, seating.bound_pitch)
 
 
-def _moved_in_hand(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
+def _moved_in_hand(_: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
     if not grasp.pressed_mm <= PRESSED_MM:
         detail = f"an attempt went on for {grasp.pressed_mm:.1f} mm after its contact: the object was moved in the hand"
         yield _doubt("moved_in_hand", detail, grasp.pressed_mm, PRESSED_MM)
     if not abs(grasp.turned_deg) <= TURNED_DEG:
-        detail = f"the blocked attempts have left the object turned in the hand by about {abs(grasp.turned_deg):.1f} deg"
+        detail = (
+            f"the blocked attempts have left the object turned in the hand by about {abs(grasp.turned_deg):.1f} deg"
+        )
         yield _doubt("moved_in_hand", detail, abs(grasp.turned_deg), TURNED_DEG)
 
 
-def newest_age_s(pushes: Sequence, now_ns: int) -> float:
+def newest_age_s(pushes: Sequence[Push], now_ns: int) -> float:
     """Age of the newest pair that shows what the gels carry, s; infinite without one."""
     if not pushes or not math.isfinite(pushes[-1].weaker_pitch):
         return math.inf

@@ -155,7 +155,10 @@ class LockstepCell:
         gel = np.zeros_like(self.state.gel[0])
         left, right = (
             TactileFrame(
-                finger, self.frame, self.now_ns, renderer.raw(gel, hash_seed(self.seed, 0, k, 3)) if self.draws else _NOTHING
+                finger,
+                self.frame,
+                self.now_ns,
+                renderer.raw(gel, hash_seed(self.seed, 0, k, 3)) if self.draws else _NOTHING,
             )
             for k, (finger, renderer) in enumerate(zip(FINGERS, self.renderers, strict=True))
         )
