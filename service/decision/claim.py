@@ -75,8 +75,8 @@ def doubts(attempt: Attempt, grasp: GraspRecord) -> tuple[Doubt, ...]:
 
 
 def _doubt(reason: DoubtReason, detail: str, value: float | None = None, bound: float | None = None) -> Doubt:
-    finite = value if value is not None and math.isfinite(value) else None
-    return Doubt(reason=reason, detail=detail, value=finite, bound=bound)
+    value, bound = (number if number is not None and math.isfinite(number) else None for number in (value, bound))
+    return Doubt(reason=reason, detail=detail, value=value, bound=bound)
 
 
 def _order(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
