@@ -13,10 +13,11 @@ COPY service/contract /opt/app/service/contract
 RUN /opt/venv/bin/python -m compileall -q -j 0 /opt/app
 
 FROM ${BASE}
-ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 HOME=/tmp
+ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 HOME=/tmp TACTILE_STATE=/var/lib/tactile/state
 COPY --from=build /opt/venv /opt/venv
 COPY --from=build /opt/app /opt/app
-RUN install -d -o 10001 -g 10001 /var/lib/tactile /var/lib/tactile/episodes
+RUN install -d -o 10001 -g 10001 /var/lib/tactile /var/lib/tactile/episodes \
+ && install -d -o 10001 -g 10001 -m 700 /var/lib/tactile/state
 USER 10001:10001
 # Episode logs go to the working directory unless told otherwise; the code is found by PYTHONPATH.
 ENV PYTHONPATH=/opt/app

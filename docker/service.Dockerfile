@@ -15,12 +15,13 @@ RUN /opt/venv/bin/python -m compileall -q -j 0 /opt/app
 FROM ${BASE}
 ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 \
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 HOME=/tmp \
-    TACTILE_MODELS=/models TACTILE_RECORDINGS=/var/lib/tactile/recordings
+    TACTILE_MODELS=/models TACTILE_RECORDINGS=/var/lib/tactile/recordings TACTILE_STATE=/var/lib/tactile/state
 COPY --from=build /opt/venv /opt/venv
 COPY --from=build /opt/app /opt/app
 COPY models /models
-# The two places that are written to; a named volume inherits their owner. Everything else may be read-only.
-RUN install -d -o 10001 -g 10001 /var/lib/tactile /var/lib/tactile/recordings
+# The places that are written to; a named volume inherits their owner. Everything else may be read-only.
+RUN install -d -o 10001 -g 10001 /var/lib/tactile /var/lib/tactile/recordings \
+ && install -d -o 10001 -g 10001 -m 700 /var/lib/tactile/state
 USER 10001:10001
 WORKDIR /opt/app
 EXPOSE 8000

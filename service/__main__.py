@@ -44,7 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         if os.environ.get("TACTILE_TRACEBACK"):
             raise
-        print(f"service {name}: {' '.join(str(error).split())}", file=sys.stderr)
+        from service.contract.text import printable
+
+        print(printable(f"service {name}: {' '.join(str(error).split())}"), file=sys.stderr)
         return EXIT_BAD_INPUT
 
 

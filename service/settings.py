@@ -4,12 +4,13 @@ import argparse
 import ipaddress
 import os
 import re
+import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
-from pydantic import Field, SecretStr, ValidationError, model_validator
+from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     CliApp,
@@ -23,6 +24,7 @@ from pydantic_settings import SettingsError as CliError
 from service.contract import ContractError
 from service.contract.refusals import nearest
 from service.contract.shipped import released_models
+from service.contract.token import check_token, state_folder
 from service.contract.toml import read_toml
 from service.contract.wire import ControllerName, Limits
 
@@ -84,15 +86,32 @@ class Settings(BaseSettings):
     frames_timeout_s: float = Field(2.0, gt=0, description="from stopped to the last frame that the networks need")
     decision_timeout_s: float = Field(10.0, gt=0, description="from stopped to the answer; later is no_decision")
     camera_wait_s: float = Field(10.0, ge=0, description="how long start-up waits for each camera's first frame")
+    state: Path = Field(default_factory=state_folder, description="folder for the token made at the first start")
     token_drive: SecretStr | None = Field(None, description="bearer token of clients that drive (they may also watch)")
     token_watch: SecretStr | None = Field(None, description="bearer token of clients that only watch")
-    token_admin: SecretStr | None = Field(None, description="bearer token for loading models and deleting recordings")
+    token_admin: SecretStr | None = Field(None, description="for loading models, deleting recordings; default: made")
     tls_certificate: Path | None = Field(None, description="PEM certificate; serve https and wss")
     tls_key: Path | None = Field(None, description="PEM key of the certificate")
     allowed_origins: tuple[str, ...] = Field((), description="browser origins allowed besides our own pages")
-    requests_per_s: float = Field(1000.0, ge=0, description="most requests a second of one client; 0 for any number")
+    allowed_hosts: tuple[str, ...] = Field((), description="names of this service in requests, besides its own")
+    requests_per_s: float = Field(1000.0, ge=0, description="most requests a second of one address; 0 for any number")
     tracing: Exporter = Field("off", description="OpenTelemetry spans: off, console or otlp (OTEL_EXPORTER_OTLP_*)")
     log_json: bool = Field(False, description="one JSON object a log line")
+
+    @field_validator("token_drive", "token_watch", "token_admin")
+    @classmethod
+    def _secret(cls, token: SecretStr | None) -> SecretStr | None:
+        if token is not None:
+            check_token(token.get_secret_value())
+        return token
+
+    @field_validator("allowed_hosts")
+    @classmethod
+    def _names(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
+        for host in hosts:
+            if not re.fullmatch(r"(\*\.)?[A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\]", host):
+                raise ValueError(f"{host!r} is no host name; expected cell-pc.local, *.example.com or 192.168.1.20")
+        return hosts
 
     @model_validator(mode="after")
     def _safe(self) -> Self:
@@ -104,7 +123,19 @@ class Settings(BaseSettings):
             )
         if (self.tls_certificate is None) != (self.tls_key is None):
             raise ValueError("tls_certificate and tls_key go together: give both or neither")
+        tokens = [t.get_secret_value() for t in (self.token_watch, self.token_drive, self.token_admin) if t is not None]
+        if len(set(tokens)) < len(tokens):
+            raise ValueError("two roles have the same token: whoever may watch could drive; give each its own")
         return self
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        """Every name that requests may call this service by: this machine's, the address listened on, and those given.
+
+        Another name is a page's that made a browser resolve it to this address (DNS rebinding).
+        """
+        listens = {f"[{self.host}]" if ":" in self.host else self.host} - {"0.0.0.0", "[::]"}  # noqa: S104
+        return (*sorted({"localhost", "127.0.0.1", "[::1]", socket.gethostname()} | listens), *self.allowed_hosts)
 
     @property
     def is_loopback(self) -> bool:

@@ -72,7 +72,9 @@ def _run(name: str, command: Command, rest: list[str]) -> int:
     except (ValueError, OSError) as error:
         if os.environ.get("TACTILE_TRACEBACK"):
             raise
-        return _refuse(f"{name}: {' '.join(str(error).split())}")
+        from service.contract.text import printable
+
+        return _refuse(printable(f"{name}: {' '.join(str(error).split())}"))
 
 
 def _help(entry: Callable[[list[str]], int], words: list[str]) -> int:

@@ -6,10 +6,12 @@ share the machine's cores.
 """
 
 import os
+import tempfile
 
 from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy and torch are imported
+os.environ["TACTILE_STATE"] = tempfile.mkdtemp(prefix="tactile-state-")  # never the token of who runs the tests
 
 settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("same everywhere", parent=settings.get_profile("explore"), derandomize=True)

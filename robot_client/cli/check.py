@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 
 from robot_client.cli.insert import make_plan
-from robot_client.cli.terminal import Outcome
+from robot_client.cli.terminal import Outcome, show
 from robot_client.insertion.events import Event, Failure, FromService
 from robot_client.insertion.limits import check_pose
 from robot_client.insertion.motion import check_ramps
@@ -12,6 +12,8 @@ from robot_client.ports import Check, DriverError, Finding
 from robot_client.session.service_link import ServiceLink
 from robot_client.settings import Settings
 from service.contract import wire
+
+NO_TOKEN = "the service names its file at its start; give it as service.token_file"  # noqa: S105 - no token
 
 
 def check(settings: Settings) -> Outcome:
@@ -36,7 +38,7 @@ async def _check(settings: Settings) -> Outcome:
                 findings = [Finding(False, str(error) or "no answer in time")]
             for finding in findings:
                 rows.append({"check": name, **finding._asdict()})
-                print(f"{'ok  ' if finding.good else 'BAD '} {name:9s} {finding.text}", flush=True)
+                show(f"{'ok  ' if finding.good else 'BAD '} {name:9s} {finding.text}")
     finally:
         for port in (arm, gripper):
             with contextlib.suppress(Exception):
@@ -72,7 +74,9 @@ async def _service(settings: Settings) -> list[Finding]:
     if not isinstance(answer, FromService) or not isinstance(answer.message, wire.ServiceHello):
         raise DriverError(f"answered {answer}, expected its hello")
     hello = answer.message
+    known = settings.service.token() is not None
     return [
+        Finding(known, "token for driving found" if known else f"no token for driving: {NO_TOKEN}"),
         Finding(True, f"protocol {hello.protocol}, controller {hello.controller}"),
         *(Finding(True, f"model {entry.card.name} {entry.sha256[:12]}") for entry in hello.models),
         *(Finding(camera.state == "live", f"camera {camera.finger} {camera.state}") for camera in hello.cameras),

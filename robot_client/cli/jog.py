@@ -2,7 +2,7 @@
 
 import asyncio
 
-from robot_client.cli.terminal import DRY_RUN, NOT_A_SAFETY_FUNCTION, Outcome, stop_on_signals
+from robot_client.cli.terminal import DRY_RUN, NOT_A_SAFETY_FUNCTION, Outcome, show, stop_on_signals
 from robot_client.insertion.events import Arrived, Event, Failure
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import check_pose
@@ -51,7 +51,7 @@ async def _jog(settings: Settings, target: WorkPose) -> Outcome:
 
 
 async def _end(arm: Arm) -> None:
-    print(await arm.close())
+    show(await arm.close())
 
 
 def _text(pose: WorkPose) -> str:

@@ -21,6 +21,7 @@ from robot_client.ports import DriverError, HomingDirection
 from robot_client.session.replay import ReplayError, replay
 from robot_client.settings import load_settings
 from service.contract.frames import first_error
+from service.contract.text import printable
 from service.contract.wire import ControllerName
 
 _EPILOG = """exit codes: 0 done (inserted, ready, homed, ...), 1 not done or failed safe,
@@ -142,7 +143,7 @@ def main(argv: list[str] | None = None) -> int:
     except ValueError as error:
         text = first_error(error) if isinstance(error, ValidationError) else str(error)
         prefix = "FAILED SAFE" if isinstance(error, DriverError) else "error"
-        print(f"{prefix}: {text}", file=sys.stderr)
+        print(printable(f"{prefix}: {text}"), file=sys.stderr)
         code = 1 if isinstance(error, DriverError | ReplayError) else 2
         outcome = Outcome(False, {"error": text})
     except KeyboardInterrupt:

@@ -6,6 +6,8 @@ import signal
 import sys
 from typing import Any, NamedTuple
 
+from service.contract.text import printable
+
 NOT_A_SAFETY_FUNCTION = "LIVE: this moves a real robot. It is not a safety function; the cell's guards and stops are."
 DRY_RUN = "DRY RUN: nothing is connected, nothing moves (type --live to move)."
 
@@ -18,9 +20,12 @@ class Outcome(NamedTuple):
 
 
 def show(text: str) -> None:
-    """Print a line; once the terminal is gone nothing is printed any more, and nothing else changes."""
+    """Print a line, with what would command the terminal written out; devices and services send texts, too.
+
+    Once the terminal is gone nothing is printed any more, and nothing else changes.
+    """
     try:
-        print(text, flush=True)
+        print(printable(text), flush=True)
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest of the buffer goes there
 

@@ -84,7 +84,8 @@ class Tick(_Event):
 
 
 Event = Annotated[
-    Begin | Grasped | Width | PartLost | Arrived | Standstill | FromService | Failure | Tick, Field(discriminator="kind")
+    Begin | Grasped | Width | PartLost | Arrived | Standstill | FromService | Failure | Tick,
+    Field(discriminator="kind"),
 ]
 
 

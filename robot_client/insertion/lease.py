@@ -16,6 +16,10 @@ _DRIFT = 2e-4  # two quartz clocks may drift apart this fast
 _ROUNDING_S = 1e-6
 
 
+class Unwatched(LimitError):  # noqa: N818 it says what is, the driver turns it into a Failure event
+    """The lease of a descent is over."""
+
+
 class Lease(Contract):
     """``travel_mm`` from a frame's capture to standstill, of which the arm goes on for ``stop_lag_s`` at full speed.
 

@@ -4,7 +4,7 @@ import math
 from typing import Literal, get_args
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.lease import check_leased
+from robot_client.insertion.lease import Unwatched, check_leased
 from robot_client.insertion.limits import LimitError, Limits, Motion, StepGuard, check_pose
 from robot_client.insertion.profile import Profile, plan_profile
 from service.contract.frames import Contract
@@ -94,7 +94,7 @@ class MotionGuide:
     def move(self, end: WorkPose, motion: Motion, until_s: float | None = None) -> None:
         """Begin a straight move to ``end``; raises LimitError and changes nothing if the end is not allowed.
 
-        A descent walks only before ``until_s``, on the clock that :meth:`unwatched` is asked with: None refuses it.
+        A descent walks only before ``until_s``, on the clock that :meth:`advance` is told, and has to have one.
         """
         check_leased(motion, until_s)
         check_pose(self.limits, end)
@@ -109,12 +109,6 @@ class MotionGuide:
         if self._until_s is not None:
             self._until_s = max(self._until_s, until_s)
 
-    def unwatched(self, now_s: float) -> float | None:
-        """For how many seconds the lease of the descent is over, None while it lasts; ask before each target."""
-        if self._profile is None or self._until_s is None or now_s < self._until_s:
-            return None
-        return now_s - self._until_s
-
     def hold(self) -> None:
         """Freeze the target where it is and report when the arm stands; idempotent."""
         if self._waiting != "standstill":
@@ -122,13 +116,17 @@ class MotionGuide:
         self._profile = None
         self._waiting = "standstill"
 
-    def advance(self, elapsed_s: float) -> WorkPose:
+    def advance(self, elapsed_s: float, now_s: float) -> WorkPose:
         """Target after ``elapsed_s``; raises LimitError (target unchanged) if it may not be sent.
+
+        Unwatched is raised once the lease of a descent is over at ``now_s`` (``time.monotonic``).
 
         Over a gap of more than MISSED_CYCLES the target takes their way at most, then gains speed on a ramp.
         """
         if self._profile is None or elapsed_s <= 0.0:
             return self.target
+        if self._until_s is not None and now_s >= self._until_s:
+            raise Unwatched(f"no frame was judged in time: the lease ended {(now_s - self._until_s) * 1e3:.0f} ms ago")
         if elapsed_s > (MISSED_CYCLES + 0.5) * CYCLE_S:
             self._rate = min(self._rate, MISSED_CYCLES * CYCLE_S / elapsed_s)
             self._walked_s += elapsed_s * self._rate

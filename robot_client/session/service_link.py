@@ -6,8 +6,11 @@ ways: a service that does not answer them is a lost link, even while TCP still h
 
 import asyncio
 import contextlib
+import ipaddress
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import urlsplit
 
 from pydantic import Field
 from websockets.asyncio.client import ClientConnection, connect
@@ -18,15 +21,42 @@ from robot_client.ports import DriverError, Post
 from robot_client.silence import Silence
 from service.contract import wire
 from service.contract.frames import Contract, ContractError
+from service.contract.token import TOKEN_FILE, read_token, state_folder
 
 
 class ServiceSettings(Contract):
-    """Where the service is and how long it may be silent."""
+    """Where the service is, what opens it, and how long it may be silent.
+
+    ``token_file`` holds the token for driving; without it, that of a service of this user on this machine is taken.
+    """
 
     url: str = Field(default="ws://127.0.0.1:8000/v1/insertion", pattern=r"^wss?://[^/\s]+(/\S*)?$")
+    token_file: Path | None = None
     connect_timeout_s: float = Field(default=3.0, gt=0)
     heartbeat_s: float = Field(default=0.1, gt=0, le=1.0)
     silence_s: float = Field(default=0.75, gt=0)
+
+    def token(self) -> str | None:
+        """The token for driving, None where there is none to be found; raises DriverError where its file is no use."""
+        if self.token_file is None and not _is_here(self.url):
+            return None
+        try:
+            return read_token(self.token_file or state_folder() / TOKEN_FILE)
+        except OSError as error:
+            if self.token_file is None:
+                return None
+            raise DriverError(f"service: service.token_file {self.token_file}: {error.strerror}") from None
+        except ContractError as error:
+            raise DriverError(f"service: {error}") from None
+
+
+def _is_here(url: str) -> bool:
+    """Whether a URL leads to this machine: its token is nobody else's business."""
+    host = urlsplit(url).hostname or ""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 @dataclass(slots=True)
@@ -48,10 +78,11 @@ class ServiceLink:
     async def start(self, post: Post) -> None:
         """Connect; raises DriverError."""
         self._post = post
-        settings = self.settings
+        settings, token = self.settings, self.settings.token()
         try:
             self._connection = await connect(
                 settings.url,
+                additional_headers={"Authorization": f"Bearer {token}"} if token else None,
                 compression=None,
                 open_timeout=settings.connect_timeout_s,
                 close_timeout=1.0,

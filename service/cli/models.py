@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import JsonValue
 
 from service.contract.shipped import released_models
+from service.contract.text import printable
 from service.decision.models import LoadedModel, load_models
 
 
@@ -17,7 +18,7 @@ def main(arguments: Sequence[str]) -> int:
     models = load_models(parser.parse_args(arguments).folder)
     deciding = {step.path for step in models.steps}
     for model in models.models:
-        print("\n".join(describe(model, decides=model.path in deciding)))
+        print("\n".join(map(printable, describe(model, decides=model.path in deciding))))
     return 0
 
 

@@ -5,13 +5,13 @@ import logging
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
-from typing import TextIO, cast
+from collections.abc import Iterator, MutableMapping, Sequence
+from typing import Any, TextIO, cast
 
 import cv2
 import structlog
-import uvicorn
 
+from service.contract.text import printable
 from service.observability.event_log import log_events
 from service.observability.log_lines import LogLines
 from service.observability.tracing import Spans, make_tracer
@@ -19,9 +19,14 @@ from service.session.memory import stop_searching_what_stays, use_few_arenas
 from service.session.station import open_station
 from service.settings import Settings, read_settings
 from service.web.app import create_app
-from service.web.server import bind, check_certificate, web_config
+from service.web.server import bind, check_certificate, open_many_files, web_server
 
 SWITCH_S = 0.0005  # a thread that waits for the interpreter waits ten times less than by default
+
+
+def harmless(_: object, __: str, line: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Write out what clients and cameras may have put into a text to command the terminal; tracebacks are ours."""
+    return {key: printable(v) if isinstance(v, str) and key != "exception" else v for key, v in line.items()}
 
 
 @contextlib.contextmanager
@@ -35,6 +40,7 @@ def logging_to_standard_error(settings: Settings) -> Iterator[None]:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso"),
             structlog.processors.format_exc_info,
+            harmless,
             renderer,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
@@ -69,6 +75,7 @@ def main(arguments: Sequence[str]) -> int:
     settings = read_settings(arguments)
     check_certificate(settings)
     use_few_arenas()
+    open_many_files()
     sys.setswitchinterval(SWITCH_S)
     cv2.setNumThreads(1)  # one thread a finger beats a pool that wakes for 2 ms of work
     with (
@@ -83,10 +90,13 @@ def main(arguments: Sequence[str]) -> int:
         station.start()
         try:
             station.wait_for_cameras(settings.camera_wait_s)
-            server = uvicorn.Server(web_config(create_app(station), settings))
+            app = create_app(station)
+            server = web_server(app, settings)
             stop_searching_what_stays()
             scheme = "https" if settings.tls_certificate else "http"
             print(f"service ready at {scheme}://{settings.host}:{sock.getsockname()[1]}/", flush=True)
+            if app.state.access.token_file:
+                print(f"the token for driving and administration is in {app.state.access.token_file}", flush=True)
             server.run(sockets=[sock])
         finally:
             station.stop()

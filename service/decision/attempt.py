@@ -39,6 +39,14 @@ class WorkResult:
     latency_ms: dict[str, float]
 
 
+def unlike_grids(both: PairObservation) -> list[str]:
+    """What is wrong where the fingers' gels carry different grids: no network was trained on such a pair."""
+    (rows, columns), (right_rows, right_columns) = (finger.field.valid.shape for finger in both.fingers)
+    if (rows, columns) == (right_rows, right_columns):
+        return []
+    return [f"the fingers show different grids: left {columns} x {rows} markers, right {right_columns} x {right_rows}"]
+
+
 @dataclass(slots=True)
 class Attempt:
     """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones."""
@@ -89,6 +97,7 @@ class Attempt:
         if self.rearmed != {"left", "right"}:
             return None
         problems = [f"{o.finger}: {o.field.reason or o.field.status}" for o in both.fingers if not o.field.usable]
+        problems = problems or unlike_grids(both)
         if problems:
             self.rearmed.clear()
             self.problem = "; ".join(problems)

@@ -38,6 +38,18 @@ def recover(root: Path) -> list[Path]:
     return recovered
 
 
+def is_being_written(folder: Path) -> bool:
+    """Whether a recorder lives that writes into this folder."""
+    try:
+        with (folder / PART).open("rb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
 def _closed(part: Path, stream: IO[bytes]) -> bool:
     """Whether the part was made whole; one that cannot be now (a full disk) is left for the next start."""
     try:

@@ -1,10 +1,26 @@
-"""How much of the disk recordings may take: one bound, kept by removing the oldest."""
+"""How much of the disk recordings may take: one bound, kept by removing the oldest; and whether there is room."""
 
 import contextlib
+import os
 import shutil
 from pathlib import Path
 
 from service.recordings.writer import MAX_INSERTION_BYTES, NAME
+
+MIN_FREE_BYTES = 200 << 20  # for a long insertion with both cameras at 90 fps
+
+
+def problem_of(root: Path) -> str:
+    """Why the next insertion could not be recorded into ``root``; empty if it can."""
+    try:
+        if not root.is_dir():
+            return f"the folder {root} is missing"
+        if not os.access(root, os.W_OK | os.X_OK):
+            return f"the folder {root} may not be written"
+        free_bytes = shutil.disk_usage(root).free
+    except OSError as error:
+        return f"the folder {root} cannot be read: {error.strerror}"
+    return "" if free_bytes >= MIN_FREE_BYTES else f"the disk of {root} has {free_bytes >> 20} MiB left"
 
 
 def make_room(root: Path, max_bytes: int) -> int:

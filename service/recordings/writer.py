@@ -24,6 +24,7 @@
 - ``summary.json``: insertion id, outcome, attempts, start time, whether any frame was left out for lack of speed.
 """
 
+import contextlib
 import fcntl
 import json
 import queue
@@ -111,6 +112,7 @@ class Recorder:
     _stream: IO[bytes] = field(init=False)
     _offset_ns: int = field(init=False)
     error: str = ""
+    _stuck: bool = False
     _waiting_bytes: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -174,7 +176,7 @@ class Recorder:
         """Queue what may be left out: nothing of it but the bytes to be written is kept."""
         size = sum(len(value) if isinstance(value, bytes) else getattr(value, "nbytes", 0) for value in values.values())
         with self._lock:
-            room = self._waiting_bytes + size <= MAX_WAITING_BYTES and not self.error
+            room = self._waiting_bytes + size <= MAX_WAITING_BYTES and not self._stuck
             self._waiting_bytes += size if room else 0
             self.left_out_n += not room
         if room:
@@ -196,16 +198,21 @@ class Recorder:
                     self._mcap.flush()
                     flushed = time.monotonic()
             except Exception as error:
-                self.error = self.error or str(error)
+                self._stuck = self._stuck or isinstance(error, OSError)  # what cannot be stored for itself ends nothing
+                self.error = self.error or str(error) or type(error).__name__
         self._finish()
 
     def _finish(self) -> None:
+        """Give the file its final name; one that could not be written to its end is left for a recovery."""
         try:
             self._mcap.close()
-            (self.folder / PART).rename(self.path)
-            self._stream.close()
+            if not self._stuck:
+                (self.folder / PART).rename(self.path)
         except OSError as error:
             self.error = self.error or str(error)
+        finally:
+            with contextlib.suppress(OSError):  # tries once more to write what is left
+                self._stream.close()
 
     def _write_bulk(self, topic: str, kind: Any, values: dict[str, Any], log_ns: int, seq: int, size: int) -> None:
         with self._lock:
@@ -217,6 +224,7 @@ class Recorder:
 
     def _write_summary(self, summary: Mapping[str, Any]) -> None:
         facts = {"insertion_id": self.insertion_id, "left_out_n": self.left_out_n} | dict(summary)
+        facts |= {"problem": self.error} if self.error else {}
         write_whole(self.folder / "summary.json", json.dumps(facts, indent=1))
 
 

@@ -16,7 +16,7 @@ from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.hub import Hub
 from service.perception.rectification import Calibration
-from service.recordings.retention import make_room
+from service.recordings.retention import make_room, problem_of
 from service.recordings.writer import Recorder
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
@@ -39,12 +39,27 @@ class InsertionManager:
     submit: Callable[[Work], None]
     active: Insertion | None = None
     opened_n: int = 0
+    unrecorded_n: int = 0
+    _unrecorded: str = ""
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
     _calibration_text: str = field(init=False)
 
     def __post_init__(self) -> None:
         """Read the calibration's file once: later it may have changed or gone."""
         self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
+
+    @property
+    def recording_problem(self) -> str:
+        """Why insertions are not recorded whole: the last one was not, or the next one cannot be; empty if they are."""
+        recorder = self.active.recorder if self.active else None
+        return (recorder.error if recorder else "") or self._unrecorded or problem_of(self.settings.recordings)
+
+    def _note_recorded(self, problem: str) -> None:
+        """An insertion was recorded whole, or there is a problem."""
+        self._unrecorded = problem
+        if problem:
+            self.unrecorded_n += 1
+            self.hub.publish("error", problem)
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
         return tuple(camera.entry for camera in self.cameras.values())
@@ -147,7 +162,7 @@ class InsertionManager:
             largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))
             return Recorder(root, insertion_id, facts, largest)
         except OSError as error:
-            self.hub.publish("error", f"cannot record into {root}: {error}")
+            self._note_recorded(f"cannot record into {root}: {error}")
             return None
 
     def _publish(self, kind: str, content: Any) -> None:
@@ -164,19 +179,17 @@ class InsertionManager:
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)
 
-        threading.Thread(target=_keep, args=(self.hub, [insertion], finished), name="close-recording").start()
+        threading.Thread(target=self._keep, args=([insertion], finished), name="close-recording").start()
 
-
-def _keep(hub: Hub, ended: list[Insertion], finished: wire.Finished) -> None:
-    """Close an ended insertion's recording, inform its client, and free its memory."""
-    insertion = ended.pop()
-    if insertion.recorder:
-        insertion.recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
-        if insertion.recorder.error:
-            hub.publish("error", f"recording {insertion.recorder.path}: {insertion.recorder.error}")
-    insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
-    if insertion.send:
-        insertion.send(finished)
-    hub.publish("recorded", finished)
-    del insertion
-    give_back()
+    def _keep(self, ended: list[Insertion], finished: wire.Finished) -> None:
+        """Close an ended insertion's recording, inform its client, and free its memory."""
+        insertion = ended.pop()
+        if recorder := insertion.recorder:
+            recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
+            self._note_recorded(f"recording {recorder.path}: {recorder.error}" if recorder.error else "")
+        insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
+        if insertion.send:
+            insertion.send(finished)
+        self.hub.publish("recorded", finished)
+        del insertion
+        give_back()

@@ -123,6 +123,11 @@ class Station:
         """Models warm and both cameras live."""
         return all(camera.state == "live" for camera in self.cameras.values())
 
+    @property
+    def recording_problem(self) -> str:
+        """Why insertions are not recorded whole; empty if they are."""
+        return self.manager.recording_problem
+
     # ---- inbox -----------------------------------------------------------------------------------------------------
 
     def post(self, call: Callable[[], None]) -> None:

@@ -4,6 +4,7 @@ The recording holds every call the session got, in order, with its time. The sam
 same messages; only times (latencies, ages) and the recording's path may differ.
 """
 
+import hashlib
 import json
 import tempfile
 from collections import deque
@@ -12,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from service.contract import FINGERS, FramePair, TactileFrame, wire
+from service.contract.shipped import released_models
+from service.contract.text import printable
 from service.contract.wire import Limits
 from service.decision.attempt import WorkResult
 from service.decision.models import ModelSet, load_models
@@ -114,13 +117,30 @@ def open_replay(recording: Recording, models: ModelSet) -> Replay:
     return Replay(recording, session, {finger: recording.frames(finger) for finger in FINGERS})
 
 
+def trusted_models(recording: Recording, folder: Path) -> ModelSet:
+    """The networks that decided a recording, out of a folder that the user trusts.
+
+    A recording names networks and where they lay, but it may come from anybody: nothing it names is opened. A file of
+    ``folder`` is, once its SHA-256 is one of the recorded ones; raises RecordingError where none of them is there.
+    """
+    recorded = {part.rsplit(":", 1)[1] for part in recording.metadata["models"].split() if ":" in part}
+    files = {hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.onnx")}
+    if not recorded or not recorded <= files:
+        where = f"they lay in {recording.metadata['models_folder']}; where you trust them, name it with --models"
+        raise RecordingError(
+            f"{recording.path} was decided by other models than those of {folder}"
+            f" ({recording.metadata['models']}); {where}"
+        )
+    return load_models(folder)
+
+
 def redecide(path: Path, models_folder: Path | None = None) -> int:
     """Decide a recording again and print what differs; 0 if every message comes out the same, 1 if not."""
     recording = Recording(path)
-    replay = open_replay(recording, load_models(models_folder or Path(recording.metadata["models_folder"])))
+    replay = open_replay(recording, trusted_models(recording, models_folder or released_models()))
     replay.run()
     recorded = [e.json()["message"] for e in recording.of("/messages") if e.json()["from"] == "service"]
     replayed = replay.replies[: len(recorded)] if recording.recovered else replay.replies
     differing = differences(recorded, replayed)
-    print("\n".join(differing) or f"{len(recorded)} messages decided again, all the same bit for bit")
+    print("\n".join(map(printable, differing)) or f"{len(recorded)} messages decided again, all the same bit for bit")
     return 1 if differing else 0

@@ -8,34 +8,43 @@ from fastapi import Depends, HTTPException, Request, WebSocket
 from pydantic import SecretStr
 from starlette.requests import HTTPConnection
 
+from service.contract.token import keep_token
 from service.settings import Settings
 
 Role = Literal["watch", "drive", "admin"]
 _RANK: dict[Role, int] = {"watch": 0, "drive": 1, "admin": 2}
 FORBIDDEN_CLOSE = 4403
+CROSS_SITE, TOP_LEVEL = "cross-site", "navigate"
 
 
 class Access:
-    """Checks requests against the settings' tokens. Without any token (loopback only) everybody may do everything.
+    """Checks requests against the settings' tokens, and against a token of its own where none is set for `admin`.
 
-    A token comes as ``Authorization: Bearer TOKEN`` or, for browsers' WebSockets and images, ``?token=TOKEN``.
+    A token comes as ``Authorization: Bearer TOKEN`` or, for browsers' WebSockets and images, ``?token=TOKEN``. Without
+    one a client of this machine may watch, unless watching has a token of its own. Raises TokenError where the token of
+    the state folder cannot be kept.
     """
 
     def __init__(self, settings: Settings) -> None:
-        given: list[tuple[Role, SecretStr | None]] = [
-            ("watch", settings.token_watch),
-            ("drive", settings.token_drive),
-            ("admin", settings.token_admin),
-        ]
-        self._tokens = [(role, token.get_secret_value()) for role, token in given if token is not None]
+        given: dict[Role, SecretStr | None] = {
+            "watch": settings.token_watch,
+            "drive": settings.token_drive,
+            "admin": settings.token_admin,
+        }
+        self._tokens = [(role, token.get_secret_value()) for role, token in given.items() if token is not None]
+        self.token_file = None
+        if settings.token_admin is None:
+            token, self.token_file = keep_token(settings.state)
+            self._tokens.append(("admin", token))
+        self._unnamed: Role | None = "watch" if settings.is_loopback and settings.token_watch is None else None
         self._origins = set(settings.allowed_origins)
 
     def role(self, connection: HTTPConnection) -> Role | None:
-        """The highest role a request's token gives, None for a wrong or absent one."""
-        if not self._tokens:
-            return "admin"
+        """The highest role a request's token gives, or what needs none; None for a wrong token."""
         scheme, _, value = connection.headers.get("authorization", "").partition(" ")
         offered = value.strip() if scheme.lower() == "bearer" else connection.query_params.get("token", "")
+        if not offered:
+            return self._unnamed
         held = [role for role, token in self._tokens if hmac.compare_digest(offered.encode(), token.encode())]
         return max(held, key=_RANK.__getitem__, default=None)
 
@@ -44,9 +53,16 @@ class Access:
         return role is not None and _RANK[role] >= _RANK[needed]
 
     def same_origin(self, connection: HTTPConnection) -> bool:
-        """Whether a browser's page is ours or allowed; other clients send no Origin."""
-        origin = connection.headers.get("origin")
-        return origin is None or urlsplit(origin).netloc == connection.headers.get("host") or origin in self._origins
+        """Whether a browser's page is ours or allowed; other clients send no Origin.
+
+        A foreign page that embeds a picture sends none either, but says that it is another site.
+        """
+        headers = connection.headers
+        origin = headers.get("origin")
+        if origin is None:
+            embedded = headers.get("sec-fetch-site") == CROSS_SITE and headers.get("sec-fetch-mode") != TOP_LEVEL
+            return not embedded
+        return urlsplit(origin).netloc == headers.get("host") or origin in self._origins
 
     async def admit(self, socket: WebSocket, needed: Role) -> bool:
         """Close a WebSocket that may not come in; True if it may."""
@@ -60,8 +76,9 @@ class Access:
         if not self.same_origin(request):
             raise HTTPException(403, "this page's origin is not allowed; see --allowed-origins")
         role = self.role(request)
-        if role is None:
-            raise HTTPException(401, "a bearer token is needed", {"WWW-Authenticate": "Bearer"})
+        if role is None or (role == self._unnamed and _RANK[role] < _RANK[needed]):
+            where = "; the service names the token's file at its start" if self.token_file else ""
+            raise HTTPException(401, f"a bearer token is needed{where}", {"WWW-Authenticate": "Bearer"})
         if _RANK[role] < _RANK[needed]:
             raise HTTPException(403, f"this token does not give the role {needed}")
 

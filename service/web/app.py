@@ -5,13 +5,14 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
+from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from service import __version__
 from service.contract import ContractError
 from service.session.station import Station
 from service.web.access import Access
 from service.web.metrics import Metrics
-from service.web.middleware import RequestLimits
+from service.web.middleware import Bodies, RequestLimits
 from service.web.routes import api, cameras, health, insertion, live, oip, recordings
 
 
@@ -22,23 +23,24 @@ class Refused(BaseModel):
 
 
 def create_app(station: Station) -> FastAPI:
-    """The application; the caller starts and stops the station."""
+    """The application; the caller starts and stops the station. Raises TokenError where it cannot keep its token."""
     app = FastAPI(
         title="tactile-insertion",
         version=__version__,
-        docs_url="/v1/docs",
+        docs_url=None,  # its scripts would come from elsewhere
         redoc_url=None,
         responses={"4XX": {"model": Refused, "description": "refused; the text says why"}},
     )
     access = Access(station.settings)
-    app.state.station = station
+    app.state.station, app.state.access, app.state.bodies = station, access, Bodies()
     app.include_router(health.router(station, Metrics(station)))
     app.include_router(insertion.router(station, access))
     app.include_router(live.router(station, access))
     for module in (api, cameras, oip, recordings):
         app.include_router(module.router(station, access))
     app.mount("/dashboard", live.static_files())
-    app.add_middleware(RequestLimits, requests_per_s=station.settings.requests_per_s)
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=station.settings.hosts, www_redirect=False)
+    app.add_middleware(RequestLimits, requests_per_s=station.settings.requests_per_s, access=access)
     _refuse_in_one_form(app)
     return app
 

@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import Coroutine
+from collections.abc import AsyncIterator, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,3 +60,26 @@ async def until_gone(socket: WebSocket) -> Ending:
     while (event := await socket.receive())["type"] != "websocket.disconnect":
         pass
     raise WebSocketDisconnect(event.get("code", 1000))
+
+
+@dataclass(slots=True)
+class Seats:
+    """How many clients of one kind are served at once."""
+
+    most_n: int
+    taken_n: int = 0
+
+    @contextlib.asynccontextmanager
+    async def taken(self, socket: WebSocket) -> AsyncIterator[bool]:
+        """Take a seat while the context lasts; where none is free, close with the reason and give False."""
+        if self.taken_n >= self.most_n:
+            await close(
+                socket, Ending(TRY_AGAIN_LATER, f"{self.most_n} such clients are connected, no more are served")
+            )
+            yield False
+            return
+        self.taken_n += 1
+        try:
+            yield True
+        finally:
+            self.taken_n -= 1

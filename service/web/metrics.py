@@ -32,6 +32,8 @@ class Metrics:
         dropped = Gauge("frames_dropped", "Frames dropped by backlog", **make)
         unpaired = Gauge("frames_unpaired", "Frames without a partner in time", **make)
         caught = Gauge("internal_errors", "Errors caught inside the service, each with a log line", ["where"], **make)
+        recording = Gauge("recording_ok", "1 if insertions are recorded whole", **make)
+        unrecorded = Gauge("insertions_unrecorded", "Insertions that were not recorded whole", **make)
         ready = Gauge("ready", "1 if models are warm and cameras live", **make)
         for finger in station.cameras:
             age.labels(finger).set_function(partial(self._age_s, finger))
@@ -39,6 +41,8 @@ class Metrics:
         unpaired.set_function(lambda: station.pairer.dropped_n)
         caught.labels("perception").set_function(lambda: station.counters.perception_errors_n)
         caught.labels("listener").set_function(lambda: station.hub.errors_n)
+        recording.set_function(lambda: float(not station.recording_problem))
+        unrecorded.set_function(lambda: station.manager.unrecorded_n)
         ready.set_function(lambda: float(station.ready))
         self._counted: dict[Finger, int] = {}
         station.hub.subscribe(self._on_event)

@@ -1,72 +1,124 @@
-"""What every request passes before its route: a rate per client, a deadline for its body, headers of the answer."""
+"""What every request passes before its route: a rate for each address, bounds on its body, headers of the answer."""
 
 import asyncio
+import contextlib
+import ipaddress
 import time
 from collections import OrderedDict
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 
 from fastapi import HTTPException, Request
 from fastapi.responses import JSONResponse
 from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.web.access import Access
+
 BODY_TIMEOUT_S = 15.0  # without a byte of a body that was announced
-BURST_S = 2.0  # a client may save up this much of its rate
-MAX_CLIENTS = 4096
-NO_GUESSING, NO_STORING = (b"x-content-type-options", b"nosniff"), (b"cache-control", b"no-store")
+WHOLE_BODY_TIMEOUT_S = 60.0
+BURST_S = 2.0  # an address may save up this much of its rate
+MAX_ADDRESSES = 4096
+MAX_BODY_BYTES = 32 << 20  # of one request
+MAX_BODIES_BYTES = 64 << 20  # of all requests that are held at once
+IPV6_SITE_BITS = 64  # what one subscriber has for himself: a new address in it is no new peer
 ALWAYS = {"/healthz", "/readyz", "/metrics", "/v2/health/live", "/v2/health/ready"}
+INSERTION = {"/", "/v1/insertion", "/v1/insertions/ws"}
+CONTENT_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self';"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HARDENED = {
+    b"x-content-type-options": b"nosniff",
+    b"content-security-policy": CONTENT_POLICY.encode(),
+    b"x-frame-options": b"DENY",
+    b"referrer-policy": b"no-referrer",  # a token may stand in the address
+    b"cross-origin-resource-policy": b"same-origin",
+}
+NO_STORING = b"cache-control", b"no-store"
 
 
 @dataclass(slots=True)
 class Rate:
-    """A token bucket a client: ``per_s`` events a second, 0 for no limit. One thread."""
+    """A token bucket a peer: ``per_s`` events a second, 0 for no limit. One thread."""
 
     per_s: float
     _left: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
 
-    def allows(self, client: str, now_s: float | None = None) -> bool:
-        """Count one event of a client; False if it comes too fast."""
+    def allows(self, peer: str, now_s: float | None = None) -> bool:
+        """Count one event of a peer; False if it comes too fast."""
         if not self.per_s:
             return True
         now_s = time.monotonic() if now_s is None else now_s
         most = max(1.0, self.per_s * BURST_S)
-        left, last_s = self._left.pop(client, (most, now_s))
+        left, last_s = self._left.pop(peer, (most, now_s))
         left = min(most, left + (now_s - last_s) * self.per_s)
-        self._left[client] = (left - 1 if left >= 1 else left, now_s)
-        while len(self._left) > MAX_CLIENTS:
+        self._left[peer] = (left - 1 if left >= 1 else left, now_s)
+        while len(self._left) > MAX_ADDRESSES:
             self._left.popitem(last=False)
         return left >= 1
 
 
 class RequestLimits:
-    """ASGI middleware: a rate per client (an address with its token), a deadline for bodies, safe headers."""
+    """ASGI middleware: a rate for each address, the declared length and a deadline of bodies, safe headers.
 
-    def __init__(self, app: ASGIApp, requests_per_s: float) -> None:
-        self._app = app
+    Health checks and the insertion channel of whoever may drive are not counted: nobody can use up what they need.
+    """
+
+    def __init__(self, app: ASGIApp, requests_per_s: float, access: Access) -> None:
+        self._app, self._access = app, access
         self._rate = Rate(requests_per_s)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or answer 429."""
+        """Pass a request on, or answer 413 or 429."""
         kind = scope["type"]
         if kind not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
-        too_fast = scope["path"] not in ALWAYS and not self._rate.allows(client_of(scope))
-        if too_fast and kind == "http":
+        too_fast = not (self._reserved(scope) or self._rate.allows(peer_of(scope)))
+        if kind == "websocket":
+            if too_fast:
+                await send({"type": "websocket.close", "code": 1013, "reason": "too many connections a second"})
+            else:
+                await self._app(scope, receive, send)
+            return
+        send = hardened(send)
+        if too_fast:
             text = f"more than {self._rate.per_s:g} requests a second; slow down"
             await JSONResponse({"error": text}, 429, {"Retry-After": "1"})(scope, receive, send)
-        elif too_fast:
-            await send({"type": "websocket.close", "code": 1013, "reason": "too many connections a second"})
-        elif kind == "http":
-            await self._app(scope, timed(receive), hardened(send))
+        elif declared_bytes(scope) > MAX_BODY_BYTES:
+            await JSONResponse({"error": _too_large(MAX_BODY_BYTES)}, 413)(scope, receive, send)
         else:
-            await self._app(scope, receive, send)
+            await self._app(scope, timed(receive), send)
+
+    def _reserved(self, scope: Scope) -> bool:
+        path = scope["path"]
+        if path in ALWAYS:
+            return True
+        driving = scope["type"] == "websocket" and path in INSERTION
+        return driving and self._access.allows(HTTPConnection(scope), "drive")
 
 
-def client_of(scope: Scope) -> str:
-    """Who asks: address and token."""
-    host = (scope.get("client") or ("", 0))[0]
-    return f"{host} {Headers(scope=scope).get('authorization', '')[:200]}"
+def peer_of(scope: Scope) -> str:
+    """Who asks: the address of the connection, which no header can change; of IPv6 the subscriber's part."""
+    host: str = (scope.get("client") or ("", 0))[0]
+    try:
+        address = ipaddress.ip_address(host.partition("%")[0])
+    except ValueError:
+        return host
+    if isinstance(address, ipaddress.IPv6Address):
+        return str(address.ipv4_mapped or ipaddress.ip_network((address, IPV6_SITE_BITS), strict=False))
+    return host
+
+
+def declared_bytes(scope: Scope) -> int:
+    """The body's length as the request declares it; 0 where it does not (the web server refuses what is no number)."""
+    return int(Headers(scope=scope).get("content-length") or 0)
+
+
+def _too_large(most_bytes: int) -> str:
+    return f"body larger than {most_bytes} bytes"
 
 
 def timed(receive: Receive) -> Receive:
@@ -88,28 +140,66 @@ def timed(receive: Receive) -> Receive:
     return next_piece
 
 
-async def whole_body(request: Request, most_bytes: int) -> bytes:
-    """The body of a request, bounded; raises HTTPException 413 beyond that and 400 if the client leaves meanwhile."""
-    body = bytearray()
-    while True:
+@dataclass(slots=True)
+class Bodies:
+    """The bytes of all bodies that the service holds at one moment."""
+
+    most_bytes: int = MAX_BODIES_BYTES
+    held_bytes: int = 0
+
+    def take(self, bytes_n: int) -> None:
+        """Set memory aside; raises HTTPException 429 where all of it is in use."""
+        if self.held_bytes + bytes_n > self.most_bytes:
+            text = f"{self.held_bytes >> 20} MiB of bodies are being read, at most {self.most_bytes >> 20} are"
+            raise HTTPException(429, text, {"Retry-After": "1"})
+        self.held_bytes += bytes_n
+
+
+@contextlib.asynccontextmanager
+async def whole_body(request: Request, most_bytes: int) -> AsyncIterator[bytearray]:
+    """The body of a request, counted among those held until the context ends.
+
+    Raises HTTPException 413 beyond ``most_bytes``, before a byte is read where the request declares it, 429 where the
+    memory of all bodies is in use, 408 where it takes too long, and 400 if the client leaves meanwhile.
+    """
+    bodies: Bodies = request.app.state.bodies
+    body, held_bytes = bytearray(), declared_bytes(request.scope)
+    if held_bytes > most_bytes:
+        raise HTTPException(413, _too_large(most_bytes))
+    bodies.take(held_bytes)
+    try:
+        async for piece in _pieces(request):
+            if len(body) + len(piece) > most_bytes:
+                raise HTTPException(413, _too_large(most_bytes))
+            more = max(0, len(body) + len(piece) - held_bytes)  # a body in chunks declares nothing
+            bodies.take(more)
+            held_bytes += more
+            body += piece
+        yield body
+    finally:
+        bodies.held_bytes -= held_bytes
+
+
+async def _pieces(request: Request) -> AsyncIterator[bytes]:
+    until_s = time.monotonic() + WHOLE_BODY_TIMEOUT_S
+    more = True
+    while more:
         message = await request.receive()
         if message["type"] == "http.disconnect":
             raise HTTPException(400, "the client left before its body was complete")
-        piece: bytes = message.get("body", b"")
-        if len(body) + len(piece) > most_bytes:
-            raise HTTPException(413, f"body larger than {most_bytes} bytes")
-        if not message.get("more_body", False):
-            return bytes(body + piece) if body else piece
-        body += piece
+        if time.monotonic() > until_s:
+            raise HTTPException(408, f"the body took longer than {WHOLE_BODY_TIMEOUT_S:g} s")
+        more = message.get("more_body", False)
+        yield message.get("body", b"")
 
 
 def hardened(send: Send) -> Send:
-    """The same with headers that keep browsers from guessing and caching."""
+    """The same with headers that keep browsers from guessing, caching, framing, and running what is not ours."""
 
     async def send_on(message: Message) -> None:
         if message["type"] == "http.response.start":
-            headers = [(name, value) for name, value in message.get("headers", ()) if name != NO_GUESSING[0]]
-            headers.append(NO_GUESSING)
+            headers = [(name, value) for name, value in message.get("headers", ()) if name not in HARDENED]
+            headers += HARDENED.items()
             if not any(name == NO_STORING[0] for name, _ in headers):
                 headers.append(NO_STORING)
             message["headers"] = headers

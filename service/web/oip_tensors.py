@@ -28,7 +28,8 @@ DATATYPES: dict[str, Any] = {
 }
 _NAMES = {np.dtype(value): key for key, value in DATATYPES.items()}
 _ORT_NAMES = {"tensor(float)": "FP32", "tensor(uint8)": "UINT8", "tensor(int64)": "INT64", "tensor(double)": "FP64"}
-MAX_ELEMENTS = 1 << 27
+MAX_ELEMENTS = 1 << 25
+MAX_JSON_BYTES = 6 << 20  # as objects of the interpreter, text takes thirty times its size
 
 
 class TensorError(ContractError):
@@ -57,11 +58,13 @@ def metadata(model: LoadedModel) -> dict[str, Any]:
     }
 
 
-def parse_request(body: bytes, header_length: str | None, model: LoadedModel) -> InferRequest:
+def parse_request(body: bytes | bytearray, header_length: str | None, model: LoadedModel) -> InferRequest:
     """Read an infer request; raise TensorError naming what is wrong. Binary tensors are views of the body."""
     if header_length is not None and not (header_length.isdigit() and int(header_length) <= len(body)):
         raise TensorError(f"Inference-Header-Content-Length {header_length!r}, expected a length within the body")
     split = len(body) if header_length is None else int(header_length)
+    if split > MAX_JSON_BYTES:
+        raise TensorError(f"JSON of {split} bytes, expected at most {MAX_JSON_BYTES}; send tensors in binary")
     try:
         request = json.loads(body[:split])
     except (ValueError, RecursionError) as error:

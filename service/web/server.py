@@ -1,20 +1,26 @@
 """The web server: bounds on time, size and number, set with options of the kernel and of uvicorn."""
 
-import asyncio
+import contextlib
+import resource
 import socket
 import ssl
+import time
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import uvicorn
 from fastapi import FastAPI
-from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
 from service.contract import ContractError
 from service.settings import Settings, SettingsError
 
-HEAD_TIMEOUT_S = 10.0  # without a complete request; a connection is closed after one to two of these
+HEAD_TIMEOUT_S = 10.0  # without a complete request
 READ_TIMEOUT_S = 20.0  # without any sign that the client reads
-MAX_HEAD_BYTES = 64 << 10
+MAX_HEAD_BYTES = 16 << 10
 MAX_MESSAGE_BYTES = 4 << 20
+MAX_WAITING = 256  # connections without a request
 
 
 class PortError(ContractError):
@@ -52,28 +58,55 @@ def check_certificate(settings: Settings) -> None:
         raise SettingsError(f"{files}: expected a PEM certificate and its key ({error})") from error
 
 
-class PunctualH11(H11Protocol):
-    """HTTP/1.1 whose clients cannot hold a connection with half a request; uvicorn has no option for that."""
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        super().connection_made(transport)
-        self.loop.call_later(HEAD_TIMEOUT_S, self._close_if_silent, None)
-
-    def _close_if_silent(self, last: RequestResponseCycle | None) -> None:
-        """Close unless a request is being answered or one came since the last look."""
-        if self.transport.is_closing() or self.transport.get_protocol() is not self:
-            return
-        if self.cycle is last and (last is None or last.response_complete):
-            self.transport.close()
-        else:
-            self.loop.call_later(HEAD_TIMEOUT_S, self._close_if_silent, self.cycle)
+def open_many_files() -> None:
+    """Let this process have as many files and connections open as the system allows it."""
+    with contextlib.suppress(ValueError, OSError):
+        hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
 
-def web_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
-    """How the web server runs: bounded in time, size and number; no compression, which costs more than the network."""
-    return uvicorn.Config(
+@dataclass(slots=True)
+class Waiting:
+    """Lets go of connections that ask nothing, so that who does ask gets in: the silent, and the oldest of too many.
+
+    ``connections`` are uvicorn's protocols. One waits while no request of it is being answered.
+    """
+
+    connections: Collection[Any] = ()
+    _since: WeakKeyDictionary[Any, tuple[Any, float | None]] = field(default_factory=WeakKeyDictionary)
+
+    async def look(self) -> None:
+        """Called by the web server ten times a second."""
+        now_s = time.monotonic()
+        waiting: list[tuple[float, Any]] = []
+        for connection in tuple(self.connections):
+            if not hasattr(connection, "cycle"):
+                continue  # a WebSocket
+            cycle = connection.cycle
+            if cycle is not None and not cycle.response_complete:
+                continue  # a request is being answered
+            last, since_s = self._since.get(connection, (None, None))
+            if since_s is None or last is not cycle:  # new: its first request may not have been read yet
+                self._since[connection] = cycle, now_s
+            else:
+                waiting.append((since_s, connection))
+        waiting.sort(key=lambda one: one[0])
+        too_many = len(waiting) - MAX_WAITING
+        for number, (since_s, connection) in enumerate(waiting):
+            if number < too_many or now_s - since_s > HEAD_TIMEOUT_S:
+                connection.transport.close()
+
+
+def web_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
+    """The web server: bounded in time, size and number; no compression, which costs more than the network.
+
+    Headers that a proxy would set are not believed: the address of a client is that of its connection.
+    """
+    waiting = Waiting()
+    config = uvicorn.Config(
         app,
-        http=PunctualH11,
+        http="h11",
+        proxy_headers=False,
         ws_per_message_deflate=False,
         ws_max_size=MAX_MESSAGE_BYTES,
         ws_ping_interval=5.0,
@@ -83,8 +116,12 @@ def web_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         server_header=False,
         timeout_keep_alive=10,
         timeout_graceful_shutdown=3,
+        timeout_notify=0,
+        callback_notify=waiting.look,
         h11_max_incomplete_event_size=MAX_HEAD_BYTES,
-        limit_concurrency=256,
         ssl_certfile=str(settings.tls_certificate) if settings.tls_certificate else None,
         ssl_keyfile=str(settings.tls_key) if settings.tls_key else None,
     )
+    server = uvicorn.Server(config)
+    waiting.connections = server.server_state.connections
+    return server

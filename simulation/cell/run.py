@@ -16,6 +16,7 @@ from urllib.request import urlopen
 import numpy as np
 
 from service.contract.shipped import released_models
+from service.contract.token import TOKEN_FILE
 from simulation.cell import run_report
 from simulation.cell.children import Child
 from simulation.cell.run_report import Result
@@ -118,7 +119,8 @@ def _start_service(facts: dict[str, Any], options: RunOptions, folder: Path) -> 
     arguments = [
         *("--models", str(options.models), "--calibration", facts["calibration"], "--port", "0"),
         *("--camera-left", facts["cameras"]["left"], "--camera-right", facts["cameras"]["right"]),
-        *("--recordings", str(folder / "recordings"), "--controller", options.controller),
+        *("--recordings", str(folder / "recordings"), "--state", str(folder / "state")),
+        *("--controller", options.controller),
         *("--frame-rate-hz", str(facts["fps"]), "--max-frame-age-ms", str(FRAME_AGE_MS)),
     ]
     return Child("service", "service", ["run", *arguments], folder / "service.log")
@@ -131,7 +133,9 @@ def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: 
         "socket": {"device": "abb_rapid", **facts["rapid"]},
     }[options.link]
     keys = {**robot, "rws.url": facts["rws_url"]}.items()
-    config.write_text("\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys)]))
+    lines = ["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys)]
+    lines += ["[service]", f"token_file = {json.dumps(str((folder / 'state' / TOKEN_FILE).resolve()))}"]
+    config.write_text("\n".join(lines))
     arguments = [
         *(
             "--live",

@@ -128,7 +128,7 @@ class SteppedCell:
         name = f"bench-{self.done}-{time.monotonic_ns()}"
         self.show(0)
         url = self.service.url("/v1/insertions/ws", "ws")
-        with connect(url, compression=None) as link:
+        with connect(url, additional_headers=self.service.bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id=name, client="bench").model_dump_json())
             self._until(link, "hello")
             arm = wire.Arm(insertion_id=name, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)

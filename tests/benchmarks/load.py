@@ -42,7 +42,7 @@ def busy_service(models: Path, rate_hz: float) -> Iterator[tuple[ServiceProcess,
 
 @contextlib.contextmanager
 def armed(service: ServiceProcess) -> Iterator[ClientConnection]:
-    with connect(service.url("/v1/insertions/ws", "ws"), compression=None) as link:
+    with connect(service.url("/v1/insertions/ws", "ws"), additional_headers=service.bearer, compression=None) as link:
         name = f"load-{time.monotonic_ns()}"
         link.send(wire.ClientHello(insertion_id=name, client="bench").model_dump_json())
         arm = wire.Arm(insertion_id=name, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
@@ -153,7 +153,7 @@ def _infer(service: ServiceProcess, stop: threading.Event) -> None:
         entries.append({"name": entry["name"], "datatype": entry["datatype"], "shape": shape, "parameters": size})
         tail += values.tobytes()
     head = httpx.Request("POST", "http://x", json={"inputs": entries}).content
-    headers = {"Inference-Header-Content-Length": str(len(head))}
+    headers = service.bearer | {"Inference-Header-Content-Length": str(len(head))}
     with httpx.Client(timeout=60) as client, contextlib.suppress(httpx.HTTPError):
         while not stop.is_set():
             client.post(service.url("/v2/models/direction.step/infer"), content=head + tail, headers=headers)

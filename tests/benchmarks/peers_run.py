@@ -92,7 +92,8 @@ def peers(models: Path, python: Path | None, seconds: float) -> dict[str, Any]:
         servers += [stack.enter_context(mlserver(python, model, folder)), stack.enter_context(litserve(python, model))]
         time.sleep(2.0)
         command = [str(python), str(FOLDER / "client.py"), str(model), MODEL, str(3 * seconds), *servers]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+        environment = os.environ | {"TOKEN": service.token}
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600, env=environment)
         if done.returncode:
             raise RuntimeError(done.stderr.strip().splitlines()[-1])
         facts: dict[str, Any] = json.loads(done.stdout)

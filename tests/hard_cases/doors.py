@@ -84,7 +84,7 @@ def doors_of_the_robot_client(_seed: int) -> float:
         guide = MotionGuide(Limits(), Ramps(), pose())
         guide.move(pose(x=1.0), "travel")
         before = guide.target
-        after = guide.advance(value)
+        after = guide.advance(value, 0.0)
         if value < 0 and after == before:
             raise ValueError("stood still")
         return after

@@ -152,7 +152,7 @@ def moves_of_no_length(_seed: int) -> float:
         guide, cycles = MotionGuide(Limits(), Ramps(), pose()), 0
         guide.move(pose(x=tiny), "travel")
         while guide.moving and cycles < 100:
-            guide.advance(CYCLE_S)
+            guide.advance(CYCLE_S, 0.0)
             cycles += 1
         worst = max(worst, guide.target.distance_mm(pose(x=tiny)), cycles - 2.0)
     return worst
@@ -224,10 +224,10 @@ def time_going_backwards(_seed: int) -> float:
     guide = MotionGuide(Limits(), Ramps(), pose())
     guide.move(pose(z=10.0), "descend", 1e9)
     for _ in range(50):
-        guide.advance(CYCLE_S)
+        guide.advance(CYCLE_S, 0.0)
     before = guide.target
     for elapsed in (0.0, -0.004, -1e9):
-        guide.advance(elapsed)
+        guide.advance(elapsed, 0.0)
     return guide.target.distance_mm(before)
 
 
@@ -246,6 +246,6 @@ def streams_that_stutter(seed: int) -> float:
         guide, end = MotionGuide(Limits(), Ramps(), pose(z=5.0)), pose(z=5.0, yaw=8.0)
         guide.move(end, "travel")
         for cycle_ms in itertools.islice(itertools.cycle([*rhythm, 4]), 4000):
-            guide.advance(cycle_ms / 1e3)
+            guide.advance(cycle_ms / 1e3, 0.0)
         worst = max(worst, guide.target.turn_deg(end))
     return worst

@@ -19,6 +19,7 @@ from robot_client.session.runner import Runner
 from robot_client.settings import Settings, _merged, load_settings
 from service.contract import wire
 from service.contract.replies import beat, clock
+from service.contract.token import keep_token, state_folder
 from simulation.cell.emulators.abb.cabinet import Cabinet, Delays
 from simulation.cell.emulators.abb.egm import EgmEmulator
 from simulation.cell.emulators.abb.frames import CellFrames
@@ -234,6 +235,7 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm"):
         "gripper": {"host": "127.0.0.1", "port": wsg_port, "grasp_speed_mm_s": 150.0, "reply_timeout_s": 20.0},
         "task": {"expected_depth_mm": 12.0, "depth_tolerance_mm": 0.5},
     }
+    keep_token(state_folder())
     settings = load_settings(None, _merged(sections, overrides or {}))
     cell = Bench(board, cabinet, egm, gripper, wsg, service, settings, rapid)
     egm.on_cycle.append(lambda: cell.trace.append((time.monotonic(), cabinet.arm.target, cabinet.arm.pose)))

@@ -75,8 +75,11 @@ class Crane(Arm):
         self.post, self.swings = post, asyncio.get_running_loop().create_task(self.swing())
         return self.guide.target
 
-    def move(self, target, motion):
-        self.guide.move(target, motion)
+    def move(self, target, motion, until_s=None):
+        self.guide.move(target, motion, until_s)
+
+    def renew(self, until_s):
+        self.guide.renew(until_s)
 
     def hold(self, reason, *, stop):
         self.guide.hold()
@@ -102,7 +105,7 @@ class Crane(Arm):
         cycles = 0
         while True:
             cycles += 1
-            pose = self.guide.advance(CYCLE_S)
+            pose = self.guide.advance(CYCLE_S, time.monotonic())
             self.on_target(pose)
             settled = self.guide.observe(pose, cycles * CYCLE_S)
             if settled:

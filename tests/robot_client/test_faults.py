@@ -222,7 +222,8 @@ def check(name, phase, fault, injector, state, cell, log, *, slack):
     label = f"{name} while {phase}"
     assert injector.injected_s, f"{label}: never injected, ended {state.phase} {state.reason}"
     assert state.phase is Phase.FAILED, f"{label}: ended {state.phase}"
-    assert fault.expect in state.reason, f"{label}: reason {state.reason}"
+    unwatched = phase is Phase.DESCENDING and "unwatched" in state.reason  # sooner than the fault itself is noticed
+    assert unwatched or fault.expect in state.reason, f"{label}: reason {state.reason}"
     took_s = injector.held_s - injector.injected_s
     bound_s = slack * (fault.bound_s + injector.lost_s + (STOP_S if name == "part lost" else 0.0))
     assert took_s <= bound_s, f"{label}: held after {took_s * 1e3:.0f} ms, bound {bound_s * 1e3:.0f} ms"
@@ -248,7 +249,7 @@ async def break_all(cases, folder, together, *, slack=1.0):
             for turn in range(4):  # a machine that is too busy spoils the run, not the driver
                 result = await asyncio.create_task(break_it(name, phase, folder / str(turn)))
                 fault, injector, state, *_ = result
-                if injector.injected_s and (fault.expect in state.reason or injector.stalled_s < 0.1):
+                if injector.injected_s and (fault.expect in state.reason or injector.stalled_s < 0.03):
                     break
             took[name, phase] = check(name, phase, *result, slack=slack)
 

@@ -12,7 +12,9 @@ from tests.service.conftest import LiveService
 class Driver:
     def __init__(self, live: LiveService, insertion_id: str, **hello: Any) -> None:
         self.live, self.id = live, insertion_id
-        self.socket: ClientConnection = connect(live.url("/v1/insertions/ws", "ws"), compression=None)
+        self.socket: ClientConnection = connect(
+            live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None
+        )
         self.send(wire.ClientHello(insertion_id=insertion_id, client="test", **hello))
 
     def send(self, message: Any) -> None:

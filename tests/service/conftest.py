@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import uvicorn
 
+from service.contract.token import TOKEN_FILE, read_token
 from service.session.station import Station, open_station
 from service.settings import Settings
 from service.web.app import create_app
-from service.web.server import bind, web_config
+from service.web.server import bind, web_server
 from tests.service import drawn, tiny_models
 from tests.service.mjpeg import FakeFinger
 
@@ -31,6 +31,15 @@ class LiveService:
     port: int
     recordings: Path
 
+    @property
+    def token(self) -> str:
+        """The token for driving and administration, as a client of this machine finds it."""
+        return read_token(self.station.settings.state / TOKEN_FILE)
+
+    @property
+    def bearer(self) -> dict[str, str]:
+        return bearer(self.station)
+
     def probe(self, delay_s: float = 0.0) -> None:
         started = time.monotonic() + delay_s
         for finger in self.fingers:
@@ -40,11 +49,15 @@ class LiveService:
         return f"{scheme}://127.0.0.1:{self.port}{path}"
 
 
+def bearer(station: Station) -> dict[str, str]:
+    """The header that lets a client drive and administer."""
+    return {"Authorization": f"Bearer {read_token(station.settings.state / TOKEN_FILE)}"}
+
+
 @contextlib.contextmanager
 def serve(station: Station) -> Iterator[int]:
     sock: socket.socket = bind("127.0.0.1", 0)
-    config = web_config(create_app(station), station.settings)
-    server = uvicorn.Server(config)
+    server = web_server(create_app(station), station.settings)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [sock]}, daemon=True)
     thread.start()
     try:
@@ -88,6 +101,7 @@ def live_service(folder: Path, models: Path, **changes: object) -> Iterator[Live
         camera_right=fingers[1].url,
         calibration=calibration,
         recordings=folder / "recordings",
+        state=folder / "state",
         **PATIENT | changes,
     )
     with pytest.MonkeyPatch.context() as patient:

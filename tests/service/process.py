@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from service.contract.token import TOKEN_FILE, read_token
+
 START_TIMEOUT_S = 120.0
 
 
@@ -25,6 +27,15 @@ class ServiceProcess:
 
     def url(self, path: str, scheme: str = "http") -> str:
         return f"{scheme}://127.0.0.1:{self.port}{path}"
+
+    @property
+    def token(self) -> str:
+        """The token for driving and administration, as a client of this machine finds it."""
+        return read_token(self.recordings.parent / "state" / TOKEN_FILE)
+
+    @property
+    def bearer(self) -> dict[str, str]:
+        return {"Authorization": f"Bearer {self.token}"}
 
     def kill(self) -> None:
         """As the kernel kills: no handler, no flush."""
@@ -52,6 +63,7 @@ class ServiceProcess:
 def service_process(models: Path, recordings: Path, *options: str) -> Iterator[ServiceProcess]:
     """A running service; it is asked to stop at the end, unless it is gone."""
     command = [sys.executable, "-m", "service", "run", "--models", str(models), "--recordings", str(recordings)]
+    command += ["--state", str(recordings.parent / "state")]
     process = subprocess.Popen(
         [*command, "--port", "0", "--camera-wait-s", "30", *options],
         stdout=subprocess.PIPE,

@@ -8,6 +8,7 @@ from service.settings import SettingsError, read_settings
 from tests.service import drawn
 from tests.service.mjpeg import FakeFinger
 
+SECRET = "a-token-for-driving"
 CAMERAS = ["--camera-left", "push:", "--camera-right", "push:"]
 
 
@@ -21,7 +22,22 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
 def test_a_public_address_needs_a_token() -> None:
     with pytest.raises(SettingsError, match="--token-drive"):
         read_settings([*CAMERAS, "--host", "0.0.0.0"])
-    assert read_settings([*CAMERAS, "--host", "0.0.0.0", "--token-drive", "secret"]).host == "0.0.0.0"
+    assert read_settings([*CAMERAS, "--host", "0.0.0.0", "--token-drive", SECRET]).host == "0.0.0.0"
+
+
+@pytest.mark.parametrize("token", ["", "short", "fifteen-letters", "sixteen letters and spaces", "sixteen-lettérs-"])
+@pytest.mark.parametrize("role", ["drive", "watch", "admin"])
+def test_a_token_that_is_no_secret_is_refused_in_a_sentence(
+    role: str, token: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(f"TACTILE_TOKEN_{role.upper()}", token)
+    assert entry.main(["run", *CAMERAS, "--host", "0.0.0.0"]) == 2
+    assert f"TACTILE_TOKEN_{role.upper()}: Value error, a token needs 16 or more" in one_line(capsys)
+
+
+def test_a_token_is_one_roles_own() -> None:
+    with pytest.raises(SettingsError, match="two roles have the same token"):
+        read_settings([*CAMERAS, "--token-drive", SECRET, "--token-watch", SECRET])
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:8081/stream.mjpg", "v4l2:0", "/dev/video0"])
@@ -41,7 +57,7 @@ def test_the_command_line_wins_over_environment_over_file(tmp_path: Path, monkey
 
 
 def test_secrets_do_not_show() -> None:
-    assert "hush" not in repr(read_settings([*CAMERAS, "--token-drive", "hush"]))
+    assert SECRET not in repr(read_settings([*CAMERAS, "--token-drive", SECRET]))
 
 
 @pytest.mark.parametrize(

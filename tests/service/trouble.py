@@ -20,6 +20,7 @@ from tests.service.process import ServiceProcess
 
 SOCKETS = ("/", "/v1/insertions/ws", "/v1/live", "/v1/cameras/left/frames", "/v1/cameras/left/push", "/nowhere")
 PATHS = ("/v1/models", "/v1/recordings/x", "/v1/decisions", "/v2/models/direction.step/infer", "/v2/repository/index")
+LINK = {"compression": None, "open_timeout": 20}
 EXPECTED = (OSError, WebSocketException, httpx.HTTPError, EOFError)
 
 
@@ -65,6 +66,10 @@ class Garbage:
         for link in self._open:
             link.close()
 
+    def _bearer(self, rng: random.Random) -> dict[str, str] | None:
+        """The token, three times of four: what it opens must stand garbage, too."""
+        return self.service.bearer if rng.random() < 0.75 else None
+
     def noise(self, rng: random.Random) -> None:
         with socket.create_connection(("127.0.0.1", self.service.port), 5) as link:
             link.sendall(rng.randbytes(rng.randrange(1, 5000)))
@@ -75,7 +80,7 @@ class Garbage:
     def half_a_request(self, rng: random.Random) -> None:
         link = socket.create_connection(("127.0.0.1", self.service.port), 5)
         link.sendall(
-            b"POST /v1/decisions HTTP/1.1\r\nHost: x\r\nContent-Length: 100" + b"\r\n\r\nabc" * rng.randrange(2)
+            b"POST /v1/decisions HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100" + b"\r\n\r\nabc" * rng.randrange(2)
         )
         self._open.append(link)
         while len(self._open) > 8:
@@ -83,7 +88,8 @@ class Garbage:
 
     def body(self, rng: random.Random) -> None:
         length = rng.randrange(2000)
-        headers = {"Inference-Header-Content-Length": str(rng.randrange(3000))} if rng.random() < 0.5 else {}
+        headers = self._bearer(rng) or {}
+        headers |= {"Inference-Header-Content-Length": str(rng.randrange(3000))} if rng.random() < 0.5 else {}
         headers |= {"Content-Encoding": rng.choice(("gzip", "deflate", "br"))} if rng.random() < 0.3 else {}
         method = rng.choice(("GET", "POST", "DELETE", "PUT"))
         answer = httpx.request(
@@ -92,7 +98,7 @@ class Garbage:
         assert answer.status_code < 500, f"{method} {answer.url} answered {answer.status_code}: {answer.text[:200]}"
 
     def talk(self, rng: random.Random) -> None:
-        with connect(self.service.url(rng.choice(SOCKETS), "ws"), compression=None, open_timeout=20) as link:
+        with connect(self.service.url(rng.choice(SOCKETS), "ws"), additional_headers=self._bearer(rng), **LINK) as link:
             for _ in range(rng.randrange(1, 6)):
                 link.send(rng.choice((rng.randbytes(rng.randrange(300)), "{" * rng.randrange(50), "x" * 100_000)))
                 with contextlib.suppress(TimeoutError):
@@ -109,12 +115,12 @@ class Reloads:
         path = self.service.url("/v2/repository/models/direction.step/load")
         target = self.models / "direction.step.onnx"
         if rng.random() < 0.6:
-            answer = httpx.post(path, timeout=30)
+            answer = httpx.post(path, headers=self.service.bearer, timeout=30)
             assert answer.status_code in {200, 400}, answer.text
             return "models loaded" if answer.status_code == 200 else "load refused: insertion under way"
         target.write_bytes(os.urandom(1000))
         try:
-            answer = httpx.post(path, timeout=30)
+            answer = httpx.post(path, headers=self.service.bearer, timeout=30)
         finally:
             shutil.copy(self.spare / target.name, target)
         assert answer.status_code == 400, f"a broken model was loaded: {answer.text}"

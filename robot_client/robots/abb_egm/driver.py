@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
+from robot_client.insertion.lease import Unwatched
 from robot_client.insertion.limits import LimitError, Limits, Motion
 from robot_client.insertion.motion import MotionGuide, Ramps
 from robot_client.ports import Arm, Check, DriverError, Finding, Post
@@ -219,10 +220,10 @@ class EgmArm:
 
     def _advance(self, elapsed_s: float, now_s: float) -> None:
         assert self._guide is not None
-        if (over_s := self._guide.unwatched(now_s)) is not None:
-            self._fail("unwatched", f"no frame was judged in time: the lease ended {over_s * 1e3:.0f} ms ago")
         try:
-            self._guide.advance(elapsed_s)
+            self._guide.advance(elapsed_s, now_s)
+        except Unwatched as error:
+            self._fail("unwatched", str(error))
         except LimitError as error:
             self._fail("limits", str(error))
 

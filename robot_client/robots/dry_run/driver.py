@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
+from robot_client.insertion.lease import Unwatched
 from robot_client.insertion.limits import LimitError, Limits, Motion
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
 from robot_client.ports import Arm, DeviceSettings, Post
@@ -83,12 +84,10 @@ class DryArm(Arm):
             await asyncio.sleep(0.0 if self._guide.moving else 0.001)
 
     def _advanced(self) -> WorkPose:
-        if (over_s := self._guide.unwatched(time.monotonic())) is not None:
-            self._fail("unwatched", f"no frame was judged in time: the lease ended {over_s * 1e3:.0f} ms ago")
         try:
-            return self._guide.advance(CYCLE_S)
+            return self._guide.advance(CYCLE_S, time.monotonic())
         except LimitError as error:  # what the real arm's driver would refuse
-            self._fail("limits", str(error))
+            self._fail("unwatched" if isinstance(error, Unwatched) else "limits", str(error))
             return self._guide.target
 
     def _fail(self, code: str, detail: str) -> None:

@@ -88,7 +88,8 @@ function onHealth(health) {
   const cameras = Object.entries(health.cameras).map(([finger, c]) => [c.state === "live" ? "good" : "bad", `${finger} ${c.state === "live" && c.frame_rate_hz ? c.frame_rate_hz.toFixed(0) + " Hz" : c.state}`]);
   const robot = [health.driver ? "good" : "off", health.driver ? `robot ${health.driver}` : "no robot"];
   const dropped = [growing(health.frames_dropped_n) ? "bad" : "good", `dropped ${health.frames_dropped_n}`];
-  at("health").replaceChildren(...[...cameras, robot, dropped].map(([kind, text]) => Object.assign(document.createElement("li"), { className: kind, textContent: text })));
+  const kept = health.recording ? [["bad", `not recorded: ${health.recording}`]] : [];
+  at("health").replaceChildren(...[...cameras, robot, dropped, ...kept].map(([kind, text]) => Object.assign(document.createElement("li"), { className: kind, textContent: text })));
   if (!health.ready) say(NOT_LIVE, "bad");
   else if (at("status").textContent === NOT_LIVE || (!health.driver && at("status").className === "")) say("ready", "good");
 }

@@ -7,8 +7,9 @@ let timer = null;
 export async function listPast() {
   const answer = await fetch(withToken("/v1/recordings"));
   if (!answer.ok) return;
-  const { recordings } = await answer.json();
-  at("past").replaceChildren(...recordings.map((recording) => {
+  const { recordings, problems } = await answer.json();
+  const broken = problems.map((text) => Object.assign(document.createElement("p"), { className: "bad", textContent: text }));
+  at("past").replaceChildren(...broken, ...recordings.map((recording) => {
     const button = document.createElement("button");
     button.type = "button";
     button.textContent = `${recording.started.slice(11, 16)} ${recording.outcome} ${recording.attempts}: ${recording.insertion_id}`;

@@ -15,7 +15,7 @@ from service.web import asyncapi
 from service.web.access import Access
 from service.web.middleware import whole_body
 
-MAX_BODY_BYTES = 64 << 20
+MAX_BODY_BYTES = 16 << 20
 BINARY_BODY = {
     "requestBody": {
         "required": True,
@@ -67,21 +67,21 @@ def router(station: Station, access: Access) -> APIRouter:
         request: Request, gap_width_mm: GapWidth = 56.0, grasp_height_mm: GraspHeight = None
     ) -> dict[str, Any]:
         """Body: encoded frames one after the other (left, right, left, right, ...), rectified."""
-        body = await whole_body(request, MAX_BODY_BYTES)
-        frames = _pairs(body, station)
+        async with whole_body(request, MAX_BODY_BYTES) as body:
+            frames = _pairs(body, station)
         return await asyncio.to_thread(decide, station, frames, gap_width_mm, grasp_height_mm)
 
     return routes
 
 
-def _pairs(body: bytes, station: Station) -> np.ndarray[Any, np.dtype[np.uint8]]:
+def _pairs(body: bytearray, station: Station) -> np.ndarray[Any, np.dtype[np.uint8]]:
     card = station.models.card
     height, width, channels = card.frame.shape
     needed = 2 * card.frames_per_decision
     size, rest = divmod(len(body), needed)
     if rest or not size:
         raise ContractError(f"body of {len(body)} bytes, expected {needed} encoded frames of {width} x {height}")
-    frames = [decode_frame(body[i * size : (i + 1) * size], card.frame) for i in range(needed)]
+    frames = [decode_frame(bytes(body[i * size : (i + 1) * size]), card.frame) for i in range(needed)]
     if [frame.finger for frame in frames] != list(FINGERS) * card.frames_per_decision:
         raise ContractError("frames must alternate left, right")
     return np.stack([frame.pixels for frame in frames]).reshape(-1, 2, height, width, channels)

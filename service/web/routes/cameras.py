@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 import cv2
@@ -19,6 +20,7 @@ from service.web.closing import GOING_AWAY, TRY_AGAIN_LATER, UNSUPPORTED, Ending
 BOUNDARY = "frame"
 MAX_VIEWERS = 16
 _pictures = ThreadPoolExecutor(1, "pictures")  # encoding for viewers never delays deciding for the robot
+Form = Literal["raw", "jpeg"]
 MaxHz = Annotated[float, Query(gt=0, le=240, allow_inf_nan=False, description="at most so many frames a second")]
 
 
@@ -29,6 +31,7 @@ class Mjpeg(StreamingResponse):
 def router(station: Station, access: Access) -> APIRouter:
     routes = APIRouter(prefix="/v1/cameras", tags=["cameras"])
     watch = [access.require("watch")]
+    encoded = Encoded()
 
     @routes.get("", dependencies=watch)
     async def cameras() -> dict[str, Any]:
@@ -38,19 +41,17 @@ def router(station: Station, access: Access) -> APIRouter:
     async def stream(finger: Finger, max_hz: MaxHz = 10.0) -> Mjpeg:
         if station.viewers_n >= MAX_VIEWERS:
             raise HTTPException(429, f"{MAX_VIEWERS} viewers are connected, no more are served")
-        return Mjpeg(_parts(station, finger, max_hz))
+        return Mjpeg(_parts(station, finger, max_hz, encoded))
 
     @routes.websocket("/{finger}/frames")
-    async def frames(
-        socket: WebSocket, finger: Finger, max_hz: MaxHz = 30.0, form: Literal["raw", "jpeg"] = "raw"
-    ) -> None:
+    async def frames(socket: WebSocket, finger: Finger, max_hz: MaxHz = 30.0, form: Form = "raw") -> None:
         if not await access.admit(socket, "watch"):
             return
         await socket.accept()
         if station.viewers_n >= MAX_VIEWERS:
             await socket.close(TRY_AGAIN_LATER, f"{MAX_VIEWERS} viewers are connected")
             return
-        await _show(socket, station, finger, max_hz, form)
+        await _show(socket, station, finger, max_hz, form, encoded)
 
     @routes.websocket("/{finger}/push")
     async def push(socket: WebSocket, finger: Finger) -> None:
@@ -73,6 +74,8 @@ async def newest_frames(station: Station, finger: Finger, max_hz: float) -> Asyn
             with contextlib.suppress(RuntimeError):  # the loop is gone: so is the viewer
                 loop.call_soon_threadsafe(arrived.set)
 
+    if station.viewers_n >= MAX_VIEWERS:
+        return  # more came at one moment than there is room for
     station.viewers_n += 1
     remove = station.hub.subscribe(on_event)
     try:
@@ -86,28 +89,47 @@ async def newest_frames(station: Station, finger: Finger, max_hz: float) -> Asyn
         station.viewers_n -= 1
 
 
-async def _jpeg(frame: CameraFrame) -> bytes:
-    if frame.jpeg is not None:
-        return frame.jpeg
-    return await asyncio.get_running_loop().run_in_executor(_pictures, encode_jpeg, frame)
+@dataclass(slots=True)
+class Encoded:
+    """The newest frame of each finger in each form, encoded once for all who look on."""
+
+    _newest: dict[tuple[Finger, Form], tuple[int, asyncio.Future[bytes]]] = field(default_factory=dict)
+
+    async def of(self, frame: CameraFrame, form: Form) -> bytes:
+        """A frame's bytes: the camera's own JPEG where it sent one, and what this service encodes otherwise."""
+        if form == "jpeg" and frame.jpeg is not None:
+            return frame.jpeg
+        key, stamp = (frame.frame.finger, form), frame.frame.captured_ns
+        made = self._newest.get(key)
+        if made is None or made[0] < stamp:
+            encode = encode_jpeg if form == "jpeg" else encode_raw
+            made = stamp, asyncio.get_running_loop().run_in_executor(_pictures, encode, frame)
+            self._newest[key] = made
+        return await asyncio.shield(made[1])  # one viewer's leaving is no reason for the others to go without
 
 
 def encode_jpeg(frame: CameraFrame) -> bytes:
     return bytes(cv2.imencode(".jpg", frame.frame.pixels)[1].tobytes())
 
 
-async def _parts(station: Station, finger: Finger, max_hz: float) -> AsyncIterator[bytes]:
+def encode_raw(frame: CameraFrame) -> bytes:
+    return encode_frame(frame.frame)
+
+
+async def _parts(station: Station, finger: Finger, max_hz: float, encoded: Encoded) -> AsyncIterator[bytes]:
     async for frame in newest_frames(station, finger, max_hz):
-        jpeg = await _jpeg(frame)
+        jpeg = await encoded.of(frame, "jpeg")
         head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
         yield head.encode() + jpeg + b"\r\n"
 
 
-async def _show(socket: WebSocket, station: Station, finger: Finger, max_hz: float, form: str) -> None:
+async def _show(
+    socket: WebSocket, station: Station, finger: Finger, max_hz: float, form: Form, encoded: Encoded
+) -> None:
     async def send() -> Ending:
         async with contextlib.aclosing(newest_frames(station, finger, max_hz)) as shown:  # type: ignore[type-var]
             async for frame in shown:
-                await socket.send_bytes(encode_frame(frame.frame) if form == "raw" else await _jpeg(frame))
+                await socket.send_bytes(await encoded.of(frame, form))
         return Ending(GOING_AWAY, "no more frames")
 
     await close(socket, await until_one_ends(socket, send(), until_gone(socket)))

@@ -19,6 +19,7 @@ from service.web.closing import (
     POLICY_VIOLATION,
     TRY_AGAIN_LATER,
     Ending,
+    Seats,
     close,
     until_gone,
     until_one_ends,
@@ -26,6 +27,7 @@ from service.web.closing import (
 
 HELLO_TIMEOUT_S = 30.0  # a robot client connects first, then switches motors on and waits for the arm to be guided
 MAX_WAITING = 256
+MAX_WATCHERS = 8  # connections that may not drive, which leaves room for the one that does
 log = structlog.get_logger()
 
 
@@ -83,6 +85,7 @@ def ending_of(message: ServiceMessage) -> Ending | None:
 def router(station: Station, access: Access) -> APIRouter:
     """Route ``/v1/insertions/ws``, also as ``/v1/insertion`` and, for clients that name no path, ``/``."""
     routes = APIRouter()
+    watchers = Seats(MAX_WATCHERS)
 
     @routes.websocket("/")
     @routes.websocket("/v1/insertion")
@@ -91,6 +94,14 @@ def router(station: Station, access: Access) -> APIRouter:
         if not await access.admit(socket, "watch"):
             return
         await socket.accept()
+        if access.allows(socket, "drive"):
+            await converse(socket)
+        else:
+            async with watchers.taken(socket) as seated:
+                if seated:
+                    await converse(socket)
+
+    async def converse(socket: WebSocket) -> None:
         connection = Connection(socket)
         ending = Ending(GOING_AWAY, "the service stops")
         try:
@@ -118,7 +129,7 @@ async def _serve(socket: WebSocket, connection: Connection, station: Station, ac
     if hello.role == "watch":
         return await _watch(socket, connection, station)
     if not access.allows(socket, "drive"):
-        connection.fault("forbidden", "this token may watch only; use the drive token", fatal=True)
+        connection.fault("forbidden", "without the token for driving a client may only watch", fatal=True)
         return await until_gone(socket)
     return await _drive(socket, connection, station, hello)
 

@@ -19,10 +19,9 @@ from service.decision.models import LoadedModel
 from service.session.station import Station
 from service.web import oip_tensors
 from service.web.access import Access
-from service.web.middleware import whole_body
+from service.web.middleware import MAX_BODY_BYTES, whole_body
 from service.web.oip_schema import INFER_SCHEMA
 
-MAX_BODY_BYTES = 64 << 20
 MAX_WAITING = 32
 VERSION = "1"
 INFER_BODY = {"requestBody": {"required": True, "content": {"application/json": {"schema": INFER_SCHEMA}}}}
@@ -52,7 +51,7 @@ class Statistics:
         }
 
 
-def inflate(body: bytes, encoding: str) -> bytes:
+def inflate(body: bytearray, encoding: str) -> bytes | bytearray:
     """Undo gzip or deflate, bounded; raise ContractError if it is neither or broken."""
     if encoding in {"", "identity"}:
         return body
@@ -110,9 +109,10 @@ class Served:
         started = time.perf_counter_ns()
         self.waiting_n += 1
         try:
-            body = await whole_body(request, MAX_BODY_BYTES)
-            work = partial(_infer, name, model, request.headers, body)
-            content, described = await asyncio.get_running_loop().run_in_executor(_OPEN, work)
+            binary = "inference-header-content-length" in request.headers
+            async with whole_body(request, MAX_BODY_BYTES if binary else oip_tensors.MAX_JSON_BYTES) as body:
+                work = partial(_infer, name, model, request.headers, body)
+                content, described = await asyncio.get_running_loop().run_in_executor(_OPEN, work)
         except ContractError:
             self.statistics.add(name, "fail", started)
             raise
@@ -122,7 +122,7 @@ class Served:
         return Response(content, headers=described)
 
 
-def _infer(name: str, model: LoadedModel, headers: Headers, body: bytes) -> tuple[bytes, dict[str, str]]:
+def _infer(name: str, model: LoadedModel, headers: Headers, body: bytearray) -> tuple[bytes, dict[str, str]]:
     plain = inflate(body, headers.get("content-encoding", "").strip().lower())
     asked = oip_tensors.parse_request(plain, headers.get("inference-header-content-length"), model)
     try:

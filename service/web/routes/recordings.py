@@ -1,7 +1,6 @@
 """Finished insertions under /v1/recordings: listed, downloaded, played back, removed."""
 
 import asyncio
-import contextlib
 import json
 import shutil
 import zipfile
@@ -14,8 +13,12 @@ import numpy as np
 from fastapi import APIRouter, HTTPException
 from fastapi import Path as InPath
 from fastapi.responses import FileResponse, Response
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
 
+from service.contract.frames import first_error
 from service.contract.wire import MAX_ATTEMPTS
+from service.recordings.recovery import is_being_written
 from service.recordings.writer import FINAL, NAME
 from service.session.station import Station
 from service.web.access import Access
@@ -28,17 +31,43 @@ class JPEG(Response):
     media_type = "image/jpeg"
 
 
-def list_recordings(root: Path) -> list[dict[str, Any]]:
-    """Finished insertions, newest first."""
-    listed = []
-    for folder in sorted((p for p in root.iterdir() if NAME.fullmatch(p.name)), reverse=True):
-        with contextlib.suppress(OSError, ValueError):  # unfinished, or removed meanwhile
-            summary = json.loads((folder / "summary.json").read_text())
-            stamp = datetime.strptime(folder.name[:15], "%Y%m%dT%H%M%S")  # noqa: DTZ007 - shown as it is, UTC
-            decided = sorted(int(p.stem[-2:]) for p in folder.glob("attempt_*.npz"))
-            facts = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}", "decided": decided}
-            listed.append(facts | summary)
-    return listed
+class Summary(BaseModel):
+    """What ``summary.json`` says of a finished insertion; newer ones may say more."""
+
+    model_config = ConfigDict(extra="allow")
+    insertion_id: str
+    outcome: str
+    attempts: int
+
+
+def list_recordings(root: Path) -> tuple[list[dict[str, Any]], list[str]]:
+    """Finished insertions, newest first, and why others that should be there are not."""
+    listed, problems = [], []
+    try:
+        folders = sorted((p for p in root.iterdir() if NAME.fullmatch(p.name)), reverse=True)
+    except OSError as error:
+        return [], [f"{root}: {error.strerror}"]
+    for folder in folders:
+        try:
+            listed.append(_entry(folder))
+        except FileNotFoundError:
+            if folder.is_dir() and not is_being_written(folder):
+                problems.append(f"{folder.name}: broken off; the next start of the service recovers what can be read")
+        except (OSError, ValueError) as error:
+            problems.append(f"{folder.name}: summary.json: {_reason(error)}")
+    return listed, problems
+
+
+def _entry(folder: Path) -> dict[str, Any]:
+    summary = Summary.model_validate_json((folder / "summary.json").read_bytes())
+    stamp = datetime.strptime(folder.name[:15], "%Y%m%dT%H%M%S")  # noqa: DTZ007 - shown as it is, UTC
+    decided = sorted(int(p.stem[-2:]) for p in folder.glob("attempt_[0-9][0-9].npz"))
+    facts = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}", "decided": decided}
+    return facts | summary.model_dump(mode="json")
+
+
+def _reason(error: Exception) -> str:
+    return first_error(error) if isinstance(error, ValidationError) else str(error)
 
 
 def recording_folder(root: Path, name: str) -> Path:
@@ -49,17 +78,18 @@ def recording_folder(root: Path, name: str) -> Path:
     return folder
 
 
-def _attempt(folder: Path, number: int) -> Any:
+def _attempt(folder: Path, number: int) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+    """Frames uint8 [n, 2, H, W, 3] and decision of an attempt; 404 where there is none that can be read."""
     try:
-        return np.load(folder / f"attempt_{number:02d}.npz")
-    except (OSError, ValueError, zipfile.BadZipFile):
+        with np.load(folder / f"attempt_{number:02d}.npz") as arrays:
+            return arrays["frames"], json.loads(str(arrays["decision"]))
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         raise HTTPException(404, f"recording {folder.name} has no decided attempt {number}") from None
 
 
 def frame_jpeg(folder: Path, number: int, index: int) -> bytes:
     """Both fingers side by side, one frame of a decision."""
-    with _attempt(folder, number) as arrays:
-        frames = arrays["frames"]
+    frames, _ = _attempt(folder, number)
     if not 0 <= index < len(frames):
         raise HTTPException(404, f"attempt {number} has frames 0..{len(frames) - 1}")
     return bytes(cv2.imencode(".jpg", np.hstack(list(frames[index])))[1].tobytes())
@@ -67,8 +97,8 @@ def frame_jpeg(folder: Path, number: int, index: int) -> bytes:
 
 def attempt_facts(folder: Path, number: int) -> dict[str, Any]:
     """An attempt's decision and how many frames it rests on."""
-    with _attempt(folder, number) as arrays:
-        return {"frames_n": len(arrays["frames"]), "decision": json.loads(str(arrays["decision"]))}
+    frames, decision = _attempt(folder, number)
+    return {"frames_n": len(frames), "decision": decision}
 
 
 def router(station: Station, access: Access) -> APIRouter:
@@ -78,7 +108,8 @@ def router(station: Station, access: Access) -> APIRouter:
 
     @routes.get("", dependencies=watch)
     async def recordings() -> dict[str, Any]:
-        return {"recordings": await asyncio.to_thread(list_recordings, root)}
+        listed, problems = await asyncio.to_thread(list_recordings, root)
+        return {"recordings": listed, "problems": problems}
 
     @routes.get("/{name}", dependencies=watch, response_class=FileResponse)
     async def recording(name: str) -> FileResponse:

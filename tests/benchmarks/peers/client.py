@@ -7,6 +7,7 @@ Runs in the peers' environment; imports nothing of this repository.
 import base64
 import http.client
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -31,7 +32,14 @@ def example(session: ort.InferenceSession) -> dict[str, np.ndarray]:
 def oip(address: str, model: str, inputs: dict[str, np.ndarray], names: list[str]) -> Callable[[], np.ndarray]:
     import tritonclient.http as triton
 
-    return _triton(triton, triton.InferenceServerClient(address), model, inputs, names, {"binary_data": True})
+    client, token = triton.InferenceServerClient(address), os.environ["TOKEN"]
+
+    class Bearer(triton.InferenceServerClientPlugin):
+        def __call__(self, request):
+            request.headers["Authorization"] = f"Bearer {token}"
+
+    client.register_plugin(Bearer())
+    return _triton(triton, client, model, inputs, names, {"binary_data": True})
 
 
 def grpc(address: str, model: str, inputs: dict[str, np.ndarray], names: list[str]) -> Callable[[], np.ndarray]:

@@ -12,6 +12,7 @@ import robot_client
 from robot_client.__main__ import main
 from robot_client.cli.check import _check
 from robot_client.cli.home import _home
+from robot_client.cli.insert import _insert, make_plan
 from robot_client.cli.jog import _jog
 from robot_client.grippers.wsg50.gripper import GripperError
 from robot_client.insertion.geometry import WorkPose
@@ -19,7 +20,7 @@ from robot_client.ports import DriverError
 from robot_client.session.recorder import Recorder, read_log
 from robot_client.session.replay import ReplayError, replay
 from robot_client.settings import SettingsError, load_settings
-from service.contract import ContractError
+from service.contract import ContractError, wire
 from tests.robot_client.live_cell import bench
 
 
@@ -327,3 +328,19 @@ def test_the_configuration_in_the_readme_is_valid_and_is_the_default(tmp_path):
     path = tmp_path / "cell.toml"
     path.write_text(readme.split("```toml\n")[1].split("```")[0])
     assert load_settings(path) == load_settings(None)
+
+
+def test_a_services_text_cannot_command_the_operators_terminal(capsys):
+    async def story():
+        async with bench() as cell:
+            detail = "\x1b[2J\x1b]0;owned\x07\rINSERTED after 1 attempt\nINSERTED\x9b1A\u202e"
+            fault = wire.Fault(insertion_id="any", code="\x1b[31mred", detail=detail)
+            cell.service.on_message = lambda message: [fault] if message.type == "hello" else None
+            plan = make_plan(cell.settings, 8.0, 6.0, "hostile", None)
+            return await _insert(cell.settings, plan, live=True, log=None)
+
+    assert not asyncio.run(story()).done
+    said = capsys.readouterr().out
+    assert said.replace("\n", "").isprintable()
+    assert "\\x1b[2J\\x1b]0;owned\\x07\\rINSERTED" in said
+    assert not any(line.startswith("INSERTED") for line in said.splitlines())

@@ -185,7 +185,7 @@ def tell(story):
     for index in range(0, len(story) - 1, 2):
         choice, number = story[index], story[index + 1]
         now += 0.01
-        kind = choice % 16
+        kind = choice % 17
         if choice >= wild:
             kind = EXPECTED.get(state.phase, kind)
             number = MILD[number % len(MILD)] if mild else number

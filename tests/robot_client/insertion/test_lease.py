@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.insertion.events import Hold, Move, Renew, Tick
-from robot_client.insertion.lease import ClockMap, Lease
+from robot_client.insertion.lease import ClockMap, Lease, Unwatched
 from robot_client.insertion.limits import LimitError, Limits
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
@@ -132,16 +132,17 @@ def test_cameras_too_slow_for_the_descent_are_refused_by_name(rate_hz, descends)
         PLAN.lease.check_rate(slower - 0.05, camera)
 
 
-def test_the_driver_lets_its_target_stand_when_the_lease_ends_even_if_nobody_tells_it():
+def test_the_last_layer_lets_the_target_stand_when_the_lease_ends_even_if_nobody_tells_it():
     guide = MotionGuide(Limits(), Ramps(), APPROACH)
     guide.move(APPROACH.at_height(15.0), "descend", until_s=0.2)
-    now_s, asked = 0.0, []
-    while guide.unwatched(now_s) is None and now_s < 5.0:
-        asked.append(guide.advance(CYCLE_S).z_mm)
-        now_s += CYCLE_S
-    assert now_s == pytest.approx(0.2, abs=CYCLE_S)
-    guide.renew(math.inf)
-    assert guide.unwatched(now_s) is None
+    cycles = round(0.2 / CYCLE_S)
+    reached = [guide.advance(CYCLE_S, n * CYCLE_S) for n in range(1, cycles)][-1]
+    now_s = cycles * CYCLE_S
+    with pytest.raises(Unwatched):
+        guide.advance(CYCLE_S, now_s)
+    assert guide.target == reached
+    guide.renew(0.3)
+    assert guide.advance(CYCLE_S, now_s).z_mm < reached.z_mm
 
 
 @pytest.mark.parametrize(("motion", "until_s"), [("descend", None), ("travel", 9.0)])
@@ -156,5 +157,5 @@ def test_a_hold_ends_the_lease_with_the_descent():
     guide = MotionGuide(Limits(), Ramps(), APPROACH)
     guide.move(APPROACH.at_height(15.0), "descend", until_s=0.2)
     guide.hold()
-    assert guide.unwatched(9.0) is None
+    assert guide.advance(CYCLE_S, 9.0) == APPROACH
     assert State(PLAN).until_s == -math.inf

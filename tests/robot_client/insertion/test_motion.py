@@ -52,7 +52,7 @@ def test_every_target_of_every_move_passes_the_limits(start, end, motion, slow):
     guide.move(end, motion, 1e9 if motion == "descend" else None)
     dt = CYCLE_S * slow
     for _ in range(40000):
-        guide.advance(dt)
+        guide.advance(dt, 0.0)
         if not guide.moving:
             break
     assert guide.target == end
@@ -63,23 +63,23 @@ def test_a_hold_freezes_the_target_at_once(x, cycles):
     guide = MotionGuide(Limits(), Ramps(), pose(x=x))
     guide.move(pose(x=x, z=10.0), "descend", 1e9)
     for _ in range(cycles):
-        guide.advance(CYCLE_S)
+        guide.advance(CYCLE_S, 0.0)
     held = guide.target
     guide.hold()
     for _ in range(10):
-        assert guide.advance(CYCLE_S) == held
+        assert guide.advance(CYCLE_S, 0.0) == held
 
 
 def test_over_a_gap_in_the_stream_the_target_takes_three_cycles_of_way_and_then_gains_speed_again():
     guide = MotionGuide(Limits(), Ramps(), pose())
     guide.move(pose(z=10.0), "descend", 1e9)
     for _ in range(200):
-        guide.advance(CYCLE_S)
+        guide.advance(CYCLE_S, 0.0)
     before = guide.target
-    assert before.z_mm - guide.advance(0.5).z_mm == pytest.approx(30.0 * CYCLE_S)
+    assert before.z_mm - guide.advance(0.5, 0.0).z_mm == pytest.approx(30.0 * CYCLE_S)
     before = guide.target
     for _ in range(100):
-        after = guide.advance(CYCLE_S)
+        after = guide.advance(CYCLE_S, 0.0)
         assert 0 <= before.z_mm - after.z_mm <= 10.0 * CYCLE_S * 1.001
         before = after
     assert before.z_mm < 32
@@ -93,7 +93,7 @@ def test_no_rhythm_of_the_stream_makes_a_move_unlawful_or_endless(rhythm_ms, sta
     left = 30_000
     while guide.moving and left:
         for cycle_ms in [*rhythm_ms, 4]:
-            guide.advance(cycle_ms / 1000.0)
+            guide.advance(cycle_ms / 1000.0, 0.0)
             left -= 1
             if not left:
                 break
@@ -106,7 +106,7 @@ def test_the_descent_reaches_ten_mm_per_second_and_takes_the_way_straight_down()
     steps = []
     while guide.moving:
         before = guide.target
-        after = guide.advance(CYCLE_S)
+        after = guide.advance(CYCLE_S, 0.0)
         steps.append((before.z_mm - after.z_mm) / CYCLE_S)
         assert (after.x_mm, after.y_mm, after.yaw_deg) == (3, 0, 7)
     assert max(steps) == pytest.approx(10.0)
@@ -184,7 +184,7 @@ def test_arrival_is_reported_once_after_settling():
     now, settled = 0.0, []
     for _ in range(2000):
         now += CYCLE_S
-        measured = guide.advance(CYCLE_S)
+        measured = guide.advance(CYCLE_S, 0.0)
         settled.append(guide.observe(measured, now))
     assert [t for t in settled if t] == ["arrived"]
 
@@ -195,7 +195,7 @@ def test_standstill_waits_for_the_lagging_arm():
     measured, now = 35.0, 0.0
     for _ in range(250):
         now += CYCLE_S
-        measured += (guide.advance(CYCLE_S).z_mm - measured) * CYCLE_S / 0.05
+        measured += (guide.advance(CYCLE_S, 0.0).z_mm - measured) * CYCLE_S / 0.05
         assert guide.observe(pose(z=measured), now) is None
     guide.hold()
     slip_z = measured

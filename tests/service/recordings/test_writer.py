@@ -40,7 +40,9 @@ def test_a_recorded_insertion_is_decided_again_bit_for_bit(
     assert recording.complete
     assert len(recording.of("/left/markers")) > 20
     kinds = [e.json()["message"]["type"] for e in recording.of("/messages") if e.json()["from"] == "service"]
-    assert kinds == ["hello", *["armed", "slip", "correction"] * 2, "armed", "finished"]
+    assert kinds.count("watching") > 20
+    told = [kind for kind in kinds if kind != "watching"]
+    assert told == ["hello", *["armed", "slip", "correction"] * 2, "armed", "finished"]
 
 
 def test_recorded_markers_are_read_with_the_schema_that_lies_beside_them(tmp_path: Path) -> None:

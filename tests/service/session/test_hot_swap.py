@@ -31,7 +31,7 @@ def test_new_models_decide_the_next_insertion(swappable: LiveService) -> None:
     before = hashes(swappable)
     folder = swappable.station.settings.models
     onnx.save(tiny_models.step_model("direction", seed=7), str(folder / "direction.step.onnx"))
-    assert httpx.post(swappable.url(LOAD)).status_code == 200
+    assert httpx.post(swappable.url(LOAD), headers=swappable.bearer).status_code == 200
     after = hashes(swappable)
     assert after != before
     driver = Driver(swappable, "swapped")
@@ -61,7 +61,7 @@ def test_whatever_is_wrong_with_the_new_ones_the_old_ones_stay(swappable: LiveSe
         case _:
             smaller = tiny_models.SPEC.model_copy(update={"width_px": 300})
             tiny_models.write_models(folder, frame=smaller)
-    refused = httpx.post(swappable.url(LOAD))
+    refused = httpx.post(swappable.url(LOAD), headers=swappable.bearer)
     shutil.copytree(spare, folder, dirs_exist_ok=True)
     assert refused.status_code == 400
     assert refused.json()["error"]
@@ -72,7 +72,7 @@ def test_whatever_is_wrong_with_the_new_ones_the_old_ones_stay(swappable: LiveSe
 def test_models_are_not_swapped_under_an_insertion(swappable: LiveService) -> None:
     driver = Driver(swappable, "under-way")
     driver.until("hello")
-    refused = httpx.post(swappable.url(LOAD))
+    refused = httpx.post(swappable.url(LOAD), headers=swappable.bearer)
     assert (refused.status_code, "insertion is under way" in refused.json()["error"]) == (400, True)
     driver.attempt(1)
     driver.send(wire.Abort(insertion_id="under-way", cause="operator", reason="done"))

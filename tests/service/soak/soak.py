@@ -38,6 +38,7 @@ ANSWER_S = 60.0  # the machine may be busy with other things
 SAMPLE_S = 5.0
 REST_S = 0.3  # from `finished` until what the insertion held is given back, on a machine that is free
 REST_READINGS, CLOSED_S = 3, 5.0
+LINK = {"compression": None, "max_size": None, "open_timeout": ANSWER_S}
 
 
 class Killed(Exception):  # noqa: N818 - an event of the story, no error
@@ -65,7 +66,7 @@ class Story:
 
     def connect(self) -> None:
         url = self.service.url("/v1/insertions/ws", "ws")
-        self.link = self.links.enter_context(connect(url, compression=None, max_size=None, open_timeout=ANSWER_S))
+        self.link = self.links.enter_context(connect(url, additional_headers=self.service.bearer, **LINK))
         self.send(wire.ClientHello(insertion_id=self.id, client="soak"))
         self.until({"hello"})
         self.opened = True
@@ -226,7 +227,8 @@ class Soak:
         if not whole or said.count("correction") < story.corrections:
             self.lost.append(f"{story.id}: {summary}, {Counter(said)}")
         self.seen["finished recordings verified"] += 1
-        httpx.delete(self.service.url(f"/v1/recordings/{path.parent.name}"), timeout=60).raise_for_status()
+        folder = self.service.url(f"/v1/recordings/{path.parent.name}")
+        httpx.delete(folder, headers=self.service.bearer, timeout=60).raise_for_status()
 
     def verify_abandoned(self) -> None:
         """What no client finished is closed all the same: by a takeover, a silence, or the end of the service."""

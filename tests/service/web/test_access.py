@@ -22,6 +22,8 @@ from service.web import middleware, server
 from service.web.middleware import BURST_S, Rate
 from tests.service.conftest import LiveService, live_service
 
+WATCH, DRIVE = "a-token-for-watching", "a-token-for-driving"
+
 
 @given(per_s=st.floats(0.5, 50), waits=st.lists(st.floats(0, 2), max_size=200))
 def test_no_client_gets_more_than_its_rate_and_its_burst(per_s: float, waits: list[float]) -> None:
@@ -36,9 +38,9 @@ def test_no_client_gets_more_than_its_rate_and_its_burst(per_s: float, waits: li
 def test_a_rate_of_nothing_is_no_limit_and_old_clients_are_forgotten() -> None:
     assert all(Rate(0).allows("a") for _ in range(10_000))
     rate = Rate(1.0)
-    for client in range(middleware.MAX_CLIENTS + 10):
+    for client in range(middleware.MAX_ADDRESSES + 10):
         rate.allows(str(client), 0.0)
-    assert len(rate._left) == middleware.MAX_CLIENTS
+    assert len(rate._left) == middleware.MAX_ADDRESSES
 
 
 def test_a_client_too_fast_is_told_to_slow_down_and_health_goes_on(tmp_path: Path, models_folder: Path) -> None:
@@ -51,13 +53,11 @@ def test_a_client_too_fast_is_told_to_slow_down_and_health_goes_on(tmp_path: Pat
             assert refused.headers["retry-after"] == "1"
             assert "more than 0.5 requests a second" in refused.json()["error"]
         assert {httpx.get(slow.url("/healthz")).status_code for _ in range(10)} == {200}
-        others = httpx.get(slow.url("/v1/models"), headers={"Authorization": "Bearer another"})
-        assert others.status_code == 200
 
 
 def test_half_a_request_is_not_waited_for(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "HEAD_TIMEOUT_S", 0.2)
-    for said in (b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\nGET /heal"):
+    for said in (b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /heal"):
         with socket.create_connection(("127.0.0.1", live.port), 20) as link:
             link.sendall(said)
             heard = b""
@@ -81,15 +81,17 @@ def test_a_head_without_end_is_refused(live: LiveService) -> None:
 def test_a_body_that_does_not_come_is_408(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(middleware, "BODY_TIMEOUT_S", 0.2)
     with socket.create_connection(("127.0.0.1", live.port), 20) as link:
-        link.sendall(b"POST /v1/decisions HTTP/1.1\r\nHost: x\r\nContent-Length: 1000\r\n\r\nabc")
+        head = f"POST /v1/decisions HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {live.token}\r\n"
+        link.sendall(f"{head}Content-Length: 1000\r\n\r\nabc".encode())
         assert b"408" in link.recv(4096).split(b"\r\n")[0]
 
 
 def test_a_body_too_large_is_refused(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.web.routes.api.MAX_BODY_BYTES", 1000)
     monkeypatch.setattr("service.web.routes.oip.MAX_BODY_BYTES", 1000)
-    assert httpx.post(live.url("/v1/decisions"), content=b"x" * 2000).status_code == 413
-    infer = httpx.post(live.url("/v2/models/direction.step/infer"), content=b"x" * 2000)
+    assert httpx.post(live.url("/v1/decisions"), content=b"x" * 2000, headers=live.bearer).status_code == 413
+    path = live.url("/v2/models/direction.step/infer")
+    infer = httpx.post(path, content=b"x" * 2000, headers={**live.bearer, "Inference-Header-Content-Length": "9"})
     assert (infer.status_code, "larger than 1000" in infer.json()["error"]) == (413, True)
 
 
@@ -106,19 +108,19 @@ def test_a_foreign_page_gets_no_websocket_and_an_allowed_one_does(tmp_path: Path
 
 
 def test_a_watching_token_cannot_drive_or_push(tmp_path: Path, models_folder: Path) -> None:
-    tokens = {"token_watch": "w", "token_drive": "d"}
+    tokens = {"token_watch": WATCH, "token_drive": DRIVE}
     with live_service(tmp_path, models_folder, **tokens) as guarded:
         path = guarded.url("/v1/insertions/ws", "ws")
         hello = wire.ClientHello(insertion_id="role", client="test").model_dump_json()
-        with connect(path, additional_headers={"Authorization": "Bearer w"}) as link:
+        with connect(path, additional_headers={"Authorization": f"Bearer {WATCH}"}) as link:
             link.send(hello)
             assert wire.parse_service(link.recv(20)).code == "forbidden"
-        with connect(f"{path}?token=d") as link:
+        with connect(f"{path}?token={DRIVE}") as link:
             link.send(hello)
             assert wire.parse_service(link.recv(20)).type == "hello"
         with pytest.raises(InvalidStatus), connect(path):
             pass
-        push = guarded.url("/v1/cameras/left/push?token=w", "ws")
+        push = guarded.url(f"/v1/cameras/left/push?token={WATCH}", "ws")
         with pytest.raises(InvalidStatus), connect(push):
             pass
 
@@ -140,9 +142,9 @@ def test_tls_carries_requests_and_an_insertion_and_nothing_goes_in_the_clear(
 ) -> None:
     cert, key = certificate
     trusting = ssl.create_default_context(cafile=str(cert))
-    options = {"tls_certificate": cert, "tls_key": key, "host": "0.0.0.0", "token_drive": "d"}
+    options = {"tls_certificate": cert, "tls_key": key, "host": "0.0.0.0", "token_drive": DRIVE}
     with live_service(tmp_path, models_folder, **options) as guarded:
-        bearer = {"Authorization": "Bearer d"}
+        bearer = {"Authorization": f"Bearer {DRIVE}"}
         url = guarded.url("/v1/models", "https")
         assert httpx.get(url, headers=bearer, verify=trusting).status_code == 200
         assert httpx.get(url, verify=trusting).status_code == 401
@@ -169,11 +171,13 @@ def test_a_client_that_does_not_read_is_cut_off_and_the_service_goes_on(live: Li
     """A watcher with a full receive buffer must not hold up the perception thread."""
     with socket.create_connection(("127.0.0.1", live.port), 20) as deaf:
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        head = "GET /v1/cameras/left/frames HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        head = (
+            "GET /v1/cameras/left/frames HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        )
         deaf.sendall(f"{head}Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {'A' * 22}==\r\n\r\n".encode())
         assert deaf.recv(12) == b"HTTP/1.1 101"
         time.sleep(0.5)
-        with connect(live.url("/v1/insertions/ws", "ws"), compression=None) as link:
+        with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id="beside-deaf", client="test").model_dump_json())
             assert wire.parse_service(link.recv(20)).type == "hello"
             link.send(wire.Abort(insertion_id="beside-deaf", cause="operator", reason="done").model_dump_json())
@@ -182,7 +186,7 @@ def test_a_client_that_does_not_read_is_cut_off_and_the_service_goes_on(live: Li
 
 def test_no_hello_in_time_is_a_fault(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.web.routes.insertion.HELLO_TIMEOUT_S", 0.1)
-    with connect(live.url("/v1/insertions/ws", "ws"), compression=None) as link:
+    with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
         fault = wire.parse_service(link.recv(20))
         assert "no hello within 0.1 s" in fault.detail
         with pytest.raises(ConnectionClosed):

@@ -11,6 +11,8 @@ from tests.service import drawn
 from tests.service.client import Driver
 from tests.service.conftest import LiveService, live_service
 
+WATCH, DRIVE, ADMIN = "a-token-for-watching", "a-token-for-driving", "a-token-for-administration"
+
 
 def test_the_page_and_its_modules_are_served(live: LiveService) -> None:
     assert "Tactile insertion" in httpx.get(live.url("/")).text
@@ -32,7 +34,7 @@ def test_a_recorded_insertion_is_listed_played_and_removed(live: LiveService) ->
     assert httpx.get(f"{base}/attempts/1/frames/7.jpg").headers["content-type"] == "image/jpeg"
     assert httpx.get(f"{base}/attempts/1/frames/8.jpg").status_code == 404
     assert httpx.get(base).content[:5] == b"\x89MCAP"
-    assert httpx.delete(base).status_code == 200
+    assert httpx.delete(base, headers=live.bearer).status_code == 200
     assert httpx.get(base).status_code == 404
 
 
@@ -43,10 +45,10 @@ def test_a_recorded_sequence_is_decided_over_http(live: LiveService) -> None:
         for i in range(8)
         for finger in ("left", "right")
     )
-    answer = httpx.post(live.url("/v1/decisions"), content=body)
+    answer = httpx.post(live.url("/v1/decisions"), content=body, headers=live.bearer)
     assert answer.status_code == 200
     assert sum(answer.json()["class_probabilities"].values()) == pytest.approx(1)
-    refused = httpx.post(live.url("/v1/decisions"), content=body[:-1])
+    refused = httpx.post(live.url("/v1/decisions"), content=body[:-1], headers=live.bearer)
     assert refused.status_code == 400
     assert "expected 16 encoded frames" in refused.json()["error"]
 
@@ -63,19 +65,25 @@ def test_a_foreign_page_is_refused(live: LiveService) -> None:
 
 
 def test_tokens_give_roles(tmp_path: Path, models_folder: Path) -> None:
-    with live_service(tmp_path, models_folder, token_watch="w", token_drive="d", token_admin="a") as guarded:
+    with live_service(tmp_path, models_folder, token_watch=WATCH, token_drive=DRIVE, token_admin=ADMIN) as guarded:
 
         def code(method: str, path: str, token: str | None) -> int:
             headers = {"Authorization": f"Bearer {token}"} if token else {}
             return httpx.request(method, guarded.url(path), headers=headers).status_code
 
         assert code("GET", "/healthz", None) == 200
-        assert [code("GET", "/v1/models", token) for token in (None, "x", "w", "d", "a")] == [401, 401, 200, 200, 200]
-        assert [code("POST", "/v1/decisions", token) for token in ("w", "d")] == [403, 400]
-        assert [code("DELETE", "/v1/recordings/none", token) for token in ("d", "a")] == [403, 404]
+        assert [code("GET", "/v1/models", token) for token in (None, "x", WATCH, DRIVE, ADMIN)] == [
+            401,
+            401,
+            200,
+            200,
+            200,
+        ]
+        assert [code("POST", "/v1/decisions", token) for token in (WATCH, DRIVE)] == [403, 400]
+        assert [code("DELETE", "/v1/recordings/none", token) for token in (DRIVE, ADMIN)] == [403, 404]
         infer = "/v2/models/direction.step/infer"
-        assert [code("POST", infer, token) for token in (None, "x", "w", "d")] == [401, 401, 403, 400]
-        assert [code("POST", infer.replace("direction", "no"), token) for token in ("w", "d")] == [403, 404]
+        assert [code("POST", infer, token) for token in (None, "x", WATCH, DRIVE)] == [401, 401, 403, 400]
+        assert [code("POST", infer.replace("direction", "no"), token) for token in (WATCH, DRIVE)] == [403, 404]
 
 
 def test_every_door_tells_the_version_of_the_package(live: LiveService) -> None:

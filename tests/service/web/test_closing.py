@@ -26,7 +26,7 @@ def goodbye(link: ClientConnection) -> tuple[int, str]:
 
 
 def first_words(live: LiveService, text: str | bytes) -> tuple[int, str]:
-    with connect(live.url("/v1/insertion", "ws"), compression=None) as link:
+    with connect(live.url("/v1/insertion", "ws"), additional_headers=live.bearer, compression=None) as link:
         link.send(text)
         return goodbye(link)
 
@@ -99,9 +99,9 @@ def test_a_listener_that_fails_is_counted_and_breaks_no_insertion(live: LiveServ
     live.station.hub.errors_n = 0
 
 
-UPGRADE = "GET {} HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+UPGRADE = "GET {} HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
 UPGRADE += "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
-PLAIN = "GET {} HTTP/1.1\r\nHost: x\r\n\r\n"
+PLAIN = "GET {} HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def ask_everything(live: LiveService, examples_n: int) -> int:
         @settings(max_examples=examples_n, deadline=None, suppress_health_check=list(HealthCheck), database=None)
         @given(case=operation.as_strategy())
         def ask(case: schemathesis.Case) -> None:
-            case.call_and_validate(checks=CHECKS)
+            case.call_and_validate(checks=CHECKS, headers=live.bearer)
 
         ask()
     return len(operations)
@@ -72,7 +72,10 @@ frames = st.lists(text | st.binary(max_size=200) | st.just(b"TIF1" + bytes(24)),
 
 def talk(live: LiveService, path: str, said: list[str | bytes], hello: bool) -> None:
     """Say all this and listen a little; being refused or closed is a fine answer."""
-    with contextlib.suppress(ConnectionClosed, InvalidStatus), connect(live.url(path, "ws"), compression=None) as link:
+    with (
+        contextlib.suppress(ConnectionClosed, InvalidStatus),
+        connect(live.url(path, "ws"), additional_headers=live.bearer, compression=None) as link,
+    ):
         if hello:
             link.send(wire.ClientHello(insertion_id="insertion-1", client="fuzz").model_dump_json())
         for one in said:
@@ -131,7 +134,7 @@ def test_an_oversized_message_closes_the_connection_and_nothing_else(live: LiveS
     driver = Driver(live, f"beside-{next(numbers)}")
     driver.until("hello")
     for size in (wire.MAX_TEXT_BYTES + 1, 5 << 20):
-        with connect(live.url("/v1/insertions/ws", "ws"), compression=None) as link:
+        with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
             with contextlib.suppress(ConnectionClosed):
                 link.send("x" * size)
             with contextlib.suppress(ConnectionClosed):

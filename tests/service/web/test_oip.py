@@ -43,9 +43,20 @@ def expected(live: LiveService) -> dict[str, np.ndarray]:
     return step.run({"frame": frame, "reference": reference, "state": np.ones((1, 6), np.float32)})
 
 
+class Bearer(triton.InferenceServerClientPlugin):
+    """The stock clients' own way to send a token."""
+
+    def __init__(self, live: LiveService) -> None:
+        self.header = live.bearer
+
+    def __call__(self, request: Any) -> None:
+        request.headers |= self.header
+
+
 @pytest.fixture(scope="module")
 def client(live: LiveService):
     with triton.InferenceServerClient(f"127.0.0.1:{live.port}", network_timeout=60.0) as made:
+        made.register_plugin(Bearer(live))
         yield made
 
 
@@ -89,6 +100,7 @@ def test_the_stock_asyncio_client_gets_the_same_in_every_packing(
 
     async def ask() -> list[np.ndarray]:
         async with aio.InferenceServerClient(f"127.0.0.1:{live.port}") as asking:
+            asking.register_plugin(Bearer(live))
             answers = []
             for binary, packing in packings:
                 answer = await asking.infer(
@@ -112,6 +124,7 @@ def test_the_stock_asyncio_client_finds_every_endpoint(live: LiveService) -> Non
 
     async def ask() -> None:
         async with aio.InferenceServerClient(f"127.0.0.1:{live.port}") as asking:
+            asking.register_plugin(Bearer(live))
             assert await asking.is_server_live()
             assert await asking.is_server_ready()
             assert await asking.is_model_ready(MODEL, "1")
@@ -187,7 +200,7 @@ def test_a_stock_client_finds_every_endpoint(client) -> None:
 def test_a_wrong_tensor_is_an_error_that_says_so(live: LiveService) -> None:
     path = live.url(f"/v2/models/{MODEL}/infer")
     body = {"inputs": [{"name": "state", "datatype": "FP32", "shape": [1, 7], "data": [0] * 7}]}
-    answer = httpx.post(path, json=body)
+    answer = httpx.post(path, json=body, headers=live.bearer)
     assert answer.status_code == 400
     assert "shape [1, 7], expected [-1, 6]" in answer.json()["error"]
 
@@ -214,7 +227,7 @@ def test_no_body_makes_the_server_fail(live: LiveService, request: object, tail:
     head = json.dumps(request).encode()
     for headers in ({}, {"Inference-Header-Content-Length": str(len(head))}, {"Content-Encoding": "gzip"}):
         content = gzip.compress(head + tail) if headers.get("Content-Encoding") else head + tail
-        answer = httpx.post(live.url(f"/v2/models/{MODEL}/infer"), content=content, headers=headers)
+        answer = httpx.post(live.url(f"/v2/models/{MODEL}/infer"), content=content, headers=live.bearer | headers)
         assert answer.status_code == 400
         assert answer.json()["error"]
 

@@ -14,15 +14,15 @@ from service.contract import FINGERS, Finger, TactileFrame, decode_frame, encode
 from service.session.station import Station
 from service.settings import Settings
 from tests.service.client import Driver
-from tests.service.conftest import LiveService, served
+from tests.service.conftest import LiveService, bearer, served
 
 
 @pytest.fixture
-def pushed(tmp_path: Path, models_folder: Path) -> Iterator[tuple[Station, str]]:
-    """A service whose cameras are whatever clients push."""
+def pushed(tmp_path: Path, models_folder: Path) -> Iterator[tuple[Station, str, dict[str, str]]]:
+    """A service whose cameras are whatever clients push, its address, and the header that opens it."""
     settings = Settings(models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path / "r")
     with served(settings) as (station, port):
-        yield station, f"ws://127.0.0.1:{port}"
+        yield station, f"ws://127.0.0.1:{port}", bearer(station)
 
 
 def picture(finger: Finger, seq: int) -> TactileFrame:
@@ -30,12 +30,12 @@ def picture(finger: Finger, seq: int) -> TactileFrame:
     return TactileFrame(finger, seq, seq, pixels)
 
 
-def test_what_is_pushed_in_comes_out_bit_for_bit(pushed: tuple[Station, str]) -> None:
-    station, base = pushed
+def test_what_is_pushed_in_comes_out_bit_for_bit(pushed: tuple[Station, str, dict[str, str]]) -> None:
+    station, base, token = pushed
     for finger in FINGERS:
         with (
             connect(f"{base}/v1/cameras/{finger}/frames?max_hz=240", compression=None) as out,
-            connect(f"{base}/v1/cameras/{finger}/push", compression=None) as into,
+            connect(f"{base}/v1/cameras/{finger}/push", additional_headers=token, compression=None) as into,
         ):
             for seq in range(3):
                 into.send(encode_frame(picture(finger, seq)))
@@ -45,15 +45,17 @@ def test_what_is_pushed_in_comes_out_bit_for_bit(pushed: tuple[Station, str]) ->
     assert [camera.state for camera in station.cameras.values()] == ["live", "live"]
 
 
-def test_a_wrong_frame_closes_the_pushing_connection_with_the_reason(pushed: tuple[Station, str]) -> None:
-    _, base = pushed
+def test_a_wrong_frame_closes_the_pushing_connection_with_the_reason(
+    pushed: tuple[Station, str, dict[str, str]],
+) -> None:
+    _, base, token = pushed
     wrong = {
         b"junk": "binary frame of 4 bytes",
         encode_frame(picture("right", 0)): "a frame of the right finger, expected left",
         "text": "",
     }
     for message, reason in wrong.items():
-        with connect(f"{base}/v1/cameras/left/push", compression=None) as into:
+        with connect(f"{base}/v1/cameras/left/push", additional_headers=token, compression=None) as into:
             into.send(message)
             with pytest.raises(ConnectionClosed) as closed:
                 into.recv(20)
@@ -61,19 +63,25 @@ def test_a_wrong_frame_closes_the_pushing_connection_with_the_reason(pushed: tup
             assert reason in closed.value.rcvd.reason
 
 
-def test_one_client_pushes_a_camera(pushed: tuple[Station, str]) -> None:
-    _, base = pushed
-    with connect(f"{base}/v1/cameras/left/push", compression=None) as first:
+def test_one_client_pushes_a_camera(pushed: tuple[Station, str, dict[str, str]]) -> None:
+    _, base, token = pushed
+    with connect(f"{base}/v1/cameras/left/push", additional_headers=token, compression=None) as first:
         first.send(encode_frame(picture("left", 0)))
-        with connect(f"{base}/v1/cameras/left/push", compression=None) as second, pytest.raises(ConnectionClosed) as no:
+        with (
+            connect(f"{base}/v1/cameras/left/push", additional_headers=token, compression=None) as second,
+            pytest.raises(ConnectionClosed) as no,
+        ):
             second.recv(20)
         assert "another client pushes the left camera" in no.value.rcvd.reason
-        with connect(f"{base}/v1/cameras/right/push", compression=None) as other:
+        with connect(f"{base}/v1/cameras/right/push", additional_headers=token, compression=None) as other:
             other.send(encode_frame(picture("right", 0)))
 
 
 def test_a_camera_of_its_own_takes_no_pushed_frames(live: LiveService) -> None:
-    with connect(live.url("/v1/cameras/left/push", "ws")) as link, pytest.raises(ConnectionClosed) as closed:
+    with (
+        connect(live.url("/v1/cameras/left/push", "ws"), additional_headers=live.bearer) as link,
+        pytest.raises(ConnectionClosed) as closed,
+    ):
         link.recv(20)
     assert "start the service with --camera-left push:" in closed.value.rcvd.reason
 

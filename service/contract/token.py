@@ -1,0 +1,77 @@
+"""The token that drives a service: made at its first start, and found by the clients of the same user without help."""
+
+import contextlib
+import os
+import secrets
+from pathlib import Path
+
+from service.contract.frames import ContractError
+
+TOKEN_FILE = "token"  # noqa: S105 - a file's name
+MIN_TOKEN_CHARACTERS = 16
+HINT = "python -c 'import secrets; print(secrets.token_urlsafe())' makes one"
+
+
+class TokenError(ContractError):
+    """A token cannot be used, or its file not be read or written; the text names it and what was expected."""
+
+
+def state_folder() -> Path:
+    """Where the service keeps what outlives it: ``TACTILE_STATE``, else the user's state folder (XDG)."""
+    if given := os.environ.get("TACTILE_STATE"):
+        return Path(given)
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "tactile-insertion"
+
+
+def check_token(token: str) -> str:
+    """Return a token that is long enough to be a secret and fits into a header; raises TokenError."""
+    if len(token) < MIN_TOKEN_CHARACTERS or not token.isascii() or not token.isprintable() or " " in token:
+        given = f"{len(token)} characters" if token else "empty"
+        raise TokenError(
+            f"a token needs {MIN_TOKEN_CHARACTERS} or more visible ASCII characters, this one is {given}; {HINT}"
+        )
+    return token
+
+
+def read_token(path: Path) -> str:
+    """The token of a file; raises TokenError where it holds none, OSError where it cannot be read."""
+    try:
+        return check_token(path.read_text(encoding="utf-8").strip())
+    except (TokenError, UnicodeDecodeError) as error:
+        raise TokenError(f"token file {path}: {error}") from None
+
+
+def keep_token(folder: Path) -> tuple[str, Path]:
+    """The token of a state folder and its file, made where there is none; raises TokenError.
+
+    The file appears whole or not at all, readable by its owner alone. One that others can read or that is not ours is
+    refused.
+    """
+    path = folder / TOKEN_FILE
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _make(path)
+        found = path.lstat()
+        if found.st_mode & 0o170077 != 0o100000 or found.st_uid != os.geteuid():
+            raise TokenError(f"{path} must be a file of this user that nobody else may read; remove it, or chmod 600")
+        return read_token(path), path
+    except OSError as error:
+        raise TokenError(
+            f"cannot keep a token in {folder} ({error.strerror}); name a folder of yours with --state"
+        ) from None
+
+
+def _make(path: Path) -> None:
+    """Write a fresh token beside the file's place and link it there, unless another process was first."""
+    if os.path.lexists(path):
+        return
+    fresh = path.with_name(f".{path.name}-{os.getpid()}-{secrets.token_hex(4)}")
+    try:
+        with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as stream:
+            stream.write(secrets.token_urlsafe(32) + "\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+        with contextlib.suppress(FileExistsError):
+            os.link(fresh, path)
+    finally:
+        fresh.unlink(missing_ok=True)

@@ -1,0 +1,208 @@
+"""Whatever happens to the recordings: the list answers, readiness and a metric say so, and no frame goes silently."""
+
+import contextlib
+import json
+import resource
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from service.contract import FINGERS, TactileFrame, encode_frame, wire
+from service.recordings.reader import Recording
+from service.session.station import Station
+from service.settings import Settings
+from tests.service.client import Driver
+from tests.service.conftest import LiveService, bearer, live_service, served
+from tests.service.perception.synthetic import draw, grid
+from tests.service.process import ServiceProcess, service_process
+
+
+@pytest.fixture
+def own(tmp_path: Path, models_folder: Path) -> Iterator[LiveService]:
+    with live_service(tmp_path, models_folder) as service:
+        yield service
+
+
+def inserted(live: LiveService, name: str) -> Path:
+    driver = Driver(live, name)
+    driver.until("hello")
+    finished = driver.insert(1)
+    driver.close()
+    return Path(finished.recording).parent
+
+
+def listed(live: LiveService) -> tuple[list[str], list[str]]:
+    answer = httpx.get(live.url("/v1/recordings"))
+    assert answer.status_code == 200
+    return [r["insertion_id"] for r in answer.json()["recordings"]], answer.json()["problems"]
+
+
+def metric(url: str, name: str) -> float:
+    (line,) = [line for line in httpx.get(url).text.splitlines() if line.startswith(f"{name} ")]
+    return float(line.split(" ")[1])
+
+
+@pytest.mark.parametrize("content", ["", "[]", "null", '{"outcome": 3}', "{" * 9, "\udcff", '{"attempts": 1}'])
+def test_one_bad_recording_is_named_and_the_others_are_listed(own: LiveService, content: str) -> None:
+    good, bad = inserted(own, "good"), inserted(own, "bad")
+    (bad / "summary.json").write_bytes(content.encode("utf-8", "surrogateescape"))
+    names, problems = listed(own)
+    assert names == ["good"]
+    assert [problem.startswith(f"{bad.name}: summary.json: ") for problem in problems] == [True]
+    assert httpx.get(own.url(f"/v1/recordings/{good.name}")).status_code == 200
+    (bad / "attempt_01.npz").write_bytes(b"no archive")
+    assert httpx.get(own.url(f"/v1/recordings/{bad.name}/attempts/1")).status_code == 404
+
+
+def test_a_recording_that_was_broken_off_is_named(own: LiveService) -> None:
+    folder = inserted(own, "broken-off")
+    (folder / "summary.json").unlink()
+    assert listed(own)[1] == [f"{folder.name}: broken off; the next start of the service recovers what can be read"]
+
+
+def test_a_recording_that_is_being_written_is_no_problem(own: LiveService) -> None:
+    driver = Driver(own, "under-way")
+    driver.until("hello")
+    assert listed(own) == ([], [])
+    assert driver.insert(1).outcome == "inserted"
+    driver.close()
+
+
+def test_a_missing_folder_is_named_everywhere_and_comes_back(own: LiveService) -> None:
+    shutil.rmtree(own.recordings)
+    assert listed(own) == ([], [f"{own.recordings}: No such file or directory"])
+    ready = httpx.get(own.url("/readyz"))
+    assert (ready.status_code, ready.json()["recording"]) == (503, f"the folder {own.recordings} is missing")
+    assert metric(own.url("/metrics"), "tactile_recording_ok") == 0.0
+    assert metric(own.url("/metrics"), "tactile_ready") == 1.0
+    assert inserted(own, "after").is_dir()
+    assert httpx.get(own.url("/readyz")).json()["recording"] == "ok"
+    assert listed(own) == (["after"], [])
+
+
+def test_a_disk_that_is_nearly_full_is_said_before_it_is_full(
+    own: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.recordings.retention.MIN_FREE_BYTES", 1 << 60)
+    assert "MiB left" in httpx.get(own.url("/readyz")).json()["recording"]
+    assert metric(own.url("/metrics"), "tactile_recording_ok") == 0.0
+
+
+@contextlib.contextmanager
+def pushed(service: str, token: dict[str, str], grids: dict[str, tuple[int, int]]) -> Iterator[Callable[[], None]]:
+    """Two pushed cameras, and what shows the next frame of both; every picture is another one."""
+    rng, seq = np.random.default_rng(0), iter(range(10_000))
+    pictures = {
+        finger: [draw(grid(rows, columns, pitch=15.0), rng) for _ in range(6)]
+        for finger, (rows, columns) in grids.items()
+    }
+    with contextlib.ExitStack() as stack:
+        links = {
+            finger: stack.enter_context(
+                connect(f"{service}/v1/cameras/{finger}/push", additional_headers=token, compression=None)
+            )
+            for finger in FINGERS
+        }
+
+        def show() -> None:
+            number = next(seq)
+            for finger, link in links.items():
+                stamp = time.monotonic_ns()
+                link.send(encode_frame(TactileFrame(finger, number, stamp, pictures[finger][number % 6])))
+
+        yield show
+
+
+def test_different_grids_on_two_fingers_are_refused_by_name_and_every_frame_is_kept(
+    tmp_path: Path, models_folder: Path
+) -> None:
+    settings = Settings(
+        models=models_folder,
+        camera_left="push:",
+        camera_right="push:",
+        recordings=tmp_path / "r",
+        state=tmp_path / "state",
+        reference_timeout_s=3.0,
+        max_frame_age_ms=60_000.0,
+    )
+    with served(settings) as (station, port):
+        base, token = f"ws://127.0.0.1:{port}", bearer(station)
+        with pushed(base, token, {"left": (20, 21), "right": (16, 17)}) as show:
+            fault, shown, path = refused(base, token, station, show)
+    assert fault.code == "no_reference"
+    assert "the fingers show different grids: left 21 x 20 markers, right 17 x 16" in fault.detail
+    assert station.counters.perception_errors_n == 0
+    recording = Recording(path)
+    for finger in FINGERS:
+        assert len(recording.frames(finger)) >= shown
+    assert json.loads((path.parent / "summary.json").read_text())["left_out_n"] == 0
+
+
+def refused(
+    base: str, token: dict[str, str], station: Station, show: Callable[[], None]
+) -> tuple[wire.Fault, int, Path]:
+    """Ask for a reference until it is refused; the fault, how many pairs were shown meanwhile, and the recording."""
+    with connect(f"{base}/v1/insertion", additional_headers=token, compression=None) as link:
+        link.send(wire.ClientHello(insertion_id="unlike", client="test").model_dump_json())
+        assert wire.parse_service(link.recv(20)).type == "hello"
+        show()
+        link.send(
+            wire.Arm(insertion_id="unlike", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0).model_dump_json()
+        )
+        shown, fault = 0, None
+        while fault is None:
+            show()
+            shown += 1
+            with contextlib.suppress(TimeoutError):
+                fault = wire.parse_service(link.recv(0.1))
+        recorded = station.active.recorder
+        link.send(wire.Abort(insertion_id="unlike", cause="operator", reason="done").model_dump_json())
+        while wire.parse_service(link.recv(20)).type != "finished":
+            pass
+    # frames may be captured before the arm is heard, and one pair may still be under way when the fault comes
+    return fault, shown - 3, recorded.path
+
+
+def limited(service: ServiceProcess, bytes_n: int) -> None:
+    """From now on no file of the process may grow beyond this: what a full disk does, to this process alone."""
+    resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, (bytes_n, resource.RLIM_INFINITY))
+
+
+def test_a_full_disk_is_said_while_it_is_full_and_the_insertion_ends_as_it_should(
+    tmp_path: Path, models_folder: Path
+) -> None:
+    cameras = ["--camera-left", "push:", "--camera-right", "push:", "--camera-wait-s", "0"]
+    cameras += ["--reference-timeout-s", "30", "--max-frame-age-ms", "60000", "--client-timeout-s", "60"]
+    with service_process(models_folder, tmp_path / "r", *cameras) as service:
+        base, token = service.url("", "ws"), service.bearer
+        with (
+            pushed(base, token, dict.fromkeys(FINGERS, (20, 21))) as show,
+            connect(f"{base}/v1/insertion", additional_headers=token, compression=None) as link,
+        ):
+            show()
+            link.send(wire.ClientHello(insertion_id="full", client="test").model_dump_json())
+            assert wire.parse_service(link.recv(20)).type == "hello"
+            limited(service, 1 << 16)
+            arm = wire.Arm(insertion_id="full", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+            link.send(arm.model_dump_json())
+            until = time.monotonic() + 60
+            while "File too large" not in httpx.get(service.url("/readyz")).json()["recording"]:
+                show()
+                assert time.monotonic() < until
+            assert metric(service.url("/metrics"), "tactile_recording_ok") == 0.0
+            link.send(wire.Abort(insertion_id="full", cause="operator", reason="done").model_dump_json())
+            while wire.parse_service(link.recv(20)).type != "finished":
+                show()
+        until = time.monotonic() + 60
+        while metric(service.url("/metrics"), "tactile_insertions_unrecorded") != 1.0:
+            assert time.monotonic() < until
+        answer = httpx.get(service.url("/v1/recordings")).json()
+        assert len(answer["recordings"]) + len(answer["problems"]) == 1
+        limited(service, resource.RLIM_INFINITY)
+    assert "File too large" in "".join(service.log)

@@ -1,0 +1,74 @@
+"""A recording may come from anybody: nothing that it names is opened."""
+
+import shutil
+from pathlib import Path
+
+import onnx
+import pytest
+
+from service.__main__ import main
+from service.decision import models as models_module
+from service.recordings.writer import Recorder
+from tests.service import tiny_models
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Every network that is opened from now on."""
+    paths: list[Path] = []
+    load = models_module.load_model
+    monkeypatch.setattr(models_module, "load_model", lambda path: paths.append(path) or load(path))
+    return paths
+
+
+def recording(folder: Path, models: Path, hashes: list[str]) -> Path:
+    facts = {"models": " ".join(f"tiny:{h}" for h in hashes), "models_folder": str(models), "calibration": ""}
+    limits = '{"max_dx_mm": 15.0, "max_dtheta_deg": 15.0, "max_frame_age_ms": 150.0}'
+    recorder = Recorder(folder, "foreign", facts | {"controller": "belief", "limits": limits})
+    return recorder.close({"outcome": "aborted", "attempts": 0})
+
+
+def hashes_of(folder: Path) -> list[str]:
+    return [entry.sha256 for entry in models_module.load_models(folder).entries]
+
+
+def test_the_models_that_a_recording_names_are_not_opened(
+    tmp_path: Path, models_folder: Path, opened: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    theirs = shutil.copytree(models_folder, tmp_path / "theirs")
+    onnx.save(tiny_models.step_model("direction", seed=5), str(theirs / "direction.step.onnx"))
+    path = recording(tmp_path / "r", theirs, hashes_of(theirs))
+    opened.clear()
+    assert main(["replay", str(path)]) == 2
+    assert main(["replay", str(path), "--models", str(models_folder)]) == 2
+    assert opened == []
+    said = capsys.readouterr().err
+    assert "was decided by other models than those of" in said
+    assert f"they lay in {theirs}; where you trust them, name it with --models" in said
+
+
+def test_models_that_the_user_trusts_are_opened_once_their_hashes_are_the_recorded_ones(
+    tmp_path: Path, models_folder: Path, opened: list[Path]
+) -> None:
+    path = recording(tmp_path / "r", tmp_path / "nowhere", hashes_of(models_folder))
+    opened.clear()
+    assert main(["replay", str(path), "--models", str(models_folder)]) == 0
+    assert opened
+
+
+@pytest.mark.parametrize("named", [[], ["0" * 64]])
+def test_a_recording_that_names_no_network_of_ours_opens_none(
+    tmp_path: Path, models_folder: Path, opened: list[Path], named: list[str]
+) -> None:
+    assert main(["replay", str(recording(tmp_path / "r", models_folder, named)), "--models", str(models_folder)]) == 2
+    assert opened == []
+
+
+def test_a_recordings_text_reaches_the_terminal_as_text(
+    tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = recording(tmp_path / "r", Path("/x\x1b[2J\x1b]0;owned\x07"), ["0" * 64])
+    assert main(["replay", str(path), "--models", str(models_folder)]) == 2
+    said = capsys.readouterr().err
+    assert "\\x1b[2J" in said
+    assert said.replace("\n", "").isprintable()
