@@ -14,7 +14,6 @@ from dataclasses import replace
 
 from robot_client.insertion.actions import (
     Result,
-    approach,
     arm,
     descend,
     fail,
@@ -31,7 +30,6 @@ from robot_client.insertion.events import (
     Event,
     Failure,
     FromService,
-    Grasp,
     Grasped,
     PartLost,
     Source,
@@ -39,6 +37,7 @@ from robot_client.insertion.events import (
     Tick,
     Width,
 )
+from robot_client.insertion.grip import grasp, on_gripper
 from robot_client.insertion.lease import ClockMap
 from robot_client.insertion.limits import LimitError, check_correction, check_pose
 from robot_client.insertion.motion import check_ramps
@@ -59,14 +58,10 @@ def step(state: State, event: Event) -> Result:
             result = _on_tick(state, event)
         case FromService():
             result = _on_service(state, event)
-        case PartLost():
-            result = _on_part_lost(state, event)
+        case Grasped() | Width() | PartLost():
+            result = on_gripper(state, event)
         case Begin() if state.phase is Phase.START:
             result = _on_begin(state, event)
-        case Grasped() if state.phase is Phase.GRASPING:
-            result = approach(replace(state, width_mm=event.width_mm), event.at_s)
-        case Width():
-            result = replace(state, width_mm=event.width_mm), ()
         case Arrived() if state.phase in _ON_ARRIVAL:
             result = _ON_ARRIVAL[state.phase](replace(state, pose=event.pose), event)
         case Standstill() if state.phase is Phase.STOPPING:
@@ -165,16 +160,6 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (stopped,)
 
 
-def _on_part_lost(state: State, event: PartLost) -> Result:
-    if state.phase is Phase.CLOSING:  # it lies in its gap: letting go of it is no loss
-        return state, ()
-    if state.phase is Phase.DESCENDING:
-        return hold(replace(state, dropped=True), "part lost", event.at_s)
-    if state.phase is Phase.STOPPING:
-        return replace(state, dropped=True), ()
-    return fail(state, "gripper", "part_lost", f"the object was lost while {state.phase}")
-
-
 def _on_retracted(state: State, event: Arrived) -> Result:
     state = replace(state, armed=state.path[0])  # the vertical of the next attempt
     return go(state, Phase.CORRECTING, state.path, "travel", event.at_s)
@@ -203,17 +188,19 @@ def _on_service(state: State, event: FromService) -> Result:
     if message.insertion_id != state.plan.insertion_id:
         detail = f"message of insertion {message.insertion_id}, expected {state.plan.insertion_id}"
         return fail(state, "service", "protocol", detail)
+    result: Result = state, ()
     match message:
         case wire.ServiceHello():
-            return _on_hello(state, message, at_s)
+            result = _on_hello(state, message, at_s)
         case wire.ServiceHeartbeat():
-            return _on_clock(state, message.clock, at_s)
-        case wire.OpenLearnt():
-            return _grasp(state, at_s) if state.phase is Phase.LEARNING else (state, ())
+            result = _on_clock(state, message.clock, at_s)
+        case wire.OpenLearnt() if state.phase is Phase.LEARNING:
+            result = grasp(state, at_s)
         case wire.Finished():
-            return _on_finished(state, message)
-        case _:
-            return _on_attempt_message(state, message, at_s)
+            result = _on_finished(state, message)
+        case wire.Armed() | wire.Refused() | wire.Watching() | wire.Slip() | wire.Correction() | wire.NoDecision():
+            result = _on_attempt_message(state, message, at_s)
+    return result
 
 
 def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
@@ -231,14 +218,10 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
         return fail(state, "limits", "camera_rate", str(error))
     state, _ = _on_clock(state, message.clock, at_s)
     if state.held:  # the gels are under load: only a print that is regular by itself can say that they are touched
-        return _grasp(state, at_s)
+        return grasp(state, at_s)
     deadline_s = at_s + state.plan.timeouts.arming_s
     learn = send(wire.LearnOpen(insertion_id=state.plan.insertion_id))
     return replace(state, phase=Phase.LEARNING, deadline_s=deadline_s), (learn,)
-
-
-def _grasp(state: State, at_s: float) -> Result:
-    return replace(state, phase=Phase.GRASPING, deadline_s=at_s + state.plan.timeouts.grasping_s), (Grasp(),)
 
 
 def _on_clock(state: State, clock: wire.Clock | None, at_s: float) -> Result:

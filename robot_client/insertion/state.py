@@ -83,7 +83,7 @@ class State:
     ``first_touch_mm`` is the depth at which the first blocked attempt stopped, ``creep_mm`` how much deeper the last
     one did: the object stood on the blocks at both, so it has been pushed up in the hand by about that much.
     ``held``: the gripper held something when the insertion began. ``width_mm``: how far apart its fingers are, as far
-    as it tells. ``watched_s`` is the earliest that the newest judged frame can have been captured, on the client's clock.
+    as it tells. ``watched_s``: the earliest that the newest judged frame can have been captured, on our clock.
     """
 
     plan: Plan

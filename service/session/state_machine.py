@@ -231,11 +231,10 @@ class InsertionSession:
 
     def on_camera_fault(self, code: str, detail: str) -> Replies:
         """A camera failed: the client must hold, and an attempt under way needs a new reference."""
-        attempt = self.attempt
-        if attempt is None or not self.wants_frames:
+        if self.attempt is None or not self.wants_frames:
             return []
-        if attempt.stage is Stage.ARMED:
-            attempt.broken = detail
+        if self.attempt.stage is Stage.ARMED:
+            self.attempt.broken = detail
         return [self._fault(code, detail)]
 
     # ---- decisions ------------------------------------------------------------------------------------------------
@@ -298,5 +297,6 @@ class InsertionSession:
         return [self.finished]
 
     def _fault(self, code: str, detail: str, insertion_id: str | None = None) -> wire.Fault:
-        named = insertion_id or self.insertion_id or "none"
-        return wire.Fault(insertion_id=named, code=code, detail=detail, fatal=False)
+        return wire.Fault(
+            insertion_id=insertion_id or self.insertion_id or "none", code=code, detail=detail, fatal=False
+        )
