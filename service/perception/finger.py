@@ -43,7 +43,7 @@ class TactileFinger:
         """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing."""
         image, _ = self._rectified(frame)
         try:
-            self._free.learn(self._tracker.update(image, frame.captured_ns))
+            self._free.learn(MarkerTracker().update(image, frame.captured_ns))
         except ValueError as error:
             return str(error)
         return ""

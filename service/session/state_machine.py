@@ -164,8 +164,7 @@ class InsertionSession:
     @property
     def watches_slip(self) -> bool:
         """Whether the arm may be moving, so that a late slip message would mean a collision."""
-        attempt = self.attempt
-        return attempt is not None and attempt.stage is Stage.ARMED and not attempt.slip_sent
+        return self.attempt is not None and self.attempt.stage is Stage.ARMED and not self.attempt.slip_sent
 
     def prime(self, frame: TactileFrame) -> None:
         """Let a finger's tracker find its grid before time matters: the search takes some 0.2 s, tracking 2 ms."""
@@ -264,12 +263,11 @@ class InsertionSession:
             return []
         if self.attempt.outcome == "inserted":
             doubts = self._decider.doubts(self.attempt, now_ns, self.limits.max_frame_age_ms)
-            if doubts is None:
-                return []
-            return self._end(self.attempt, "not_confirmed" if doubts else None, doubts)
+            cause: wire.Cause | None = "not_confirmed" if doubts else None
+            return [] if doubts is None else self._end(self.attempt, cause, doubts)
         decision = self._decider.conclude(self.attempt, now_ns)
-        if self._decider.command:
-            self.on_command(self._decider.command)
+        if command := self._decider.command:
+            self.on_command(command)
         return [] if decision is None else self._decided(self.attempt, decision)
 
     def _decided(self, attempt: Attempt, decision: Decision) -> Replies:
