@@ -74,6 +74,10 @@ class Arm(Protocol):
     def position(self) -> WorkPose | None:
         """The last measured pose."""
 
+    def target(self) -> WorkPose | None:
+        """The pose that it is told to have now, None where that is not known."""
+        return None
+
     def statistics(self) -> dict[str, Any]:
         """Figures of the link for the report (cycles, gaps, stop latency)."""
 

@@ -64,6 +64,7 @@ class Plan(Contract):
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
     client: str = "tactile-insertion robot client"
+    object: str = Field(default="", max_length=128)
     controller: wire.ControllerName | None = None
     limits: Limits = Limits()
     ramps: Ramps = Ramps()

@@ -5,7 +5,8 @@ Every message carries the insertion id and, where it concerns one, the attempt n
 millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock; only ``sent_ns``
 is the client's, which the service sends back beside its own clock (:class:`Clock`).
 
-client:  hello -> learn_open? -> (arm -> descending -> stopped)* ; abort and heartbeat at any time
+client:  hello -> episode? -> learn_open? -> (arm -> descending -> stopped)*
+         abort, heartbeat and telemetry at any time
 service: hello -> open_learnt? -> (armed -> watching* -> slip? -> correction | no_decision)* -> finished
          refused instead of armed; fault and heartbeat at any time
 """
@@ -14,7 +15,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from service.contract.frames import Contract, ContractError, Finger, first_error
+from service.contract.frames import ContractError, Finger, first_error
 from service.contract.wire_parts import (
     CameraEntry,
     Cause,
@@ -23,12 +24,18 @@ from service.contract.wire_parts import (
     Doubt,
     DoubtReason,
     Ending,
+    Episode,
     Estimate,
+    InsertionId,
     Limits,
     ModelEntry,
     Outcome,
     RefusalReason,
+    RobotSample,
+    Telemetry,
+    ToolPose,
 )
+from service.contract.wire_parts import InsertionMessage as _Message
 
 __all__ = [
     "CameraEntry",
@@ -38,23 +45,23 @@ __all__ = [
     "Doubt",
     "DoubtReason",
     "Ending",
+    "Episode",
     "Estimate",
+    "InsertionId",
     "Limits",
     "ModelEntry",
     "Outcome",
     "RefusalReason",
+    "RobotSample",
+    "Telemetry",
+    "ToolPose",
 ]  # the parts; what is defined here goes without saying
 
 PROTOCOL = 2
 MAX_ATTEMPTS = 15
 MAX_TEXT_BYTES = 65536
 
-InsertionId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
-
-
-class _Message(Contract):
-    insertion_id: InsertionId
 
 
 # ---- client to service ------------------------------------------------------------------------------------------
@@ -131,7 +138,8 @@ class ClientHeartbeat(_Message):
 
 
 ClientMessage = Annotated[
-    ClientHello | LearnOpen | Arm | Descending | Stopped | Abort | ClientHeartbeat, Field(discriminator="type")
+    ClientHello | Episode | LearnOpen | Arm | Descending | Stopped | Abort | ClientHeartbeat | Telemetry,
+    Field(discriminator="type"),
 ]
 
 # ---- service to client ------------------------------------------------------------------------------------------

@@ -3,12 +3,19 @@
 Only the perception thread calls a manager's methods; closing a recording alone happens outside it.
 """
 
+import json
+import platform
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
+import numpy as np
+import onnxruntime
+
+from service import __version__
 from service.cameras.capture import Camera, now_ns
 from service.contract import Finger, wire
 from service.contract.replies import beat, unspoken
@@ -24,6 +31,14 @@ from service.session.memory import give_back
 from service.session.state_machine import InsertionSession, ignore
 from service.settings import Settings
 
+VERSIONS = {
+    "service": __version__,
+    "protocol": str(wire.PROTOCOL),
+    "python": platform.python_version(),
+    "numpy": np.__version__,
+    "onnxruntime": onnxruntime.__version__,
+    "opencv": cv2.__version__,
+}
 REMEMBERED_N = 256  # ended insertions whose `finished` is sent again to a client that missed it
 
 
@@ -39,6 +54,7 @@ class InsertionManager:
     submit: Callable[[Work], None]
     active: Insertion | None = None
     opened_n: int = 0
+    jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     unrecorded_n: int = 0
     _unrecorded: str = ""
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
@@ -134,7 +150,7 @@ class InsertionManager:
         session.cameras, session.submit = self.camera_entries, self.submit
         session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session)
-        insertion = Insertion(session, recorder, None, self._publish, self.hub.observation)
+        insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
         try:
@@ -143,7 +159,7 @@ class InsertionManager:
                     insertion.prime(camera.latest)
         except Exception:
             if recorder:
-                recorder.close({"outcome": "failed", "attempts": 0})
+                recorder.close({"outcome": "failed", "cause": "service", "attempts": 0})
             raise
         self.active = insertion
         self.opened_n += 1
@@ -154,6 +170,7 @@ class InsertionManager:
         facts = {
             "controller": self.settings.controller,
             "limits": self.settings.limits.model_dump_json(),
+            "versions": json.dumps(VERSIONS),
             "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
             "models_folder": str(self.settings.models),
             "calibration": self._calibration_text,
@@ -185,7 +202,8 @@ class InsertionManager:
         """Close an ended insertion's recording, inform its client, and free its memory."""
         insertion = ended.pop()
         if recorder := insertion.recorder:
-            recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
+            how = finished.model_dump(mode="json", include={"outcome", "cause", "attempts", "doubts"})
+            recorder.close(how | insertion.facts)
             self._note_recorded(f"recording {recorder.path}: {recorder.error}" if recorder.error else "")
         insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
         if insertion.send:

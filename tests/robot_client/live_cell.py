@@ -89,7 +89,7 @@ class TruthfulService:
         try:
             async for text in connection:
                 message = wire.parse_client(text)
-                if not isinstance(message, wire.ClientHeartbeat):
+                if not isinstance(message, wire.ClientHeartbeat | wire.Telemetry | wire.Episode):
                     self.received.append(message)
                 await asyncio.sleep(self.delays_s.get(message.type, 0.0))
                 replies = self.on_message(message) if self.on_message else None

@@ -40,6 +40,12 @@ class Port:
     def grasp(self):
         self.notes.append("grasp")
 
+    def position(self):
+        return None
+
+    def target(self):
+        return None
+
     def statistics(self):
         return {}
 
