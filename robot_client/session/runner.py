@@ -8,7 +8,7 @@ from collections.abc import Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from robot_client.insertion.events import Begin, Command, Event, Failure, Grasp, Grasped, Hold, Move, Renew, Send, Tick
+from robot_client.insertion.events import Begin, Command, Event, Failure, Grasp, Hold, Move, Renew, Send, Tick
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import Phase, Plan, State
@@ -55,7 +55,6 @@ class Runner:
     _handling: bool = False
     _done: asyncio.Event = field(default_factory=asyncio.Event)
     _telemetry: Telemetry = field(init=False)
-    _width_mm: float | None = None
 
     def __post_init__(self) -> None:
         self.state = State(self.plan)
@@ -68,14 +67,14 @@ class Runner:
             await self.gripper.start(self.post)
             if not self.state.done:  # after a failure no motors, no program
                 pose = await self.arm.start(self.post)
-                self.post(Begin(at_s=time.monotonic(), pose=pose))
+                self.post(Begin(at_s=time.monotonic(), pose=pose, held=self.gripper.held))
             due_s = time.monotonic()
             while not self._done.is_set():
                 due_s = max(due_s + _TICK_S, time.monotonic())
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(self._done.wait(), due_s - time.monotonic())
                 self.post(Tick(at_s=time.monotonic()))
-                self._telemetry.sample(self.state, self._width_mm)
+                self._telemetry.sample(self.state, self.state.width_mm)
         except asyncio.CancelledError:
             self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
         finally:
@@ -96,8 +95,6 @@ class Runner:
 
     def _handle(self, event: Event) -> None:
         before = self.state
-        if isinstance(event, Grasped):
-            self._width_mm = event.width_mm
         self.state, commands = step(before, event)
         for command in commands:
             self._carry_out(command)

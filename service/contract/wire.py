@@ -5,12 +5,13 @@ Every message carries the insertion id and, where it concerns one, the attempt n
 millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock; only ``sent_ns``
 is the client's, which the service sends back beside its own clock (:class:`Clock`).
 
-client:  hello -> episode? -> (arm -> descending -> stopped)* ; abort, heartbeat and telemetry at any time
-service: hello -> (armed -> watching* -> (slip | enough)? -> correction | no_decision)* -> finished
+client:  hello -> episode? -> learn_open? -> (arm -> descending -> stopped)*
+         abort, heartbeat and telemetry at any time
+service: hello -> open_learnt? -> (armed -> watching* -> (slip | enough)? -> correction | no_decision)* -> finished
          refused instead of armed; fault and heartbeat at any time
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -24,6 +25,7 @@ from service.contract.wire_parts import (
     ControllerName,
     Doubt,
     DoubtReason,
+    Ending,
     Enough,
     Episode,
     Estimate,
@@ -47,6 +49,7 @@ __all__ = [
     "ControllerName",
     "Doubt",
     "DoubtReason",
+    "Ending",
     "Enough",
     "Episode",
     "Estimate",
@@ -78,12 +81,19 @@ class ClientHello(_Message):
     controller: ControllerName | None = None
 
 
+class LearnOpen(_Message):
+    """The hand is open and nothing touches the gels: learn what they look like. Sent before each grasp."""
+
+    type: Literal["learn_open"] = "learn_open"
+
+
 class Arm(_Message):
     """The arm stands above the gap, holding the object still: take the reference, watch for slip.
 
     ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them; None if the
     cell does not know it. It is the lever arm of the edge's friction: without it the size of an error is a guess.
-    ``grip_n`` is the fingers' force, ``shear_reach_mm`` how far the gel shears under it before it slides.
+    ``gripper_width_mm``: how far apart the fingers are; None if the gripper does not tell. ``grip_n`` is their force,
+    ``shear_reach_mm`` how far the gel shears under it before it slides.
     """
 
     type: Literal["arm"] = "arm"
@@ -93,6 +103,7 @@ class Arm(_Message):
     grip_n: float | None = Field(default=None, gt=0, le=1000)
     shear_reach_mm: float | None = Field(default=None, gt=0, le=100)
     expected_depth_mm: float = Field(gt=0, le=1000)
+    gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
 
 
 class Descending(_Message):
@@ -106,14 +117,15 @@ class Descending(_Message):
 class Stopped(_Message):
     """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion.
 
-    ``inserted`` means that full depth was reached. `finished` reports whether the object came along: it is ``failed``
-    after a fault ``not_seated`` (the gels still carry a push) or ``not_seen`` (no frame shows them).
+    ``inserted`` means that full depth was reached. `finished` reports whether that is confirmed to be an insertion.
+    ``gripper_width_mm``: how far apart the fingers are now; None if the gripper does not tell.
     """
 
     type: Literal["stopped"] = "stopped"
     attempt: Attempt
     depth_mm: float
     outcome: Outcome
+    gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
 
 
 class Abort(_Message):
@@ -125,14 +137,14 @@ class Abort(_Message):
 
 
 class ClientHeartbeat(_Message):
-    """Sent at least every second; the service answers with its own. It maps clocks, and shows nothing but a link."""
+    """Sent at least every second; the service answers with its own. It maps clocks and shows a link, nothing else."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int = Field(ge=0)
     sent_ns: int | None = None
 
 
-_Client = ClientHello | Episode | Arm | Descending | Stopped | Abort | ClientHeartbeat | Telemetry
+_Client = ClientHello | Episode | LearnOpen | Arm | Descending | Stopped | Abort | ClientHeartbeat | Telemetry
 ClientMessage = Annotated[_Client, Field(discriminator="type")]
 
 # ---- service to client ------------------------------------------------------------------------------------------
@@ -148,6 +160,12 @@ class ServiceHello(_Message):
     cameras: tuple[CameraEntry, ...]
     controller: ControllerName
     limits: Limits
+
+
+class OpenLearnt(_Message):
+    """Both open gels are learnt; the fingers may close."""
+
+    type: Literal["open_learnt"] = "open_learnt"
 
 
 class Armed(_Message):
@@ -225,7 +243,7 @@ class Finished(_Message):
     """
 
     type: Literal["finished"] = "finished"
-    outcome: Literal["inserted", "not_confirmed", "failed", "aborted"]
+    outcome: Ending
     attempts: int
     cause: Cause | None = None
     doubts: tuple[Doubt, ...] = ()
@@ -253,35 +271,17 @@ class ServiceHeartbeat(_Message):
     frame_age_ms: float | None
 
 
-_AboutAttempt = Armed | Refused | Watching | Slip | Enough | Correction | NoDecision
-_Service = ServiceHello | _AboutAttempt | Finished | Fault | ServiceHeartbeat
+AttemptMessage = Armed | Refused | Watching | Slip | Enough | Correction | NoDecision
+_Service = ServiceHello | OpenLearnt | AttemptMessage | Finished | Fault | ServiceHeartbeat
 ServiceMessage = Annotated[_Service, Field(discriminator="type")]
 
 
-def unspoken(hello: ClientHello) -> Fault | None:
-    """Why a client of another protocol cannot be served, None if it speaks ours."""
-    if hello.protocol == PROTOCOL:
-        return None
-    detail = f"client speaks protocol {hello.protocol}, this service {PROTOCOL}; update the older one"
-    return Fault(insertion_id=hello.insertion_id, code="protocol_version", detail=detail, fatal=True)
+_Parsed = TypeVar("_Parsed")
+_CLIENT: TypeAdapter[ClientMessage] = TypeAdapter(ClientMessage)
+_SERVICE: TypeAdapter[ServiceMessage] = TypeAdapter(ServiceMessage)
 
 
-_CLIENT: TypeAdapter[Any] = TypeAdapter(ClientMessage)
-_SERVICE: TypeAdapter[Any] = TypeAdapter(ServiceMessage)
-
-
-def clock(message: ClientHello | ClientHeartbeat, now_ns: int) -> Clock | None:
-    """The answer to a client's clock at ``now_ns`` of the service's; None where it did not ask."""
-    return None if message.sent_ns is None else Clock(sent_ns=message.sent_ns, service_ns=now_ns)
-
-
-def beat(message: ClientHeartbeat, now_ns: int, frame_age_ms: float | None) -> ServiceHeartbeat:
-    """The answer to a client's heartbeat at ``now_ns`` of the service's clock."""
-    named, count = message.insertion_id, message.count
-    return ServiceHeartbeat(insertion_id=named, count=count, clock=clock(message, now_ns), frame_age_ms=frame_age_ms)
-
-
-def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
+def _parse(adapter: TypeAdapter[_Parsed], text: str | bytes) -> _Parsed:
     if len(text) > MAX_TEXT_BYTES:
         raise ContractError(f"message of {len(text)} bytes, expected at most {MAX_TEXT_BYTES}")
     try:
@@ -291,10 +291,10 @@ def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
 
 
 def parse_client(text: str | bytes) -> ClientMessage:
-    """What a client sent; raise ContractError naming the field that is wrong."""
-    return _parse(_CLIENT, text)  # type: ignore[no-any-return]
+    """Parse what a client sent; raise ContractError naming the field that is wrong."""
+    return _parse(_CLIENT, text)
 
 
 def parse_service(text: str | bytes) -> ServiceMessage:
     """Parse what the service sent; raise ContractError naming the field that is wrong."""
-    return _parse(_SERVICE, text)  # type: ignore[no-any-return]
+    return _parse(_SERVICE, text)

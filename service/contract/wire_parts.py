@@ -28,6 +28,7 @@ Cause = Literal[
     "timeout",
     "client",  # a defect of the client
 ]
+Ending = Literal["inserted", "not_confirmed", "failed", "aborted"]
 RefusalReason = Literal["no_reference", "nothing_held", "implausible_width", "late_frames", "not_seen"]
 DoubtReason = Literal["push", "not_seen", "not_held", "width", "moved_in_hand", "depth", "order"]
 

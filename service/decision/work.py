@@ -1,6 +1,6 @@
 """The networks' work for one attempt, and the rules by which their evidence becomes a correction or is refused."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,15 +130,13 @@ def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, 
     )
 
 
-def enough_message(insertion_id: str, attempt: Attempt) -> wire.Enough:
-    """Stop now: the networks have seen all they read."""
-    pair = attempt.ring[-1]
-    return wire.Enough(
-        insertion_id=insertion_id,
-        attempt=attempt.arm.attempt,
-        frame_seq=pair.seq,
-        pressed_mm=attempt.descent.pressed_mm if attempt.descent else 0.0,
-    )
+def seen_enough(attempt: Attempt) -> Iterator[wire.Enough]:
+    """The order to stop, if the networks have seen all that they read while the arm was still going down."""
+    descent, pair = attempt.descent, attempt.ring[-1]
+    if attempt.stage is Stage.ARMED and not attempt.slip_sent and descent is not None and descent.enough:
+        attempt.stops(pair.captured_ns)
+        named = {"insertion_id": attempt.arm.insertion_id, "attempt": attempt.arm.attempt}
+        yield wire.Enough(**named, frame_seq=pair.seq, pressed_mm=descent.pressed_mm)
 
 
 def correction(

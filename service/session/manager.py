@@ -18,6 +18,7 @@ import onnxruntime
 from service import __version__
 from service.cameras.capture import Camera, now_ns
 from service.contract import Finger, wire
+from service.contract.replies import beat, unspoken
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.hub import Hub
@@ -81,7 +82,7 @@ class InsertionManager:
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
         """A client wants to drive: open an insertion, or resume its own one after a lost connection."""
-        if refused := wire.unspoken(hello):
+        if refused := unspoken(hello):
             send(refused)
             return
         if ended := self._ended.get(hello.insertion_id):  # the client that drives now is left alone
@@ -117,7 +118,7 @@ class InsertionManager:
             self.active.message(message)
         elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self._ended:
             # while its recording is being closed, a client that waits for `finished` must not see silence
-            send(wire.beat(message, now_ns(), None))
+            send(beat(message, now_ns(), None))
 
     def disconnect(self, send: Send) -> None:
         """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
@@ -147,7 +148,7 @@ class InsertionManager:
     def _open(self, hello: wire.ClientHello) -> Insertion:
         session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
         session.cameras, session.submit = self.camera_entries, self.submit
-        session.deadlines, session.checks_full_depth = self.settings.deadlines, self.settings.full_depth_look
+        session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session)
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
         session.on_command = lambda command: self.hub.publish("command", command)
@@ -169,7 +170,6 @@ class InsertionManager:
         facts = {
             "controller": self.settings.controller,
             "limits": self.settings.limits.model_dump_json(),
-            "full_depth_look": str(self.settings.full_depth_look),
             "versions": json.dumps(VERSIONS),
             "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
             "models_folder": str(self.settings.models),
