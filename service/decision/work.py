@@ -135,8 +135,12 @@ def seen_enough(attempt: Attempt) -> Iterator[wire.Enough]:
     descent, pair = attempt.descent, attempt.ring[-1]
     if attempt.stage is Stage.ARMED and not attempt.slip_sent and descent is not None and descent.enough:
         attempt.stops(pair.captured_ns)
-        named = {"insertion_id": attempt.arm.insertion_id, "attempt": attempt.arm.attempt}
-        yield wire.Enough(**named, frame_seq=pair.seq, pressed_mm=descent.pressed_mm)
+        yield wire.Enough(
+            insertion_id=attempt.arm.insertion_id,
+            attempt=attempt.arm.attempt,
+            frame_seq=pair.seq,
+            pressed_mm=descent.pressed_mm,
+        )
 
 
 def correction(
