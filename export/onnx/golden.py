@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FrameSpec, MarkerSpec, ModelCard, Sensor
-from service.contract.pressing import Lattice
+from service.contract.model_card import Lattice
 
 PITCH_PX, RADIUS_PX = Sensor.load().marker_pitch_px, Sensor.load().marker_diameter_px / 2
 

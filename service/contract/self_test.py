@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract.frames import ContractError, FrameSpec
-from service.contract.model_card import ModelCard, SelfTest
-from service.contract.pressing import Lattice
+from service.contract.model_card import Lattice, ModelCard, SelfTest
 from service.contract.sensor import MarkerSpec, Sensor
 
 Arrays = dict[str, NDArray[Any]]

@@ -32,6 +32,7 @@ from service.contract.wire_parts import (
     InsertionId,
     Limits,
     ModelEntry,
+    NoDecisionReason,
     Outcome,
     RefusalReason,
     RobotSample,
@@ -56,6 +57,7 @@ __all__ = [
     "InsertionId",
     "Limits",
     "ModelEntry",
+    "NoDecisionReason",
     "Outcome",
     "RefusalReason",
     "RobotSample",
@@ -232,7 +234,7 @@ class NoDecision(_Message):
 
     type: Literal["no_decision"] = "no_decision"
     attempt: Attempt
-    reason: Literal["no_motion", "out_of_distribution", "low_confidence", "non_finite", "stale", "too_few_frames"]
+    reason: NoDecisionReason
     detail: str
 
 
@@ -260,10 +262,7 @@ class Fault(_Message):
 
 
 class ServiceHeartbeat(_Message):
-    """Answer to a client heartbeat, same count; the age is of the newest frame of the finger that is further behind.
-
-    It is for a person to read: a frame that came is not one that was judged (:class:`Watching`).
-    """
+    """Answer to a client heartbeat, same count; for a person, the age of the newest frame of the finger further behind."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int

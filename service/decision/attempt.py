@@ -13,7 +13,7 @@ from service.contract import FINGERS, Finger, ModelCard, TactileFrame
 from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome, RefusalReason, Refused, Watching
 from service.decision.arming import implausible_width, nothing_held
 from service.decision.evidence import DecisionRun, Evidence, Refusal
-from service.decision.press import Descent
+from service.decision.network_input import Descent
 from service.decision.seating import Push, push_of
 from service.perception.observation import FingerWatch, Observation, PairObservation
 
@@ -176,7 +176,7 @@ class Attempt:
         return fresh
 
     def told(self) -> dict[str, float | None]:
-        """The conditions of the attempt as far as the client told them; see `service.contract.pressing.CONDITIONS`."""
+        """The conditions of the attempt as far as the client told them; see `model_card.CONDITIONS`."""
         arm = self.arm
         return {
             "gap_width_mm": arm.gap_width_mm,

@@ -12,7 +12,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from service.contract import ContractError, ModelCard
-from service.contract.pressing import CONDITIONS
+from service.contract.model_card import CONDITIONS
 from service.contract.self_test import check_self_test
 from service.contract.wire import ModelEntry
 

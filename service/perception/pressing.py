@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract.pressing import Lattice, Pressing
+from service.contract.model_card import Lattice, Pressing
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from service.contract import ContractError, Sensor
-from service.contract.pressing import CONDITIONS, MARKER_PITCH, Pressing, Span
+from service.contract.model_card import CONDITIONS, MARKER_PITCH, Pressing, Span
 from service.perception.pressing import lattice_weights, onset_depth, step_weights
 from training.config import DataConfig
 from training.data.batches import Batch, mirror_fields

@@ -11,7 +11,7 @@ from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
 from service.contract import ContractError, Sensor
-from service.contract.pressing import Pressing
+from service.contract.model_card import Pressing
 from training.data.labels import CLASSES
 from training.metrics.figures import Scales
 from training.networks import build

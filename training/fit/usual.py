@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from service.contract.pressing import Pressing
+from service.contract.model_card import Pressing
 from training.data.pressed import Pressed
 from training.networks.decider import Decider
 from training.networks.pressing import PressingNetwork

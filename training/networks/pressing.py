@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from service.contract import Sensor
-from service.contract.pressing import CONDITIONS, Lattice
+from service.contract.model_card import CONDITIONS, Lattice
 from training.networks.affine import AffineFit
 from training.networks.decider import Decider
 from training.networks.forms import Role

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.contract.pressing import CONDITIONS, Lattice, Pressing, Span
+from service.contract.model_card import CONDITIONS, Lattice, Pressing, Span
 from service.perception.pressing import DepthSteps, lattice_weights, on_lattice, onset_depth, step_weights
 
 LATTICE = Lattice(rows=9, columns=9, pitch_mm=1.5)

@@ -7,7 +7,7 @@ import torch
 
 from export.onnx.to_onnx import export_checkpoint
 from service.contract import Sensor, wire
-from service.contract.pressing import Pressing, Span
+from service.contract.model_card import Pressing, Span
 from service.decision.models import ModelSet, load_models
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import Insertion, stage
