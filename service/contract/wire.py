@@ -262,7 +262,7 @@ class Fault(_Message):
 
 
 class ServiceHeartbeat(_Message):
-    """Answer to a client heartbeat, same count; for a person, the age of the newest frame of the finger further behind."""
+    """Answer to a heartbeat, same count; for a person, the age of the newest frame of the finger further behind."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int
