@@ -22,6 +22,10 @@ SMALL = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_siz
 Said = list[wire.ServiceMessage]
 
 
+class AnsweredError(Exception):
+    """The first attempt has its answer."""
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
     """An untrained network whose card states what a test says."""
@@ -48,10 +52,12 @@ def first_attempt(models: ModelSet, **changes: float) -> tuple[Insertion, Said]:
     def listen(messages: Said) -> None:
         said.extend(messages)
         hear(messages)
+        if answers(said)[-1:] and answers(said)[-1] in ("correction", "no_decision"):
+            raise AnsweredError
 
     insertion._hear = listen  # type: ignore[method-assign]
-    insertion.session.on_attempt = lambda _: None
-    insertion.run()
+    with pytest.raises(AnsweredError):
+        insertion.run()
     return insertion, said
 
 
