@@ -30,11 +30,12 @@ TRACKING_MM = (0.001, 0.004)
 """Error of a lattice point, RMS of an axis: a tracker's 0.04 to 0.08 px, averaged over the markers around it."""
 NOTICED_MM = (0.012, 0.03)
 """Motion at which the service notices the onset."""
-TOLD_ERROR = (0.3, 1.5, 0.05, 0.15, 0.02, 0.0)
-"""Of each condition as a cell tells it: mm of gap and height, shares of the rest."""
+TOLD_ERROR = (2.0, 5.0, 0.1, 0.3, 0.03, 0.0)
+"""Of each condition as a cell tells it, at most: mm of gap and height, shares of the rest."""
 UNTOLD_SHARE = (0.1, 0.2, 0.3, 0.4, 0.0, 0.0)
 """Of training decisions without a condition: cells may not know it."""
-SCALE_ERROR, LOST_SHARE = 0.015, 0.03
+SCALE_ERROR, ROLL_DEG, LOST_SHARE = 0.03, 2.0, 0.03
+"""Of a finger's camera: what its calibration may be wrong by, and markers that are not found."""
 CARRIED = 10
 """Of the markers' motions, the one that notices the onset, from the largest: as `carried_px` of the service does."""
 _TABLE = 1
@@ -114,10 +115,19 @@ def _vary(
     fields[turned] = fields[turned][:, :, ::-1]
     error[mirrored] *= MIRROR_SIGNS
     error[turned] *= HALF_TURN_SIGNS
-    fields[..., :2] *= rng.normal(1.0, SCALE_ERROR, (count, 1, 2, 1, 1, 1)).astype(np.float32)
+    _miscalibrate(fields, rng)
     lost = rng.random((count, 1, *fields.shape[2:5], 1)) < LOST_SHARE * rng.random((count, 1, 1, 1, 1, 1))
     fields *= ~lost
     conditions[rng.random(conditions.shape) < np.array(UNTOLD_SHARE)] = 0.0
+
+
+def _miscalibrate(fields: NDArray[np.float32], rng: np.random.Generator) -> None:
+    """Scale and turn the motion that each finger's camera shows, as far as its calibration may be wrong."""
+    one = (len(fields), 1, 2, 1, 1)
+    scale, roll = rng.uniform(1.0 - SCALE_ERROR, 1.0 + SCALE_ERROR, one), np.radians(ROLL_DEG) * rng.uniform(-1, 1, one)
+    along, across = (scale * np.cos(roll)).astype(np.float32), (scale * np.sin(roll)).astype(np.float32)
+    du, dv = fields[..., 0].copy(), fields[..., 1].copy()
+    fields[..., 0], fields[..., 1] = along * du - across * dv, across * du + along * dv
 
 
 def load_pressed(config: DataConfig, source: Source | None = None) -> Pressed:
@@ -166,7 +176,7 @@ def _table(source: Source, count: int, views: int) -> dict[str, NDArray[Any]]:
 
 def _told(stored: "Stored", spacing_mm: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """The conditions as a cell would state them, a little wrong; 0 stays unknown."""
-    true, error = np.array([*stored.conditions, spacing_mm]), rng.normal(0.0, TOLD_ERROR)
+    true, error = np.array([*stored.conditions, spacing_mm]), rng.uniform(-1.0, 1.0, len(TOLD_ERROR)) * TOLD_ERROR
     told = np.where(np.arange(len(true)) < 2, true + error, true * np.exp(error))
     return np.asarray(np.where(true > 0, np.maximum(told, 1e-3), 0.0), np.float32)
 

@@ -21,6 +21,7 @@ STEPS = 10
 USUAL = (60.0, 60.0, 25.0, 0.8, 10.0, 0.2)
 """A middle value of each condition: they are read as logarithms of what is told over it."""
 KNOWN_FEATURES = 2 * len(CONDITIONS)
+SHARE_FEATURES = 64
 VISIBLE = 0.5
 LEAST = 1e-3
 SHARES = slice(12, 24)
@@ -82,7 +83,7 @@ class PressingNetwork(Decider):
 
     def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
         super().__init__(settings, classes, sensor)
-        self.shares = nn.Linear(SHARES.stop - SHARES.start, settings.state_size // 2)
+        self.shares = nn.Linear(SHARES.stop - SHARES.start, SHARE_FEATURES)
         self.strange = Strangeness(4 * LATTICE.rows * LATTICE.columns)
 
     def grid(self, sensor: Sensor) -> tuple[int, int]:  # noqa: ARG002 any sensor is read on the same lattice
@@ -90,7 +91,7 @@ class PressingNetwork(Decider):
         return LATTICE.rows, LATTICE.columns
 
     channels = 5
-    condition_features = KNOWN_FEATURES + 64
+    condition_features = KNOWN_FEATURES + SHARE_FEATURES
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
         """A step, which is a change already, against a reference of no change -> features."""
