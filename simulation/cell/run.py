@@ -6,7 +6,7 @@ The cell plays robot, gripper and cameras on loopback; the service and the clien
 import json
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -164,8 +164,13 @@ class Loop(NamedTuple):
 
 
 @contextmanager
-def loop(start: Start, options: RunOptions, folder: Path) -> Iterator[Loop]:
-    """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails."""
+def loop(
+    start: Start, options: RunOptions, folder: Path, through: Callable[[str], str] = lambda url: url
+) -> Iterator[Loop]:
+    """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails.
+
+    ``through``: the address by which the client reaches the service, made of the service's own.
+    """
     folder.mkdir(parents=True)
     with ExitStack() as children:
         cell = children.enter_context(_start_cell(start, options, folder))
@@ -173,7 +178,7 @@ def loop(start: Start, options: RunOptions, folder: Path) -> Iterator[Loop]:
         facts = json.loads((folder / "cell" / "cell.json").read_text())
         service = children.enter_context(_start_service(facts, options, folder))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        client = children.enter_context(_start_client(facts, url, options, folder))
+        client = children.enter_context(_start_client(facts, through(url), options, folder))
         yield Loop(cell, service, client, facts, folder / "episode.jsonl")
 
 
