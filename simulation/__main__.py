@@ -15,6 +15,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "explain": ("explain:explain", "which effects a scene calls for, why, and what each costs"),
     "probe": ("probe:probe", "one descent, printed or saved as a picture or video"),
     "imprint": ("probe:imprint", "what the simulated sensor records, object by object, as one picture"),
+    "draw-worlds": ("draw:draw_worlds", "worlds that nobody trained for, by Latin hypercube, as files"),
+    "draw-objects": ("draw:draw_objects", "random convex objects as files"),
     "collect": ("dataset:collect", "poke on all cores and keep the collisions as a dataset"),
     "view": ("dataset:view", "trials of a dataset as pictures"),
     "export-dataset": ("dataset:export_dataset", "trials as a LeRobot v3.0 dataset or as MCAP files"),

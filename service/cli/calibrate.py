@@ -1,40 +1,112 @@
-"""`python -m service calibrate`: fit the rectification of both cameras and write it to a file."""
+"""`python -m service calibrate`: fit the rectification of both cameras, or measure one picture of a resting gel."""
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from service.contract import FINGERS, ContractError, Finger, Sensor
 from service.contract.sensor import DEFAULT_SENSOR
 from service.perception.rectification import Calibration, CalibrationError, Rectifier
-from service.tools.calibrate import Fit, fit_camera, still_image
+from service.tools.calibrate import (
+    Fit,
+    check_two_cameras,
+    find_grid,
+    fit_camera,
+    of_sensor,
+    rectify,
+    refusal,
+    serial_of,
+    still_image,
+)
+from service.tools.calibration_output import figures, profile_of, residual_map, save_profile
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Fit both fingers and write the file; raises CalibrationError or CameraError naming the finger."""
+    """Fit both fingers, or one picture; raises CalibrationError or CameraError naming what was wrong."""
     options = _parse(arguments)
-    try:
-        sensor = Sensor.load(options.sensor)
-    except ContractError as error:
-        raise CalibrationError(f"--sensor: {error}") from error
+    if options.picture is not None:
+        return _measure(options)
+    if options.camera_left is None or options.camera_right is None:
+        raise CalibrationError("expected --camera-left and --camera-right, or --picture")
+    sensor: Sensor | None = None if options.new_profile else _sensor(options.sensor)
     fits: dict[Finger, Fit] = {}
     for finger in FINGERS:
-        image = still_image(getattr(options, f"camera_{finger}"), options.frames)
-        fits[finger] = fit = fit_camera(image, finger, sensor)
-        rows, cols = fit.lattice.detected.shape
-        print(
-            f"{finger:<6} {cols} x {rows} markers, {fit.lattice.detected.mean():.1%} of them visible,"
-            f" {fit.residual_px:.2f} px RMS off the regular grid"
-        )
-        if options.pictures is not None:
-            options.pictures.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(options.pictures / f"{finger}.png"), Rectifier(fit.camera).apply(image))
+        url = getattr(options, f"camera_{finger}")
+        image = still_image(url, options.frames)
+        if sensor is None:
+            sensor = _found(options, image, finger)
+        fits[finger] = fit = fit_camera(image, finger, sensor, serial_of(url))
+        print(_line(finger, fit))
+        _draw(options.pictures, finger, image, fit)
+    check_two_cameras((options.camera_left, fits["left"]), (options.camera_right, fits["right"]))
     options.out.parent.mkdir(parents=True, exist_ok=True)
     Calibration(fits["left"].camera, fits["right"].camera).save(options.out)
     print(f"wrote {options.out}")
     return 0
+
+
+def _measure(options: argparse.Namespace) -> int:
+    """One picture: how well its markers obey the model; the row is written whether or not the profile would take it."""
+    path: Path = options.picture
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+    if image is None:
+        raise CalibrationError(f"--picture {path}: expected a picture file")
+    picture = np.asarray(image, np.uint8)
+    sensor = _found(options, picture, path.name) if options.new_profile else _sensor(options.sensor)
+    try:
+        grid = find_grid(picture, path.name, sensor)
+    except CalibrationError as error:
+        nothing = {"residual_px": None, "rows": 0, "columns": 0, "found_share": 0.0, "refused": str(error)}
+        _write(options.json, {"picture": path.name, "sensor": sensor.name, **nothing})
+        raise
+    own = sensor if of_sensor(grid, sensor) else profile_of(picture, grid, "as_seen", options.pitch_mm, options.fps)
+    fit = rectify(picture, grid, own)  # a grid of another sensor is measured in pixels as it shows them
+    refused = refusal(fit, sensor)
+    _write(options.json, {"picture": path.name, "sensor": sensor.name, **figures(fit, refused)})
+    print(_line(path.name, fit) + ("" if refused is None else f"\nno calibration of {sensor.name}: {refused}"))
+    _draw(options.pictures, path.stem, picture, fit)
+    return 0
+
+
+def _sensor(name: str) -> Sensor:
+    try:
+        return Sensor.load(name)
+    except ContractError as error:
+        raise CalibrationError(f"--sensor: {error}") from error
+
+
+def _found(options: argparse.Namespace, image: np.ndarray, name: str) -> Sensor:
+    """A new profile from this picture."""
+    grid = find_grid(image, name, None)
+    sensor = profile_of(image, grid, options.new_profile.stem, options.pitch_mm, options.fps)
+    save_profile(sensor, options.new_profile)
+    print(f"wrote {options.new_profile}; markers taken as {options.pitch_mm:g} mm apart, {options.fps} frames a second")
+    return sensor
+
+
+def _line(name: str, fit: Fit) -> str:
+    rows, columns = fit.grid.shape
+    return (
+        f"{name:<6} {columns} x {rows} markers, {fit.found_share:.1%} of them found,"
+        f" {fit.residual_px:.2f} px RMS off the regular grid"
+    )
+
+
+def _draw(folder: Path | None, name: str, image: np.ndarray, fit: Fit) -> None:
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(folder / f"{name}.png"), Rectifier(fit.camera).apply(image))
+        cv2.imwrite(str(folder / f"{name}_residual.png"), residual_map(image, fit))
+
+
+def _write(path: Path | None, row: dict[str, object]) -> None:
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -42,9 +114,16 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="tactile-insertion calibrate", description=description)
     for finger in FINGERS:
         help_text = f"camera of the {finger} finger, as for run: v4l2:N, http://HOST:PORT/PATH or file:PATH"
-        parser.add_argument(f"--camera-{finger}", required=True, metavar="URL", help=help_text)
+        parser.add_argument(f"--camera-{finger}", metavar="URL", help=help_text)
+    parser.add_argument(
+        "--picture", type=Path, help="measure this picture of a resting gel instead, write no calibration"
+    )
+    parser.add_argument("--json", type=Path, help="with --picture: file for residual_px, rows, columns, found_share")
     parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="its name or its TOML profile (%(default)s)")
+    parser.add_argument("--new-profile", type=Path, metavar="TOML", help="find the markers' counts, write this profile")
+    parser.add_argument("--pitch-mm", type=float, default=1.5, help="of a new profile: distance of its markers (1.5)")
+    parser.add_argument("--fps", type=int, default=30, help="of a new profile: frames a second (30)")
     parser.add_argument("--out", type=Path, default=Path("calibration.toml"), help="file to write (calibration.toml)")
     parser.add_argument("--frames", type=int, default=15, help="frames a camera; their median is used (15)")
-    parser.add_argument("--pictures", type=Path, help="folder for the rectified pictures, to look at")
+    parser.add_argument("--pictures", type=Path, help="folder for rectified pictures and residual maps, to look at")
     return parser.parse_args(arguments)

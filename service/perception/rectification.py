@@ -2,9 +2,14 @@
 
 A calibration file is TOML: ``schema_version = 1`` and one table for each finger, ``[left]`` and ``[right]``, with
 ``raw_px = [width, height]``, ``rectified_px = [width, height]`` and ``homography`` (3 rows of 3): pixels of the raw
-frame to pixels of the rectified one, u right, v down, pixel centres at integers.
+frame to pixels of the rectified one, u right, v down, pixel centres at integers. Where the lens bends the rows, the
+homography starts from its ideal picture: ``lens_centre_px``, ``lens_scale_px``, ``lens_k`` (k1, k2). Where the gel
+does, ``warp_low_px``, ``warp_high_px`` and ``warp_px`` (2 rows of coefficients) correct its result
+(:mod:`service.perception.lens`). What was measured stands beside: ``date``, ``serial``, ``residual_px``,
+``found_share``, ``fingerprint`` (:mod:`service.perception.markers.fingerprint`).
 """
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -18,8 +23,10 @@ from service.contract import FINGERS, ContractError, Finger, FrameSpec
 from service.contract.frames import Contract
 from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
+from service.perception.lens import Lens, Projection, Warp, order_of
 
 SCHEMA_VERSION = 1
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Size = Annotated[list[int], Field(min_length=2, max_length=2)]  # width, height
 _MIN_AREA_SHARE = 0.02  # of the raw frame, seen by the rectified one
 
@@ -29,16 +36,34 @@ class CalibrationError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
+class Measured:
+    """How a calibration came about.
+
+    ISO ``date``; ``serial`` of the camera, "" if it tells none; ``residual_px``, RMS distance of the markers from the
+    regular grid in rectified px; ``found_share`` of the grid's markers; ``fingerprint`` of the gel.
+    """
+
+    date: str
+    serial: str
+    residual_px: float
+    found_share: float
+    fingerprint: str
+
+
+@dataclass(frozen=True, slots=True)
 class CameraCalibration:
     """One camera: what it delivers, what it is turned into, and by which homography (float64 [3, 3], raw to rectified).
 
     Raises CalibrationError if the homography is not finite, degenerate, or takes the rectified frame from (almost)
-    nowhere in the raw one.
+    nowhere in the raw one, and if lens or warp would show two places as one.
     """
 
     homography: NDArray[np.float64]
     raw: FrameSpec
     rectified: FrameSpec
+    lens: Lens | None = None
+    warp: Warp | None = None
+    measured: Measured | None = None
 
     def __post_init__(self) -> None:
         matrix = np.asarray(self.homography, np.float64)
@@ -49,6 +74,15 @@ class CameraCalibration:
             raise CalibrationError("homography is degenerate (its determinant vanishes)")
         object.__setattr__(self, "homography", matrix)
         self._check_view(matrix)
+        if self.lens is not None and not self.lens.one_to_one(self.raw.width_px, self.raw.height_px):
+            raise CalibrationError("lens_k folds the raw frame")
+        if self.warp is not None and not self.warp.one_to_one():
+            raise CalibrationError("warp_px folds the rectified frame")
+
+    @property
+    def projection(self) -> Projection:
+        """From the raw frame to the rectified one."""
+        return Projection(self.homography, self.lens, self.warp)
 
     def _check_view(self, matrix: NDArray[np.float64]) -> None:
         width, height = self.rectified.width_px, self.rectified.height_px
@@ -100,13 +134,7 @@ class Calibration:
         lines = [f"schema_version = {SCHEMA_VERSION}"]
         for finger in FINGERS:
             camera = self.camera(finger)
-            rows = ",\n".join(f"  [{', '.join(repr(float(value)) for value in row)}]" for row in camera.homography)
-            lines += [
-                f"\n[{finger}]",
-                f"raw_px = [{camera.raw.width_px}, {camera.raw.height_px}]",
-                f"rectified_px = [{camera.rectified.width_px}, {camera.rectified.height_px}]",
-                f"homography = [\n{rows},\n]",
-            ]
+            lines += _written(finger, camera)
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -116,6 +144,63 @@ class _CameraTable(Contract):
     raw_px: Size
     rectified_px: Size
     homography: list[list[float]]
+    lens_centre_px: Pair | None = None
+    lens_scale_px: float | None = None
+    lens_k: Pair | None = None
+    warp_low_px: Pair | None = None
+    warp_high_px: Pair | None = None
+    warp_px: list[list[float]] | None = None
+    date: str | None = None
+    serial: str = ""
+    residual_px: float | None = None
+    found_share: float | None = None
+    fingerprint: str = ""
+
+    def lens(self) -> Lens | None:
+        if self.lens_centre_px is None or self.lens_scale_px is None or self.lens_k is None:
+            return None
+        return Lens((self.lens_centre_px[0], self.lens_centre_px[1]), self.lens_scale_px, *self.lens_k)
+
+    def warp(self) -> Warp | None:
+        if self.warp_px is None or self.warp_low_px is None or self.warp_high_px is None:
+            return None
+        coefficients = np.array(self.warp_px, np.float64)
+        if coefficients.ndim != 2 or len(coefficients) != 2:
+            raise ValueError(f"warp_px has {len(self.warp_px)} rows, expected 2")
+        order_of(coefficients.shape[1])
+        return Warp(np.array(self.warp_low_px), np.array(self.warp_high_px), coefficients)
+
+    def measured(self) -> Measured | None:
+        if self.date is None or self.residual_px is None or self.found_share is None:
+            return None
+        return Measured(self.date, self.serial, self.residual_px, self.found_share, self.fingerprint)
+
+
+def _written(finger: Finger, camera: CameraCalibration) -> list[str]:
+    """Lines of the finger's table."""
+    lens, warp, measured = camera.lens, camera.warp, camera.measured
+    lines = [
+        f"\n[{finger}]",
+        f"raw_px = [{camera.raw.width_px}, {camera.raw.height_px}]",
+        f"rectified_px = [{camera.rectified.width_px}, {camera.rectified.height_px}]",
+        f"homography = {_matrix(camera.homography)}",
+    ]
+    if lens is not None:
+        lines += [f"lens_centre_px = {list(lens.centre_px)!r}", f"lens_scale_px = {lens.scale_px!r}"]
+        lines += [f"lens_k = {[lens.k1, lens.k2]!r}"]
+    if warp is not None:
+        lines += [f"warp_low_px = {warp.low.tolist()!r}", f"warp_high_px = {warp.high.tolist()!r}"]
+        lines += [f"warp_px = {_matrix(warp.coefficients)}"]
+    if measured is not None:
+        values = {name: getattr(measured, name) for name in ("date", "serial", "residual_px", "found_share")}
+        lines += [f"{name} = {json.dumps(value)}" for name, value in values.items()]
+        lines += [f"fingerprint = {json.dumps(measured.fingerprint)}"]
+    return lines
+
+
+def _matrix(rows: NDArray[np.float64]) -> str:
+    inner = ",\n".join(f"  [{', '.join(repr(float(value)) for value in row)}]" for row in rows)
+    return f"[\n{inner},\n]"
 
 
 def _camera(table: dict[str, Any], finger: Finger, path: str | Path) -> CameraCalibration:
@@ -124,7 +209,8 @@ def _camera(table: dict[str, Any], finger: Finger, path: str | Path) -> CameraCa
     try:
         entry = _CameraTable.model_validate(table[finger])
         raw, rectified = _spec(entry.raw_px, rectified=False), _spec(entry.rectified_px, rectified=True)
-        return CameraCalibration(np.array(entry.homography, np.float64), raw, rectified)
+        matrix = np.array(entry.homography, np.float64)
+        return CameraCalibration(matrix, raw, rectified, entry.lens(), entry.warp(), entry.measured())
     except ValidationError as error:
         raise CalibrationError(f"{path} [{finger}]: {describe(error, _CameraTable)}") from error
     except ValueError as error:
@@ -143,8 +229,7 @@ class Rectifier:
         self.camera = camera
         width, height = camera.rectified.width_px, camera.rectified.height_px
         grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(np.float64)
-        inverse = np.linalg.inv(camera.homography)
-        source = cv2.perspectiveTransform(grid, inverse)
+        source = camera.projection.raw(grid.reshape(-1, 2)).reshape(grid.shape)
         limit = float(4 * max(camera.raw.width_px, camera.raw.height_px))
         source = np.clip(source, -limit, limit).astype(np.float32)
         self._table, self._fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)

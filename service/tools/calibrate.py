@@ -1,36 +1,51 @@
-"""The rectification of both cameras, from a few frames of gels that touch nothing.
+"""The rectification of a camera, from a few frames of a gel that touches nothing.
 
-The marker grid is regular on the gel, so a homography that makes its image regular rectifies the whole frame.
+The marker grid is regular on the gel, so the mapping that makes its image regular rectifies the whole frame.
 """
 
 import threading
 import time
+from datetime import UTC, datetime
 from itertools import islice
 from math import ceil
+from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from service.cameras.capture import CameraError
 from service.cameras.sources import open_source
 from service.contract import Finger, FrameSpec, Sensor
-from service.perception.markers.lattice import Lattice, find_lattice, rectifying_homography, resting_px
-from service.perception.rectification import CalibrationError, CameraCalibration
+from service.perception.markers.fingerprint import fingerprint, likeness
+from service.perception.rectification import CalibrationError, CameraCalibration, Measured
+from service.tools.grid_fit import GridFit, fit_grid
 
 MIN_SIDE = 0.71  # of the rows and of the columns
-MIN_DETECTED = 0.9
+MIN_FOUND = 0.7
+MAX_DISPLACED = 0.1  # of the grid's markers: seen, but not where a resting gel has them
 MAX_RESIDUAL_PX = 1.0
+SAME_GEL = 0.9  # likeness of two fingerprints: two gels of one kind stay below 0.6
 WAIT_S = 10.0
+_DARK, _GLARE = 12, 243  # mean grey levels of a frame without light, and of one with too much
 
 
 class Fit(NamedTuple):
-    """One camera's calibration and how well the markers obey it: RMS distance from the regular grid, rectified px."""
+    """One camera's calibration, the grid it rests on, and how far its markers lie off, RMS in rectified px.
+
+    There the grid's first marker rests at ``first_px`` [2], its neighbours ``pitch_px`` from it.
+    """
 
     camera: CameraCalibration
-    lattice: Lattice
+    grid: GridFit
     residual_px: float
+    first_px: NDArray[np.float64]
+    pitch_px: float
+
+    @property
+    def found_share(self) -> float:
+        """Share of the grid's nodes that show a marker where it belongs."""
+        return float(self.grid.found.mean())
 
 
 def still_image(url: str, frames: int) -> NDArray[np.uint8]:
@@ -52,32 +67,103 @@ def still_image(url: str, frames: int) -> NDArray[np.uint8]:
     return np.asarray(np.median(np.stack(images), axis=0), np.uint8)
 
 
-def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor) -> Fit:
-    """The calibration of one camera from a still raw frame; raises CalibrationError if its grid is not visible."""
-    lattice = find_lattice(image)
-    if lattice is None:
-        raise CalibrationError(f"{finger}: no marker grid in the frame; is it the right camera, lit and in focus?")
-    rows, cols = lattice.detected.shape
-    least_rows, least_cols = (ceil(MIN_SIDE * count) for count in (sensor.marker_rows, sensor.marker_columns))
-    if rows < least_rows or cols < least_cols or lattice.detected.mean() < MIN_DETECTED:
-        raise CalibrationError(
-            f"{finger}: {cols} x {rows} markers visible, {lattice.detected.mean():.0%} of them detected; expected at"
-            f" least {least_cols} x {least_rows} and {MIN_DETECTED:.0%}: clean the gel, touch nothing"
+def find_grid(image: NDArray[np.uint8], name: str, sensor: Sensor | None) -> GridFit:
+    """The marker grid of a raw frame; raises CalibrationError naming ``name`` and the likely cause if there is none."""
+    grid = fit_grid(image, sensor)
+    if grid is not None:
+        return grid
+    level = float(image.mean())
+    cause = "is this a sensor with markers, and is it in focus?"
+    if not _DARK < level < _GLARE:
+        cause = (
+            "the frame is black: is the light on?" if level <= _DARK else "the frame is white: is the light too bright?"
         )
-    rest_px = resting_px(lattice, sensor)
-    matrix = rectifying_homography(lattice, rest_px)
-    if matrix is None:
-        raise CalibrationError(f"{finger}: the markers do not determine a homography")
-    residual_px = _residual_px(lattice, matrix, rest_px)
-    if not residual_px <= MAX_RESIDUAL_PX:
-        raise CalibrationError(
-            f"{finger}: markers lie {residual_px:.2f} px RMS off a regular grid, allowed {MAX_RESIDUAL_PX:g};"
-            " something touches the gel, or the lens distorts"
-        )
+    raise CalibrationError(f"{name}: no marker grid in the frame, and this software needs one; {cause}")
+
+
+def rectify(image: NDArray[np.uint8], grid: GridFit, sensor: Sensor, serial: str = "") -> Fit:
+    """The calibration that lays ``grid`` into the middle of the sensor's; raises CalibrationError if it cannot be."""
+    rows, columns = grid.shape
+    spare = np.array([sensor.marker_columns - columns, sensor.marker_rows - rows]) / 2
+    first = np.asarray(sensor.first_marker_px) + spare * sensor.marker_pitch_px
+    projection = grid.projection.scaled(sensor.marker_pitch_px, first)
+    residual_px = float(np.sqrt(np.square(grid.off).sum(-1).mean())) * sensor.marker_pitch_px
+    off = np.zeros((*grid.shape, 2))
+    off[grid.cells[:, 1], grid.cells[:, 0]] = grid.off
+    measured = Measured(
+        datetime.now(UTC).isoformat(timespec="seconds"),
+        serial,
+        round(residual_px, 4),
+        round(float(grid.found.mean()), 4),
+        fingerprint(off, grid.found),
+    )
     raw = FrameSpec(height_px=image.shape[0], width_px=image.shape[1], rectified=False)
-    return Fit(CameraCalibration(matrix, raw, sensor.rectified), lattice, residual_px)
+    camera = CameraCalibration(projection.homography, raw, sensor.rectified, projection.lens, projection.warp, measured)
+    return Fit(camera, grid, residual_px, first, sensor.marker_pitch_px)
 
 
-def _residual_px(lattice: Lattice, matrix: NDArray[np.float64], rest_px: NDArray[np.float64]) -> float:
-    mapped = cv2.perspectiveTransform(lattice.xy_px.astype(np.float64), matrix)
-    return float(np.sqrt(np.square(mapped - rest_px)[lattice.detected].sum(-1).mean()))
+def of_sensor(grid: GridFit, sensor: Sensor) -> bool:
+    """Whether a grid can be the sensor's: not larger, and all but the dark edges of it."""
+    pairs = zip(grid.shape, (sensor.marker_rows, sensor.marker_columns), strict=True)
+    return all(ceil(MIN_SIDE * count) <= found <= count for found, count in pairs)
+
+
+def refusal(fit: Fit, sensor: Sensor) -> str | None:
+    """Why a fit is no calibration of this sensor, None if it is one."""
+    rows, columns = fit.grid.shape
+    if not of_sensor(fit.grid, sensor):
+        return (
+            f"{columns} x {rows} markers found, the profile {sensor.name} has {sensor.marker_columns} x"
+            f" {sensor.marker_rows}: is it another sensor (--new-profile), or does something touch the gel?"
+        )
+    if fit.found_share < MIN_FOUND:
+        return (
+            f"{fit.found_share:.0%} of {columns} x {rows} markers found on a regular grid, expected {MIN_FOUND:.0%}:"
+            " clean the gel, and look whether something touches the gel"
+        )
+    if fit.grid.displaced_n > MAX_DISPLACED * rows * columns:
+        return (
+            f"{fit.grid.displaced_n} of {columns} x {rows} markers lie off the regular grid; something touches the gel"
+        )
+    if not fit.residual_px <= MAX_RESIDUAL_PX:
+        return (
+            f"markers lie {fit.residual_px:.2f} px RMS off a regular grid, allowed {MAX_RESIDUAL_PX:g};"
+            " something touches the gel"
+        )
+    return None
+
+
+def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor, serial: str = "") -> Fit:
+    """The calibration of one camera from a still raw frame; raises CalibrationError if it shows no resting gel."""
+    fit = rectify(image, find_grid(image, finger, sensor), sensor, serial)
+    refused = refusal(fit, sensor)
+    if refused is not None:
+        raise CalibrationError(f"{finger}: {refused}")
+    return fit
+
+
+def check_two_cameras(left: tuple[str, Fit], right: tuple[str, Fit]) -> None:
+    """Raise CalibrationError if both fingers, (URL, fit) each, were calibrated with one camera or one gel."""
+    (left_url, left_fit), (right_url, right_fit) = left, right
+    measured = left_fit.camera.measured, right_fit.camera.measured
+    if left_url == right_url:
+        raise CalibrationError(f"left and right are the same camera, {left_url}; expected one for each finger")
+    if measured[0] is None or measured[1] is None:
+        return
+    if measured[0].serial and measured[0].serial == measured[1].serial:
+        raise CalibrationError(f"left and right are the same camera, serial {measured[0].serial}")
+    alike = likeness(measured[0].fingerprint, measured[1].fingerprint)
+    if alike is not None and alike > SAME_GEL:
+        raise CalibrationError(
+            f"left and right show the same gel (fingerprints {alike:.2f} alike): two URLs of one camera?"
+        )
+
+
+def serial_of(url: str) -> str:
+    """Serial number of a V4L2 camera where the system tells it, else an empty text."""
+    kind, _, number = url.partition(":")
+    path = Path(f"/sys/class/video4linux/video{number}/device/../serial")
+    try:
+        return path.read_text(encoding="ascii").strip() if kind == "v4l2" and number.isdigit() else ""
+    except (OSError, UnicodeDecodeError):
+        return ""

@@ -55,7 +55,7 @@ class Plant(NamedTuple):
     gap_width_mm: float
     save_calibration: Callable[[Path], None]
     sensor: Sensor
-    fps: int
+    fps: float
     dropped_share: float = 0.0  # of the camera frames, as the scene has it
 
 

@@ -16,7 +16,10 @@ from simulation.scene.effects import EFFECTS, decide
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene
 
-IN_THE_PHYSICS = ("gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling")
+IN_THE_PHYSICS = (
+    *("gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling"),
+    *("poisson", "gel_edges", "relaxation", "finger_compliance"),
+)
 REPEATS = 7
 
 

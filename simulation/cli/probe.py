@@ -31,7 +31,7 @@ def pictures(scene: Scene, probe: Probe, seed: int) -> list[NDArray[np.uint8]]:
     return out
 
 
-def save(frames: list[NDArray[np.uint8]], path: Path, fps: int) -> None:
+def save(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
     """The last frame as .png, or all of them as .mp4. Raises ValueError for another ending or where writing fails."""
     if path.suffix == ".png":
         if not cv2.imwrite(str(path), frames[-1]):

@@ -57,7 +57,7 @@ def tasks(options: Options) -> list[Task]:
                     job |= {"controller": options.controller, "seed": options.seed * 100_000 + index}
                     job |= {"condition": robustness.label(tier, disturbance), "dead": condition.dead}
                     job |= {"changes": condition.changes(scene) | {"gel.tier": tier}}
-                    job |= {"gap_error_mm": condition.gap_error_mm, "perception": _perception(options, condition)}
+                    job |= {"unstated": condition.unstated, "perception": _perception(options, condition)}
                     todo.append(Task(options.models / CONTROLLERS[options.controller].folder, job))
     return todo
 

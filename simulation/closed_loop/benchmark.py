@@ -49,9 +49,7 @@ def _conditions(world: World) -> dict[str, Any]:
     return {
         "condition": world.name,
         "changes": dict(world.changes),
-        "gap_error_mm": world.unstated.told_gap_error_mm,
-        "height_error_mm": world.unstated.told_height_error_mm,
-        "stop_lag_s": world.unstated.stop_lag_s,
+        "unstated": world.unstated.model_dump(mode="json", exclude_defaults=True),
     }
 
 

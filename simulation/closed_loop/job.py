@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from simulation.closed_loop.lockstep import STOP_LAG_S, Course
+from simulation.closed_loop.lockstep import Course
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene
 
@@ -17,9 +17,10 @@ Perception = Literal["pictures", "fields"]
 class Job:
     """One insertion to play: object, start error, seed, controller, what it perceives, and the world.
 
-    ``scene`` is an object by name or path. ``condition`` names the world or disturbance; ``changes`` are its dotted
-    keys of the scene. The errors are added to the gap width and grasp height that the client states. ``dead``: what
-    ails the left camera. Perception "fields" takes the markers from the simulated gel instead of from pictures.
+    ``scene`` is an object by name or path. The start error is the one that the arm was told to stand at: it is the
+    object's, too, unless the world misplaces the hand. ``condition`` names the world or disturbance; ``changes`` are
+    its dotted keys of the scene, ``unstated`` those of its table `[world]`. ``dead``: what ails the left camera.
+    Perception "fields" takes the markers from the simulated gel instead of from pictures.
     """
 
     scene: str
@@ -31,9 +32,7 @@ class Job:
     perception: Perception = "pictures"
     condition: str = ""
     changes: Mapping[str, Any] = field(default_factory=dict)
-    gap_error_mm: float = 0.0
-    height_error_mm: float = 0.0
-    stop_lag_s: float = STOP_LAG_S
+    unstated: Mapping[str, Any] = field(default_factory=dict)
     dead: Literal["", "dark", "frozen"] = ""
 
     def build_scene(self) -> Scene:
@@ -57,3 +56,9 @@ class Outcome:
     grasp_kept: bool
     course: Course
     trials: list[dict[str, Any]] = field(default_factory=list)
+
+    @classmethod
+    def never_held(cls, job: Job, reason: str) -> Outcome:
+        """Of an object that could not even be grasped."""
+        start = (job.x_mm, job.theta_deg)
+        return cls(False, False, 0, reason, True, start, grasp_kept=False, course=Course())

@@ -6,7 +6,9 @@ after the lag of the controller, so that overtravel is part of every attempt.
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -14,13 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS, FramePair, TactileFrame
+from service.perception.rectification import CameraCalibration
 from simulation.optics.renderer import Appearance, Renderer
+from simulation.physics.inertia import duration_s as time_at
 from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
 from simulation.scene.effects import dropped_share
 from simulation.scene.scene import Scene
+from simulation.scene.unstated import Misplacement, Pose, Unstated
 
 START_NS = 1_000_000_000
-STOP_LAG_S = 0.03  # of the controller, from the order to stop until it takes effect
 CREEP_ALLOWANCE_MM = 4.0  # what a client may go deeper for a part pushed up in the hand: the gap here has no floor
 MAX_UNSOLVED = 6  # moves in a row without an equilibrium: the cell cannot say what happens, the insertion is void
 Image = NDArray[np.uint8]
@@ -50,14 +54,16 @@ class Course:
 class LockstepCell:
     """Scene, hand and cameras with one clock. Poses are the TCP's, mm and deg, in the work-object frame.
 
-    With ``draws`` False frames carry no picture (uint8 [0, 0, 3]): for perception that reads the gel itself. ``dead``
-    states what ails the left finger's camera: nothing (""), "dark" frames, or for ever the first one ("frozen").
+    Poses are told ones, see `unstated`; the object's error and its depth are true. With ``draws`` False frames carry
+    no picture (uint8 [0, 0, 3]): for perception that reads the gel itself. ``dead`` states what ails the left finger's
+    camera: nothing (""), "dark" frames, or for ever the first one ("frozen"). A camera with latency shows the gel of
+    so long ago, stamped when the frame arrives; after a travel, it shows the gel at rest from the first frame on.
     """
 
     scene: Scene
     physics: QuasiStaticCell
     renderers: tuple[Renderer, Renderer]
-    stop_lag_s: float
+    misplaced: Misplacement
     seed: int
     draws: bool = True
     dead: str = ""
@@ -66,15 +72,17 @@ class LockstepCell:
     bottom_z_mm: float = math.inf
     moving: bool = False
     state: CellState = field(init=False)
-    previous: CellState = field(init=False)
+    shots: deque[CellState] = field(init=False)
     course: Course = field(default_factory=Course)
     _grasped: NDArray[np.float64] = field(init=False)
     _stuck: int = 0
     _first: Image | None = None
 
     def __post_init__(self) -> None:
-        self.state = self.previous = self.physics.look()
+        self.state = self.physics.look()
         self._grasped = self.state.in_hand[:3].copy()
+        self.shots = deque(maxlen=2 + math.floor(self._late_periods))
+        self._rest()
 
     @classmethod
     def build(
@@ -84,14 +92,24 @@ class LockstepCell:
         theta_deg: float,
         seed: int,
         *,
-        stop_lag_s: float = STOP_LAG_S,
+        unstated: Unstated | None = None,
         draws: bool = True,
     ) -> LockstepCell:
-        """A cell with the object grasped at the error given, at approach height."""
+        """A cell with the object grasped, told to be at the error given, at approach height."""
         cell = QuasiStaticCell(scene, seed)
         cell.regrasp(x_mm, theta_deg)
+        misplaced = Misplacement(unstated or Unstated(), _pose_of(cell))
         left, right = (Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS)
-        return cls(scene, cell, (left, right), stop_lag_s, seed, draws)
+        x, y, z, yaw = misplaced.true(misplaced.approach)
+        if not misplaced.unstated.well_placed:
+            cell.move_to(x, y, misplaced.approach[2], yaw)
+            cell.move_to(x, y, z, yaw)
+        return cls(scene, cell, (left, right), misplaced, seed, draws)
+
+    @property
+    def unstated(self) -> Unstated:
+        """What nobody tells the software."""
+        return self.misplaced.unstated
 
     @property
     def now_s(self) -> float:
@@ -100,18 +118,21 @@ class LockstepCell:
 
     @property
     def pose(self) -> tuple[float, float, float, float]:
-        """TCP x, y, z in mm and yaw in deg."""
-        x, y, z, yaw = self.physics.pose
-        return float(x), float(y), float(z), math.degrees(float(yaw))
+        """TCP x, y, z in mm and yaw in deg, as the arm says."""
+        return self.misplaced.told(_pose_of(self.physics))
 
     def travel(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float, duration_s: float) -> None:
         """Go there in a straight line; no frame is looked at on the way.
 
         Raises PhysicsError where the cell finds no way.
         """
-        while not self._go(x_mm, y_mm, z_mm, yaw_deg):
+        target = self.misplaced.true((x_mm, y_mm, z_mm, yaw_deg))
+        way = np.subtract(target, _pose_of(self.physics)) * (1.0, 1.0, 1.0, math.radians(1.0))
+        self.physics.pace_mm_s = max(time_at(way, 1.0) / max(duration_s, 1e-3), 1e-3)
+        while not self._go(*target):
             pass
-        self.previous = self.state  # at rest when the next frame is taken
+        self.physics.pace_mm_s = self.scene.speed_mm_s
+        self._rest()
         if not self.state.in_contact:
             self.course.slipped_mm = max(self.course.slipped_mm, self._in_hand_mm())
         self.now_ns += round(duration_s * 1e9)
@@ -128,7 +149,7 @@ class LockstepCell:
     def hold(self) -> None:
         """Order a stop: it takes effect after the controller's lag."""
         if self.moving:
-            lag_mm = self.scene.speed_mm_s * self.stop_lag_s
+            lag_mm = self.scene.speed_mm_s * self.unstated.stop_lag_s
             self.bottom_z_mm = max(self.bottom_z_mm, self.pose[2] - lag_mm)
 
     def next_pair(self, *, look: bool = True) -> FramePair:
@@ -137,12 +158,11 @@ class LockstepCell:
         Raises PhysicsError when the cell is lost for good.
         """
         self.now_ns += round(1e9 / self.scene.fps)
-        self.previous = self.state
-        if self.moving:
-            x, y, z, yaw = self.pose
-            target = max(self.bottom_z_mm, z - self.scene.speed_mm_s / self.scene.fps)
-            if self._go(x, y, target, yaw):
-                self.moving = target > self.bottom_z_mm
+        after = self._late_periods % 1.0  # of a period, from the exposure to the moment at which its like arrives
+        self._pass(1.0 - after)
+        self.shots.append(self.state)
+        if after > 0.0:
+            self._pass(after)
         self.frame += 1
         left, right = (
             TactileFrame(finger, self.frame, self.now_ns, self._pixels(index) if self.draws and look else _NOTHING)
@@ -165,16 +185,63 @@ class LockstepCell:
             self._first = self.picture_later(index)()
         return np.zeros_like(self._first) if self.dead == "dark" else self._first
 
+    @property
+    def _late_periods(self) -> float:
+        return self.scene.camera.latency_ms * 1e-3 * self.scene.fps
+
+    def _rest(self) -> None:
+        """All frames that are still to come show the gel as it is now."""
+        self.shots.extend([self.state] * (self.shots.maxlen or 0))
+
+    def _pass(self, periods: float) -> None:
+        """Advance by a share of a frame period."""
+        if self.moving:
+            x, y, z, yaw = _pose_of(self.physics)
+            bottom = self.misplaced.true((0.0, 0.0, self.bottom_z_mm, 0.0))[2]
+            target = max(bottom, z - periods * self.scene.speed_mm_s / self.scene.fps)
+            if self._go(x, y, target, yaw):
+                self.moving = target > bottom
+        elif self.physics.relaxes:
+            self._do(lambda: self.physics.wait(periods / self.scene.fps))
+
+    def _seen(self, index: int) -> int:
+        """Which finger is seen by the camera that is called ``index`` (0 left, 1 right)."""
+        return 1 - index if self.unstated.swapped_fingers else index
+
+    def view(self, index: int) -> Renderer:
+        """What draws the frames that come under a finger's name."""
+        return self.renderers[self._seen(index)]
+
+    def gels(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The gel that the last frame of that name shows, and what the frame before it showed."""
+        seen = self._seen(index)
+        return self.shots[1].gel[seen], self.shots[0].gel[seen]
+
+    def calibration(self, index: int) -> CameraCalibration:
+        """What the software takes for that camera's calibration."""
+        exact = self.view(index).calibration
+        centre = 0.5 * (exact.rectified.width_px - 1), 0.5 * (exact.rectified.height_px - 1)
+        wrong = self.unstated.residual_px(index, centre)
+        return exact if wrong is None else dataclasses.replace(exact, homography=wrong @ exact.homography)
+
     def picture_later(self, index: int) -> Callable[[], Image]:
         """A finger's raw frame of this moment, drawn when it is asked for: the same bits then as now."""
-        gel, before, seed = self.state.gel[index], self.previous.gel[index], hash_seed(self.seed, self.frame, index)
-        renderer = self.renderers[index]
-        return lambda: renderer.raw(gel, seed, before)
+        (gel, before), seed = self.gels(index), hash_seed(self.seed, self.frame, index)
+        renderer, mirrored = self.view(index), self.unstated.mirrored[index]
+
+        def draw() -> Image:
+            raw = renderer.raw(gel, seed, before)
+            return np.ascontiguousarray(raw[:, ::-1]) if mirrored else raw
+
+        return draw
 
     def _go(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> bool:
         """Advance; False where no equilibrium was found: the arm is then late by a part of the move."""
+        return self._do(lambda: self.physics.move_to(x_mm, y_mm, z_mm, yaw_deg))
+
+    def _do(self, motion: Callable[[], CellState]) -> bool:
         try:
-            state = self.physics.move_to(x_mm, y_mm, z_mm, yaw_deg)
+            state = motion()
         except PhysicsError:
             self.course.unsolved += 1
             self._stuck += 1
@@ -195,6 +262,11 @@ class LockstepCell:
         course.block_mm = max(course.block_mm, float(np.hypot(blocks[:, 0], blocks[:, 1]).max()))
         course.block_tilt_deg = max(course.block_tilt_deg, float(blocks[:, 3].max()))
         course.force_n = max(course.force_n, float(np.linalg.norm(state.wrench_n_nmm[:3])))
+
+
+def _pose_of(physics: QuasiStaticCell) -> Pose:
+    x, y, z, yaw = physics.pose
+    return float(x), float(y), float(z), math.degrees(float(yaw))
 
 
 _NOTHING: Image = np.zeros((0, 0, 3), np.uint8)

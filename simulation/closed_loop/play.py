@@ -31,8 +31,10 @@ from robot_client.insertion.events import (
 )
 from robot_client.insertion.events import Tick as ClientTick
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import FAST_S, SLOW_MM, Lease
 from robot_client.insertion.limits import Limits as ClientLimits
 from robot_client.insertion.machine import step
+from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Phase, Plan, State
 from service.contract import FINGERS, FramePair
 from service.contract.wire import Correction, Estimate, NoDecision
@@ -48,8 +50,9 @@ from simulation.closed_loop.job import Job, Outcome, Perception
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import TrueFieldFinger
 from simulation.physics.quasistatic import PhysicsError
+from simulation.scene.unstated import Unstated
 
-MAX_FRAMES = 4000
+MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
 # A blind search may jump from one end of the range to the other
 FAR = ClientLimits(max_dx_mm=45.0, max_dtheta_deg=45.0)
 
@@ -65,8 +68,6 @@ class Insertion:
         *,
         chooser: Chooser | None = None,
         perception: Perception = "pictures",
-        gap_error_mm: float = 0.0,
-        height_error_mm: float = 0.0,
     ) -> None:
         self.cell = cell
         self.models = models
@@ -76,16 +77,7 @@ class Insertion:
         self.session = InsertionSession(models, left, right, controller_name=controller.service_controller)
         if not controller.uses_networks:
             self.session.submit = self._skip_networks
-        plan = Plan(
-            insertion_id="simulated",
-            approach=self._pose(),
-            gap_width_mm=cell.scene.blocks.gap_mm + gap_error_mm,
-            grasp_height_mm=cell.scene.grasp.height_mm + height_error_mm,
-            expected_depth_mm=25.0,
-            creep_allowance_mm=CREEP_ALLOWANCE_MM,
-            limits=FAR if chooser else ClientLimits(),
-        )
-        self.state = State(plan)
+        self.state = State(_plan(cell, self._pose(), FAR if chooser else ClientLimits()))
         self.trials: list[dict[str, Any]] = []
         self.before = cell.state  # what it was when the descent began, hanging free
         self._events: deque[Event] = deque()
@@ -114,7 +106,9 @@ class Insertion:
 
     def _play(self) -> None:
         self._post(Begin(at_s=self.cell.now_s, pose=self._pose()))
-        for _ in range(MAX_FRAMES):
+        scene = self.cell.scene
+        longer = max(1.0, scene.fps / 30.0) * max(1.0, 10.0 / scene.speed_mm_s)
+        for _ in range(round(longer * MAX_FRAMES)):
             if self.state.done:
                 break
             self._frame()
@@ -224,10 +218,29 @@ class Insertion:
         return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
 
 
+def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits) -> Plan:
+    """What the client is told, which need not be so."""
+    scene, told, ramps = cell.scene, cell.unstated, Ramps()
+    top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
+    limits = limits.model_copy(update={"max_descent_speed_mm_s": top_mm_s})
+    descend = ramps.descend.model_copy(update={"speed_mm_s": scene.speed_mm_s})
+    return Plan(
+        insertion_id="simulated",
+        approach=approach,
+        gap_width_mm=scene.blocks.gap_mm + told.told_gap_error_mm,
+        grasp_height_mm=scene.grasp.height_mm + told.told_height_error_mm,
+        expected_depth_mm=scene.full_depth_mm,
+        creep_allowance_mm=CREEP_ALLOWANCE_MM,
+        limits=limits,
+        ramps=ramps.model_copy(update={"descend": descend}),
+        lease=Lease(travel_mm=max(SLOW_MM, FAST_S * scene.speed_mm_s)),
+    )
+
+
 def _finger(models: ModelSet, cell: LockstepCell, index: int, perception: Perception) -> FingerWatch:
     if perception == "fields":
         return TrueFieldFinger(cell, FINGERS[index])
-    return TactileFinger(FINGERS[index], models.card.frame, cell.renderers[index].calibration)
+    return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))
 
 
 def _empty_correction(refused: NoDecision) -> Correction:
@@ -251,7 +264,8 @@ def stage(job: Job, models: ModelSet) -> Insertion:
     controller = CONTROLLERS[job.controller]
     perception: Perception = job.perception if controller.uses_networks else "fields"
     draws = perception == "pictures"
-    cell = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, stop_lag_s=job.stop_lag_s, draws=draws)
+    unstated = Unstated.model_validate(job.unstated)
+    cell = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws)
     cell.dead = job.dead
     reach = (scene.x_range_mm, scene.theta_range_deg)
     chooser = controller.make(hash_seed(job.seed, job.index), reach) if controller.make else None
@@ -261,14 +275,18 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         controller,
         chooser=chooser,
         perception=perception,
-        gap_error_mm=job.gap_error_mm,
-        height_error_mm=job.height_error_mm,
     )
 
 
 def insert(job: Job, models: ModelSet) -> dict[str, Any]:
-    """Play a job; the row of results. A start that fits at once counts, as in the paper."""
-    outcome = stage(job, models).run()
+    """Play a job; the row of results. A start that fits at once counts, as in the paper.
+
+    An object that cannot be grasped as the scene has it is void.
+    """
+    try:
+        outcome = stage(job, models).run()
+    except PhysicsError as error:
+        outcome = Outcome.never_held(job, f"physics: {error}")
     return asdict(job) | asdict(outcome)
 
 

@@ -23,14 +23,14 @@ ONLY_IN_PICTURES = {"gel.wear"}  # keys of the scene that change no marker's mot
 class Condition:
     """One disturbance.
 
-    ``factors`` multiply keys of the scene, ``values`` replace them, ``clearance_mm`` sets the gap, ``gap_error_mm`` is
-    added to the gap width that the client states; ``dead`` is what ails the left finger's camera.
+    ``factors`` multiply keys of the scene, ``values`` replace them, ``clearance_mm`` sets the gap, ``unstated`` is
+    what nobody tells the software; ``dead`` is what ails the left finger's camera.
     """
 
     factors: Mapping[str, float] = field(default_factory=dict)
     values: Mapping[str, Any] = field(default_factory=dict)
     clearance_mm: float | None = None
-    gap_error_mm: float = 0.0
+    unstated: Mapping[str, Any] = field(default_factory=dict)
     dead: Literal["", "dark", "frozen"] = ""
 
     @property
@@ -70,8 +70,8 @@ CONDITIONS: Mapping[str, Condition] = {
     "clearance 1.5 mm": Condition(clearance_mm=1.5),
     "clearance 4 mm": Condition(clearance_mm=4.0),
     "gel worn out": Condition(values={"gel.wear": 0.9}),
-    "gap stated 4 mm too narrow": Condition(gap_error_mm=-4.0),
-    "gap stated 4 mm too wide": Condition(gap_error_mm=4.0),
+    "gap stated 4 mm too narrow": Condition(unstated={"told_gap_error_mm": -4.0}),
+    "gap stated 4 mm too wide": Condition(unstated={"told_gap_error_mm": 4.0}),
     "5 % of frames dropped": Condition(values={"camera.dropped_share": 0.05}),
     "20 % of frames dropped": Condition(values={"camera.dropped_share": 0.2}),
     "left camera dark": Condition(dead="dark"),

@@ -48,7 +48,7 @@ class TrueFieldFinger:
         self._cell = cell
         self._finger = finger
         self._index = FINGERS.index(finger)
-        self._rectifier = Rectifier(cell.renderers[self._index].calibration)
+        self._rectifier = Rectifier(cell.calibration(self._index))
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
         self._rearm = False
@@ -79,7 +79,13 @@ class TrueFieldFinger:
 
     def _exposed(self) -> NDArray[np.floating]:
         """The gel as a picture shows it: a smeared marker is found in the middle of its way during the exposure."""
-        now: NDArray[np.floating] = self._cell.state.gel[self._index]
-        late = np.float32(0.5 * self._cell.renderers[self._index].appearance.motion_blur_share)
-        exposed: NDArray[np.floating] = now - late * (now - self._cell.previous.gel[self._index])
+        view, (now, before) = self._cell.view(self._index), self._cell.gels(self._index)
+        late = np.float32(0.5 * view.appearance.motion_blur_share)
+        exposed: NDArray[np.floating] = now - late * (now - before)
+        unstated = self._cell.unstated
+        if unstated.mirrored[self._index]:
+            exposed = exposed[:, ::-1] * np.array([-1.0, 1.0, 1.0], exposed.dtype)
+        if (unstated.camera_scale[self._index], unstated.camera_roll_deg[self._index]) != (1.0, 0.0):
+            exposed = exposed.copy()
+            exposed[..., :2] = exposed[..., :2] @ unstated.turned_and_scaled(self._index).T
         return exposed

@@ -122,13 +122,15 @@ def descend(
     """
     rate, speed = fps or cell.scene.fps, speed_mm_s or cell.scene.speed_mm_s
     _check(frames, rate, speed, stop_delay_frames, overtravel_mm)
+    cell.pace_mm_s = speed
     if cell.coasting is not None:
         cell.coasting.speed_mm_s = speed
     record = _Recorder(cell.look())
     slip, outcome = _lower(cell, record, speed / rate, phase, stop_delay_frames, overtravel_mm)
     stop = len(record.states) - 1
+    still_moves = cell.coasting is not None or cell.relaxes
     while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
-        record.add(cell.wait(1.0 / rate) if cell.coasting else record.states[-1], record.depth_mm[-1])
+        record.add(cell.wait(1.0 / rate) if still_moves else record.states[-1], record.depth_mm[-1])
     return _keep(record, frames, slip, stop, outcome, x_mm, theta_deg)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from simulation.physics.kernels import records
+from simulation.physics.pads import Pad
 from simulation.scene.effects import Active
 from simulation.scene.scene import Scene
 
@@ -15,10 +16,10 @@ TANGENTIAL_RATIO = 0.5  # block contact: tangential over normal stiffness
 BASE_K = 2000.0  # a block's base corner on the table, N/mm
 
 
-def scene_constants(scene: Scene, active: Active) -> records.Records:
+def scene_constants(scene: Scene, active: Active, pad: Pad) -> records.Records:
     """Constants record [1] of a scene, effects that are off left out."""
-    body, blocks, pads, sensor = scene.object, scene.blocks, scene.gel, scene.sensor
-    area = sensor.gel_height_mm * sensor.gel_width_mm / (pads.node_rows * pads.node_columns)
+    body, blocks, pads = scene.object, scene.blocks, scene.gel
+    area = pad.height_mm * pad.width_mm / (pads.node_rows * pads.node_columns)
     shear = pads.shear_modulus_n_per_mm2 / pads.thickness_mm
     values: dict[str, Any] = {
         "area": area,

@@ -15,10 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.scene.rubber import reach_in_thicknesses
+
 Array = NDArray[np.float64]
 
 ALIASES = 4  # higher waves that a cell's constant traction holds, on each side; they fall with the cube of their number
-REACH_PER_THICKNESS = 4.0  # a layer's answer falls by exp(-pi / 2) a thickness: images this far away count 0.2 %
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,27 +37,19 @@ class Kernel:
 
     def __init__(self, grid: Grid, spectrum: NDArray[np.complex128], shape: tuple[int, int]) -> None:
         self.grid, self.shape = grid, shape
-        self._spectrum = spectrum  # [3, 3, shape[0], shape[1] // 2 + 1]
+        self.spectrum = spectrum  # [3, 3, shape[0], shape[1] // 2 + 1]
 
     def __call__(self, traction: Array) -> Array:
         waves = np.fft.rfft2(traction, s=self.shape, axes=(1, 2))
-        answer = np.einsum("abvu,fvub->fvua", self._spectrum, waves)
+        answer = np.einsum("abvu,fvub->fvua", self.spectrum, waves)
         whole = np.fft.irfft2(answer, s=self.shape, axes=(1, 2))
         return np.ascontiguousarray(whole[:, : self.grid.rows, : self.grid.columns])
 
     @property
     def largest_mm3_per_n(self) -> tuple[float, float]:
         """Largest eigenvalue of the tangential and of the normal compliance over all waves, mm3/N."""
-        tangential = np.moveaxis(self._spectrum[:2, :2], (0, 1), (-2, -1))
-        return float(np.linalg.norm(tangential, 2, axis=(-2, -1)).max()), float(np.abs(self._spectrum[2, 2]).max())
-
-
-def poisson_ratio(normal_ratio: float) -> float:
-    """The ratio that makes a thin bonded layer normal_ratio times as stiff along its normal as in shear.
-
-    Oedometric over shear modulus is 2 (1 - nu) / (1 - 2 nu).
-    """
-    return (normal_ratio - 2.0) / (2.0 * normal_ratio - 2.0)
+        tangential = np.moveaxis(self.spectrum[:2, :2], (0, 1), (-2, -1))
+        return float(np.linalg.norm(tangential, 2, axis=(-2, -1)).max()), float(np.abs(self.spectrum[2, 2]).max())
 
 
 def layer_compliance(
@@ -100,7 +93,7 @@ def bonded_layer(grid: Grid, thickness_mm: float, shear_modulus_n_per_mm2: float
     _must_be_material(shear_modulus_n_per_mm2, poisson)
     if not thickness_mm > 0.0:
         raise ValueError(f"layer: expected a thickness > 0 mm, got {thickness_mm}")
-    reach = REACH_PER_THICKNESS * thickness_mm
+    reach = reach_in_thicknesses(poisson) * thickness_mm
     shape = (
         _even(grid.rows + max(grid.rows // 2, math.ceil(reach / grid.pitch_v_mm))),
         _even(grid.columns + max(grid.columns // 2, math.ceil(reach / grid.pitch_u_mm))),

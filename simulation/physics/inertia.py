@@ -36,7 +36,7 @@ class Coasting:
 
     def duration_s(self, travel: Array) -> float:
         """Time of a load step (dx, dy, dz mm, yaw rad) at the arm's speed."""
-        return max(float(np.abs(travel[:3]).max()), YAW_ARM_MM * abs(float(travel[3]))) / self.speed_mm_s
+        return duration_s(travel, self.speed_mm_s)
 
     def ticks(self, duration_s: float) -> list[float]:
         """Equal time steps of a wait, as long as a load step takes at speed."""
@@ -59,6 +59,11 @@ class Coasting:
         """The step was solved and ended with the object's centre here."""
         if self._dt_s > 0.0:
             self.velocity = (centre - self._from) / self._dt_s
+
+
+def duration_s(travel: Array, speed_mm_s: float) -> float:
+    """Time of a motion (dx, dy, dz mm, yaw rad) at a speed."""
+    return max(float(np.abs(travel[:3]).max()), YAW_ARM_MM * abs(float(travel[3]))) / speed_mm_s
 
 
 def coasting_of(scene: Scene) -> Coasting:

@@ -10,15 +10,18 @@ twice the layer's smallest stiffness the iteration contracts (Richardson); Ander
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.physics import elastic_layer
 from simulation.physics.elastic_layer import Kernel
 from simulation.physics.kernels import load_step
 from simulation.physics.kernels.records import Records
+from simulation.physics.pads import Pad, kernel_of
+from simulation.scene.effects import Active
 from simulation.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -54,40 +57,101 @@ class Anderson:
         return np.asarray((self._points[-1] - shares @ moves).reshape(point.shape))
 
 
-class LayerPads:
-    """Both pads' anchors and surface. `kernel` may be replaced (half-space) before the first grasp."""
+class Relaxation(NamedTuple):
+    """One Prony branch: `share` of a held displacement's traction is lost by exp(-t / time_s)."""
 
-    def __init__(self, scene: Scene, nodes: Records, constants: Records) -> None:
-        pads, sensor = scene.gel, scene.sensor
-        rows, columns = pads.node_rows, pads.node_columns
-        grid = elastic_layer.Grid(rows, columns, sensor.gel_height_mm / rows, sensor.gel_width_mm / columns)
-        poisson = elastic_layer.poisson_ratio(pads.normal_ratio)
-        kernel = elastic_layer.bonded_layer(grid, pads.thickness_mm, pads.shear_modulus_n_per_mm2, poisson)
+    share: float
+    time_s: float
+
+    def crept(self, creep: Array, held: Array, duration_s: float) -> Array:
+        """What has crept after a time at displacements `held`, both mm of one shape. Exact while they are held."""
+        goal = self.share * held
+        return np.asarray(goal + (creep - goal) * math.exp(-duration_s / self.time_s))
+
+
+class LayerPads:
+    """Both pads' anchors and surface: nodes that feel each other, creep, and fingers that bend.
+
+    Without a kernel nodes stand alone, as in the bristle tier. The displacement of a surface is elastic, plus what has
+    crept (it follows what has changed since the grasp, whose force the gripper keeps up), plus the finger's own
+    deflection along u (total traction over its stiffness). `kernel` may be replaced before the first grasp.
+    """
+
+    def __init__(self, scene: Scene, active: Active, kernel: Kernel | None, nodes: Records, constants: Records) -> None:
+        gel, grasp = scene.gel, scene.grasp
         self.rounds, self.unsettled = 0, False
+        self._relaxation = Relaxation(gel.relaxation_share, gel.relaxation_s) if active.relaxation else None
+        bends = active.finger_compliance and grasp.finger_stiffness_n_per_mm > 0.0
+        self._bend = 1.0 / grasp.finger_stiffness_n_per_mm if bends else 0.0  # mm/N
+        self._shape = (2, gel.node_rows, gel.node_columns)
         self.use(kernel, nodes, constants)
 
-    def use(self, kernel: Kernel, nodes: Records, constants: Records) -> None:
+    def use(self, kernel: Kernel | None, nodes: Records, constants: Records) -> None:
         """Take a kernel: its softest wave sets the bristles' stiffness, which only steers the iteration."""
-        self.kernel, self._nodes = kernel, nodes
-        self._shape = (2, kernel.grid.rows, kernel.grid.columns)
-        self._crown, self._side = nodes["crown"].copy(), nodes["side"].copy()
-        tangential, normal = kernel.largest_mm3_per_n
-        self._soft = np.array([tangential, tangential, normal]) / SOFTNESS  # mm3/N
+        self.kernel, self._nodes, self._area = kernel, nodes, float(constants["area"][0])
+        if kernel is not None:
+            self._shape = (2, kernel.grid.rows, kernel.grid.columns)
+        self._crown, self._side, self._x = nodes["crown"].copy(), nodes["side"].copy(), nodes["x"].copy()
+        self._soft = self._softness(constants)  # mm3/N
         constants["kt"], constants["kn"] = 1.0 / self._soft[0], 1.0 / self._soft[2]
         self.surface = np.zeros((*self._shape, 3))  # displacement, mm, finger frame
-        self._anchors = np.zeros((*self._shape, 3))
+        self._anchors, self._creep, self._grasped = (np.zeros((*self._shape, 3)) for _ in range(3))
+        self._bent = np.zeros(2)  # mm along u
+
+    def _softness(self, constants: Records) -> Array:
+        """Of the core's bristles (u, v, normal)."""
+        fingers = self._bend * self._area * self._shape[1] * self._shape[2]
+        if self.kernel is None:
+            self._local = 1.0 / float(constants["kt"][0])
+            tangential = (self._local + fingers) / SOFTNESS if fingers else self._local
+            return np.array([tangential, tangential, 1.0 / float(constants["kn"][0])])
+        tangential, normal = self.kernel.largest_mm3_per_n
+        return np.array([tangential + fingers, tangential + fingers, normal]) / SOFTNESS
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether time changes anything while the hand stands still."""
+        return self._relaxation is not None
 
     @property
     def stretch(self) -> Array:
-        """Tangential displacement of the surface [n, 2] in mm, hand frame (x, z), as the readout takes it."""
-        flat = self.surface.reshape(-1, 3)
+        """Tangential displacement of the surface in its finger [n, 2] in mm, hand frame (x, z), for the readout."""
+        flat = self._within(self.surface).reshape(-1, 3)
         return np.column_stack([self._side * flat[:, 0], -flat[:, 1]])
+
+    def _within(self, surface: Array) -> Array:
+        """A surface as seen from its finger."""
+        if not self._bend:
+            return surface
+        return np.asarray(surface - self._bent[:, None, None, None] * (1.0, 0.0, 0.0))
 
     def _tractions(self) -> Array:
         """Tractions [2, rows, columns, 3] in N/mm2, finger frame, that the core left in the nodes."""
         nodes, kt = self._nodes, 1.0 / self._soft[0]
         parts = (kt * self._side * nodes["sx"], -kt * nodes["sz"], nodes["pressure"])
         return np.stack(parts, axis=-1).reshape(*self._shape, 3)
+
+    def _answer(self, tractions: Array) -> tuple[Array, Array]:
+        """Where tractions move the surface, and what of it the core's bristles do not know, mm."""
+        if self.kernel is not None:
+            surface = self.kernel(tractions)
+        else:
+            stiff = self._nodes["stiff"].reshape(self._shape)
+            surface = tractions * (self._local, self._local, self._soft[2])
+            surface[..., 2] /= stiff
+        if self._bend:
+            self._bend_fingers(tractions)
+            surface[..., 0] += self._bent[:, None, None]
+        if self._relaxation is not None:
+            surface += self._creep
+        rest = surface - tractions * self._soft
+        if self.kernel is None:
+            rest[..., 2] = self._creep[..., 2]
+        return surface, rest
+
+    def _bend_fingers(self, tractions: Array) -> None:
+        """Each finger gives to the total traction on its pad."""
+        self._bent = self._bend * self._area * tractions[..., 0].sum(axis=(1, 2))
 
     def _place_anchors(self, anchors: Array, before: Array) -> None:
         """Shift every node's bristle: its stretch so far is the surface's, less the anchor's shift."""
@@ -104,9 +168,7 @@ class LayerPads:
             status = solve()
             if status != load_step.SETTLED:
                 return status
-            tractions = self._tractions()
-            surface = self.kernel(tractions)
-            fresh = surface - tractions * self._soft
+            surface, fresh = self._answer(self._tractions())
             if float(np.abs(fresh - anchors).max()) <= TOLERANCE_MM:
                 self._anchors, self.surface = fresh, surface
                 return load_step.SETTLED
@@ -116,18 +178,30 @@ class LayerPads:
 
     def close(self, grip: Callable[[], None]) -> bool:
         """Close the fingers without shear; grip closes bristle pads to the force. False where they do not settle."""
-        self._anchors[:] = 0.0
+        self._anchors, self._creep = np.zeros_like(self._anchors), np.zeros_like(self._creep)
+        self._bent, self._nodes["x"] = np.zeros(2), self._x
 
         def solve() -> int:
             self._nodes["sx"] = self._nodes["sz"] = 0.0
             grip()
             return load_step.SETTLED
 
-        return self._settle(self.surface, solve) == load_step.SETTLED
+        closed = self._settle(self.surface, solve) == load_step.SETTLED
+        self._grasped = self.surface
+        return closed
 
-    def advance(self, memory: tuple[Records, ...], solve: Callable[[], int]) -> int:
-        """One load step; memory: state and slots, put back before each try. Leaves all as it was unless SETTLED."""
+    def advance(self, memory: tuple[Records, ...], solve: Callable[[], int], duration_s: float = 0.0) -> int:
+        """One load step; memory: state and slots, put back before each try. Leaves all as it was unless SETTLED.
+
+        duration_s: how long the step takes; what crept meanwhile crept before its motion.
+        """
         kept, nodes = [part.copy() for part in memory], self._nodes.copy()
+        own = self._anchors, self._creep, self._bent
+        if self._relaxation is not None and duration_s > 0.0:
+            self._creep = self._relaxation.crept(self._creep, self._within(self.surface) - self._grasped, duration_s)
+            self._anchors = self._anchors + (self._creep - own[1])
+        if self._bend:
+            self._nodes["x"] = self._x + self._side * np.repeat(self._bent, self._x.size // 2)
 
         def again() -> int:
             for part, old in zip(memory, kept, strict=True):
@@ -141,9 +215,15 @@ class LayerPads:
                 part[:] = old
             memory[0]["report"] = report
             self._nodes[:] = nodes
+            self._anchors, self._creep, self._bent = own
         return status
 
 
-def pads_of(scene: Scene, nodes: Records, constants: Records) -> LayerPads | None:
-    """What a scene's tier needs beyond the bristles; None for the bristle tier."""
-    return LayerPads(scene, nodes, constants) if scene.gel.tier == "layer" else None
+def pads_of(scene: Scene, active: Active, pad: Pad, nodes: Records, constants: Records) -> LayerPads | None:
+    """What a scene needs beyond bristles that stand alone; None where that is nothing."""
+    creeps = active.relaxation and scene.gel.relaxation_share > 0.0
+    bends = active.finger_compliance and scene.grasp.finger_stiffness_n_per_mm > 0.0
+    if scene.gel.tier == "bristle" and not (creeps or bends):
+        return None
+    kernel = kernel_of(scene, pad) if scene.gel.tier == "layer" else None
+    return LayerPads(scene, active, kernel, nodes, constants)

@@ -14,23 +14,23 @@ from numpy.typing import NDArray
 from simulation.physics import layer_pads
 from simulation.physics.constants import BASE_K, scene_constants
 from simulation.physics.grasp import close_fingers
-from simulation.physics.inertia import coasting_of
-from simulation.physics.kernels import bristles, contact, load_step, records
+from simulation.physics.inertia import coasting_of, duration_s
+from simulation.physics.kernels import contact, load_step, records
 from simulation.physics.kernels.linear import rotation_into
+from simulation.physics.pads import nodes_of, pad_of
 from simulation.physics.readout import Readout
 from simulation.physics.state import block_motion, rotation_vector
 from simulation.scene.effects import Active, active_effects
 from simulation.scene.ground_truth import Pose, reasons_against
-from simulation.scene.scene import Scene
+from simulation.scene.scene import APPROACH_MM, Scene
 from simulation.scene.state import CellState, PhysicsError, Reason
 
 __all__ = ["CellState", "PhysicsError", "QuasiStaticCell"]
 
 Array = NDArray[np.float64]
 
-APPROACH_MM = 5.0
-LOST_MM, LOST_GRIP = 12.0, 0.1
-MAX_HALVINGS = 6
+LOST_MM, LOST_GRIP, MAX_HALVINGS = 12.0, 0.1, 6
+PAUSE_SHARE, MOST_PAUSES = 0.25, 16  # a wait is solved in steps of this share of the relaxation time, this many at most
 DAMPING = 0.02  # share of a round by which friction limits follow where no shorter step helps
 
 
@@ -45,11 +45,12 @@ class QuasiStaticCell:
         self.rng = np.random.default_rng(seed)
         self.active: Active = active_effects(scene)
         self.foot = np.ascontiguousarray(scene.object.footprint_mm)
-        self.readout = Readout(scene, coupled=self.active.gel_coupling)
-        self.constants = scene_constants(scene, self.active)
-        gel, size_mm = scene.gel, (scene.sensor.gel_height_mm, scene.sensor.gel_width_mm)
-        self.nodes = bristles.make_nodes(gel.node_rows, gel.node_columns, *size_mm, gel.crown_mm)
-        self.layer = layer_pads.pads_of(scene, self.nodes, self.constants)
+        pad = pad_of(scene, self.active)
+        self.readout = Readout(scene, pad, coupled=self.active.gel_coupling)
+        self.constants = scene_constants(scene, self.active, pad)
+        self.nodes = nodes_of(scene, pad)
+        self.layer = layer_pads.pads_of(scene, self.active, pad, self.nodes, self.constants)
+        self.pace_mm_s = scene.speed_mm_s  # how fast the hand moves, where time matters to the gel
         self.coasting = coasting_of(scene) if self.active.inertia else None
         vertices = len(self.foot)
         self.base_slot = records.slot_count(vertices)
@@ -127,6 +128,8 @@ class QuasiStaticCell:
             self.pose = start + reach * (target - start)
             if self.coasting is not None:
                 self.coasting.ride(target[:3] - start[:3])
+            if self.relaxes:
+                self._advance(self.pose, duration_s(self.pose - start, self.pace_mm_s))
         rest = target - self.pose
         length = max(float(np.max(np.abs(rest[:3]))), 40.0 * abs(float(rest[3])))
         if reach < 1.0 and length > 0.0:
@@ -138,13 +141,23 @@ class QuasiStaticCell:
         self.pose = target
         return self.look()
 
-    def wait(self, duration_s: float) -> CellState:
-        """Stand still: nothing changes but for inertia, which swings on. Raises PhysicsError as `move_to` does."""
-        if self.coasting is not None and not self.grasp_lost:
-            self.nodes["slipped"] = 0.0
-            for dt_s in self.coasting.ticks(duration_s):
-                self._advance(self.pose, dt_s=dt_s)
+    def wait(self, time_s: float) -> CellState:
+        """Stand still: inertia swings on, gels creep; nothing else changes. Raises PhysicsError as `move_to` does."""
+        if self.grasp_lost or time_s <= 0.0:
+            return self.look()
+        ticks = self.coasting.ticks(time_s) if self.coasting is not None else []
+        if self.relaxes and not ticks:
+            count = min(MOST_PAUSES, math.ceil(time_s / (PAUSE_SHARE * self.scene.gel.relaxation_s)))
+            ticks = [time_s / count] * count
+        self.nodes["slipped"][:] = 0.0 if ticks else self.nodes["slipped"]
+        for dt_s in ticks:
+            self._advance(self.pose, dt_s=dt_s)
         return self.look()
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether the gels creep while the hand stands still."""
+        return self.layer is not None and self.layer.relaxes
 
     def _free_share(self, target: Array) -> float:
         """Share of a move in which nothing touches, so that the held object just rides along."""
@@ -166,17 +179,20 @@ class QuasiStaticCell:
         status: int = load_step.advance(self._work(), self.pose, target, tolerance_n, self.direct, blend)
         return status
 
-    def _step(self, target: Array, blend: float) -> int:
+    def _step(self, target: Array, dt_s: float | None, blend: float) -> int:
         if self.layer is None:
             return self._solve(target, blend)
-        return self.layer.advance((self.record, self.slots), lambda: self._solve(target, blend))
+        if dt_s is None:
+            dt_s = duration_s(target - self.pose, self.pace_mm_s)
+        return self.layer.advance((self.record, self.slots), lambda: self._solve(target, blend), dt_s)
 
     def _pass(self, target: Array, dt_s: float | None, blend: float = 1.0) -> int:
         """One load step as it is, not divided; blend below 1: damp the friction limits where they jump."""
         if self.coasting is None:
-            return self._step(target, blend)
+            return self._step(target, dt_s, blend)
         dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
-        return self.coasting.step(self.constants, self.trials, self._centre(), dt_s, lambda: self._step(target, blend))
+        world = self.constants, self.trials, self._centre()
+        return self.coasting.step(*world, dt_s, lambda: self._step(target, dt_s, blend))
 
     def _advance(self, target: Array, dt_s: float | None = None) -> None:
         """One load step, divided where it must be. Raises PhysicsError."""

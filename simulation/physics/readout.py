@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.physics.pads import Pad
 from simulation.scene.scene import Scene
 
 Array = NDArray[np.floating]
@@ -40,13 +41,13 @@ def _nearest(targets: Array, nodes: Array) -> NDArray[np.intp]:
 class Readout:
     """Gel fields of a scene: call with stretch [n, 2] mm and pressure [n]; gives float32 [2, rows, columns, 3]."""
 
-    def __init__(self, scene: Scene, *, coupled: bool) -> None:
+    def __init__(self, scene: Scene, pad: Pad, *, coupled: bool) -> None:
         gel, sensor = scene.gel, scene.sensor
         pitch, (margin_u, margin_v) = sensor.marker_pitch_mm, sensor.gel_margin_mm
         self.rows, self.columns = gel.node_rows, gel.node_columns
-        height, width = sensor.gel_height_mm, sensor.gel_width_mm
-        v = (np.arange(sensor.marker_rows) + margin_v / pitch) * pitch - 0.5 * height
-        u = (np.arange(sensor.marker_columns) + margin_u / pitch) * pitch - 0.5 * width
+        v = (np.arange(sensor.marker_rows) + margin_v / pitch) * pitch - 0.5 * sensor.gel_height_mm
+        u = (np.arange(sensor.marker_columns) + margin_u / pitch) * pitch - 0.5 * sensor.gel_width_mm
+        height, width = pad.height_mm, pad.width_mm
         node_v = (np.arange(self.rows) + 0.5) * height / self.rows - 0.5 * height
         node_u = (np.arange(self.columns) + 0.5) * width / self.columns - 0.5 * width
         sigma = COUPLING_PER_THICKNESS * gel.thickness_mm if coupled else 0.0

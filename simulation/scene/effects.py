@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from simulation.scene import rubber
 from simulation.scene.scene import Scene
 
 
@@ -22,6 +23,10 @@ class Active(NamedTuple):
     free_blocks: bool
     gel_wear: bool
     gel_coupling: bool
+    poisson: bool
+    gel_edges: bool
+    relaxation: bool
+    finger_compliance: bool
     object_texture: bool
     motion_blur: bool
     rolling_shutter: bool
@@ -76,6 +81,35 @@ def _gel_coupling(scene: Scene) -> tuple[bool, str]:
     return reach > 0.3 * pitch_mm, f"rubber couples over {reach:.2f} mm, markers are {pitch_mm:.2f} mm apart"
 
 
+def _poisson(scene: Scene) -> tuple[bool, str]:
+    given, usual = scene.gel.poisson_ratio, rubber.poisson_ratio(max(scene.gel.normal_ratio, 2.0))
+    if given is None:
+        return False, f"gel.normal_ratio says it: {usual:.3g}"
+    return abs(
+        given - usual
+    ) > 0.005, f"gel.poisson_ratio is {given:g}, gel.normal_ratio means {usual:.3g} (limit 0.005)"
+
+
+def _edges(scene: Scene) -> tuple[bool, str]:
+    beyond = rubber.margin_beyond_mm(scene)
+    if beyond is None:
+        return False, "gel.margin_mm is not given: endless"
+    reach_mm = rubber.reach_in_thicknesses(rubber.poisson_of(scene)) * scene.gel.thickness_mm
+    return min(beyond) < reach_mm, f"the gel ends {min(beyond):.2f} mm beyond the pad, rubber reaches {reach_mm:.1f} mm"
+
+
+def _relaxation(scene: Scene) -> tuple[bool, str]:
+    return scene.gel.relaxation_share > 0.01, f"gel.relaxation_share is {scene.gel.relaxation_share:g} (limit 0.01)"
+
+
+def _finger_compliance(scene: Scene) -> tuple[bool, str]:
+    gel, finger, sensor = scene.gel, scene.grasp.finger_stiffness_n_per_mm, scene.sensor
+    if finger == 0.0:
+        return False, "grasp.finger_stiffness_n_per_mm is 0: rigid"
+    pad = gel.shear_modulus_n_per_mm2 / gel.thickness_mm * sensor.gel_width_mm * sensor.gel_height_mm
+    return pad / finger > 0.02, f"a finger gives by {100.0 * pad / finger:.1f} % of its sheared pad (limit 2 %)"
+
+
 def _texture(scene: Scene) -> tuple[bool, str]:
     return scene.object.texture != "smooth", f"object.texture is {scene.object.texture}"
 
@@ -105,6 +139,10 @@ EFFECTS = (
     Effect("free_blocks", "blocks that slide on the table and tip", _free_blocks),
     Effect("gel_wear", "worn spots and missing markers", _gel_wear),
     Effect("gel_coupling", "rubber between the bristles: coupled and bulging markers", _gel_coupling),
+    Effect("poisson", "rubber that hardly changes its volume", _poisson),
+    Effect("gel_edges", "free edges where the gel ends", _edges),
+    Effect("relaxation", "rubber that gives way while its shape is held", _relaxation),
+    Effect("finger_compliance", "fingers that bend across the gap", _finger_compliance),
     Effect("object_texture", "imprint of the object's texture", _texture),
     Effect("motion_blur", "markers smeared within an exposure", _blur),
     Effect("rolling_shutter", "rows read one after another while the gel moves", _rolling),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from service.contract import Sensor
 from simulation.scene import shapes
 
 Switch = Literal["auto", "on", "off"]
+Margin = Annotated[float, Field(ge=0.0, le=1000.0)]
 
 
 class Part(BaseModel):
@@ -24,7 +25,8 @@ class Part(BaseModel):
 class HeldObject(Part):
     """The object: footprint at its flat bottom, section where it is held (the same unless given), weight.
 
-    A polygon states its convex bottom by vertices_mm, counter-clockwise; its sizes are their extent.
+    A polygon states its convex bottom by vertices_mm, counter-clockwise; its sizes are what they and corner_radius_mm
+    make them.
     The texture's period and gain (contrast of its relief, 0..1) follow from its name unless given.
     """
 
@@ -48,24 +50,28 @@ class HeldObject(Part):
     def _sizes_of_a_polygon(cls, data: Any) -> Any:
         if not (isinstance(data, dict) and data.get("vertices_mm")):
             return data
-        try:
-            x, y = np.ptp(np.asarray(data["vertices_mm"], np.float64), axis=0)
-        except (ValueError, TypeError):
-            return data  # the field itself says what is wrong
+        x, y = 0.0, 0.0
+        for radius_mm in (0.0, data.get("corner_radius_mm", 0.0)):
+            try:
+                x, y = np.ptp(shapes.rounded(data["vertices_mm"], float(radius_mm)), axis=0)
+            except (ValueError, TypeError, IndexError):
+                break  # the field itself says what is wrong
+        if not x:
+            return data
         return data | {"size_x_mm": float(x), "size_y_mm": float(y)}
 
     @property
     def footprint_mm(self) -> NDArray[np.float64]:
         """Bottom polygon [n, 2], mm, object frame."""
         if self.vertices_mm:
-            return shapes.centred(self.vertices_mm)
+            return shapes.centred(shapes.rounded(self.vertices_mm, self.corner_radius_mm))
         return shapes.footprint(self.shape, self.size_x_mm, self.size_y_mm, self.corner_radius_mm)
 
     @property
     def held_profile(self) -> NDArray[np.float64]:
         """Held surface as in `shapes.held_profile`, array [5], mm."""
-        if self.held_shape is None and self.vertices_mm:
-            return np.array([shapes.crest_mm(self.vertices_mm), 0.5 * self.size_x_mm, 1.0, 1.0, 0.0])
+        if (section := self._held_polygon) is not None:
+            return np.array([shapes.crest_mm(section), 0.5 * float(np.ptp(section[:, 0])), 1.0, 1.0, 0.0])
         if self.held_shape is None:
             return shapes.held_profile(self.shape, self.size_x_mm, self.size_y_mm, self.corner_radius_mm)
         size_x = self.held_size_x_mm or self.size_x_mm
@@ -75,7 +81,18 @@ class HeldObject(Part):
     @property
     def held_faces(self) -> NDArray[np.float64] | None:
         """Held sides of a polygon as in `shapes.faces`; None where `held_profile` says it all."""
-        return shapes.faces(self.vertices_mm) if self.vertices_mm and self.held_shape is None else None
+        section = self._held_polygon
+        return None if section is None else shapes.faces(section)
+
+    @property
+    def _held_polygon(self) -> NDArray[np.float64] | None:
+        """The held section [n, 2], mm, where it is given by its edges."""
+        if self.held_shape is not None:
+            width_mm = self.held_size_x_mm or self.size_x_mm
+            return shapes.held_polygon(self.held_shape, width_mm, self.held_corner_radius_mm)
+        if self.vertices_mm:
+            return shapes.rounded(self.vertices_mm, self.corner_radius_mm)
+        return shapes.held_polygon(self.shape, self.size_x_mm, self.corner_radius_mm)
 
 
 class Blocks(Part):
@@ -99,13 +116,20 @@ class Blocks(Part):
 class Gel(Part):
     """The two gel pads.
 
-    A bristle's stiffness per area is G / thickness along the pad, normal_ratio times that into it.
+    A bristle's stiffness per area is G / thickness along the pad, normal_ratio times that into it. ``poisson_ratio``
+    takes the place of normal_ratio where it is given. ``margin_mm`` (x along the gap's width, z up): how far the gel
+    goes on beyond the outermost markers before it ends in a free edge; endless unless given. ``relaxation_share`` of
+    the stiffness, which is that of a quick motion, is lost by exp(-t / relaxation_s) while a shape is held.
     """
 
     tier: Literal["bristle", "layer"] = "bristle"
     thickness_mm: float = Field(default=2.5, ge=0.3, le=10.0)
     shear_modulus_n_per_mm2: float = Field(default=0.1, ge=0.005, le=5.0)
     normal_ratio: float = Field(default=3.0, ge=0.5, le=50.0)
+    poisson_ratio: float | None = Field(default=None, ge=0.0, le=0.4999)
+    margin_mm: tuple[Margin, Margin] | None = None
+    relaxation_share: float = Field(default=0.0, ge=0.0, le=1.0)
+    relaxation_s: float = Field(default=1.0, ge=1e-3, le=1e4)
     friction: float = Field(default=0.8, ge=0.0, le=2.0)
     crown_mm: float = Field(default=0.12, ge=0.0, le=1.0)
     wear: float = Field(default=0.1, ge=0.0, le=1.0)
@@ -114,29 +138,35 @@ class Gel(Part):
 
 
 class Grasp(Part):
-    """How the object is held. Spreads are standard deviations over re-fixtures."""
+    """How the object is held. Spreads are standard deviations over re-fixtures.
+
+    ``finger_stiffness_n_per_mm``: of each finger against a force across the gap, at its pad; 0: rigid.
+    """
 
     force_n: float = Field(default=20.0, ge=0.5, le=120.0)
     height_mm: float = Field(default=30.0, ge=5.0, le=150.0)
     pre_tilt_spread_deg: float = Field(default=0.5, ge=0.0, le=5.0)
     pre_yaw_spread_deg: float = Field(default=0.3, ge=0.0, le=5.0)
     force_limit_n: float = Field(default=60.0, ge=5.0, le=500.0)
+    finger_stiffness_n_per_mm: float = Field(default=0.0, ge=0.0, le=1e6)
 
 
 class Camera(Part):
     """The finger cameras: the sensor's profile, and how they are run. ``fps`` is the sensor's own unless given.
 
     ``sensor`` is a name or a TOML file; keys of it below a scene's `[camera.sensor]` replace those of the default one.
+    ``latency_ms``: how long a frame takes to arrive; it is stamped then, and not when it was exposed.
     """
 
     sensor: Sensor = Field(default_factory=Sensor.load)
-    fps: int | None = Field(default=None, ge=10, le=120)
+    fps: int | float | None = Field(default=None, ge=10, le=120)
     noise_grey: float = Field(default=2.0, ge=0.0, le=30.0)
     exposure: float = Field(default=1.0, ge=0.3, le=3.0)
     exposure_ms: float = Field(default=8.0, ge=0.1, le=33.0)
     readout_ms: float = Field(default=0.0, ge=0.0, le=33.0)
     light: float = Field(default=1.0, ge=0.2, le=3.0)
     dropped_share: float = Field(default=0.0, ge=0.0, le=0.5)
+    latency_ms: float = Field(default=0.0, ge=0.0, le=500.0)
 
     @field_validator("sensor", mode="before")
     @classmethod
@@ -163,6 +193,10 @@ class Effects(Part):
     free_blocks: Switch = "auto"
     gel_wear: Switch = "auto"
     gel_coupling: Switch = "auto"
+    poisson: Switch = "auto"
+    gel_edges: Switch = "auto"
+    relaxation: Switch = "auto"
+    finger_compliance: Switch = "auto"
     object_texture: Switch = "auto"
     motion_blur: Switch = "auto"
     rolling_shutter: Switch = "auto"

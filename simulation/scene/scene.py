@@ -18,11 +18,14 @@ from service.contract.refusals import describe
 from simulation.scene import shapes
 from simulation.scene.parts import Blocks, Camera, Effects, Figures, Gel, Grasp, HeldObject, Numerics, Part
 
+APPROACH_MM = 5.0  # how high above the block tops a descent starts
 YOUNGER_KEYS = {
     "blocks": ("insertion_depth_mm",),
     "object": ("vertices_mm", "texture_period_mm", "texture_gain"),
-    "camera": ("readout_ms",),
-    "effects": ("inertia", "rolling_shutter"),
+    "camera": ("readout_ms", "latency_ms"),
+    "gel": ("poisson_ratio", "margin_mm", "relaxation_share", "relaxation_s"),
+    "grasp": ("finger_stiffness_n_per_mm",),
+    "effects": ("inertia", "rolling_shutter", "poisson", "gel_edges", "relaxation", "finger_compliance"),
 }
 RECORD = ("training", "order", "paper", "target")  # keys that change nothing of the cell
 FIRST_SENSOR_KEYS = (
@@ -65,8 +68,34 @@ class Scene(Part):
         corners = self.object.vertices_mm
         if corners and not shapes.is_convex(corners):
             raise ValueError("object.vertices_mm: expected corners of a convex polygon, counter-clockwise")
-        if corners and self.object.corner_radius_mm > 0.0:
-            raise ValueError("object.corner_radius_mm: a polygon has none")
+        if corners:
+            shapes.rounded(corners, self.object.corner_radius_mm)
+        return self
+
+    @model_validator(mode="after")
+    def _corners_can_exist(self) -> Self:
+        body = self.object
+        sections = (
+            ("corner_radius_mm", body.shape, body.corner_radius_mm, body.size_x_mm),
+            (
+                "held_corner_radius_mm",
+                body.held_shape,
+                body.held_corner_radius_mm,
+                body.held_size_x_mm or body.size_x_mm,
+            ),
+        )
+        for name, shape, radius_mm, width_mm in sections:
+            if shape == "ellipse" and radius_mm > 0.0:
+                raise ValueError(f"object.{name}: an ellipse has none")
+            if shape == "hexagon" and radius_mm >= 0.43 * width_mm:
+                raise ValueError(f"object.{name}: must be below {0.43 * width_mm:g}, where a hexagon is a circle")
+        return self
+
+    @model_validator(mode="after")
+    def _frames_can_exist(self) -> Self:
+        exposure_ms, period_ms = self.camera.exposure_ms, 1000.0 / self.fps
+        if exposure_ms > period_ms:
+            raise ValueError(f"camera.exposure_ms: {exposure_ms:g} is longer than a frame's {period_ms:g}")
         return self
 
     @model_validator(mode="after")
@@ -80,8 +109,11 @@ class Scene(Part):
             raise ValueError("object.held_corner_radius_mm: must be at most half of the held section's width")
         if self.gel.crown_mm > 0.5 * self.gel.thickness_mm:
             raise ValueError(f"gel.crown_mm: must be 0 to {0.5 * self.gel.thickness_mm:g}, half of gel.thickness_mm")
-        if self.gel.tier == "layer" and self.gel.normal_ratio < 2.0:
-            raise ValueError("gel.normal_ratio: must be at least 2 in the layer tier, where rubber pushes sideways too")
+        by_ratio = self.gel.poisson_ratio is None and self.gel.normal_ratio < 2.0
+        if by_ratio and (self.gel.tier == "layer" or self.gel.margin_mm is not None):
+            raise ValueError(
+                "gel.normal_ratio: must be at least 2 where rubber pushes sideways (layer tier, margin_mm)"
+            )
         if self.gel.tier == "layer" and self.effects.gel_coupling == "on":
             raise ValueError("effects.gel_coupling: the layer tier couples by itself; expected 'auto' or 'off'")
         if body.held_profile[1] + body.held_profile[2] < 3.0:
@@ -99,7 +131,12 @@ class Scene(Part):
         return self.camera.sensor
 
     @property
-    def fps(self) -> int:
+    def full_depth_mm(self) -> float:
+        """How far a descent goes that inserts: from the approach into the gap, and clearly deeper than what counts."""
+        return APPROACH_MM + self.blocks.insertion_depth_mm + 5.0
+
+    @property
+    def fps(self) -> float:
         """Frames a second."""
         return self.camera.fps or self.sensor.fps
 

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 Shape = Literal["rectangle", "ellipse", "hexagon"]
 Outline = Literal["rectangle", "ellipse", "hexagon", "polygon"]
-Vertices = Sequence[tuple[float, float]]
 Array = NDArray[np.float64]
+Vertices = Sequence[tuple[float, float]] | Array
 
-MAX_FACES = 34  # of one held side of a polygon: its edges and a wall at either end
+MOST_EDGES = 64  # of a polygon with its corners rounded
+MAX_FACES = MOST_EDGES + 2  # of one held side of a polygon: its edges and a wall at either end
 WALL_SLOPE = 5.0  # what is upright would have no slope
 GRIP_HALF_MM = 10.0  # about half of a gel's width: what the fingers centre
 FAR_MM = 1e6
@@ -32,8 +33,7 @@ def footprint(shape: Outline, size_x_mm: float, size_y_mm: float, corner_radius_
         angles = 2.0 * np.pi * np.arange(CURVE_POINTS) / CURVE_POINTS
         return np.stack([0.5 * size_x_mm * np.cos(angles), 0.5 * size_y_mm * np.sin(angles)], axis=1)
     if shape == "hexagon":
-        angles = np.asarray(np.pi / 3.0 * np.arange(6))
-        return np.asarray(0.5 * size_x_mm * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+        return rounded(_hexagon(size_x_mm), corner_radius_mm)
     half: Array = np.array([0.5 * size_x_mm, 0.5 * size_y_mm])
     if corner_radius_mm <= 0.0:
         return np.asarray(np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64) * half)
@@ -57,6 +57,40 @@ def held_profile(shape: Outline, size_x_mm: float, size_y_mm: float, corner_radi
         return np.array([0.25 * math.sqrt(3.0) * size_x_mm, 0.25 * size_x_mm, 1.0, 1.0, math.sqrt(3.0)])
     radius = max(corner_radius_mm, 0.2)
     return np.array([0.5 * size_y_mm, 0.5 * size_x_mm - radius, radius, radius, 0.0])
+
+
+def _hexagon(size_x_mm: float) -> Array:
+    angles = np.asarray(np.pi / 3.0 * np.arange(6))
+    return np.asarray(0.5 * size_x_mm * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+
+
+def held_polygon(shape: Outline, size_x_mm: float, corner_radius_mm: float) -> Array | None:
+    """The section between the fingers [n, 2], mm, where only its edges say what is held: a hexagon's with radii."""
+    return rounded(_hexagon(size_x_mm), corner_radius_mm) if shape == "hexagon" and corner_radius_mm > 0.0 else None
+
+
+def rounded(vertices: Vertices, radius_mm: float) -> Array:
+    """A convex polygon [n, 2] with an arc in place of each corner, as tangent edges; all within `MOST_EDGES`.
+
+    Raises ValueError where two arcs do not fit on the edge between them.
+    """
+    corners: Array = np.asarray(vertices, np.float64)
+    if radius_mm <= 0.0:
+        return corners
+    before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
+    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
+    cut = radius_mm * np.tan(0.5 * turn)
+    room = np.linalg.norm(after, axis=1) - cut - np.roll(cut, -1)
+    if room.min() < 0.0:
+        raise ValueError("object.corner_radius_mm: two corners' arcs do not fit on the edge between them")
+    pieces = int(np.clip(MOST_EDGES // len(corners) - 1, 1, 8))
+    shares = np.arange(pieces) + 0.5  # the corners of a tangent polygon: half a piece beyond where the arc begins
+    ahead = np.arctan2(before[:, 1], before[:, 0])[:, None] + turn[:, None] / pieces * shares
+    centre = corners - (cut / np.linalg.norm(before, axis=1))[:, None] * before
+    centre = centre + radius_mm * np.stack([-before[:, 1], before[:, 0]], 1) / np.linalg.norm(before, axis=1)[:, None]
+    out = radius_mm / np.cos(0.5 * turn / pieces)[:, None]
+    points = np.stack([np.sin(ahead), -np.cos(ahead)], axis=-1) * out[..., None] + centre[:, None]
+    return np.asarray(points.reshape(-1, 2))
 
 
 def centred(vertices: Vertices) -> Array:

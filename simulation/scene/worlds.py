@@ -21,17 +21,11 @@ from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
 from simulation.scene.parts import Blocks, Camera, Gel, Grasp, HeldObject, Part
 from simulation.scene.scene import Scene, SceneError, parsed, put
+from simulation.scene.unstated import Unstated
 
 OBJECTS = Path(__file__).parents[1] / "objects"
 GAP_BEYOND_OBJECT_MM = 4.0
 START_SHARE, START_MOST_MM = 0.3, 15.0  # of the object's width
-NOT_YET = {
-    "gel": {"poisson_ratio", "margin_mm", "relaxation_share", "relaxation_s"},
-    "grasp": {"finger_stiffness_n_per_mm"},
-    "camera": {"latency_ms"},
-    "world": {"tcp_offset_mm", "frame_yaw_deg", "camera_scale", "camera_roll_deg", "blocks_up_mm", "swapped_fingers"}
-    | {"mirrored", "x_sign", "yaw_sign"},
-}
 
 
 class Start(Part):
@@ -45,17 +39,6 @@ class Motion(Part):
     """How the arm moves."""
 
     descent_speed_mm_s: float = Field(default=10.0, gt=0.0, le=200.0)
-
-
-class Unstated(Part):
-    """What the software is not given. The errors are added to the gap and to the height of the grasp that it is given.
-
-    A stop takes effect ``stop_lag_s`` after it was ordered.
-    """
-
-    told_gap_error_mm: float = Field(default=0.0, ge=-20.0, le=20.0)
-    told_height_error_mm: float = Field(default=0.0, ge=-50.0, le=50.0)
-    stop_lag_s: float = Field(default=0.03, ge=0.0, le=0.5)
 
 
 WORLD_TABLES: Mapping[str, type[Part]] = {
@@ -98,12 +81,17 @@ def load_world(path: str | Path) -> World:
     """A world by TOML path.
 
     Raises:
-        SceneError: unreadable file, a key that is unknown or not supported yet, or a value out of range.
+        SceneError: unreadable file, an unknown key, or a value out of range.
     """
     path = Path(path)
+    return world_of(_read(path), path)
+
+
+def world_of(tables: Mapping[str, Any], path: Path) -> World:
+    """The world that the tables of a file describe. Raises SceneError as `load_world` does."""
     changes: dict[str, Any] = {}
     unstated = Unstated()
-    for table, values in _read(path).items():
+    for table, values in tables.items():
         model = WORLD_TABLES.get(table)
         if model is None or not isinstance(values, dict):
             raise SceneError(f"{path}: {table}: unknown table{nearest(table, WORLD_TABLES)}")
@@ -111,15 +99,12 @@ def load_world(path: str | Path) -> World:
         if isinstance(part, Unstated):
             unstated = part
             continue
-        for key in values:
-            changes[TOP_LEVEL.get(f"{table}.{key}", f"{table}.{key}")] = getattr(part, key)
+        plain = part.model_dump(mode="json", include=set(values))
+        changes |= {TOP_LEVEL.get(f"{table}.{key}", f"{table}.{key}"): plain[key] for key in values}
     return World(path.stem, changes, unstated)
 
 
 def _checked(path: Path, table: str, model: type[Part], values: Mapping[str, Any]) -> Part:
-    for key in values:
-        if key in NOT_YET.get(table, ()):
-            raise SceneError(f"{path}: {table}.{key}: not supported yet")
     if model is Blocks:
         if "gap_mm" in values:
             raise SceneError(f"{path}: blocks.gap_mm: the gap stands in the object's file, not in the world's")
@@ -155,11 +140,11 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
     if "start" in data:
         start = _validated(path, "start", Start, data.pop("start"))
         data |= start.model_dump(include=start.model_fields_set)
-    _fill(data)
+    fill(data)
     return parsed(data, str(path))
 
 
-def _fill(data: dict[str, Any]) -> None:
+def fill(data: dict[str, Any]) -> None:
     """Gap and range of start errors where the object's file leaves them out."""
     try:
         width_mm = HeldObject.model_validate(_table(data, "object")).size_x_mm

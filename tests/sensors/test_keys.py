@@ -15,7 +15,9 @@ from service.perception.rectification import Rectifier
 from simulation.data.probe import Probe, QuasiStaticCell, run_probe
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
+from simulation.physics.pads import pad_of
 from simulation.physics.readout import Readout
+from simulation.scene.effects import active_effects
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene
 from tests.service import tiny_models
@@ -140,7 +142,11 @@ def gel_margin_mm(usual: Sensor, other: Sensor) -> None:
             np.arange(columns) * sensor.gel_width_mm / columns, np.arange(rows) * sensor.gel_height_mm / rows
         )
         stretch = np.tile(np.stack([u.ravel(), -v.ravel()], 1), (2, 1))
-        read.append(Readout(scene(sensor), coupled=False)(stretch, np.zeros(len(stretch)))[0, 9, 10, :2])
+        read.append(
+            Readout(scene(sensor), pad_of(scene(sensor), active_effects(scene(sensor))), coupled=False)(
+                stretch, np.zeros(len(stretch))
+            )[0, 9, 10, :2]
+        )
     np.testing.assert_allclose(read[1] - read[0], np.subtract(other.gel_margin_mm, usual.gel_margin_mm), atol=1e-4)
 
 

@@ -19,7 +19,7 @@ from numba import njit
 from simulation.physics.kernels.linear import Vector
 from simulation.physics.kernels.records import NODE, Records
 
-FAR_MM = 1e3
+FAR_MM, FACE_FAR_MM = 1e3, 1e6
 SLIP_MARGIN = 1e-7
 
 
@@ -32,7 +32,7 @@ def make_nodes(rows: int, columns: int, height_mm: float, width_mm: float, crown
     nodes["side"] = np.repeat([1.0, -1.0], uu.size)
     nodes["x"], nodes["z"] = nodes["side"] * np.tile(uu, 2), -np.tile(vv, 2)
     reach = (nodes["x"] / (0.5 * width_mm)) ** 2 + (nodes["z"] / (0.5 * height_mm)) ** 2
-    nodes["crown"] = 0.5 * crown_mm * reach
+    nodes["crown"], nodes["stiff"] = 0.5 * crown_mm * reach, 1.0
     return nodes
 
 
@@ -57,6 +57,8 @@ def faceted(faces: Any, side: int, x: float) -> tuple[float, float]:
     """Height and slope of a polygon's held side (0: +y, 1: -y) at x, mm."""
     height, slope = faces[side, 0, 0] + faces[side, 0, 1] * x, faces[side, 0, 1]
     for k in range(1, faces.shape[1]):
+        if faces[side, k, 0] >= FACE_FAR_MM:
+            break
         at = faces[side, k, 0] + faces[side, k, 1] * x
         if at < height:
             height, slope = at, faces[side, k, 1]
@@ -95,7 +97,7 @@ def renew_limits(constants: Any, nodes: Any, trial: Any, blend: float) -> None:
     for j in range(nodes.shape[0]):
         node = nodes[j]
         depth, _ = indentation(constants, node, trial)
-        fresh = constants.kn * depth if depth > 0.0 else 0.0
+        fresh = constants.kn * node.stiff * depth if depth > 0.0 else 0.0
         node.limit += blend * (constants.friction * fresh - node.limit)
 
 
@@ -107,7 +109,7 @@ def energy(constants: Any, nodes: Any, trial: Any) -> float:
         node = nodes[j]
         depth, _ = indentation(constants, node, trial)
         if depth > 0.0:
-            total += 0.5 * constants.kn * depth * depth
+            total += 0.5 * constants.kn * node.stiff * depth * depth
         if node.limit > 0.0:
             px, _, pz = material(node, trial)
             sx, sz = px - node.x, pz - node.z
@@ -199,9 +201,9 @@ def assemble(constants: Any, nodes: Any, trial: Any, coupled: bool) -> None:
         node = nodes[j]
         depth, slope = indentation(constants, node, trial)
         if depth > 0.0:
-            _add_normal(node, trial, slope, k, depth, row)
+            _add_normal(node, trial, slope, k * node.stiff, depth, row)
         if coupled:
-            node.limit = constants.friction * constants.kn * max(depth, 0.0)
+            node.limit = constants.friction * constants.kn * node.stiff * max(depth, 0.0)
         if node.limit > 0.0:
             _add_friction(constants, node, trial, depth, coupled, row)
 
@@ -219,7 +221,7 @@ def settle(constants: Any, nodes: Any, trial: Any) -> tuple[int, float]:
         sx, sz = px - node.x, pz - node.z
         size = math.sqrt(sx * sx + sz * sz)
         depth, _ = indentation(constants, node, trial)
-        node.pressure = constants.kn * max(depth, 0.0)
+        node.pressure = constants.kn * node.stiff * max(depth, 0.0)
         bound = min(node.limit, constants.friction * node.pressure) / constants.kt
         share, node.slipped = 1.0, 0.0
         if size > bound:

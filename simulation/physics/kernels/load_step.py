@@ -91,4 +91,4 @@ def grip_pressures(work: Any) -> None:
     trial.opening = state.opening
     for j in range(nodes.shape[0]):
         depth, _ = bristles.indentation(constants, nodes[j], trial)
-        nodes[j].pressure = constants.kn * max(depth, 0.0)
+        nodes[j].pressure = constants.kn * nodes[j].stiff * max(depth, 0.0)

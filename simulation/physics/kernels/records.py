@@ -92,6 +92,7 @@ NODE = np.dtype(
         ("x", "f8"),
         ("side", "f8"),
         ("z", "f8"),
+        ("stiff", "f8"),  # its normal stiffness over that of the pad
         ("crown", "f8"),  # how far the pad's surface is set back, mm
         ("sx", "f8"),  # stretch, mm
         ("sz", "f8"),

@@ -1,5 +1,7 @@
 """Calibration finds the rectification that a simulated camera was drawn with, and refuses what is no resting gel."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -11,8 +13,10 @@ from service.tools.calibrate import fit_camera
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
+from tests.service.perception.real import GELSLIM_CROP, read_video, real_data
 
 REST = np.zeros((20, 21, 3), np.float32)
+UNEVEN = np.float32(0.04) * np.random.default_rng(3).normal(size=(20, 21, 3)).astype(np.float32) * [1, 1, 0]
 INSIDE_PX = np.array([[[60, 40], [360, 40], [213, 160], [150, 280], [280, 280]]], float)
 
 
@@ -28,9 +32,9 @@ def still(camera: Renderer) -> np.ndarray:
 def test_the_homography_of_a_simulated_camera_is_found(seed: int):
     camera = renderer(FINGERS[seed % 2], seed)
     fit = fit_camera(still(camera), "left", Sensor.load())
-    found = cv2.perspectiveTransform(INSIDE_PX, fit.camera.homography)
+    found = fit.camera.projection.plane(INSIDE_PX[0])
     true = cv2.perspectiveTransform(INSIDE_PX, np.asarray(camera.homography))
-    assert fit.lattice.detected.shape == (20, 21)
+    assert fit.grid.shape == (20, 21)
     assert np.abs(found - true).max() < 1.5
 
 
@@ -55,9 +59,78 @@ def test_the_command_writes_a_file_that_the_service_loads(tmp_path, capsys):
     out = tmp_path / "calibration.toml"
     cameras = [f"--camera-{finger}=file:{tmp_path / finger}" for finger in ("left", "right")]
     assert main(["calibrate", *cameras, "--out", str(out), "--frames", "2", "--pictures", str(tmp_path)]) == 0
-    assert "20 markers" not in capsys.readouterr().err
-    assert Calibration.load(out).left.raw.width_px == 427
+    assert "21 x 20 markers" in capsys.readouterr().out
+    left = Calibration.load(out).left
+    assert left.raw.width_px == 427
+    assert left.measured is not None
+    assert left.measured.residual_px < 0.5
     assert (tmp_path / "left.png").exists()
+    assert (tmp_path / "left_residual.png").exists()
+
+
+def test_one_camera_for_both_fingers_is_refused(tmp_path, capsys):
+    camera = renderer("left", 0)
+    one, two = (cv2.imwrite(str(tmp_path / f"{k}.png"), camera.raw(UNEVEN, k)) for k in range(2))
+    assert one
+    assert two
+    (tmp_path / "again").mkdir()
+    cv2.imwrite(str(tmp_path / "again" / "0.png"), camera.raw(UNEVEN, 7))
+    for right, said in [(tmp_path, "the same camera, file:"), (tmp_path / "again", "the same gel")]:
+        arguments = [f"--camera-left=file:{tmp_path}", f"--camera-right=file:{right}", "--frames", "2"]
+        assert main(["calibrate", *arguments, "--out", str(tmp_path / "c.toml")]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "c.toml").exists()
+
+
+def test_a_picture_is_measured_into_a_row_of_figures(tmp_path):
+    picture, row = tmp_path / "a.png", tmp_path / "a.json"
+    cv2.imwrite(str(picture), still(renderer("left", 1)))
+    assert main(["calibrate", "--picture", str(picture), "--sensor", "gelslim_2019", "--json", str(row)]) == 0
+    figures = json.loads(row.read_text())
+    assert (figures["rows"], figures["columns"], figures["refused"]) == (20, 21, None)
+    assert figures["residual_px"] < 0.5
+    assert figures["found_share"] > 0.95
+
+
+def test_a_picture_without_markers_is_named_as_such(tmp_path, capsys):
+    picture, row = tmp_path / "a.png", tmp_path / "a.json"
+    cv2.imwrite(str(picture), np.full((240, 320, 3), 120, np.uint8))
+    assert main(["calibrate", "--picture", str(picture), "--json", str(row)]) == 2
+    assert "no marker grid in the frame, and this software needs one" in capsys.readouterr().err
+    assert json.loads(row.read_text())["found_share"] == 0
+
+
+def test_a_new_profile_has_the_counts_that_are_seen(tmp_path):
+    picture, profile = tmp_path / "a.png", tmp_path / "mine.toml"
+    scene = load_scene("circle", camera__sensor="gelsight_mini")
+    mini = Renderer(Appearance.draw(scene, "left", 3))
+    cv2.imwrite(str(picture), mini.raw(np.zeros((7, 9, 3), np.float32), 0))
+    assert main(["calibrate", "--picture", str(picture), "--new-profile", str(profile), "--pitch-mm", "2"]) == 0
+    sensor = Sensor.load(profile)
+    assert (sensor.marker_rows, sensor.marker_columns) == (7, 9)
+    assert sensor.marker_pitch_mm == pytest.approx(2, rel=1e-3)
+    assert fit_camera(cv2.imread(str(picture)), "left", sensor).residual_px < 0.5
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", ["raw", "gelslim3", "mini"])
+def test_real_resting_gels_lie_within_half_a_pixel_of_a_regular_grid(name, tmp_path):
+    if name == "raw":
+        picture = real_data("gelslim_raw") / "finger_1_427x320.png"
+    else:
+        picture = tmp_path / "open.png"
+        clip, k, crop = {
+            "gelslim3": (real_data("gelslim3_press") / "sample_realtime_depth.mp4", 312, GELSLIM_CROP),
+            "mini": (real_data("gelsight_mini_slip") / "blue_mug_1_hold" / "camera_2.avi", 9, None),
+        }[name]
+        cv2.imwrite(str(picture), read_video(clip, crop)[k])
+    sensor = {"raw": "gelslim_2019", "gelslim3": "gelslim_2019", "mini": "gelsight_mini"}[name]
+    row = tmp_path / "row.json"
+    assert main(["calibrate", "--picture", str(picture), "--sensor", sensor, "--json", str(row)]) == 0
+    figures = json.loads(row.read_text())
+    assert figures["residual_px"] <= 0.5
+    assert figures["found_share"] > 0.9
+    assert (figures["refused"] is None) == (name != "gelslim3"), "a sensor of other counts is measured, not accepted"
 
 
 def test_an_absent_camera_is_one_line_and_exit_2(tmp_path, capsys):

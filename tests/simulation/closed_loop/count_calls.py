@@ -24,8 +24,19 @@ OWN = {
     "edge_friction": ("_add_slide",),
     "free_blocks": ("find_bases", "_block_weights"),
     "gel_coupling": ("_bulged",),
+    "poisson": ("normal_ratio",),
+    "gel_edges": ("borne_beyond_mm",),
+    "relaxation": ("crept",),
+    "finger_compliance": ("_bend_fingers",),
 }
 ROUGH = {"gel__node_rows": 4, "gel__node_columns": 4, "numerics__load_step_mm": 0.5, "numerics__residual_n": 1e-4}
+
+SOFT = {
+    "gel__poisson_ratio": 0.45,
+    "gel__margin_mm": (0.0, 0.0),
+    "gel__relaxation_share": 0.3,
+    "grasp__finger_stiffness_n_per_mm": 50.0,
+}
 
 
 def plain(kernel: Callable[..., Any]) -> Callable[..., Any]:
@@ -52,7 +63,7 @@ def calls(**switches: str) -> Counter[str]:
             seen[frame.f_code.co_name] += 1
 
     sys.setprofile(count)
-    cell = QuasiStaticCell(load_scene("rectangle", **ROUGH, **switches))
+    cell = QuasiStaticCell(load_scene("rectangle", **ROUGH, **SOFT, **switches))
     cell.regrasp(8.0, 5.0)
     cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 5.3, 5.0)
     sys.setprofile(None)

@@ -18,6 +18,7 @@ size_y_mm = 90.0
 texture = "label"
 """
 WEAK = '[gel]\ntier = "layer"\n[grasp]\nforce_n = 15.0\n[world]\ntold_gap_error_mm = 1.0\nstop_lag_s = 0.05\n'
+UNKNOWN = "swapped_finger: unknown key; did you mean 'swapped_fingers'? (given: True)"
 ROW_KEYS = {
     *("world", "object", "insertions", "inserted", "claimed_wrongly", "refused", "void", "mean_trials"),
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
@@ -89,16 +90,17 @@ def test_every_world_is_played_with_every_object_and_continued(box, models, tmp_
     assert log.read_text().count("\n") == 4
     assert all(row["insertions"] == 2 for row in json.loads(out.read_text()))
     played = json.loads(before.splitlines()[0])
-    assert (played["gap_error_mm"], played["stop_lag_s"], played["changes"]["grasp.force_n"]) == (1.0, 0.05, 15.0)
+    assert played["unstated"] == {"told_gap_error_mm": 1.0, "stop_lag_s": 0.05}
+    assert played["changes"] == {"gel.tier": "layer", "grasp.force_n": 15.0}
 
 
 def test_a_world_that_cannot_be_played_is_one_line_and_nothing_is_written(box, models, tmp_path, capsys):
     world = tmp_path / "swapped.toml"
-    world.write_text("[world]\nswapped_fingers = true\n")
+    world.write_text("[world]\nswapped_finger = true\n")
     out = tmp_path / "new" / "rows.json"
     ask = ["evaluate", "--worlds", str(world), "--objects", str(box), "--models", str(models)]
     assert main([*ask, "--json", str(out)]) == 2
-    assert capsys.readouterr().err == f"evaluate: {world}: world.swapped_fingers: not supported yet\n"
+    assert capsys.readouterr().err == f"evaluate: {world}: world.{UNKNOWN}\n"
     assert main(ask) == 2
     assert "--json" in capsys.readouterr().err
     assert not out.parent.exists()

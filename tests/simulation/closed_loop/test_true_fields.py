@@ -1,26 +1,40 @@
 """True marker fields agree with those tracked in pictures, smear of the exposure included."""
 
 import numpy as np
+import pytest
 
 from service.perception.markers.tracker import MarkerTracker
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.closed_loop.true_fields import TrueFieldFinger
+from simulation.scene.unstated import Unstated
 from simulation.scene.worlds import load_scene
 
 
-def test_true_fields_of_a_moving_gel_lie_where_the_tracker_finds_them() -> None:
-    cell = LockstepCell.build(load_scene("rectangle"), 6.0, 0.0, seed=3)
+@pytest.mark.parametrize(
+    ("unstated", "latency_ms"),
+    [
+        ({}, 0.0),
+        ({"swapped_fingers": True}, 0.0),
+        ({"mirrored": (True, False)}, 0.0),
+        ({"camera_scale": (1.05, 1.0), "camera_roll_deg": (-3.0, 0.0)}, 0.0),
+        ({}, 50.0),
+    ],
+    ids=["as it is", "swapped", "mirrored", "scaled and turned", "late"],
+)
+def test_true_fields_of_a_moving_gel_lie_where_the_tracker_finds_them(unstated, latency_ms) -> None:
+    scene = load_scene("rectangle", camera__latency_ms=latency_ms)
+    cell = LockstepCell.build(scene, 6.0, 0.0, seed=3, unstated=Unstated(**unstated))
     finger, tracker = TrueFieldFinger(cell, "left"), MarkerTracker()
     rest = finger.observe(cell.next_pair().left)
     first = tracker.update(np.asarray(rest.image), 0)
-    px_per_mm, gel_at_rest = first.pitch_px / cell.scene.sensor.marker_pitch_mm, cell.state.gel[0]
+    px_per_mm, gel_at_rest = first.pitch_px / cell.scene.sensor.marker_pitch_mm, cell.gels(0)[0]
     cell.descend(-25.0)
     off_px, late_px = [], []
     for step in range(24):
         observed = finger.observe(cell.next_pair().left)
         tracked = tracker.update(np.asarray(observed.image), step + 1)
-        gel = cell.state.gel[0]
-        if np.abs(gel - cell.previous.gel[0])[..., :2].max() * px_per_mm < 0.5:
+        gel, before = cell.gels(0)
+        if np.abs(gel - before)[..., :2].max() * px_per_mm < 0.5:
             continue
         seen = tracked.displacement_px - first.displacement_px
         said = observed.field.displacement_px - rest.field.displacement_px
@@ -28,5 +42,6 @@ def test_true_fields_of_a_moving_gel_lie_where_the_tracker_finds_them() -> None:
         off_px.append(np.median(np.abs(seen - said)[tracked.valid]))
         late_px.append(np.median(np.abs(seen - now)[tracked.valid]))
     assert len(off_px) >= 3
-    assert max(off_px) < 0.08
-    assert max(late_px) > 2 * max(off_px)
+    assert max(off_px) < (0.3 if "mirrored" in unstated else 0.08)  # a mirrored lens is not quite the lens it was
+    if not unstated:
+        assert max(late_px) > 2 * max(off_px)

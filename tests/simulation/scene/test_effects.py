@@ -88,6 +88,30 @@ CASES = {
         load_scene("circle", blocks__free=False, **BOLTED),
     ),
     "gel_coupling": (marker_difference, NOISE_MM, load_scene("circle"), load_scene("rectangle", gel__thickness_mm=0.3)),
+    "poisson": (
+        marker_difference,
+        NOISE_MM,
+        load_scene("rectangle", gel__poisson_ratio=0.48),
+        load_scene("rectangle", gel__poisson_ratio=0.254),
+    ),
+    "gel_edges": (
+        marker_difference,
+        NOISE_MM,
+        load_scene("rectangle", gel__margin_mm=(0.0, 0.0)),
+        load_scene("rectangle", gel__margin_mm=(14.0, 14.0)),
+    ),
+    "relaxation": (
+        marker_difference,
+        NOISE_MM,
+        load_scene("rectangle", gel__relaxation_share=0.4, gel__relaxation_s=0.1),
+        load_scene("rectangle", gel__relaxation_share=0.005, gel__relaxation_s=0.1),
+    ),
+    "finger_compliance": (
+        marker_difference,
+        NOISE_MM,
+        load_scene("circle", grasp__finger_stiffness_n_per_mm=20.0),
+        load_scene("circle", grasp__finger_stiffness_n_per_mm=1e4),
+    ),
     "gel_wear": (
         image_difference,
         NOISE_GREY,
@@ -153,7 +177,10 @@ def test_physics_that_is_off_is_not_even_called() -> None:
     assert set(counts) == IN_THE_PHYSICS
 
 
-IN_THE_PHYSICS = {"gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling"}
+IN_THE_PHYSICS = {
+    *("gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling"),
+    *("poisson", "gel_edges", "relaxation", "finger_compliance"),
+}
 IN_THE_PICTURE = {
     "gel_wear": [(texture, "worn_spots")],
     "object_texture": [(texture, "relief"), (Renderer, "_bumps")],

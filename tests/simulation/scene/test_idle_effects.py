@@ -20,6 +20,10 @@ IDLE = {
     "edge_friction": (load_scene("rectangle", blocks__friction=0.0), ACROSS, FRAMES + FORCES),
     "free_blocks": (load_scene("rectangle"), AHEAD, FRAMES + FORCES),
     "gel_coupling": (load_scene("circle"), ACROSS, ("slipping", "depth_mm", "block_motion", *FORCES)),  # only drawn
+    "poisson": (load_scene("rectangle"), ACROSS, FRAMES + FORCES),
+    "gel_edges": (load_scene("rectangle"), ACROSS, FRAMES + FORCES),
+    "relaxation": (load_scene("rectangle"), ACROSS, FRAMES + FORCES),
+    "finger_compliance": (load_scene("rectangle"), ACROSS, FRAMES + FORCES),
 }
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from simulation.scene import rubber
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import World, files_in, load_scene, load_world, object_names, training_objects
 
@@ -78,12 +79,15 @@ def test_gap_and_start_follow_from_the_width_where_the_file_leaves_them_out(tmp_
         ("[blocks]\ngap_mm = 60.0\n", "blocks.gap_mm: the gap stands in the object's file"),
         ("[motion]\ndescent_speed_mm_s = 0\n", "motion.descent_speed_mm_s: expected a number > 0.0 and <= 200.0"),
         ("[world]\nstop_lag_s = 3.0\n", "world.stop_lag_s: expected a number >= 0.0 and <= 0.5"),
-        ("[gel]\npoisson_ratio = 0.48\n", "gel.poisson_ratio: not supported yet"),
-        ("[gel]\nmargin_mm = [0.5, 0.5]\n", "gel.margin_mm: not supported yet"),
-        ("[gel]\nrelaxation_share = 0.2\n", "gel.relaxation_share: not supported yet"),
-        ("[grasp]\nfinger_stiffness_n_per_mm = 0\n", "grasp.finger_stiffness_n_per_mm: not supported yet"),
-        ("[camera]\nlatency_ms = 100\n", "camera.latency_ms: not supported yet"),
-        ("[world]\nswapped_fingers = true\n", "world.swapped_fingers: not supported yet"),
+        ("[gel]\npoisson_ratio = 0.5\n", "gel.poisson_ratio: expected a number >= 0.0 and <= 0.4999"),
+        ("[gel]\nmargin_mm = [0.5]\n", "gel.margin_mm"),
+        ("[gel]\nmargin_mm = [0.5, -1.0]\n", "gel.margin_mm.1: Input should be greater than or equal to 0"),
+        ("[gel]\nrelaxation_share = 1.2\n", "gel.relaxation_share: expected a number >= 0.0 and <= 1.0"),
+        ("[grasp]\nfinger_stiffness_n_per_mm = -1\n", "grasp.finger_stiffness_n_per_mm: expected a number >= 0.0"),
+        ("[camera]\nlatency_ms = 700\n", "camera.latency_ms: expected a number >= 0.0 and <= 500.0"),
+        ("[world]\nx_sign = 2\n", "world.x_sign: Input should be 1 or -1 (given: 2)"),
+        ("[world]\ntcp_offset_mm = 2.0\n", "world.tcp_offset_mm: Input should be a valid"),
+        ("[world]\ncamera_scale = [1.0, 3.0]\n", "world.camera_scale.1: Input should be less than or equal to 1.25"),
         ("[gel\n", "not valid TOML"),
     ],
 )
@@ -103,7 +107,12 @@ def test_a_world_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text:
         (BOX.replace("rectangle", "polygon"), "object.vertices_mm: expected with shape = 'polygon'"),
         (PENTAGON.replace("[0.0, 38.0]", "[0.0, 10.0]"), "object.vertices_mm: expected corners of a convex polygon"),
         (PENTAGON.replace("[0.0, 38.0]", "[0.0]"), "object.vertices_mm"),
-        (PENTAGON + "corner_radius_mm = 1.0\n", "object.corner_radius_mm: a polygon has none"),
+        (PENTAGON + "corner_radius_mm = 40.0\n", "object.corner_radius_mm: two corners' arcs do not fit on the edge"),
+        (TIN + "corner_radius_mm = 1.0\n", "object.corner_radius_mm: an ellipse has none"),
+        (
+            BOX.replace("rectangle", "hexagon") + "corner_radius_mm = 26.0\n",
+            "object.corner_radius_mm: must be below 25.8",
+        ),
         (BOX + "[start]\nx_range = 3.0\n", "start.x_range: unknown key; did you mean 'x_range_mm'?"),
         (BOX + "[start]\nx_range_mm = -3.0\n", "start.x_range_mm: expected a number > 0.0 and <= 60.0"),
         (BOX + "[blocks]\ngap_mm = 60.0\n", "blocks.gap_mm: 60.0 must exceed object.size_x_mm 60.0"),
@@ -123,12 +132,42 @@ def test_an_object_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, tex
         ("[world]\ntold_gap_error_mm = -20.0\n", "world.told_gap_error_mm: leaves 4 mm; at least 5"),
         ("[world]\ntold_height_error_mm = -40.0\n", "world.told_height_error_mm: leaves -10 mm; at least 1"),
         ("[gel]\nthickness_mm = 0.3\ncrown_mm = 0.2\n", "gel.crown_mm: must be 0 to 0.15"),
+        ("[camera]\nfps = 120\nexposure_ms = 9.0\n", "camera.exposure_ms: 9 is longer than a frame's 8.33333"),
     ],
 )
 def test_a_world_and_an_object_that_do_not_fit_are_both_named(tmp_path: Path, world: str, named: str) -> None:
     small = BOX.replace("60.0", "20.0")
     with pytest.raises(SceneError, match=f"world odd, object small.*{re.escape(named)}"):
         load_world(write(tmp_path, "odd", world)).around(load_scene(write(tmp_path, "small", small)))
+
+
+def test_every_key_of_the_format_is_read(tmp_path: Path) -> None:
+    from simulation.scene import drawn
+
+    written = drawn.draw_worlds(3, 5)
+    assert written == drawn.draw_worlds(3, 5)
+    for number, tables in enumerate(written):
+        path = write(tmp_path, f"drawn{number}", drawn.toml(tables, "drawn"))
+        scene = load_world(path).around(load_scene("rectangle"))
+        assert scene.gel.margin_mm == tuple(tables["gel"]["margin_mm"])
+        assert scene.fps == tables["camera"]["fps"]
+        assert 0.14 < rubber.shear_reach_pitches(scene) < 3.1
+
+
+def test_drawn_worlds_spread_every_quantity_over_its_range() -> None:
+    from simulation.scene import drawn
+
+    worlds = drawn.draw_worlds(50, 1)
+    for table, key, low, high in (("gel", "poisson_ratio", 0.25, 0.495), ("world", "stop_lag_s", 0.01, 0.08)):
+        places = sorted(int(50 * (world[table][key] - low) / (high - low)) for world in worlds)
+        assert places == list(range(50))
+    assert len(drawn.draw_objects(8, 1)) == 8
+
+
+def test_shear_reach_is_what_friction_can_hold_over_what_shear_costs() -> None:
+    flat = load_scene("rectangle", gel__friction=0.8, gel__thickness_mm=2.5, grasp__force_n=20.0)
+    assert rubber.shear_reach_pitches(flat) == pytest.approx(0.8 * 20.0 / (22.05 * 21.0) * 2.5 / 0.1 / 1.05)
+    assert rubber.shear_reach_pitches(load_scene("circle")) > rubber.shear_reach_pitches(flat)
 
 
 def test_folders_files_and_names_are_listed_once_each(tmp_path: Path) -> None:

@@ -1,0 +1,117 @@
+"""What nobody tells the software: errors of its calibration, and the mistakes of a first day.
+
+Frames. *Told*: poses of the TCP as the arm and the client name them, in the work-object frame that they were taught.
+*True*: where the middle between the fingers (and with it the object) is, in the frame of the blocks as they stand.
+With a command at told pose p, the hand is at `Misplacement.true(p)`, in this order: a wrong sign turns the motion
+since the approach over; ``tcp_offset_mm``, in the tool frame, turns with the tool; ``frame_yaw_deg`` turns what the
+arm takes for the work object about the gap's centre; ``blocks_up_mm`` lifts the blocks towards the hand.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
+
+from simulation.scene.parts import Part
+
+Pose = tuple[float, float, float, float]
+"""TCP x, y, z in mm and yaw in deg."""
+Shift = Annotated[float, Field(ge=-20.0, le=20.0)]
+Scale = Annotated[float, Field(ge=0.8, le=1.25)]
+Roll = Annotated[float, Field(ge=-30.0, le=30.0)]
+Sign = Annotated[Literal[1, -1], BeforeValidator(lambda given: int(given) if given in {1.0, -1.0} else given)]
+
+
+class Unstated(Part):
+    """The table `[world]` of a world file.
+
+    ``tcp_offset_mm`` (x, y): where the middle between the fingers truly is, in the tool frame that the arm was told.
+    ``frame_yaw_deg``: the work object is turned by as much against what the arm takes for it; an object that is told
+    to be straight lies at this yaw, and told x and y lead that much askew.
+    ``camera_scale`` and ``camera_roll_deg`` (left, right): what the calibration of that finger's camera is wrong by.
+    Its rectified picture is as much too large, and turned clockwise as it is shown, about its middle.
+    ``stop_lag_s``: a stop takes effect so long after it was ordered. ``blocks_up_mm``: how much higher than told the
+    block tops are. The told errors are added to the gap and to the height of the grasp that the software is given.
+    ``swapped_fingers``: either camera's frames come under the other's name, together with its calibration.
+    ``mirrored`` (left, right): that camera delivers its frames mirrored, left for right, after it was calibrated.
+    ``x_sign``, ``yaw_sign``: -1 moves the arm the other way in x or yaw than commanded, seen from the approach.
+    """
+
+    tcp_offset_mm: tuple[Shift, Shift] = (0.0, 0.0)
+    frame_yaw_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
+    camera_scale: tuple[Scale, Scale] = (1.0, 1.0)
+    camera_roll_deg: tuple[Roll, Roll] = (0.0, 0.0)
+    stop_lag_s: float = Field(default=0.03, ge=0.0, le=0.5)
+    blocks_up_mm: float = Field(default=0.0, ge=-20.0, le=20.0)
+    told_gap_error_mm: float = Field(default=0.0, ge=-20.0, le=20.0)
+    told_height_error_mm: float = Field(default=0.0, ge=-50.0, le=50.0)
+    swapped_fingers: bool = False
+    mirrored: tuple[bool, bool] = (False, False)
+    x_sign: Sign = 1
+    yaw_sign: Sign = 1
+
+    @property
+    def well_placed(self) -> bool:
+        """Whether told and true poses are the same."""
+        straight = self.tcp_offset_mm == (0.0, 0.0) and self.frame_yaw_deg == 0.0 and self.blocks_up_mm == 0.0
+        return straight and self.x_sign == self.yaw_sign == 1
+
+    def residual_px(self, index: int, centre_px: tuple[float, float]) -> NDArray[np.float64] | None:
+        """What a camera's calibration is wrong by, [3, 3] on rectified pixels about the picture's centre, or None."""
+        if self.camera_scale[index] == 1.0 and self.camera_roll_deg[index] == 0.0:
+            return None
+        out = np.eye(3)
+        out[:2, :2] = self.turned_and_scaled(index)
+        out[:2, 2] = np.asarray(centre_px) - out[:2, :2] @ np.asarray(centre_px)
+        return out
+
+    def turned_and_scaled(self, index: int) -> NDArray[np.float64]:
+        """The same for a displacement (u right, v down), [2, 2]."""
+        roll, scale = math.radians(self.camera_roll_deg[index]), self.camera_scale[index]
+        cos, sin = scale * math.cos(roll), scale * math.sin(roll)
+        return np.array([[cos, -sin], [sin, cos]])
+
+
+@dataclass(frozen=True, slots=True)
+class Misplacement:
+    """Told and true poses of one insertion; ``approach`` is the told pose that its corrections start from."""
+
+    unstated: Unstated
+    approach: Pose
+
+    def true(self, told: Pose) -> Pose:
+        """Where the hand is when the arm says ``told``."""
+        world = self.unstated
+        if world.well_placed:
+            return told
+        x, y, z, yaw = self._signed(told)
+        dx, dy = _turned(*world.tcp_offset_mm, yaw)
+        x, y = _turned(x + dx, y + dy, world.frame_yaw_deg)
+        return x, y, z - world.blocks_up_mm, yaw + world.frame_yaw_deg
+
+    def told(self, true: Pose) -> Pose:
+        """What the arm says when the hand is at ``true``."""
+        world = self.unstated
+        if world.well_placed:
+            return true
+        x, y, z, yaw = true
+        yaw -= world.frame_yaw_deg
+        x, y = _turned(x, y, -world.frame_yaw_deg)
+        dx, dy = _turned(*world.tcp_offset_mm, yaw)
+        return self._signed((x - dx, y - dy, z + world.blocks_up_mm, yaw))
+
+    def _signed(self, pose: Pose) -> Pose:
+        """Its own inverse."""
+        x, y, z, yaw = pose
+        x0, _, _, yaw0 = self.approach
+        return x0 + self.unstated.x_sign * (x - x0), y, z, yaw0 + self.unstated.yaw_sign * (yaw - yaw0)
+
+
+def _turned(x: float, y: float, deg: float) -> tuple[float, float]:
+    cos, sin = math.cos(math.radians(deg)), math.sin(math.radians(deg))
+    return cos * x - sin * y, sin * x + cos * y

@@ -1,0 +1,76 @@
+"""The marker grid is found through lenses, debris, flares and gaps; the truth is the drawing's own projection."""
+
+import cv2
+import numpy as np
+import pytest
+
+from service.perception.lens import Lens, Projection
+from service.tools.grid_fit import fit_grid
+
+SIZE = (427, 320)
+ROWS, COLUMNS = 17, 20
+SCALE = 8
+
+
+def projection(rng, k1):
+    """Of a camera that looks along the finger through a bending lens; grid units."""
+    low, high = np.array([-1.0, -1.0]), np.array([COLUMNS, ROWS])
+    far = np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])], np.float32)
+    seen = np.array([(12, 8), (415, 8), (345, 312), (80, 312)]) + rng.uniform(-6, 6, (4, 2))
+    lens = Lens((213 + rng.uniform(-15, 15), 160 + rng.uniform(-15, 15)), 266.8, k1, 0.0)
+    matrix = cv2.getPerspectiveTransform(lens.ideal(seen).astype(np.float32), far)
+    return Projection(np.asarray(matrix, np.float64), lens)
+
+
+def drawn(rng, true, hidden):
+    """A frame of the grid: uneven light, noise, missing and merged dots, debris, a flare, and a covered corner."""
+    width, height = SIZE
+    v, u = np.mgrid[0:height, 0:width]
+    light = np.stack([70 + 0.2 * u, 150 - 0.15 * u + 0.1 * v, 60 + 0.25 * v], -1)
+    cells = np.stack(np.meshgrid(np.arange(COLUMNS), np.arange(ROWS)), -1).reshape(-1, 2).astype(float)
+    raw = true.raw(cells)
+    there = rng.random(len(cells)) > 0.03
+    there &= ~((cells[:, 0] >= COLUMNS - hidden[0]) & (cells[:, 1] < hidden[1]))
+    ink = np.zeros((height, width), np.uint8)
+    for place in raw[there]:
+        dot = place + rng.normal(0, 0.15, 2)
+        cv2.circle(ink, _fixed(dot), round(2.4 * SCALE), 255, -1, cv2.LINE_AA, 3)
+    for first in rng.choice(np.flatnonzero(there), 4):  # ink that ran from one dot to the next
+        cv2.line(ink, _fixed(raw[first]), _fixed(raw[min(first + 1, len(raw) - 1)]), 255, 2, cv2.LINE_AA, 3)
+    frame = light * (1 - 0.7 * cv2.GaussianBlur(ink, (0, 0), 0.7)[..., None] / 255.0)
+    for _ in range(6):
+        centre, axes = _fixed(rng.uniform((0, 0), SIZE)), (round(rng.uniform(3, 14)) * SCALE, 4 * SCALE)
+        colour = rng.uniform(0, 255, 3).tolist()
+        cv2.ellipse(frame, centre, axes, rng.uniform(0, 180), 0, 360, colour, -1, cv2.LINE_AA, 3)
+    frame[-24:] += 120 * rng.random((24, width, 1))
+    return np.clip(frame + rng.normal(0, 3, frame.shape), 0, 255).astype(np.uint8)
+
+
+def _fixed(place):
+    return tuple(int(value) for value in np.round(np.asarray(place) * SCALE))
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(("k1", "hidden"), [(0.0, (0, 0)), (-0.12, (0, 0)), (0.15, (7, 5))])
+def test_the_grid_is_found_where_it_truly_is(seed, k1, hidden):
+    rng = np.random.default_rng(seed)
+    true = projection(rng, k1)
+    grid = fit_grid(drawn(rng, true, hidden))
+    assert grid is not None
+    assert grid.shape == (ROWS, COLUMNS)
+    shown = 1 - hidden[0] * hidden[1] / (ROWS * COLUMNS)
+    assert grid.found.mean() > shown - 0.16
+    assert grid.displaced_n < 0.05 * ROWS * COLUMNS
+    nodes = np.argwhere(np.ones(grid.shape, bool))[:, ::-1].astype(float)
+    covered = (nodes[:, 0] >= COLUMNS - hidden[0]) & (nodes[:, 1] < hidden[1])
+    off = np.linalg.norm(grid.projection.raw(nodes) - true.raw(nodes), axis=1)
+    assert np.sqrt(np.square(off[~covered]).mean()) < 0.35
+    assert off[covered].max(initial=0) < 3
+    assert np.sqrt(np.square(grid.off).sum(1).mean()) * grid.pitch_px < 0.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gel_without_markers_shows_no_grid(seed):
+    rng = np.random.default_rng(seed)
+    noise = cv2.GaussianBlur(rng.normal(0, 60, (320, 427, 3)), (0, 0), 5) * 6 + 120
+    assert fit_grid(np.clip(noise, 0, 255).astype(np.uint8)) is None

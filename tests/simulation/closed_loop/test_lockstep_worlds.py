@@ -1,0 +1,70 @@
+"""What a world's keys do to the arm and the cameras of the cell in lock step."""
+
+import numpy as np
+import pytest
+
+from simulation.closed_loop.lockstep import LockstepCell
+from simulation.scene.unstated import Unstated
+from simulation.scene.worlds import load_scene
+
+CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+
+
+def cell(x_mm: float = 8.0, theta_deg: float = 5.0, unstated: dict[str, object] | None = None, **changes: object):
+    scene = load_scene("rectangle", **CLEAN, **changes)
+    return LockstepCell.build(scene, x_mm, theta_deg, 1, unstated=Unstated(**(unstated or {})), draws=False)
+
+
+def descended(one: LockstepCell, frames: int) -> list[float]:
+    """Height of the object's bottom as the left camera's frames show it."""
+    one.descend(-25.0)
+    heights = []
+    for _ in range(frames):
+        one.next_pair(look=False)
+        heights.append(one.shots[1].bottom_z_mm)
+    return heights
+
+
+def test_a_hand_that_is_misplaced_holds_the_object_elsewhere_and_the_arm_says_what_it_was_told() -> None:
+    wrong = cell(unstated={"tcp_offset_mm": (2.0, 0.0), "frame_yaw_deg": 3.0, "blocks_up_mm": 2.0})
+    x, _, z, yaw = wrong.pose
+    assert (z, yaw) == pytest.approx((35.0, 5.0))
+    error_x, error_yaw = wrong.state.object_error
+    tool, frame = np.radians(5.0), np.radians(3.0)
+    assert error_yaw == pytest.approx(8.0)
+    expected = np.cos(frame) * (x + 2.0 * np.cos(tool)) - np.sin(frame) * 2.0 * np.sin(tool)
+    assert error_x == pytest.approx(expected, abs=0.05)
+    assert wrong.state.bottom_z_mm == pytest.approx(3.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("unstated", "left"), [({}, (3.0, 1.0)), ({"x_sign": -1}, (13.0, 1.0)), ({"yaw_sign": -1}, (3.0, 9.0))]
+)
+def test_a_correction_with_a_wrong_sign_moves_the_object_the_other_way(unstated, left) -> None:
+    wrong = cell(unstated=unstated)
+    x, y, z, yaw = wrong.pose
+    wrong.travel(x - 5.0, y, z, yaw - 4.0, 1.0)
+    assert wrong.pose == pytest.approx((x - 5.0, y, z, yaw - 4.0))
+    assert wrong.state.object_error == pytest.approx(left, abs=0.05)
+
+
+def test_a_late_camera_shows_what_was_and_stamps_it_as_new() -> None:
+    now, late, half = (descended(cell(camera__latency_ms=ms), 12) for ms in (0.0, 100.0, 50.0))
+    assert late[:3] == [late[0]] * 3
+    assert late[3:] == pytest.approx(now[:-3])
+    assert half[2:] == pytest.approx(np.interp(np.arange(12) - 1.5, np.arange(12), now)[2:], abs=1e-6)
+    stamped = cell(camera__latency_ms=100.0)
+    assert stamped.next_pair(look=False).left.captured_ns == stamped.now_ns
+
+
+@pytest.mark.parametrize("fps", [10, 60.0, 120])
+@pytest.mark.parametrize("speed_mm_s", [3.0, 40.0])
+def test_frames_and_ways_follow_rate_and_speed(fps, speed_mm_s) -> None:
+    heights = descended(cell(speed_mm_s=speed_mm_s, camera__fps=fps, camera__exposure_ms=5.0), 4)
+    assert -np.diff(heights)[:1] == pytest.approx(speed_mm_s / fps, abs=1e-6) or speed_mm_s / fps > 1.0
+
+
+def test_blocks_above_the_approach_are_run_into_and_not_jumped_into() -> None:
+    hit = cell(unstated={"blocks_up_mm": 5.5})
+    assert hit.state.in_contact
+    assert 0.5 < np.linalg.norm(hit.state.wrench_n_nmm[:3]) < 60.0
