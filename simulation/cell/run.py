@@ -134,6 +134,8 @@ def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: 
     }[options.link]
     keys = {**robot, "rws.url": facts["rws_url"]}.items()
     lines = ["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys)]
+    if options.link == "socket":  # REACTION_S and the controller's stop ramp
+        lines += ["[lease]", "stop_lag_s = 0.07"]
     lines += ["[service]", f"token_file = {json.dumps(str((folder / 'state' / TOKEN_FILE).resolve()))}"]
     config.write_text("\n".join(lines))
     arguments = [
@@ -179,6 +181,8 @@ def loop(
         service = children.enter_context(_start_service(facts, options, folder))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
         client = children.enter_context(_start_client(facts, through(url), options, folder))
+        for child in (cell, service, client):
+            child.go_first()
         yield Loop(cell, service, client, facts, folder / "episode.jsonl")
 
 

@@ -42,7 +42,7 @@ class Descent:
     state: State = field(init=False)
 
     def way_mm(self, heard: Callable[[float], list[Any]]) -> float:
-        """The way after `FAULT_S`, the last judged frame; ``heard(now_s)`` is what comes from the service in a cycle."""
+        """The way after `FAULT_S`, the last judged frame; ``heard(now_s)`` is what the service says in a cycle."""
         self._begin()
         now_s, z_mm, at_fault_mm = 0.0, self.guide.target.z_mm, 0.0
         while now_s < END_S:

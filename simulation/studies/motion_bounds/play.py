@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import shutil
 import threading
 import time
@@ -64,8 +63,6 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
 
     with loop(Start(options.object, 8.0, 6.0, options.seed), options, folder, through) as running:
         bench = Bench(running, relays[0])
-        for child in (running.cell, running.service, running.client):
-            in_real_time(child)
         injected_ns = _inject(fault, phase, bench)
         hung = not _ended(running.client)
         time.sleep(SETTLE_S)
@@ -88,13 +85,6 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
         tracebacks=sum("Traceback" in log.read_text(errors="replace") for log in logs),
         bounded=fault.bounded,
     )
-
-
-def in_real_time(child: Child) -> None:
-    """Let a process go before others, as on a cell's PC, where the machine allows it."""
-    for thread in Path(f"/proc/{child.process.pid}/task").glob("*"):
-        with contextlib.suppress(OSError, AttributeError):
-            os.sched_setscheduler(int(thread.name), os.SCHED_RR, os.sched_param(1))
 
 
 def _inject(fault: Fault, phase: Phase, bench: Bench) -> int | None:

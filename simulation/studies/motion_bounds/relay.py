@@ -25,13 +25,15 @@ class Relay:
     _loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.new_event_loop)
     _writers: list[asyncio.StreamWriter] = field(default_factory=list)
     _ready: threading.Event = field(default_factory=threading.Event)
+    _thread: threading.Thread | None = None
 
     @classmethod
     def to(cls, url: str) -> Self:
         """A running relay to the service at ``url``."""
         parts = urlsplit(url)
         relay = cls(parts.hostname or HOST, parts.port or 80)
-        threading.Thread(target=relay._run, name="relay", daemon=True).start()
+        relay._thread = threading.Thread(target=relay._run, name="relay", daemon=True)
+        relay._thread.start()
         relay._ready.wait()
         return relay
 
@@ -50,12 +52,22 @@ class Relay:
     def close(self) -> None:
         """End the thread."""
         self._loop.call_soon_threadsafe(self._loop.stop)
+        if self._thread is not None:
+            self._thread.join(5.0)
 
     def _run(self) -> None:
         server = self._loop.run_until_complete(asyncio.start_server(self._serve, HOST, 0))
         self.own_port = server.sockets[0].getsockname()[1]
         self._ready.set()
         self._loop.run_forever()
+        server.close()
+        for writer in self._writers:
+            writer.transport.abort()
+        tasks = asyncio.all_tasks(self._loop)
+        for task in tasks:
+            task.cancel()
+        self._loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+        self._loop.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         there, back = await asyncio.open_connection(self.host, self.port)
