@@ -5,16 +5,17 @@ Every message carries the insertion id and, where it concerns one, the attempt n
 millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock; only ``sent_ns``
 is the client's, which the service sends back beside its own clock (:class:`Clock`).
 
-client:  hello -> (arm -> descending -> stopped)* ; abort and heartbeat at any time
-service: hello -> (armed -> watching* -> slip? -> correction | no_decision)* -> finished
+client:  hello -> episode? -> learn_open? -> (arm -> descending -> stopped)*
+         abort, heartbeat and telemetry at any time
+service: hello -> open_learnt? -> (armed -> watching* -> slip? -> correction | no_decision)* -> finished
          refused instead of armed; fault and heartbeat at any time
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from service.contract.frames import Contract, ContractError, Finger, first_error
+from service.contract.frames import ContractError, Finger, first_error
 from service.contract.wire_parts import (
     CameraEntry,
     Cause,
@@ -22,12 +23,19 @@ from service.contract.wire_parts import (
     ControllerName,
     Doubt,
     DoubtReason,
+    Ending,
+    Episode,
     Estimate,
+    InsertionId,
     Limits,
     ModelEntry,
     Outcome,
     RefusalReason,
+    RobotSample,
+    Telemetry,
+    ToolPose,
 )
+from service.contract.wire_parts import InsertionMessage as _Message
 
 __all__ = [
     "CameraEntry",
@@ -36,23 +44,24 @@ __all__ = [
     "ControllerName",
     "Doubt",
     "DoubtReason",
+    "Ending",
+    "Episode",
     "Estimate",
+    "InsertionId",
     "Limits",
     "ModelEntry",
     "Outcome",
     "RefusalReason",
+    "RobotSample",
+    "Telemetry",
+    "ToolPose",
 ]  # the parts; what is defined here goes without saying
 
 PROTOCOL = 2
 MAX_ATTEMPTS = 15
 MAX_TEXT_BYTES = 65536
 
-InsertionId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
-
-
-class _Message(Contract):
-    insertion_id: InsertionId
 
 
 # ---- client to service ------------------------------------------------------------------------------------------
@@ -69,11 +78,18 @@ class ClientHello(_Message):
     controller: ControllerName | None = None
 
 
+class LearnOpen(_Message):
+    """The hand is open and nothing touches the gels: learn what they look like. Sent before each grasp."""
+
+    type: Literal["learn_open"] = "learn_open"
+
+
 class Arm(_Message):
     """The arm stands above the gap, holding the object still: take the reference, watch for slip.
 
     ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them; None if the
     cell does not know it. It is the lever arm of the edge's friction: without it the size of an error is a guess.
+    ``gripper_width_mm``: how far apart the fingers are; None if the gripper does not tell.
     """
 
     type: Literal["arm"] = "arm"
@@ -81,6 +97,7 @@ class Arm(_Message):
     gap_width_mm: float = Field(gt=0, le=1000)
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
     expected_depth_mm: float = Field(gt=0, le=1000)
+    gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
 
 
 class Descending(_Message):
@@ -93,14 +110,15 @@ class Descending(_Message):
 class Stopped(_Message):
     """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion.
 
-    ``inserted`` means that full depth was reached. `finished` reports whether the object came along: it is ``failed``
-    after a fault ``not_seated`` (the gels still carry a push) or ``not_seen`` (no frame shows them).
+    ``inserted`` means that full depth was reached. `finished` reports whether that is confirmed to be an insertion.
+    ``gripper_width_mm``: how far apart the fingers are now; None if the gripper does not tell.
     """
 
     type: Literal["stopped"] = "stopped"
     attempt: Attempt
     depth_mm: float
     outcome: Outcome
+    gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
 
 
 class Abort(_Message):
@@ -112,7 +130,7 @@ class Abort(_Message):
 
 
 class ClientHeartbeat(_Message):
-    """Sent at least every second; the service answers with its own. It maps clocks, and shows nothing but a link."""
+    """Sent at least every second; the service answers with its own. It maps clocks and shows a link, nothing else."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int = Field(ge=0)
@@ -120,7 +138,8 @@ class ClientHeartbeat(_Message):
 
 
 ClientMessage = Annotated[
-    ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat, Field(discriminator="type")
+    ClientHello | Episode | LearnOpen | Arm | Descending | Stopped | Abort | ClientHeartbeat | Telemetry,
+    Field(discriminator="type"),
 ]
 
 # ---- service to client ------------------------------------------------------------------------------------------
@@ -136,6 +155,12 @@ class ServiceHello(_Message):
     cameras: tuple[CameraEntry, ...]
     controller: ControllerName
     limits: Limits
+
+
+class OpenLearnt(_Message):
+    """Both open gels are learnt; the fingers may close."""
+
+    type: Literal["open_learnt"] = "open_learnt"
 
 
 class Armed(_Message):
@@ -213,7 +238,7 @@ class Finished(_Message):
     """
 
     type: Literal["finished"] = "finished"
-    outcome: Literal["inserted", "not_confirmed", "failed", "aborted"]
+    outcome: Ending
     attempts: int
     cause: Cause | None = None
     doubts: tuple[Doubt, ...] = ()
@@ -241,36 +266,18 @@ class ServiceHeartbeat(_Message):
     frame_age_ms: float | None
 
 
+AttemptMessage = Armed | Refused | Watching | Slip | Correction | NoDecision
 ServiceMessage = Annotated[
-    ServiceHello | Armed | Refused | Watching | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat,
-    Field(discriminator="type"),
+    ServiceHello | OpenLearnt | AttemptMessage | Finished | Fault | ServiceHeartbeat, Field(discriminator="type")
 ]
 
 
-def unspoken(hello: ClientHello) -> Fault | None:
-    """Why a client of another protocol cannot be served, None if it speaks ours."""
-    if hello.protocol == PROTOCOL:
-        return None
-    detail = f"client speaks protocol {hello.protocol}, this service {PROTOCOL}; update the older one"
-    return Fault(insertion_id=hello.insertion_id, code="protocol_version", detail=detail, fatal=True)
+_Parsed = TypeVar("_Parsed")
+_CLIENT: TypeAdapter[ClientMessage] = TypeAdapter(ClientMessage)
+_SERVICE: TypeAdapter[ServiceMessage] = TypeAdapter(ServiceMessage)
 
 
-_CLIENT: TypeAdapter[Any] = TypeAdapter(ClientMessage)
-_SERVICE: TypeAdapter[Any] = TypeAdapter(ServiceMessage)
-
-
-def clock(message: ClientHello | ClientHeartbeat, now_ns: int) -> Clock | None:
-    """The answer to a client's clock at ``now_ns`` of the service's; None for one that did not ask."""
-    return None if message.sent_ns is None else Clock(sent_ns=message.sent_ns, service_ns=now_ns)
-
-
-def beat(message: ClientHeartbeat, now_ns: int, frame_age_ms: float | None) -> ServiceHeartbeat:
-    """The answer to a client's heartbeat at ``now_ns`` of the service's clock."""
-    named, count = message.insertion_id, message.count
-    return ServiceHeartbeat(insertion_id=named, count=count, clock=clock(message, now_ns), frame_age_ms=frame_age_ms)
-
-
-def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
+def _parse(adapter: TypeAdapter[_Parsed], text: str | bytes) -> _Parsed:
     if len(text) > MAX_TEXT_BYTES:
         raise ContractError(f"message of {len(text)} bytes, expected at most {MAX_TEXT_BYTES}")
     try:
@@ -281,11 +288,9 @@ def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
 
 def parse_client(text: str | bytes) -> ClientMessage:
     """Parse what a client sent; raise ContractError naming the field that is wrong."""
-    message: ClientMessage = _parse(_CLIENT, text)
-    return message
+    return _parse(_CLIENT, text)
 
 
 def parse_service(text: str | bytes) -> ServiceMessage:
     """Parse what the service sent; raise ContractError naming the field that is wrong."""
-    message: ServiceMessage = _parse(_SERVICE, text)
-    return message
+    return _parse(_SERVICE, text)

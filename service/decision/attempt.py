@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from service.contract import FINGERS, Finger, TactileFrame
 from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome, RefusalReason, Refused, Watching
+from service.decision.arming import implausible_width, nothing_held
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.seating import Push, push_of
 from service.perception.observation import FingerWatch, Observation, PairObservation
@@ -70,6 +71,7 @@ class Attempt:
     stopped_ns: int | None = None
     outcome: Outcome | None = None
     depth_mm: float = 0.0
+    gripper_width_mm: float | None = None
     rearmed: set[Finger] = field(default_factory=set)
     problem: str = ""
     broken: str = ""
@@ -87,8 +89,11 @@ class Attempt:
             watch.rearm()
             self.rearmed.add(frame.finger)
 
-    def take_reference(self, both: PairObservation) -> Armed | None:
-        """Arm with this pair if both fingers were rearmed and are readable; else keep the problem and return None."""
+    def take_reference(self, both: PairObservation) -> Armed | Refused | None:
+        """Arm with this pair if both fingers were rearmed and are readable; else keep the problem and return None.
+
+        Refuses where the gels or the gripper show that nothing is held.
+        """
         if self.rearmed != {"left", "right"}:
             return None
         problems = [f"{o.finger}: {o.field.reason or o.field.status}" for o in both.fingers if not o.field.usable]
@@ -97,6 +102,10 @@ class Attempt:
             self.rearmed.clear()
             self.problem = "; ".join(problems)
             return None
+        if why := nothing_held(both):
+            return self.refusal("nothing_held", why)
+        if why := implausible_width(self.arm):
+            return self.refusal("implausible_width", why)
         self.reference, self.stage = both, Stage.ARMED
         self.ring.append(both)
         self.watched_ns = min(o.captured_ns for o in both.fingers)
@@ -108,7 +117,8 @@ class Attempt:
         return {"insertion_id": self.arm.insertion_id, "attempt": self.arm.attempt}
 
     def refusal(self, reason: RefusalReason, detail: str) -> Refused:
-        """Why this attempt is not armed."""
+        """Why this attempt is not armed; it is over."""
+        self.stage = Stage.DECIDED
         return Refused(**self._named, reason=reason, detail=detail)
 
     def judged(self, seen: Observation, now_ns: int) -> Iterator[Watching]:

@@ -30,8 +30,12 @@ _CORRECTION: dict[str, Any] = {
     "reason": "belief (+6.1 mm, -1.4 deg) +- (+0.9 mm, +1.8 deg)",
     "latency_ms": {"networks_last_step": 2.4},
 }
+_POSE = wire.ToolPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
+_SAMPLE = wire.RobotSample(at_ns=88_000_000_000, phase="descending", attempt=1, commanded=_POSE, depth_mm=0.1)
 EXAMPLES: tuple[BaseModel, ...] = (
     wire.ClientHello(**_INSERTION, client="cell controller 3.1", sent_ns=87_000_000_000),
+    wire.Episode(**_INSERTION, object="rectangle", start=_POSE, approach=_POSE, versions={"client": "0.1.0"}),
+    wire.Telemetry(**_INSERTION, sent_ns=88_010_000_000, samples=(_SAMPLE,)),
     wire.Arm(**_ATTEMPT, gap_width_mm=56.0, expected_depth_mm=25.0),
     wire.Descending(**_ATTEMPT),
     wire.Stopped(**_ATTEMPT, depth_mm=6.4, outcome="blocked"),

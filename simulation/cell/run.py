@@ -126,7 +126,7 @@ def _start_service(facts: dict[str, Any], options: RunOptions, folder: Path) -> 
     return Child("service", "service", ["run", *arguments], folder / "service.log")
 
 
-def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
+def _start_client(start: Start, facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
     approach, config = facts["approach"], folder / "client.toml"
     robot = {
         "egm": {"device": "abb_egm", "port": facts["egm_guide_port"]},
@@ -137,6 +137,7 @@ def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: 
     if options.link == "socket":  # REACTION_S and the controller's stop ramp
         lines += ["[lease]", "stop_lag_s = 0.07"]
     lines += ["[service]", f"token_file = {json.dumps(str((folder / 'state' / TOKEN_FILE).resolve()))}"]
+    lines += ["[task]", f"object = {json.dumps(start.object)}"]
     config.write_text("\n".join(lines))
     arguments = [
         *(
@@ -180,7 +181,7 @@ def loop(
         facts = json.loads((folder / "cell" / "cell.json").read_text())
         service = children.enter_context(_start_service(facts, options, folder))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        client = children.enter_context(_start_client(facts, through(url), options, folder))
+        client = children.enter_context(_start_client(start, facts, through(url), options, folder))
         for child in (cell, service, client):
             child.go_first()
         yield Loop(cell, service, client, facts, folder / "episode.jsonl")

@@ -37,7 +37,7 @@ from robot_client.insertion.machine import step
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Phase, Plan, State
 from service.contract import FINGERS, FramePair
-from service.contract.wire import Correction, Estimate, NoDecision
+from service.contract.wire import Correction, Estimate, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Evidence
 from service.decision.models import ModelSet, load_models
@@ -195,6 +195,8 @@ class Insertion:
         match command:
             case Send():
                 self._hear(self.session.handle(command.message, self.cell.now_ns))
+                if isinstance(command.message, LearnOpen):
+                    self._hear(self.session.on_pair(self.cell.open_pair(), self.cell.now_ns))
             case Grasp():
                 self._events.append(Grasped(at_s=self.cell.now_s, width_mm=80.0))
             case Hold():

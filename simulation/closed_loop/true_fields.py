@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS, Finger, TactileFrame
-from service.perception.markers.field import field_from_gel
+from service.perception.markers.field import MarkerField, field_from_gel
 from service.perception.observation import Observation
 from service.perception.rectification import Rectifier
+from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.onset import OnsetDetector
 from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
@@ -51,6 +52,7 @@ class TrueFieldFinger:
         self._rectifier = Rectifier(cell.calibration(self._index))
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
+        self._free = FreeGel()
         self._rearm = False
         noise = cell.scene.camera.noise_grey
         self._error_px = max(0.02, TRACKING_PX + TRACKING_PX_PER_GREY * (noise - 2.0))
@@ -59,13 +61,14 @@ class TrueFieldFinger:
         """The next frame becomes the reference of slip and onset."""
         self._rearm = True
 
+    def learn_open(self, frame: TactileFrame) -> str:
+        """Take the gel at rest for what nothing touches."""
+        self._free.learn(self._tracked(np.zeros_like(self._cell.state.gel[self._index]), frame, 8))
+        return ""
+
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive the moment that the frame was taken at."""
-        cell = self._cell
-        field = field_from_gel(self._exposed(), frame.captured_ns, cell.scene.sensor)
-        rng = np.random.default_rng(hash_seed(cell.seed, cell.frame, self._index, 7))
-        error = rng.normal(0.0, self._error_px, field.displacement_px.shape).astype(np.float32)
-        field = dataclasses.replace(field, displacement_px=field.displacement_px + error, contact=None)
+        field = self._tracked(self._exposed(), frame, 7)
         onset = None
         if self._rearm:
             slip = self._slip.rearm(field)
@@ -73,9 +76,18 @@ class TrueFieldFinger:
             self._rearm = False
         else:
             slip, onset = self._slip.update(field), self._onset.update(field)
-        picture = cast("NDArray[np.uint8]", LatePicture(cell.picture_later(self._index), self._rectifier))
+        picture = cast("NDArray[np.uint8]", LatePicture(self._cell.picture_later(self._index), self._rectifier))
         onset_ns = None if onset is None else onset.captured_ns
-        return Observation(self._finger, frame.seq, frame.captured_ns, picture, field, slip, onset_ns, {})
+        bulge = self._free.bulge(field)
+        return Observation(self._finger, frame.seq, frame.captured_ns, picture, field, slip, onset_ns, {}, bulge)
+
+    def _tracked(self, gel: NDArray[np.floating], frame: TactileFrame, what: int) -> MarkerField:
+        """The field of a gel state with the tracker's error on it, which ``what`` and the frame decide."""
+        cell = self._cell
+        field = field_from_gel(gel, frame.captured_ns, cell.scene.sensor)
+        rng = np.random.default_rng(hash_seed(cell.seed, cell.frame, self._index, what))
+        error = rng.normal(0.0, self._error_px, field.displacement_px.shape).astype(np.float32)
+        return dataclasses.replace(field, displacement_px=field.displacement_px + error, contact=None)
 
     def _exposed(self) -> NDArray[np.floating]:
         """The gel as a picture shows it: a smeared marker is found in the middle of its way during the exposure."""

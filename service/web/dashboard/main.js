@@ -43,7 +43,7 @@ function told(message) {
     case "correction": return `attempt ${message.attempt}: move ${signed(message.dx_mm)} mm, turn ${signed(message.dtheta_deg)}°`;
     case "no_decision": return `attempt ${message.attempt}: no decision, ${message.detail}`;
     case "refused": return `attempt ${message.attempt}: refused, ${message.detail}`;
-    case "finished": return `${message.outcome} after ${message.attempts} attempts`;
+    case "finished": return `${message.outcome.replaceAll("_", " ")} after ${message.attempts} attempts${message.cause ? `: ${message.cause.replaceAll("_", " ")}` : ""}`;
     default: return `${message.code ?? message.type}: ${message.detail ?? ""}`;
   }
 }
