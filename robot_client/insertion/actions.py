@@ -22,6 +22,7 @@ _CAUSES: dict[str, wire.Cause] = {
     "attempts": "attempts",
     "part_lost": "part_lost",
     "no_decision": "no_decision",
+    "contradictory": "no_decision",
     "refused": "refused",
     "timeout": "timeout",
     "not_seated": "not_confirmed",
