@@ -256,7 +256,7 @@ def _on_attempt_message(state: State, message: wire.AttemptMessage, at_s: float)
     if message.attempt < state.attempt:
         return result
     match message:
-        case wire.Armed() if state.phase is Phase.ARMING:
+        case wire.Armed() | wire.Watching() if state.phase is Phase.ARMING:
             result = descend(state, message.frame_captured_ns, at_s)
         case wire.Refused() if state.phase is Phase.ARMING:
             result = fail(state, "service", "refused", f"{message.reason}: {message.detail}")
