@@ -37,7 +37,7 @@ from robot_client.insertion.machine import step
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Phase, Plan, State
 from service.contract import FINGERS, FramePair
-from service.contract.wire import Correction, Estimate, LearnOpen, NoDecision
+from service.contract.wire import Correction, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Evidence
 from service.decision.models import ModelSet, load_models
@@ -45,7 +45,7 @@ from service.decision.work import Work
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
 from service.session.state_machine import InsertionSession
-from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View
+from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View, empty_correction
 from simulation.closed_loop.job import Job, Outcome, Perception
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
@@ -188,7 +188,7 @@ class Insertion:
             estimate,
         )
         dx, dtheta = chooser.choose(view)
-        correction = message if isinstance(message, Correction) else _empty_correction(message)
+        correction = message if isinstance(message, Correction) else empty_correction(message)
         return correction.model_copy(update={"dx_mm": dx, "dtheta_deg": dtheta, "reason": self.controller.title})
 
     def _post(self, event: Event) -> None:
@@ -252,21 +252,6 @@ def _finger(
     if perception == "fields":
         return TrueFieldFinger(cell, FINGERS[index], fault)
     return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))
-
-
-def _empty_correction(refused: NoDecision) -> Correction:
-    return Correction(
-        insertion_id=refused.insertion_id,
-        attempt=refused.attempt,
-        dx_mm=0.0,
-        dtheta_deg=0.0,
-        class_probabilities={},
-        estimate=Estimate(dx_mm=0.0, dtheta_deg=0.0),
-        confidence=0.0,
-        controller="heuristic",
-        reason="",
-        latency_ms={},
-    )
 
 
 def stage(job: Job, models: ModelSet) -> Insertion:
