@@ -21,7 +21,7 @@ from training.config import DataConfig
 from training.data.batches import Batch, mirror_fields
 from training.data.dataset import SPLITS, Source, data_sha256, open_source
 from training.data.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
-from training.networks.pressing import LATTICE, STEP_MM, STEPS
+from training.networks.pressing import DECISION_STEPS, LATTICE, STEP_MM, STEPS
 
 FPS = (10.0, 120.0)
 WIDEST_SPACING_MM = 0.8
@@ -38,7 +38,7 @@ SCALE_ERROR, ROLL_DEG, LOST_SHARE = 0.03, 2.0, 0.03
 """Of a finger's camera: what its calibration may be wrong by, and markers that are not found."""
 CARRIED = 10
 """Of the markers' motions, the one that notices the onset, from the largest: as `carried_px` of the service does."""
-_TABLE = 1
+_TABLE = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class Pressed:
         return Pressing(
             lattice=LATTICE,
             step_mm=STEP_MM,
-            steps_n=STEPS,
+            steps_n=DECISION_STEPS,
             least_steps_n=1,
             trained=trained,
             strangeness_limit=strangeness_limit,

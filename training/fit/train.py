@@ -31,6 +31,7 @@ from training.metrics.figures import Predictions, Sample, Scales, by_split, figu
 from training.metrics.joint import Densities
 from training.networks import build, network_class
 from training.networks.decider import Decider
+from training.networks.pressing import DECISION_STEPS
 
 EVALUATION_BATCH = 32
 MOST_SCORED = 2000
@@ -45,7 +46,7 @@ class Trainer:
     network: Decider
     class_weights: Tensor
     front_error: Tensor
-    most_steps: int = 0  # of depth to decide on; 0 for all
+    most_steps: int = DECISION_STEPS  # of depth to decide on
 
     def normalised(self, batch: Batch) -> Tensor:
         """True field changes in the network's units."""
@@ -105,14 +106,15 @@ class Trainer:
     def _last(self, fields: Tensor, batch: Batch) -> Tensor:
         if batch.length is None:
             return self.network.read_fields(fields, batch.geometry)
-        last = batch.length.clamp(max=self.most_steps or fields.shape[1]) - 1
+        last = batch.length.clamp(max=self.most_steps) - 1
         return self.network.read_steps(fields, batch.geometry)[torch.arange(len(last)), last]
 
-    def last_steps(self, chosen: NDArray[np.int64]) -> Tensor:
-        """Normalised motion [N, 2, 2, rows, columns] of the last step of depth of each decision."""
+    def some_steps(self, chosen: NDArray[np.int64]) -> Tensor:
+        """Normalised motion [N, 2, 2, rows, columns] of a step of each decision, in turn of all that may be its last."""
         batch = decisions(self.trials, chosen, None, pictures=False)
         assert batch.length is not None
-        return self.normalised(batch)[torch.arange(len(chosen)), batch.length - 1, :, :2]
+        rows = torch.arange(len(chosen))
+        return self.normalised(batch)[rows, rows % batch.length.clamp(max=self.most_steps), :, :2]
 
     def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
         """The pair's predictions of trials."""
@@ -260,7 +262,7 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     scales, tables = _scored(trainer, trainer.predict, pictures=pictures)
     joint_scales, joint_tables = _scored(trainer, trainer.predict_density, pictures=pictures)
     pressing = (
-        learn_usual(trainer.network, trainer.trials, trainer.last_steps)
+        learn_usual(trainer.network, trainer.trials, trainer.some_steps)
         if isinstance(trainer.trials, Pressed)
         else None
     )

@@ -17,14 +17,14 @@ FALSE_STOPS = 0.005
 """Of usual decisions, the share that the limit of strangeness refuses."""
 
 
-def learn_usual(network: Decider, trials: Pressed, last_steps: Callable[[NDArray[np.int64]], Tensor]) -> Pressing:
+def learn_usual(network: Decider, trials: Pressed, steps: Callable[[NDArray[np.int64]], Tensor]) -> Pressing:
     """Teach the network what is usual, and give what its card says of how it reads.
 
-    The limit is what hardly any of validation exceeds. ``last_steps``: normalised motion [N, 2, 2, rows, columns] of
-    the last step of chosen decisions.
+    The limit is what hardly any of validation exceeds. ``steps``: normalised motion [N, 2, 2, rows, columns] of
+    a step of each chosen decision.
     """
     assert isinstance(network, PressingNetwork)
     train = trials.of("train")
-    network.strange.learn(last_steps(train[:: max(1, len(train) // MOST_USUAL)]))
-    held = network.strange(last_steps(trials.of("validation")))
+    network.strange.learn(steps(train[:: max(1, len(train) // MOST_USUAL)]))
+    held = network.strange(steps(trials.of("validation")))
     return trials.pressing(float(torch.quantile(held, 1.0 - FALSE_STOPS)))

@@ -21,7 +21,7 @@ from training.data.reading import load
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import Trainer
 from training.metrics.figures import figures
-from training.networks.pressing import STEP_MM, STEPS, PressingNetwork
+from training.networks.pressing import DECISION_STEPS, STEP_MM, STEPS, PressingNetwork
 
 Rows = dict[str, dict[str, float]]
 MOST = 4000
@@ -59,11 +59,11 @@ def by_depth(trainer: Trainer, checkpoint: Checkpoint) -> Rows:
         chosen = _held(trainer, split)
         if not len(chosen):
             continue
-        for steps in range(2, STEPS + 1, 2):
+        for steps in range(2, STEPS, 2):
             predictions = replace(trainer, most_steps=steps).predict(chosen, pictures=False)
             rows[f"{split}, {steps * STEP_MM:.1f} mm"] = figures(predictions.rescaled(checkpoint.scales))
         untold = replace(trainer, trials=_untold(trainer.trials)).predict(chosen, pictures=False)
-        rows[f"{split}, {STEPS * STEP_MM:.1f} mm, nothing told"] = figures(untold.rescaled(checkpoint.scales))
+        rows[f"{split}, {DECISION_STEPS * STEP_MM:.1f} mm, nothing told"] = figures(untold.rescaled(checkpoint.scales))
     return rows
 
 
@@ -96,7 +96,7 @@ def strangeness_aurocs(trainer: Trainer) -> dict[str, float]:
     """How well strangeness tells each named shift from usual decisions: 1 always, 0.5 not at all."""
     network = trainer.network
     assert isinstance(network, PressingNetwork)
-    fields = trainer.last_steps(_held(trainer, "validation"))
+    fields = trainer.some_steps(_held(trainer, "validation"))
     with torch.inference_mode():
         usual = network.strange(fields)[:, 0].numpy()
         return {name: auroc(usual, network.strange(shift(fields))[:, 0].numpy()) for name, shift in SHIFTS.items()}
