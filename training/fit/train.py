@@ -110,7 +110,7 @@ class Trainer:
         return self.network.read_steps(fields, batch.geometry)[torch.arange(len(last)), last]
 
     def some_steps(self, chosen: NDArray[np.int64]) -> Tensor:
-        """Normalised motion [N, 2, 2, rows, columns] of a step of each decision, in turn of all that may be its last."""
+        """Normalised motion [N, 2, 2, rows, columns] of a step of each decision, in turn of all that may be last."""
         batch = decisions(self.trials, chosen, None, pictures=False)
         assert batch.length is not None
         rows = torch.arange(len(chosen))

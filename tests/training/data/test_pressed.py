@@ -1,0 +1,73 @@
+"""Trials read as steps of depth, and a network trained on them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from simulation.data import drawn_cells
+from simulation.scene.rubber import shear_reach_pitches
+from tests.training.synthetic import SyntheticSource
+from training.data.pressed import load_pressed
+from training.data.reading import decisions
+from training.fit.train import train
+from training.networks.pressing import DECISION_STEPS, LATTICE, STEPS
+from training.networks.settings import NetworkConfig
+
+SMALL = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
+
+
+@pytest.fixture(scope="module")
+def pressed_source():
+    """Synthetic trials that go down by 0.15 mm a frame."""
+    source = SyntheticSource(60, seed=3)
+    for trial in source.trials:
+        trial.onset_frame = 8
+        trial.gel = np.roll(trial.gel, -10, 0)
+        trial.gel[20:] = trial.gel[19]
+        trial.depth_mm = np.arange(30) * 0.15
+        trial.speed_mm_s, trial.grip_n, trial.shear_reach_mm = 12.0, 25.0, 0.6
+    return source
+
+
+def test_views_are_the_same_in_every_process_and_differ_from_each_other(pressed_source, config):
+    data = config.data.model_copy(update={"views": 2})
+    first = load_pressed(data, pressed_source)
+    again = load_pressed(data.model_copy(update={"cache": config.data.cache + "-2"}), pressed_source)
+    assert np.array_equal(first.fields, again.fields)
+    train_rows = first.of("train")
+    assert len(train_rows) == 2 * sum(trial.split == "train" for trial in pressed_source.trials)
+    assert not np.array_equal(first.fields[train_rows[0]], first.fields[train_rows[1]])
+    assert first.fields.shape[1:] == (STEPS, 2, LATTICE.rows, LATTICE.columns, 2)
+
+
+def test_a_batch_is_told_less_in_training_and_all_it_was_told_otherwise(pressed_source, config):
+    samples = load_pressed(config.data, pressed_source)
+    chosen = samples.of("train")
+    assert (samples.conditions[chosen] > 0).all()
+    batch = decisions(samples, chosen, np.random.default_rng(0), pictures=False)
+    assert 0.2 < float((batch.geometry[:, 3] == 0).float().mean()) < 0.6
+    assert float((batch.geometry[:, 4] == 0).float().mean()) == 0.0
+    still = decisions(samples, chosen, None, pictures=False)
+    assert np.array_equal(still.geometry.numpy(), samples.conditions[chosen])
+
+
+def test_a_run_states_how_it_reads_and_what_it_was_trained_on(pressed_source, config):
+    run = config.model_copy(update={"network": SMALL})
+    checkpoint = train(run, pressed_source)
+    assert checkpoint.pressing is not None
+    assert checkpoint.pressing.steps_n == DECISION_STEPS
+    assert checkpoint.pressing.strangeness_limit > 0
+    speed = checkpoint.pressing.trained["speed_mm_s"]
+    assert 11.0 < speed.low <= speed.high < 13.0
+    assert checkpoint.figures["validation/all"]["trials"] > 0
+
+
+def test_a_drawn_cell_says_all_that_was_drawn():
+    scene, drawn = drawn_cells.draw_cell(np.random.default_rng(4))
+    said, stated = json.loads(drawn), drawn_cells.stated(scene)
+    assert said["gel.shear_modulus_n_per_mm2"] == scene.gel.shear_modulus_n_per_mm2
+    assert said["camera.fps"] == scene.fps
+    assert said["world.camera_roll_deg"]
+    assert stated["shear_reach_mm"] == pytest.approx(1.05 * shear_reach_pitches(scene))
+    assert stated["speed_mm_s"] == said["motion.descent_speed_mm_s"]
