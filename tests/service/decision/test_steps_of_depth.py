@@ -15,7 +15,7 @@ from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
 from training.metrics.figures import Scales
 from training.networks import build
-from training.networks.pressing import LATTICE, STEP_MM, STEPS
+from training.networks.pressing import DECISION_STEPS, LATTICE, STEP_MM
 from training.networks.settings import NetworkConfig
 
 SMALL = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
@@ -33,7 +33,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
     def make(**stated: object) -> ModelSet:
         torch.manual_seed(0)
         folder, weights = tmp_path_factory.mktemp("pressing"), build(SMALL, len(CLASSES), Sensor.load()).state_dict()
-        card = {"lattice": LATTICE, "step_mm": STEP_MM, "steps_n": STEPS, "trained": {}, **stated}
+        card = {"lattice": LATTICE, "step_mm": STEP_MM, "steps_n": DECISION_STEPS, "trained": {}, **stated}
         Checkpoint(
             "tiny", SMALL, weights, Scales(), Scales(), {}, "0" * 64, "abc", pressing=Pressing.model_validate(card)
         ).save(folder / "c.pt")
@@ -71,7 +71,7 @@ def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..
     assert answers(said)[:2] == ["enough", "correction"]
     enough = next(message for message in said if isinstance(message, wire.Enough))
     spacing_mm = 10.0 / fps
-    assert STEPS * STEP_MM <= enough.pressed_mm < STEPS * STEP_MM + spacing_mm
+    assert DECISION_STEPS * STEP_MM <= enough.pressed_mm < DECISION_STEPS * STEP_MM + spacing_mm
 
 
 def test_a_speed_that_nobody_trained_for_is_refused_by_name(made: Callable[..., ModelSet]) -> None:
@@ -91,5 +91,5 @@ def test_such_a_network_states_its_step_and_no_other_form(made: Callable[..., Mo
     card = made().card
     assert card.pressing is not None
     assert card.input_shape == (LATTICE.rows, LATTICE.columns, 3)
-    assert card.frames_per_decision == STEPS
+    assert card.frames_per_decision == DECISION_STEPS
     assert card.form == "step"
