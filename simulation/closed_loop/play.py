@@ -149,7 +149,7 @@ class Insertion:
     def _skip_networks(self, work: Work) -> None:
         """In the networks' place where nobody listens to them: done with the last frame of the decision."""
         attempt = self.session.attempt
-        if attempt is not None and len(attempt.decision_pairs) >= self.models.card.frames_per_decision:
+        if attempt is not None and attempt.fed:
             self._skipped.append(work)
 
     def _nothing_known(self) -> Evidence:
