@@ -24,6 +24,7 @@ from service.tools.replay import VIDEOS
 
 FRAME_NS = 125_000_000  # headers lie about the rate; these sensors deliver about eight frames a second
 PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost")
+_JUMP_PITCH = 0.6
 _STARTED_N = 4  # frames that are never taken for the open gel
 _TINTED = 0.15  # colours that are this much off the usual ones are those of a camera just started
 _SETTLED_N = 13  # frames in which a camera that was just started finds its exposure and colours
@@ -51,8 +52,15 @@ class FingerRun:
         gel = OpenGel()
         gel.learn_colours(self.colours[opened], self.fields[opened])
         return [
-            gel.compare(colours, seen) if seen.usable and k >= _SETTLED_N else None
-            for k, (colours, seen) in enumerate(zip(self.colours, self.fields, strict=True))
+            gel.compare(colours, seen) if seen.usable and k >= _SETTLED_N and not jumped else None
+            for k, (colours, seen, jumped) in enumerate(zip(self.colours, self.fields, self.jumps(), strict=True))
+        ]
+
+    def jumps(self) -> list[bool]:
+        """In which frames the grid jumped by what may be a whole pitch: they decide nothing."""
+        return [
+            _step(last, seen) > _JUMP_PITCH
+            for last, seen in zip([self.fields[0], *self.fields[:-1]], self.fields, strict=True)
         ]
 
     def _open_frame(self) -> int | None:
@@ -67,6 +75,14 @@ class FingerRun:
         level = (rough / np.median(rough, axis=0)).sum(1)
         calm = np.convolve(np.pad(level, 2, "edge"), np.ones(5) / 5, "valid")
         return usable[int(calm.argmin())]
+
+
+def _step(last: MarkerField, seen: MarkerField) -> float:
+    """Median way of the markers from one frame to the next, pitches; 0 where either shows none."""
+    if last.valid.shape != seen.valid.shape or not (may := last.valid & seen.valid).any():
+        return 0.0
+    way = np.median((seen.displacement_px - last.displacement_px)[may], axis=0)
+    return float(np.linalg.norm(way)) / seen.pitch_px
 
 
 def _roughness(colours: NDArray[np.float64], seen: MarkerField) -> tuple[float, float]:
@@ -120,7 +136,7 @@ def judged(folder: Path) -> dict[str, Any]:
             clip.stem: _story([finger], [touch], frames_n)
             for clip, finger, touch in zip(clips, fingers, touches, strict=True)
         },
-        "ambiguous_n": statuses.count("ambiguous"),
+        "ambiguous_n": sum(sum(finger.jumps()) for finger in fingers),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
         "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fingers) / len(statuses),
     }
