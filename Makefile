@@ -15,7 +15,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving soak collect train export evaluate robustness requirements docs clean
+.PHONY: help run trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train pressing export evaluate robustness trust requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -94,6 +94,9 @@ TRIALS ?= 7500
 CHECKPOINT ?= runs/markers/checkpoint.pt
 PICTURES ?= runs/compact-long/checkpoint.pt
 MODELS ?= models
+PRESSES ?= data/presses
+PRESS_TRIALS ?= 30000
+PRESS_MODELS ?= runs/pressing-models
 EVALUATION ?= runs/evaluation
 COUNT ?= 30
 MUTANTS ?= 200
@@ -113,6 +116,13 @@ train: $(VENV)/ready ## train the released networks from PROBES, those that read
 	$(BIN)/python -m training train training/configs/compact.toml --data $(PROBES)
 	$(BIN)/python -m training train training/configs/compact-long.toml --data $(PROBES)
 
+pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSES, train the networks that read depth, export and verify them into PRESS_MODELS; goes on after an interruption
+	$(BIN)/python -m simulation collect --objects drawn --trials-per-object $(PRESS_TRIALS) --trials-per-shard 100 --out $(PRESSES)
+	$(BIN)/python -m training train training/configs/pressing.toml --data $(PRESSES)
+	$(BIN)/python -m training depths runs/pressing
+	$(BIN)/python -m export onnx runs/pressing/checkpoint.pt --out $(PRESS_MODELS)
+	for folder in $(PRESS_MODELS)/pair $(PRESS_MODELS)/joint; do $(BIN)/python -m export verify $$folder || exit 1; done
+
 export: $(VENV)/ready ## write CHECKPOINT and PICTURES as ONNX files with their cards into MODELS and MODELS/pictures, and verify them
 	$(BIN)/python -m export onnx $(CHECKPOINT) --out $(MODELS)
 	$(BIN)/python -m export onnx $(PICTURES) --out $(MODELS)/pictures
@@ -125,6 +135,9 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md (REAL=folder adds recordings)
 	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
 
+trust-live: $(RUN_VENV)/ready ## break live insertions on purpose: docs/motion_bounds.md, .json; goes on after an interruption (TOGETHER=1)
+	$(RUN) -m simulation motion-bounds $(if $(TOGETHER),--together $(TOGETHER))
+
 tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png (FOLDERS= names others than models/)
 	$(BIN)/python -m export tradeoff --data $(PROBES) $(FOLDERS)
 
@@ -135,6 +148,9 @@ bench: $(VENV)/bench ## what a decision of each released network costs on this m
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
 
+bench-hostile: $(VENV)/ready ## what floods of pages, inference, bodies and connections cost the robot: docs/hostile_load.json
+	$(BIN)/python -m tests.benchmarks.hostile --models $(MODELS)
+
 soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models and garbage make trouble: docs/soak.md, .json
 	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)
 
@@ -142,6 +158,9 @@ evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an obj
 	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --perception $(PERCEPTION)
 
 PERCEPTION ?= pictures
+trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn faults, worlds, objects and starts: docs/trust.md
+	$(RUN) -m simulation trust --out runs/trust --docs docs
+
 robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time, on both tiers of the gel: docs/robustness.md
 	$(RUN) -m simulation robustness --out runs/robustness --docs docs --perception $(PERCEPTION)
 

@@ -74,6 +74,10 @@ class Arm(Protocol):
     def position(self) -> WorkPose | None:
         """The last measured pose."""
 
+    def target(self) -> WorkPose | None:
+        """The pose that it is told to have now, None where that is not known."""
+        return None
+
     def statistics(self) -> dict[str, Any]:
         """Figures of the link for the report (cycles, gaps, stop latency)."""
 
@@ -85,8 +89,13 @@ class Arm(Protocol):
 class Gripper(Protocol):
     """A gripper that holds the object during the whole insertion."""
 
+    @property
+    def held(self) -> bool:
+        """Whether it holds something, as far as it tells; asked after :meth:`start`."""
+        return False
+
     async def start(self, post: Post) -> None:
-        """Connect and watch the grasp from now on; raises DriverError."""
+        """Connect and watch the grasp from now on; raises DriverError. Width follows when the fingers move."""
 
     def grasp(self) -> None:
         """Make sure the object is held; Grasped follows."""

@@ -85,7 +85,6 @@ class Settings(BaseSettings):
     reference_timeout_s: float = Field(2.0, gt=0, description="from arm to a reference; later is a fault")
     frames_timeout_s: float = Field(2.0, gt=0, description="from stopped to the last frame that the networks need")
     decision_timeout_s: float = Field(10.0, gt=0, description="from stopped to the answer; later is no_decision")
-    full_depth_look: bool = Field(True, description="full depth is inserted only if the gels show that nothing pushes")
     camera_wait_s: float = Field(10.0, ge=0, description="how long start-up waits for each camera's first frame")
     state: Path = Field(default_factory=state_folder, description="folder for the token made at the first start")
     token_drive: SecretStr | None = Field(None, description="bearer token of clients that drive (they may also watch)")

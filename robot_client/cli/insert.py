@@ -33,6 +33,7 @@ def make_plan(
         depth_tolerance_mm=task.depth_tolerance_mm,
         creep_allowance_mm=task.creep_allowance_mm,
         max_no_decisions=task.max_no_decisions,
+        object=task.object,
         controller=controller,
         limits=settings.limits,
         ramps=settings.ramps,

@@ -22,6 +22,7 @@ _CAUSES: dict[str, wire.Cause] = {
     "attempts": "attempts",
     "part_lost": "part_lost",
     "no_decision": "no_decision",
+    "contradictory": "no_decision",
     "refused": "refused",
     "timeout": "timeout",
     "not_seated": "not_confirmed",
@@ -90,6 +91,7 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
         gap_width_mm=plan.gap_width_mm,
         grasp_height_mm=plan.grasp_height_mm,
         expected_depth_mm=plan.expected_depth_mm,
+        gripper_width_mm=state.width_mm,
     )
     deadline_s = at_s + plan.timeouts.arming_s
     state = replace(state, phase=Phase.ARMING, attempt=attempt, armed=target, deadline_s=deadline_s)
@@ -97,17 +99,18 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
 
 
 def descend(state: State, captured_ns: int, at_s: float) -> Result:
-    """Go down on the lease of the reference frame; without one nothing moves."""
+    """Go down on the lease of the reference frame; if that has become too old, on one that is judged after it."""
     state = watched(state, captured_ns, at_s)
     if at_s >= state.until_s:
-        return unwatched(state, at_s)
+        return state, ()
     assert state.armed is not None
     plan = state.plan
     bottom = state.armed.at_height(state.armed.z_mm - state.bottom_mm)
     state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s, state.until_s)
     if state.done:
         return state, commands
-    message = wire.Descending(insertion_id=plan.insertion_id, attempt=state.attempt)
+    speed_mm_s = plan.ramps.descend.speed_mm_s
+    message = wire.Descending(insertion_id=plan.insertion_id, attempt=state.attempt, speed_mm_s=speed_mm_s)
     return state, (send(message), *commands)
 
 

@@ -20,16 +20,24 @@ class _Event(Contract):
 
 
 class Begin(_Event):
-    """Every device is connected; the arm stands at ``pose``."""
+    """Every device is connected; the arm stands at ``pose``. ``held``: the gripper already holds something."""
 
     kind: Literal["begin"] = "begin"
     pose: WorkPose
+    held: bool = False
 
 
 class Grasped(_Event):
     """The gripper holds the object, fingers ``width_mm`` apart."""
 
     kind: Literal["grasped"] = "grasped"
+    width_mm: float
+
+
+class Width(_Event):
+    """The gripper's fingers are now ``width_mm`` apart."""
+
+    kind: Literal["width"] = "width"
     width_mm: float
 
 
@@ -76,7 +84,8 @@ class Tick(_Event):
 
 
 Event = Annotated[
-    Begin | Grasped | PartLost | Arrived | Standstill | FromService | Failure | Tick, Field(discriminator="kind")
+    Begin | Grasped | Width | PartLost | Arrived | Standstill | FromService | Failure | Tick,
+    Field(discriminator="kind"),
 ]
 
 

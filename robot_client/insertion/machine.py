@@ -1,6 +1,6 @@
 """The insertion as a pure state machine: ``step(state, event) -> (state, commands)``. It owns no clock and no socket.
 
-greeting -> grasping -> approaching -> arming -> descending -> stopping -> closing -> inserted
+greeting -> learning -> grasping -> approaching -> arming -> descending -> stopping -> closing -> inserted
                                           ^                        |
                                       correcting <- retracting <- deciding        any phase -> failed
 
@@ -14,7 +14,6 @@ from dataclasses import replace
 
 from robot_client.insertion.actions import (
     Result,
-    approach,
     arm,
     descend,
     fail,
@@ -31,13 +30,14 @@ from robot_client.insertion.events import (
     Event,
     Failure,
     FromService,
-    Grasp,
     Grasped,
     PartLost,
     Source,
     Standstill,
     Tick,
+    Width,
 )
+from robot_client.insertion.grip import grasp, on_gripper
 from robot_client.insertion.lease import ClockMap
 from robot_client.insertion.limits import LimitError, check_correction, check_pose
 from robot_client.insertion.motion import check_ramps
@@ -58,12 +58,10 @@ def step(state: State, event: Event) -> Result:
             result = _on_tick(state, event)
         case FromService():
             result = _on_service(state, event)
-        case PartLost():
-            result = _on_part_lost(state, event)
+        case Grasped() | Width() | PartLost():
+            result = on_gripper(state, event)
         case Begin() if state.phase is Phase.START:
             result = _on_begin(state, event)
-        case Grasped() if state.phase is Phase.GRASPING:
-            result = approach(state, event.at_s)
         case Arrived() if state.phase in _ON_ARRIVAL:
             result = _ON_ARRIVAL[state.phase](replace(state, pose=event.pose), event)
         case Standstill() if state.phase is Phase.STOPPING:
@@ -115,7 +113,8 @@ def _on_begin(state: State, event: Begin) -> Result:
         controller=plan.controller,
     )
     deadline_s = event.at_s + plan.timeouts.greeting_s
-    return replace(state, phase=Phase.GREETING, pose=event.pose, deadline_s=deadline_s), (send(hello),)
+    state = replace(state, phase=Phase.GREETING, pose=event.pose, held=event.held, deadline_s=deadline_s)
+    return state, (send(hello),)
 
 
 # ---- motion ---------------------------------------------------------------------------------------------------------
@@ -142,7 +141,13 @@ def _on_standstill(state: State, event: Standstill) -> Result:
         first_mm = depth_mm if state.first_touch_mm is None else state.first_touch_mm
         state = replace(state, first_touch_mm=first_mm, creep_mm=max(0.0, depth_mm - first_mm))
     stopped = send(
-        wire.Stopped(insertion_id=plan.insertion_id, attempt=state.attempt, depth_mm=depth_mm, outcome=outcome)
+        wire.Stopped(
+            insertion_id=plan.insertion_id,
+            attempt=state.attempt,
+            depth_mm=depth_mm,
+            outcome=outcome,
+            gripper_width_mm=state.width_mm,
+        )
     )
     if outcome == "dropped":
         state, commands = fail(state, "gripper", "part_lost", f"the object was lost at {depth_mm:.2f} mm")
@@ -153,16 +158,6 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     phase = Phase.CLOSING if outcome == "inserted" else Phase.DECIDING
     wait_s = plan.timeouts.closing_s if outcome == "inserted" else plan.timeouts.deciding_s
     return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (stopped,)
-
-
-def _on_part_lost(state: State, event: PartLost) -> Result:
-    if state.phase is Phase.CLOSING:  # it lies in its gap: letting go of it is no loss
-        return state, ()
-    if state.phase is Phase.DESCENDING:
-        return hold(replace(state, dropped=True), "part lost", event.at_s)
-    if state.phase is Phase.STOPPING:
-        return replace(state, dropped=True), ()
-    return fail(state, "gripper", "part_lost", f"the object was lost while {state.phase}")
 
 
 def _on_retracted(state: State, event: Arrived) -> Result:
@@ -193,15 +188,21 @@ def _on_service(state: State, event: FromService) -> Result:
     if message.insertion_id != state.plan.insertion_id:
         detail = f"message of insertion {message.insertion_id}, expected {state.plan.insertion_id}"
         return fail(state, "service", "protocol", detail)
+    result: Result = state, ()
     match message:
         case wire.ServiceHello():
-            return _on_hello(state, message, at_s)
+            result = _on_hello(state, message, at_s)
         case wire.ServiceHeartbeat():
-            return _on_clock(state, message.clock, at_s)
+            result = _on_clock(state, message.clock, at_s)
+        case wire.OpenLearnt() if state.phase is Phase.LEARNING:
+            result = grasp(state, at_s)
         case wire.Finished():
-            return _on_finished(state, message)
-        case _:
-            return _on_attempt_message(state, message, at_s)
+            result = _on_finished(state, message)
+        case wire.Armed() | wire.Refused() | wire.Watching() | wire.Slip() | wire.Enough():
+            result = _on_attempt_message(state, message, at_s)
+        case wire.Correction() | wire.NoDecision():
+            result = _on_attempt_message(state, message, at_s)
+    return result
 
 
 def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
@@ -218,7 +219,11 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
     except LimitError as error:
         return fail(state, "limits", "camera_rate", str(error))
     state, _ = _on_clock(state, message.clock, at_s)
-    return replace(state, phase=Phase.GRASPING, deadline_s=at_s + state.plan.timeouts.grasping_s), (Grasp(),)
+    if state.held:  # the gels are under load: only a print that is regular by itself can say that they are touched
+        return grasp(state, at_s)
+    deadline_s = at_s + state.plan.timeouts.arming_s
+    learn = send(wire.LearnOpen(insertion_id=state.plan.insertion_id))
+    return replace(state, phase=Phase.LEARNING, deadline_s=deadline_s), (learn,)
 
 
 def _on_clock(state: State, clock: wire.Clock | None, at_s: float) -> Result:
@@ -236,24 +241,26 @@ def _on_clock(state: State, clock: wire.Clock | None, at_s: float) -> Result:
 def _on_finished(state: State, message: wire.Finished) -> Result:
     if state.phase is Phase.CLOSING and message.outcome == "inserted":
         return replace(state, phase=Phase.INSERTED, deadline_s=math.inf), ()
+    if message.outcome == "not_confirmed":
+        doubts = "; ".join(doubt.detail for doubt in message.doubts)
+        return fail(state, "service", "not_confirmed", f"full depth was reached, but {doubts}")
     return fail(state, "service", "finished", f"the service closed the insertion: {message.outcome}")
 
 
-AttemptMessage = wire.Armed | wire.Refused | wire.Watching | wire.Slip | wire.Correction | wire.NoDecision
-
-
-def _on_attempt_message(state: State, message: AttemptMessage, at_s: float) -> Result:
+def _on_attempt_message(state: State, message: wire.AttemptMessage, at_s: float) -> Result:
     """Late messages of an older attempt and repeated ones change nothing; one of a future attempt is a fault."""
     if message.attempt > state.attempt:
         detail = f"{message.type} of attempt {message.attempt} during attempt {state.attempt}"
         return fail(state, "service", "protocol", detail)
     if isinstance(message, wire.Slip) and state.phase is Phase.DESCENDING:  # of any attempt: stopping is safe
         return hold(state, f"slip on finger {message.finger}, frame {message.frame_seq}", at_s)
+    if isinstance(message, wire.Enough) and state.phase is Phase.DESCENDING:
+        return hold(state, f"pressed by {message.pressed_mm:.2f} mm, frame {message.frame_seq}", at_s)
     result: Result = state, ()
     if message.attempt < state.attempt:
         return result
     match message:
-        case wire.Armed() if state.phase is Phase.ARMING:
+        case wire.Armed() | wire.Watching() if state.phase is Phase.ARMING:
             result = descend(state, message.frame_captured_ns, at_s)
         case wire.Refused() if state.phase is Phase.ARMING:
             result = fail(state, "service", "refused", f"{message.reason}: {message.detail}")
@@ -277,8 +284,9 @@ def _on_correction(state: State, message: wire.Correction, at_s: float) -> Resul
 
 
 def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
-    """Probe the same spot again, the one motion that is no guess; never after non-finite results, and not for ever."""
+    """Probe the same spot again, the one motion that is no guess; not for ever, and never in a cell that is wrong."""
     count = state.no_decisions + 1
-    if message.reason == "non_finite" or count > state.plan.max_no_decisions:
-        return fail(state, "service", "no_decision", f"{message.reason}: {message.detail}")
+    if message.reason in {"non_finite", "contradictory"} or count > state.plan.max_no_decisions:
+        code = "contradictory" if message.reason == "contradictory" else "no_decision"
+        return fail(state, "service", code, f"{message.reason}: {message.detail}")
     return retract(replace(state, no_decisions=count), 0.0, 0.0, at_s)

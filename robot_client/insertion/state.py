@@ -19,6 +19,7 @@ class Phase(StrEnum):
 
     START = "start"
     GREETING = "greeting"
+    LEARNING = "learning"
     GRASPING = "grasping"
     APPROACHING = "approaching"
     ARMING = "arming"
@@ -63,6 +64,7 @@ class Plan(Contract):
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
     client: str = "tactile-insertion robot client"
+    object: str = Field(default="", max_length=128)
     controller: wire.ControllerName | None = None
     limits: Limits = Limits()
     ramps: Ramps = Ramps()
@@ -81,7 +83,8 @@ class State:
 
     ``first_touch_mm`` is the depth at which the first blocked attempt stopped, ``creep_mm`` how much deeper the last
     one did: the object stood on the blocks at both, so it has been pushed up in the hand by about that much.
-    ``watched_s`` is the earliest that the newest judged frame can have been captured, on the client's clock.
+    ``held``: the gripper held something when the insertion began. ``width_mm``: how far apart its fingers are, as far
+    as it tells. ``watched_s``: the earliest that the newest judged frame can have been captured, on our clock.
     """
 
     plan: Plan
@@ -92,6 +95,8 @@ class State:
     path: tuple[WorkPose, ...] = ()
     armed: WorkPose | None = None
     stopped_s: float = 0.0
+    held: bool = False
+    width_mm: float | None = None
     dropped: bool = False
     no_decisions: int = 0
     reason: str = ""

@@ -16,6 +16,7 @@ from robot_client.insertion.state import Plan
 from robot_client.ports import Arm, DecisionService, Gripper, Post
 from robot_client.robots.dry_run.driver import DryArm, Settings
 from service.contract import wire
+from service.contract.replies import clock
 
 _CONTACT_MM = 6.0  # below the approach pose: 5 mm of air and what the pads give
 _CLEARANCE_MM, _CLEARANCE_DEG = 2.0, 3.0
@@ -89,6 +90,8 @@ class DryService:
         match message:
             case wire.ClientHello():
                 self._send(self._hello(message))
+            case wire.LearnOpen():
+                self._send(wire.OpenLearnt(insertion_id=self.insertion_id))
             case wire.Arm():
                 self._attempt, self._watching = message.attempt, True
                 named, now_ns = self.insertion_id, time.monotonic_ns()
@@ -107,7 +110,7 @@ class DryService:
         )
         return wire.ServiceHello(
             insertion_id=self.insertion_id,
-            clock=wire.clock(message, time.monotonic_ns()),
+            clock=clock(message, time.monotonic_ns()),
             models=(),
             cameras=(),
             controller="heuristic",

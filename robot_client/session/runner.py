@@ -14,6 +14,8 @@ from robot_client.insertion.machine import step
 from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import Arm, DecisionService, Gripper
 from robot_client.session.recorder import Recorder
+from robot_client.session.telemetry import Telemetry
+from service.contract import wire
 
 _TICK_S = 0.02
 
@@ -52,9 +54,11 @@ class Runner:
     _events: deque[Event] = field(default_factory=deque)
     _handling: bool = False
     _done: asyncio.Event = field(default_factory=asyncio.Event)
+    _telemetry: Telemetry = field(init=False)
 
     def __post_init__(self) -> None:
         self.state = State(self.plan)
+        self._telemetry = Telemetry(self.plan, self.arm, self.service.send)
 
     async def run(self) -> State:
         """From connecting to closing; raises DriverError if a device cannot be made ready (nothing has moved then)."""
@@ -63,11 +67,14 @@ class Runner:
             await self.gripper.start(self.post)
             if not self.state.done:  # after a failure no motors, no program
                 pose = await self.arm.start(self.post)
-                self.post(Begin(at_s=time.monotonic(), pose=pose))
+                self.post(Begin(at_s=time.monotonic(), pose=pose, held=self.gripper.held))
+            due_s = time.monotonic()
             while not self._done.is_set():
+                due_s = max(due_s + _TICK_S, time.monotonic())
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._done.wait(), _TICK_S)
+                    await asyncio.wait_for(self._done.wait(), due_s - time.monotonic())
                 self.post(Tick(at_s=time.monotonic()))
+                self._telemetry.sample(self.state, self.state.width_mm)
         except asyncio.CancelledError:
             self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
         finally:
@@ -113,9 +120,17 @@ class Runner:
                 case Grasp():
                     self.gripper.grasp()
                 case Send():
-                    self.service.send(command.message)
+                    self._send(command.message)
         except LimitError as error:
             self._events.append(Failure(at_s=time.monotonic(), source="limits", code="move", detail=str(error)))
+
+    def _send(self, message: wire.ClientMessage) -> None:
+        """Send a message, after what the robot did up to now and with what it is about to do."""
+        if isinstance(message, wire.Stopped | wire.Abort):
+            self._telemetry.flush()
+        self.service.send(message)
+        if isinstance(message, wire.ClientHello) and self.state.pose is not None:
+            self._telemetry.begin(self.state.pose)
 
     async def _close(self) -> None:
         """The arm first: its program is stopped even if another port hangs."""

@@ -23,6 +23,8 @@ from service.contract import wire
 from service.contract.frames import Contract, ContractError
 from service.contract.token import TOKEN_FILE, read_token, state_folder
 
+MOST_WAITING = 32  # messages; with as many in the queue the service is told of stops late enough
+
 
 class ServiceSettings(Contract):
     """Where the service is, what opens it, and how long it may be silent.
@@ -71,6 +73,7 @@ class ServiceLink:
     _tasks: list[asyncio.Task[None]] = field(default_factory=list)
     _silence: Silence = field(init=False)
     _greeted: bool = False
+    _left_out_n: int = 0
 
     def __post_init__(self) -> None:
         self._silence = Silence(self.settings.silence_s, self.settings.heartbeat_s)
@@ -97,7 +100,12 @@ class ServiceLink:
             self._tasks.append(asyncio.get_running_loop().create_task(work))
 
     def send(self, message: wire.ClientMessage) -> None:
-        """Queue a message."""
+        """Queue a message; what is only recorded is given up, and counted, where the connection is too slow for it."""
+        if isinstance(message, wire.Telemetry):
+            if self._outbox.qsize() >= MOST_WAITING:
+                self._left_out_n += len(message.samples)
+                return
+            message, self._left_out_n = message.model_copy(update={"left_out_n": self._left_out_n}), 0
         self._outbox.put_nowait(message)
 
     async def close(self) -> None:

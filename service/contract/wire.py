@@ -5,54 +5,68 @@ Every message carries the insertion id and, where it concerns one, the attempt n
 millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock; only ``sent_ns``
 is the client's, which the service sends back beside its own clock (:class:`Clock`).
 
-client:  hello -> (arm -> descending -> stopped)* ; abort and heartbeat at any time
-service: hello -> (armed -> watching* -> slip? -> correction | no_decision)* -> finished
+client:  hello -> episode? -> learn_open? -> (arm -> descending -> stopped)*
+         abort, heartbeat and telemetry at any time
+service: hello -> open_learnt? -> (armed -> watching* -> (slip | enough)? -> correction | no_decision)* -> finished
          refused instead of armed; fault and heartbeat at any time
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from service.contract.frames import Contract, ContractError, Finger, first_error
+from service.contract.frames import ContractError, Finger, first_error
 from service.contract.wire_parts import (
+    MAX_ATTEMPTS,
+    Attempt,
     CameraEntry,
     Cause,
     Clock,
     ControllerName,
     Doubt,
     DoubtReason,
+    Ending,
+    Enough,
+    Episode,
     Estimate,
+    InsertionId,
     Limits,
     ModelEntry,
+    NoDecisionReason,
     Outcome,
     RefusalReason,
+    RobotSample,
+    Telemetry,
+    ToolPose,
 )
+from service.contract.wire_parts import InsertionMessage as _Message
 
 __all__ = [
+    "MAX_ATTEMPTS",
+    "Attempt",
     "CameraEntry",
     "Cause",
     "Clock",
     "ControllerName",
     "Doubt",
     "DoubtReason",
+    "Ending",
+    "Enough",
+    "Episode",
     "Estimate",
+    "InsertionId",
     "Limits",
     "ModelEntry",
+    "NoDecisionReason",
     "Outcome",
     "RefusalReason",
+    "RobotSample",
+    "Telemetry",
+    "ToolPose",
 ]  # the parts; what is defined here goes without saying
 
 PROTOCOL = 2
-MAX_ATTEMPTS = 15
 MAX_TEXT_BYTES = 65536
-
-InsertionId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
-
-
-class _Message(Contract):
-    insertion_id: InsertionId
 
 
 # ---- client to service ------------------------------------------------------------------------------------------
@@ -69,38 +83,51 @@ class ClientHello(_Message):
     controller: ControllerName | None = None
 
 
+class LearnOpen(_Message):
+    """The hand is open and nothing touches the gels: learn what they look like. Sent before each grasp."""
+
+    type: Literal["learn_open"] = "learn_open"
+
+
 class Arm(_Message):
     """The arm stands above the gap, holding the object still: take the reference, watch for slip.
 
     ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them; None if the
     cell does not know it. It is the lever arm of the edge's friction: without it the size of an error is a guess.
+    ``gripper_width_mm``: how far apart the fingers are; None if the gripper does not tell. ``grip_n`` is their force,
+    ``shear_reach_mm`` how far the gel shears under it before it slides.
     """
 
     type: Literal["arm"] = "arm"
     attempt: Attempt
     gap_width_mm: float = Field(gt=0, le=1000)
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
+    grip_n: float | None = Field(default=None, gt=0, le=1000)
+    shear_reach_mm: float | None = Field(default=None, gt=0, le=100)
     expected_depth_mm: float = Field(gt=0, le=1000)
+    gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
 
 
 class Descending(_Message):
-    """The guarded descent has begun."""
+    """The guarded descent has begun, at this speed; networks that read depth need to know it."""
 
     type: Literal["descending"] = "descending"
     attempt: Attempt
+    speed_mm_s: float | None = Field(default=None, gt=0, le=1000)
 
 
 class Stopped(_Message):
     """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion.
 
-    ``inserted`` means that full depth was reached. `finished` reports whether the object came along: it is ``failed``
-    after a fault ``not_seated`` (the gels still carry a push) or ``not_seen`` (no frame shows them).
+    ``inserted`` means that full depth was reached. `finished` reports whether that is confirmed to be an insertion.
+    ``gripper_width_mm``: how far apart the fingers are now; None if the gripper does not tell.
     """
 
     type: Literal["stopped"] = "stopped"
     attempt: Attempt
     depth_mm: float
     outcome: Outcome
+    gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
 
 
 class Abort(_Message):
@@ -112,16 +139,15 @@ class Abort(_Message):
 
 
 class ClientHeartbeat(_Message):
-    """Sent at least every second; the service answers with its own. It maps clocks, and shows nothing but a link."""
+    """Sent at least every second; the service answers with its own. It maps clocks and shows a link, nothing else."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int = Field(ge=0)
     sent_ns: int | None = None
 
 
-ClientMessage = Annotated[
-    ClientHello | Arm | Descending | Stopped | Abort | ClientHeartbeat, Field(discriminator="type")
-]
+_Client = ClientHello | Episode | LearnOpen | Arm | Descending | Stopped | Abort | ClientHeartbeat | Telemetry
+ClientMessage = Annotated[_Client, Field(discriminator="type")]
 
 # ---- service to client ------------------------------------------------------------------------------------------
 
@@ -136,6 +162,12 @@ class ServiceHello(_Message):
     cameras: tuple[CameraEntry, ...]
     controller: ControllerName
     limits: Limits
+
+
+class OpenLearnt(_Message):
+    """Both open gels are learnt; the fingers may close."""
+
+    type: Literal["open_learnt"] = "open_learnt"
 
 
 class Armed(_Message):
@@ -202,7 +234,7 @@ class NoDecision(_Message):
 
     type: Literal["no_decision"] = "no_decision"
     attempt: Attempt
-    reason: Literal["no_motion", "out_of_distribution", "low_confidence", "non_finite", "stale", "too_few_frames"]
+    reason: NoDecisionReason
     detail: str
 
 
@@ -213,7 +245,7 @@ class Finished(_Message):
     """
 
     type: Literal["finished"] = "finished"
-    outcome: Literal["inserted", "not_confirmed", "failed", "aborted"]
+    outcome: Ending
     attempts: int
     cause: Cause | None = None
     doubts: tuple[Doubt, ...] = ()
@@ -230,10 +262,7 @@ class Fault(_Message):
 
 
 class ServiceHeartbeat(_Message):
-    """Answer to a client heartbeat, same count; the age is of the newest frame of the finger that is further behind.
-
-    The age is for a person to read: a frame that came is not one that was judged (:class:`Watching`).
-    """
+    """Answer to a heartbeat, same count; for a person, the age of the newest frame of the finger further behind."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int
@@ -241,36 +270,17 @@ class ServiceHeartbeat(_Message):
     frame_age_ms: float | None
 
 
-ServiceMessage = Annotated[
-    ServiceHello | Armed | Refused | Watching | Slip | Correction | NoDecision | Finished | Fault | ServiceHeartbeat,
-    Field(discriminator="type"),
-]
+AttemptMessage = Armed | Refused | Watching | Slip | Enough | Correction | NoDecision
+_Service = ServiceHello | OpenLearnt | AttemptMessage | Finished | Fault | ServiceHeartbeat
+ServiceMessage = Annotated[_Service, Field(discriminator="type")]
 
 
-def unspoken(hello: ClientHello) -> Fault | None:
-    """Why a client of another protocol cannot be served, None if it speaks ours."""
-    if hello.protocol == PROTOCOL:
-        return None
-    detail = f"client speaks protocol {hello.protocol}, this service {PROTOCOL}; update the older one"
-    return Fault(insertion_id=hello.insertion_id, code="protocol_version", detail=detail, fatal=True)
+_Parsed = TypeVar("_Parsed")
+_CLIENT: TypeAdapter[ClientMessage] = TypeAdapter(ClientMessage)
+_SERVICE: TypeAdapter[ServiceMessage] = TypeAdapter(ServiceMessage)
 
 
-_CLIENT: TypeAdapter[Any] = TypeAdapter(ClientMessage)
-_SERVICE: TypeAdapter[Any] = TypeAdapter(ServiceMessage)
-
-
-def clock(message: ClientHello | ClientHeartbeat, now_ns: int) -> Clock | None:
-    """The answer to a client's clock at ``now_ns`` of the service's; None for one that did not ask."""
-    return None if message.sent_ns is None else Clock(sent_ns=message.sent_ns, service_ns=now_ns)
-
-
-def beat(message: ClientHeartbeat, now_ns: int, frame_age_ms: float | None) -> ServiceHeartbeat:
-    """The answer to a client's heartbeat at ``now_ns`` of the service's clock."""
-    named, count = message.insertion_id, message.count
-    return ServiceHeartbeat(insertion_id=named, count=count, clock=clock(message, now_ns), frame_age_ms=frame_age_ms)
-
-
-def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
+def _parse(adapter: TypeAdapter[_Parsed], text: str | bytes) -> _Parsed:
     if len(text) > MAX_TEXT_BYTES:
         raise ContractError(f"message of {len(text)} bytes, expected at most {MAX_TEXT_BYTES}")
     try:
@@ -281,11 +291,9 @@ def _parse(adapter: TypeAdapter[Any], text: str | bytes) -> Any:
 
 def parse_client(text: str | bytes) -> ClientMessage:
     """Parse what a client sent; raise ContractError naming the field that is wrong."""
-    message: ClientMessage = _parse(_CLIENT, text)
-    return message
+    return _parse(_CLIENT, text)
 
 
 def parse_service(text: str | bytes) -> ServiceMessage:
     """Parse what the service sent; raise ContractError naming the field that is wrong."""
-    message: ServiceMessage = _parse(_SERVICE, text)
-    return message
+    return _parse(_SERVICE, text)

@@ -1,12 +1,14 @@
-"""What the messages of :mod:`service.contract.wire` are made of: enumerations, clocks, cameras, limits, estimates."""
+"""What the messages of :mod:`service.contract.wire` are made of, and those that only the record is made of."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from service.contract.frames import Contract, Finger
 from service.contract.model_card import ModelCard
 
+InsertionId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+MAX_SAMPLES = 64
 Outcome = Literal["blocked", "inserted", "dropped", "stopped"]
 ControllerName = Literal["heuristic", "belief"]
 Cause = Literal[
@@ -26,8 +28,28 @@ Cause = Literal[
     "timeout",
     "client",  # a defect of the client
 ]
+Ending = Literal["inserted", "not_confirmed", "failed", "aborted"]
 RefusalReason = Literal["no_reference", "nothing_held", "implausible_width", "late_frames", "not_seen"]
+NoDecisionReason = Literal[
+    "no_motion",
+    "out_of_distribution",
+    "low_confidence",
+    "non_finite",
+    "stale",
+    "too_few_frames",
+    "contradictory",  # the estimates do not follow from the commanded moves: the cell is wired wrong
+]
 DoubtReason = Literal["push", "not_seen", "not_held", "width", "moved_in_hand", "depth", "order"]
+
+
+MAX_ATTEMPTS = 15
+Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
+
+
+class InsertionMessage(Contract):
+    """What every message carries."""
+
+    insertion_id: InsertionId
 
 
 class Clock(Contract):
@@ -83,3 +105,66 @@ class Doubt(Contract):
     detail: str
     value: float | None = None
     bound: float | None = None
+
+
+# ---- the record of the episode; the service keeps it and decides nothing by it --------------------------------------
+
+
+class ToolPose(Contract):
+    """Pose of the TCP, tool vertical, in the work-object frame."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    yaw_deg: float
+
+
+class RobotSample(Contract):
+    """Arm and gripper at one moment, ``at_ns`` of the client's monotonic clock; None: not known.
+
+    ``commanded`` is the target that the arm has now, ``measured`` where it says it is. ``depth_mm`` is how far
+    ``measured`` is below the pose of the latest `arm`, ``width_mm`` the distance of the fingers.
+    """
+
+    at_ns: int
+    phase: str = Field(max_length=32)
+    attempt: int = Field(ge=0)
+    commanded: ToolPose | None = None
+    measured: ToolPose | None = None
+    depth_mm: float | None = None
+    width_mm: float | None = None
+
+
+class Telemetry(InsertionMessage):
+    """What the robot did, 50 times a second, some ten times a second in a batch; for the recording, never answered.
+
+    ``sent_ns`` is the client's clock at sending; ``left_out_n`` samples were given up since the last one because the
+    connection was slow.
+    """
+
+    type: Literal["telemetry"] = "telemetry"
+    sent_ns: int
+    samples: tuple[RobotSample, ...] = Field(max_length=MAX_SAMPLES)
+    left_out_n: int = Field(default=0, ge=0)
+
+
+class Episode(InsertionMessage):
+    """What is to be done and with what, for the recording: sent once after `hello`, never answered.
+
+    ``start`` is where the arm stands, ``approach`` the pose above the gap from which the first attempt goes down.
+    """
+
+    type: Literal["episode"] = "episode"
+    object: str = Field(default="", max_length=128)
+    start: ToolPose
+    approach: ToolPose
+    versions: dict[str, Annotated[str, Field(max_length=128)]] = Field(default_factory=dict, max_length=16)
+
+
+class Enough(InsertionMessage):
+    """The object was pressed as deep as the networks read: stop the arm now, as on slip."""
+
+    type: Literal["enough"] = "enough"
+    attempt: Attempt
+    frame_seq: int
+    pressed_mm: float

@@ -1,30 +1,29 @@
 """One answer to each attempt: a correction where its evidence can be trusted, else ``no_decision`` with the reason.
 
-At full depth the answer is ``inserted`` if the gels agree, else a fault with the push that they carry.
+At full depth the answer is what keeps it from being claimed (:mod:`service.decision.claim`).
 """
 
-import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from service.contract import wire
 from service.decision.attempt import Attempt, Stage
+from service.decision.claim import GraspRecord, doubts, newest_age_s
+from service.decision.consistency import Consistency
 from service.decision.controllers import Command, Controller
 from service.decision.evidence import Evidence, Refusal
 from service.decision.models import ModelSet
-from service.decision.seating import seating_evidence, strongest_push
 from service.decision.work import check_evidence, correction, overdue
 from service.settings import Deadlines
 
 Decision = wire.Correction | wire.NoDecision
-Objections = tuple[wire.Fault, ...]
 
 
 @dataclass(slots=True)
 class Decider:
     """Decides the attempts of one insertion; ``command`` is the move of the last correction.
 
-    ``blocked_pitch`` is the strongest push that the gels carried in the attempts that were blocked.
+    ``consistency`` is None where something else than its corrections moves the arm.
     """
 
     insertion_id: str
@@ -32,30 +31,25 @@ class Decider:
     controller: Controller
     deadlines: Deadlines
     command: Command | None = None
-    blocked_pitch: float = 0.0
+    grasp: GraspRecord = field(default_factory=GraspRecord)
+    consistency: Consistency | None = field(default_factory=Consistency)
 
     def conclude(self, attempt: Attempt, now_ns: int) -> Decision | None:
         """The answer to a blocked attempt, None while its frames or the networks' result may still come."""
         decision = self._decide(attempt, now_ns)
         if decision is not None:
-            self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
+            self.grasp.blocked(attempt)
         return decision
 
-    def full_depth_objections(self, attempt: Attempt, now_ns: int, max_age_ms: float) -> Objections | None:
-        """Faults that contradict an attempt's full depth, empty if none; None while frames may still decide it."""
-        begin_ns = attempt.armed_ns if attempt.descending_ns is None else attempt.descending_ns
-        newest_ns = attempt.pushes[-1].captured_ns if attempt.pushes else begin_ns
-        seating = seating_evidence(attempt.pushes, begin_ns, self.blocked_pitch)
-        if math.isfinite(seating.push_pitch) and (now_ns - newest_ns) / 1e6 <= max_age_ms:
-            return () if seating.seated else (self._fault("not_seated", str(seating)),)
+    def doubts(self, attempt: Attempt, now_ns: int, max_age_ms: float) -> tuple[wire.Doubt, ...] | None:
+        """What keeps full depth from being claimed, empty if nothing; None while frames may still show it."""
+        if newest_age_s(attempt.pushes, now_ns) * 1e3 <= max_age_ms:
+            return doubts(attempt, self.grasp)
         waited_s = 0.0 if attempt.stopped_ns is None else (now_ns - attempt.stopped_ns) / 1e9
         if waited_s <= self.deadlines.decision_frames_s:
             return None
-        detail = f"reached full depth, but no frame pair told within {waited_s:.1f} s what the gels feel; not claimed"
-        return (self._fault("not_seen", detail),)
-
-    def _fault(self, code: str, detail: str) -> wire.Fault:
-        return wire.Fault(insertion_id=self.insertion_id, code=code, detail=detail, fatal=False)
+        detail = f"no pair showed within {waited_s:.1f} s what the gels carry at full depth"
+        return (wire.Doubt(reason="not_seen", detail=detail),)
 
     def _decide(self, attempt: Attempt, now_ns: int) -> Decision | None:
         self.command = None
@@ -76,6 +70,9 @@ class Decider:
         try:
             check_evidence(self.models, attempt, evidence)
             command = self.controller.decide(evidence, attempt.arm.attempt)
+            decided = correction(self.insertion_id, attempt, evidence, command, latency_ms)
+            if self.consistency is not None:
+                self.consistency.add(decided, attempt.ring[-1])
         except Refusal as refusal:
             return self._refuse(attempt, refusal)
         latency_ms = latency_ms | {
@@ -83,7 +80,7 @@ class Decider:
             "since_last_frame": (now_ns - attempt.decision_pairs[-1].captured_ns) / 1e6,
         }
         self.command = command
-        return correction(self.insertion_id, attempt, evidence, command, latency_ms)
+        return decided.model_copy(update={"latency_ms": latency_ms})
 
     def _refuse(self, attempt: Attempt, refusal: Refusal) -> Decision:
         self.controller.blocked_without_evidence()

@@ -3,9 +3,10 @@
 An object that stands on a block while the fingers go down slides up between them. If its whole patch lets go at once,
 no marker leaves the rigid motion, and below the push that separates a stalled patch from a slow one (see
 `SlipSettings.stall_pitch`) there is no slip message. By Coulomb's law a grasp that slides carries all that its friction
-bears, on both pads and for as long as it slides. An object in its gap is carried by the gap's walls at most. One that
-jams there, tilted, leans on one pad and turns about the other. So the weaker finger's push is compared with the
-strongest push of this grasp in the attempts that were blocked.
+bears, on both pads and for as long as it slides. An object in its gap hangs free, or is carried by the gap's walls.
+One that jams there, tilted, leans on one pad and turns about the other. So the weaker finger's push is compared with
+the strongest push of this grasp in the attempts that were blocked. Where none was, nothing but the noise of the
+markers may be left: how much a grasp can bear differs by ten between cells.
 """
 
 import math
@@ -17,9 +18,8 @@ import numpy as np
 
 from service.perception.observation import PairObservation
 
-HELD_SHARE = 0.5  # of what the grasp bears: sliding, it carried 0.94 and more, in a gap up to 0.05, jammed up to 0.28
-UNTRIED_PITCH = 0.4  # taken for that before any attempt was blocked: half of what a clean gel and a usual grip bear
-LEAST_PITCH = 0.1  # no smaller push counts: rubbing on the gap's walls leaves 0.015
+HELD_SHARE = 0.03  # of what the grasp bears: jammed it carried 0.04 and more, sliding 0.74, hanging free 0.001
+NOISE_PITCH = 0.008  # no smaller push counts: what a finger's markers, all of them together, may be off
 LASTING = 1 / 3  # of the descent's time: from the blocks' tops on it slides for 0.7; a floor pushes for the last 0.2
 GLITCHES = 0.1  # of the frames in that time, which may show less
 VALID_SHARE = 0.5  # of a finger's markers
@@ -46,7 +46,7 @@ class SeatingEvidence:
     @property
     def bound_pitch(self) -> float:
         """An object in its gap leaves less than this."""
-        return max(LEAST_PITCH, HELD_SHARE * (self.blocked_pitch or UNTRIED_PITCH))
+        return max(NOISE_PITCH, HELD_SHARE * self.blocked_pitch)
 
     @property
     def seated(self) -> bool:
@@ -58,8 +58,8 @@ class SeatingEvidence:
             f", {self.push_pitch / self.blocked_pitch:.0%} of the strongest they bore" if self.blocked_pitch else ""
         )
         return (
-            f"reached full depth, but the gels still carry a push of {self.push_pitch:.2f} marker pitches{of_blocked}"
-            f" (in a gap: below {self.bound_pitch:.2f}); the object probably slid up in the hand; not claimed"
+            f"the gels still carry a push of {self.push_pitch:.3f} marker pitches{of_blocked} (in a gap: below"
+            f" {self.bound_pitch:.3f}): the object slid up in the hand, or is jammed"
         )
 
 

@@ -39,17 +39,27 @@ class TactileFinger:
         """The next frame becomes the reference of slip and onset; the tracker goes on."""
         self._rearm = True
 
+    def learn_open(self, frame: TactileFrame) -> str:
+        """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing."""
+        image, _ = self._rectified(frame)
+        try:
+            self._free.learn(MarkerTracker().update(image, frame.captured_ns))
+        except ValueError as error:
+            return str(error)
+        return ""
+
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
         image, rectify_ms = self._rectified(frame)
         rectified = time.perf_counter()
         field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
+        bulge = self._free.bulge(field)
         marked = self._free.mark(field)
         if self._rearm:
             slip = self._slip.rearm(field)
             self._onset.rearm(field)
-            self._held = (self._free.bulge(field) or 0.0) > _PRESSED
+            self._held = (bulge or 0.0) > _PRESSED
             self._rearm = self._stopped = False
             onset = None
         else:
@@ -62,7 +72,7 @@ class TactileFinger:
             "slip": (time.perf_counter() - tracked) * 1e3,
         }
         onset_ns = None if onset is None else onset.captured_ns
-        return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms)
+        return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms, bulge)
 
     def _with_contact(self, slip: SlipState, *, empty: bool) -> SlipState:
         """The state, or "no_contact" where nothing touches the gel; the first state that stops the arm always passes.

@@ -17,7 +17,8 @@ class Observation:
 
     ``image`` is the rectified frame uint8 [H, W, 3]; ``field`` the markers; ``slip`` the slip state since the last
     rearm; ``onset_ns`` the capture stamp of the first frame that shows the object's motion, once that is certain;
-    ``cost_ms`` the time of rectification, tracking and slip detection.
+    ``cost_ms`` the time of rectification, tracking and slip detection. ``bulge``: how far the markers are from where
+    they lie in an untouched gel, in shares of what such a gel may show; below 1 nothing touches it, None: unknown.
     """
 
     finger: Finger
@@ -28,6 +29,7 @@ class Observation:
     slip: SlipState
     onset_ns: int | None
     cost_ms: dict[str, float]
+    bulge: float | None = None
 
     @property
     def judged(self) -> bool:
@@ -40,6 +42,10 @@ class FingerWatch(Protocol):
 
     def rearm(self) -> None:
         """The next frame shows the held object at rest: it becomes the reference of slip and onset."""
+        ...
+
+    def learn_open(self, frame: TactileFrame) -> str:
+        """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing."""
         ...
 
     def observe(self, frame: TactileFrame) -> Observation:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from service.cameras.capture import decode_jpeg
 from service.contract import ContractError, Finger, TactileFrame
 from service.recordings.schemas import CompressedImage, RawImage
-from service.recordings.writer import RECOVERY
+from service.recordings.writer import IMAGE, OUTCOME, RECOVERY
 
 
 class RecordingError(ContractError):
@@ -46,6 +46,7 @@ class Recording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.metadata: dict[str, str] = {}
+        self.outcome: dict[str, str] = {}
         self.entries: list[Entry] = []
         self.complete = self.recovered = False
         if not path.is_file():
@@ -67,6 +68,8 @@ class Recording:
                         channels[record.id] = record
                     case Metadata() if record.name == "insertion":
                         self.metadata = dict(record.metadata)
+                    case Metadata() if record.name == OUTCOME:
+                        self.outcome = dict(record.metadata)
                     case Metadata() if record.name == RECOVERY:
                         self.recovered = True
                     case Message():
@@ -93,7 +96,8 @@ class Recording:
         """Every recorded frame of a finger by sequence number, with its exact stamp and pixels."""
         return {
             entry.seq: TactileFrame(finger, entry.seq, entry.log_ns - self.offset_ns, _pixels(entry))
-            for entry in self.of(f"/{finger}/image")
+            for topic in IMAGE.values()
+            for entry in self.of(f"/{finger}/{topic}")
         }
 
 

@@ -87,7 +87,7 @@ def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, tuple[int, str]] = {}
     facts: dict[str, object] | None = None
-    attempts = 0
+    attempts, told = 0, {}
     for record in _records(stream):
         match record:
             case Schema():
@@ -102,21 +102,19 @@ def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
             case Message():
                 number, topic = channels[record.channel_id]
                 writer.add_message(number, record.log_time, record.data, record.publish_time, record.sequence)
-                attempts = max(attempts, _attempt(topic, record.data))
+                message = json.loads(record.data)["message"] if topic == "/messages" else {}
+                number = message.get("attempt", 0)
+                attempts = max(attempts, number if isinstance(number, int) else 0)
+                if message.get("type") == "episode":
+                    told = {key: message.get(key) for key in ("object", "start", "approach", "versions")}
     writer.add_metadata(RECOVERY, {"reason": "the service ended without closing this recording"})
     writer.finish()
-    return None if facts is None else facts | {"outcome": "interrupted", "attempts": attempts}
+    return (
+        None if facts is None else facts | told | {"outcome": "interrupted", "cause": "service", "attempts": attempts}
+    )
 
 
 def _records(stream: IO[bytes]) -> Iterator[object]:
     """Every record up to where the file breaks off."""
     with contextlib.suppress(McapError, EOFError, ValueError, KeyError, IndexError, RuntimeError):
         yield from StreamReader(stream).records
-
-
-def _attempt(topic: str, data: bytes) -> int:
-    """The attempt a message is about, 0 if none."""
-    if topic != "/messages":
-        return 0
-    number = json.loads(data)["message"].get("attempt", 0)
-    return number if isinstance(number, int) else 0

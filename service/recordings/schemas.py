@@ -1,12 +1,21 @@
-"""The Protocol Buffers in a recording: Foxglove's published pictures, and markers with a schema of their own."""
+"""The schemas of a recording's topics, each of them always the same.
 
+Pictures are Foxglove's published Protocol Buffers, markers have one of their own. All else is JSON, described by the
+types that write it.
+"""
+
+import json
 from collections.abc import Iterator, Mapping
-from typing import Any
+from functools import cache
+from typing import Any, Literal
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+from pydantic import BaseModel, Field, JsonValue
+
+from service.contract import Finger, wire
 
 _Field = descriptor_pb2.FieldDescriptorProto
 _MARKER_FIELDS = {
@@ -43,7 +52,40 @@ def _markers_class() -> Any:
 
 
 Markers = _markers_class()
-__all__ = ["CompressedImage", "Markers", "RawImage", "descriptor_set", "encode"]
+__all__ = ["TOPICS", "CompressedImage", "Markers", "RawImage", "descriptor_set", "encode", "json_schema"]
+
+
+class Message(BaseModel):
+    """One message of the wire, and who sent it."""
+
+    sender: Literal["client", "service"] = Field(alias="from")
+    message: wire.ClientMessage | wire.ServiceMessage
+
+
+class Call(BaseModel):
+    """One call into the session; ``now_ns`` is the service's monotonic clock. The same calls give the same messages."""
+
+    call: Literal["message", "prime", "frame", "pair", "result", "tick", "camera_fault"]
+    now_ns: int
+    message: dict[str, JsonValue] | None = None
+    finger: Finger | None = None
+    seq: int | None = None
+    left: int | None = None
+    right: int | None = None
+    generation: int | None = None
+    code: str | None = None
+    detail: str | None = None
+
+
+TOPICS: dict[str, type[BaseModel]] = {"/messages": Message, "/calls": Call, "/robot": wire.RobotSample}
+
+
+@cache
+def json_schema(topic: str) -> tuple[str, bytes]:
+    """Name and JSON schema of what a topic of :data:`TOPICS` holds."""
+    kind = TOPICS[topic]
+    schema = kind.model_json_schema(ref_template="#/$defs/{model}")
+    return f"tactile_insertion.{kind.__name__}", json.dumps(schema).encode()
 
 
 def encode(message_class: Any, values: Mapping[str, Any], log_ns: int) -> bytes:

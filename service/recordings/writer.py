@@ -2,13 +2,15 @@
 
 ``RECORDINGS/<UTC stamp>_<insertion id>/``
 
-- ``insertion.mcap`` (``insertion.mcap.part`` while it is written; a crash loses at most the last second, and
-  :func:`service.recordings.recovery.recover` closes such a file at the next start). Channels: ``/left/image`` and
-  ``/right/image`` (foxglove.CompressedImage, the camera's own JPEG, or foxglove.RawImage),
-  ``/left/markers`` and ``/right/markers`` (tactile_insertion.Markers),
-  ``/messages`` (JSON: ``from`` client or service, ``message``), ``/calls`` (JSON: the calls of the session in order,
-  which make a replay exact to the bit), metadata ``insertion`` (id, models, controller, calibration, clock offset).
-  Log times are wall-clock nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of the metadata.
+- ``insertion.mcap`` (``insertion.mcap.part`` while it is written; a crash loses at most the last half second, and
+  :func:`service.recordings.recovery.recover` closes such a file at the next start). Topics, each with one schema:
+  ``/left/image`` and ``/right/image`` (foxglove.CompressedImage, the camera's own JPEG) or, of a camera that sends
+  pixels, ``/left/image_raw`` and ``/right/image_raw`` (foxglove.RawImage), ``/left/markers`` and ``/right/markers``
+  (tactile_insertion.Markers: every judged frame), ``/robot`` (arm and gripper, 50 times a second, from the client),
+  ``/messages`` (``from`` client or service, ``message``), ``/calls`` (the calls of the session in order, which make a
+  replay exact to the bit). Metadata: ``insertion`` (id, versions, models, controller, calibration, clock offset) and,
+  once it has ended, ``outcome``. Log times are wall-clock nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of
+  the metadata.
 - ``attempt_01.npz``, ``attempt_02.npz``, ... for each blocked attempt, read with ``numpy.load``:
 
   ===================  ==========================================================================================
@@ -21,7 +23,7 @@
   ``decision``         0-d string array: JSON of the ``correction`` or ``no_decision`` message; "{}" if there was none
   ===================  ==========================================================================================
 
-- ``summary.json``: insertion id, outcome, attempts, start time, whether any frame was left out for lack of speed.
+- ``summary.json``: insertion id, outcome, cause, attempts, object, start, frames left out for lack of speed or room.
 """
 
 import contextlib
@@ -43,18 +45,20 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from service.cameras.capture import CameraFrame
-from service.contract import TactileFrame
+from service.contract import TactileFrame, wire
 from service.perception.observation import Observation
-from service.recordings.schemas import CompressedImage, Markers, RawImage, descriptor_set, encode
+from service.recordings.schemas import CompressedImage, Markers, RawImage, descriptor_set, encode, json_schema
 
 NAME = re.compile(r"[0-9]{8}T[0-9]{6,12}_[A-Za-z0-9_-]{1,64}")  # of a recording's folder
-FLUSH_S = 0.5
+FLUSH_S = 0.2  # what is lost if the service is killed, and a chunk that was under way
 MAX_WAITING_BYTES = 64 << 20  # of frames and markers; some 10 s of JPEG at 2 x 60 fps
 MAX_INSERTION_BYTES = 2 << 30
 PART = "insertion.mcap.part"
 FINAL = "insertion.mcap"
 RECOVERING = "insertion.mcap.recovering"
 UNREADABLE = "insertion.mcap.unreadable"
+IMAGE = {CompressedImage: "image", RawImage: "image_raw"}  # a topic has one schema, whatever the camera sends
+OUTCOME = "outcome"  # name of the metadata that an ended recording carries
 RECOVERY = "recovery"  # name of the metadata that a recovered recording carries
 
 
@@ -68,15 +72,15 @@ class _Mcap:
         self._channels: dict[str, int] = {}
 
     def protobuf(self, topic: str, kind: Any, values: Mapping[str, Any], log_ns: int, seq: int) -> None:
-        key = f"{topic} {kind.DESCRIPTOR.full_name}"
-        if key not in self._channels:
+        if topic not in self._channels:
             schema = self._writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", descriptor_set(kind))
-            self._channels[key] = self._writer.register_channel(topic, "protobuf", schema)
-        self._writer.add_message(self._channels[key], log_ns, encode(kind, values, log_ns), log_ns, seq)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
+        self._writer.add_message(self._channels[topic], log_ns, encode(kind, values, log_ns), log_ns, seq)
 
     def json(self, topic: str, value: Mapping[str, Any], log_ns: int) -> None:
         if topic not in self._channels:
-            schema = self._writer.register_schema(f"tactile_insertion{topic}", "jsonschema", b'{"type":"object"}')
+            name, described = json_schema(topic)
+            schema = self._writer.register_schema(name, "jsonschema", described)
             self._channels[topic] = self._writer.register_channel(topic, "json", schema)
         self._writer.add_message(self._channels[topic], log_ns, json.dumps(value).encode(), log_ns, 0)
 
@@ -140,7 +144,8 @@ class Recorder:
 
     def frame(self, frame: CameraFrame) -> None:
         kind, values = image_message(frame)
-        self._put_bulk(f"/{frame.frame.finger}/image", kind, values, frame.frame)
+        topic = f"/{frame.frame.finger}/{IMAGE[kind]}"
+        self._put_bulk(topic, kind, values, frame.frame)
 
     def observation(self, observation: Observation) -> None:
         self._put_bulk(f"/{observation.finger}/markers", Markers, markers_message(observation), observation)
@@ -153,6 +158,10 @@ class Recorder:
     def call(self, value: Mapping[str, Any], now_ns: int) -> None:
         """Record one call of the session (see :mod:`service.tools.redecide`)."""
         self._queue.put(lambda: self._mcap.json("/calls", dict(value) | {"now_ns": now_ns}, now_ns + self._offset_ns))
+
+    def robot(self, sample: wire.RobotSample, at_ns: int) -> None:
+        """Record where the arm and the gripper were at ``at_ns`` of this machine's monotonic clock."""
+        self._queue.put(lambda: self._mcap.json("/robot", sample.model_dump(mode="json"), at_ns + self._offset_ns))
 
     def attempt(self, number: int, gather: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
         """Write ``attempt_XX.npz``; its 5 MB or so are gathered in the recorder's thread; no arrays, no file."""
@@ -225,6 +234,9 @@ class Recorder:
     def _write_summary(self, summary: Mapping[str, Any]) -> None:
         facts = {"insertion_id": self.insertion_id, "left_out_n": self.left_out_n} | dict(summary)
         facts |= {"problem": self.error} if self.error else {}
+        if not self._stuck:
+            told = {key: value if isinstance(value, str) else json.dumps(value) for key, value in facts.items()}
+            self._mcap.metadata(OUTCOME, told)
         write_whole(self.folder / "summary.json", json.dumps(facts, indent=1))
 
 

@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -25,9 +25,10 @@ class Insertion:
     """Feeds a session, records its input and output, and passes its messages on.
 
     Only the perception thread calls its methods. ``send`` is the driving client (None while it is away); ``publish``
-    takes (kind, content) for watchers and metrics, ``show`` each observation. A message goes to the client first,
-    then to watchers, then into the recording: each of the three wakes a thread that may take this one's core. What
-    comes just before an answer is recorded after it, at most ``HOLD_S`` later.
+    takes (kind, content) for watchers and metrics, ``show`` each observation, ``jpegs`` holds what recent frames were
+    decoded from. A message goes to the client first, then to watchers, then into the recording: each of the three wakes
+    a thread that may take this one's core. What comes just before an answer is recorded after it, at most ``HOLD_S``
+    later.
     """
 
     session: InsertionSession
@@ -38,6 +39,10 @@ class Insertion:
     received_ns: int = field(default_factory=now_ns)
     closing: bool = False
     recorded_seq: dict[Finger, int] = field(default_factory=dict)
+    jpegs: Mapping[tuple[Finger, int], bytes | None] = field(default_factory=dict)
+    episode: wire.Episode | None = None
+    telemetry_lost_n: int = 0
+    _client_ahead_ns: int | None = None
     _observed: list[Observation] = field(default_factory=list)
     _later: deque[Callable[[], None]] = field(default_factory=deque)
     _sent: bool = False
@@ -54,10 +59,36 @@ class Insertion:
 
     def message(self, message: Any) -> None:
         now = self.received_ns = now_ns()
+        if isinstance(message, wire.Telemetry):
+            self._robot(message, now)
+            return
+        if isinstance(message, wire.Episode):
+            self.episode = message
+            self._note(_record_told, message, now)
+            return
         if message.type != "heartbeat":
             self._note(_record_received, message, now)
         self._emit(self.session.handle(message, now), now)
         self._settle()
+
+    def _robot(self, message: wire.Telemetry, now: int) -> None:
+        """Record where the robot was, on this machine's clock: what came fastest tells best how far the other is ahead.
+
+        The error is the time that the fastest message took, a fraction of a millisecond on one machine.
+        """
+        ahead_ns = message.sent_ns - now
+        self._client_ahead_ns = max(ahead_ns, self._client_ahead_ns if self._client_ahead_ns is not None else ahead_ns)
+        self.telemetry_lost_n += message.left_out_n
+        for sample in message.samples:
+            self._note(Recorder.robot, sample, sample.at_ns - self._client_ahead_ns)
+        self._settle_unless_near(now, paired=False)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the summary says of the task."""
+        told = self.episode
+        task = {} if told is None else told.model_dump(mode="json", include={"object", "start", "approach", "versions"})
+        return {**task, "robot_samples_lost_n": self.telemetry_lost_n}
 
     def prime(self, frame: CameraFrame) -> None:
         """Show the trackers a first frame."""
@@ -79,7 +110,7 @@ class Insertion:
             self._write(slip, now)
         if pair is not None:
             for half in (pair.left, pair.right):
-                self._record(CameraFrame(half, None))
+                self._record(CameraFrame(half, self.jpegs.get((half.finger, half.seq))))
             now = now_ns()
             self._call({"call": "pair", "left": pair.left.seq, "right": pair.right.seq}, now)
             self._emit(self.session.on_pair(pair, now), now)
@@ -118,7 +149,7 @@ class Insertion:
         attempt = self.session.attempt
         near = attempt is not None and attempt.stage is Stage.STOPPED
         if near and paired and attempt is not None:
-            near = len(attempt.decision_pairs) >= self.session.models.card.frames_per_decision
+            near = attempt.fed
         if not near or now - self._settled_ns > HOLD_S * 1e9:
             self._settle()
 
@@ -183,6 +214,10 @@ class Insertion:
             self.show(observation)
             self._note(Recorder.observation, observation)
         self._observed.clear()
+
+
+def _record_told(recorder: Recorder, message: Any, now: int) -> None:
+    recorder.message("client", message.model_dump(mode="json"), now)
 
 
 def _record_received(recorder: Recorder, message: Any, now: int) -> None:

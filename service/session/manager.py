@@ -3,14 +3,22 @@
 Only the perception thread calls a manager's methods; closing a recording alone happens outside it.
 """
 
+import json
+import platform
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import cv2
+import numpy as np
+import onnxruntime
+
+from service import __version__
 from service.cameras.capture import Camera, now_ns
 from service.contract import Finger, wire
+from service.contract.replies import beat, unspoken
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.hub import Hub
@@ -23,6 +31,14 @@ from service.session.memory import give_back
 from service.session.state_machine import InsertionSession, ignore
 from service.settings import Settings
 
+VERSIONS = {
+    "service": __version__,
+    "protocol": str(wire.PROTOCOL),
+    "python": platform.python_version(),
+    "numpy": np.__version__,
+    "onnxruntime": onnxruntime.__version__,
+    "opencv": cv2.__version__,
+}
 REMEMBERED_N = 256  # ended insertions whose `finished` is sent again to a client that missed it
 
 
@@ -38,6 +54,7 @@ class InsertionManager:
     submit: Callable[[Work], None]
     active: Insertion | None = None
     opened_n: int = 0
+    jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     unrecorded_n: int = 0
     _unrecorded: str = ""
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
@@ -65,7 +82,7 @@ class InsertionManager:
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
         """A client wants to drive: open an insertion, or resume its own one after a lost connection."""
-        if refused := wire.unspoken(hello):
+        if refused := unspoken(hello):
             send(refused)
             return
         if ended := self._ended.get(hello.insertion_id):  # the client that drives now is left alone
@@ -101,7 +118,7 @@ class InsertionManager:
             self.active.message(message)
         elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self._ended:
             # while its recording is being closed, a client that waits for `finished` must not see silence
-            send(wire.beat(message, now_ns(), None))
+            send(beat(message, now_ns(), None))
 
     def disconnect(self, send: Send) -> None:
         """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
@@ -131,9 +148,9 @@ class InsertionManager:
     def _open(self, hello: wire.ClientHello) -> Insertion:
         session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
         session.cameras, session.submit = self.camera_entries, self.submit
-        session.deadlines, session.checks_full_depth = self.settings.deadlines, self.settings.full_depth_look
+        session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session)
-        insertion = Insertion(session, recorder, None, self._publish, self.hub.observation)
+        insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
         try:
@@ -142,7 +159,7 @@ class InsertionManager:
                     insertion.prime(camera.latest)
         except Exception:
             if recorder:
-                recorder.close({"outcome": "failed", "attempts": 0})
+                recorder.close({"outcome": "failed", "cause": "service", "attempts": 0})
             raise
         self.active = insertion
         self.opened_n += 1
@@ -153,7 +170,7 @@ class InsertionManager:
         facts = {
             "controller": self.settings.controller,
             "limits": self.settings.limits.model_dump_json(),
-            "full_depth_look": str(self.settings.full_depth_look),
+            "versions": json.dumps(VERSIONS),
             "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
             "models_folder": str(self.settings.models),
             "calibration": self._calibration_text,
@@ -185,7 +202,8 @@ class InsertionManager:
         """Close an ended insertion's recording, inform its client, and free its memory."""
         insertion = ended.pop()
         if recorder := insertion.recorder:
-            recorder.close({"outcome": finished.outcome, "attempts": finished.attempts})
+            how = finished.model_dump(mode="json", include={"outcome", "cause", "attempts", "doubts"})
+            recorder.close(how | insertion.facts)
             self._note_recorded(f"recording {recorder.path}: {recorder.error}" if recorder.error else "")
         insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
         if insertion.send:

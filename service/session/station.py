@@ -32,6 +32,7 @@ from service.session.warm_up import warm_up
 from service.settings import Settings
 
 BACKLOG_FRAMES = 8  # two fingers' worth of about 4 frames; older ones are dropped
+RECENT_N = 16  # frames a finger, whose JPEG is at hand when they make a pair
 PERIOD_NS = 33_000_000  # of a camera whose rate is not known yet
 TICK_S = 0.05
 
@@ -179,8 +180,10 @@ class Station:
 
     def _on_camera_frame(self, frame: CameraFrame) -> None:
         if self.active:
-            pair = self.pairer.add(frame.frame)
-            self._frames.append((frame, pair))
+            seq = frame.frame.seq
+            self.manager.jpegs[frame.frame.finger, seq] = frame.jpeg
+            self.manager.jpegs.pop((frame.frame.finger, seq - RECENT_N), None)
+            self._frames.append((frame, self.pairer.add(frame.frame)))
             self.post(self._next_frame)
         self.hub.frame(frame)
 

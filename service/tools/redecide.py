@@ -114,9 +114,6 @@ def open_replay(recording: Recording, models: ModelSet) -> Replay:
     limits = Limits.model_validate_json(recording.metadata["limits"])
     controller: Any = recording.metadata["controller"]
     session = make_session(models, calibration, controller, limits)
-    session.checks_full_depth = (
-        recording.metadata.get("full_depth_look") == "True"
-    )  # older recordings do not name it: no look
     return Replay(recording, session, {finger: recording.frames(finger) for finger in FINGERS})
 
 

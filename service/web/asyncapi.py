@@ -30,18 +30,25 @@ _CORRECTION: dict[str, Any] = {
     "reason": "belief (+6.1 mm, -1.4 deg) +- (+0.9 mm, +1.8 deg)",
     "latency_ms": {"networks_last_step": 2.4},
 }
+_POSE = wire.ToolPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
+_SAMPLE = wire.RobotSample(at_ns=88_000_000_000, phase="descending", attempt=1, commanded=_POSE, depth_mm=0.1)
 EXAMPLES: tuple[BaseModel, ...] = (
     wire.ClientHello(**_INSERTION, client="cell controller 3.1", sent_ns=87_000_000_000),
+    wire.Episode(**_INSERTION, object="rectangle", start=_POSE, approach=_POSE, versions={"client": "0.1.0"}),
+    wire.Telemetry(**_INSERTION, sent_ns=88_010_000_000, samples=(_SAMPLE,)),
+    wire.LearnOpen(**_INSERTION),
     wire.Arm(**_ATTEMPT, gap_width_mm=56.0, expected_depth_mm=25.0),
-    wire.Descending(**_ATTEMPT),
+    wire.Descending(**_ATTEMPT, speed_mm_s=10.0),
     wire.Stopped(**_ATTEMPT, depth_mm=6.4, outcome="blocked"),
     wire.Abort(**_INSERTION, cause="operator", reason="stopped at the panel"),
     wire.ClientHeartbeat(**_INSERTION, count=7, sent_ns=88_000_000_000),
     wire.ServiceHello(**_INSERTION, models=(), cameras=(_CAMERA,), controller="belief", limits=_LIMITS, clock=_CLOCK),
+    wire.OpenLearnt(**_INSERTION),
     wire.Armed(**_ATTEMPT, reference_seq=120, frame_captured_ns=4_300_000_000),
     wire.Refused(**_ATTEMPT, reason="no_reference", detail="left: 12 markers found, expected 420"),
     wire.Watching(**_ATTEMPT, frame_captured_ns=4_366_000_000, judged_ns=4_381_000_000),
     wire.Slip(**_ATTEMPT, **_SLIP, reason="slip: 9 markers off the rigid motion"),
+    wire.Enough(**_ATTEMPT, frame_seq=139, pressed_mm=1.53),
     wire.Correction(**_ATTEMPT, **_CORRECTION),
     wire.NoDecision(**_ATTEMPT, reason="no_motion", detail="neither finger saw the object move"),
     wire.Finished(**_INSERTION, outcome="inserted", attempts=2, recording="recordings/x/insertion.mcap"),

@@ -1,7 +1,7 @@
 """Prometheus metrics, fed by the hub."""
 
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
@@ -11,6 +11,9 @@ from service.perception.observation import Observation
 from service.session.station import Station
 
 _STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13, 0.25, 0.5, 1, 2)
+
+NO_CAUSE = "none"
+_OUTCOME = {"not_confirmed": "not_confirmed"}
 
 
 class Metrics:
@@ -24,7 +27,10 @@ class Metrics:
         self._frames = Counter("frames", "Camera frames", ["finger"], **make)
         self._messages = Counter("messages", "Messages to clients", ["type"], **make)
         self._refusals = Counter("no_decisions", "Attempts without a correction", ["reason"], **make)
-        self._finished = Counter("insertions", "Insertions by outcome", ["outcome"], **make)
+        self._finished = Counter("insertions", "Insertions by outcome and cause", ["outcome", "cause"], **make)
+        for cause in get_args(wire.Cause):  # a series that begins at its first event hides that event from increase()
+            self._finished.labels("aborted" if cause == "operator" else _OUTCOME.get(cause, "failed"), cause)
+        self._finished.labels("inserted", NO_CAUSE)
         self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
         self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
         self._result_age = Histogram("result_age_seconds", "Capture to slip judgement", buckets=_STAGE_BUCKETS, **make)
@@ -78,6 +84,6 @@ class Metrics:
         if kind == "message":
             self._messages.labels(content.type).inc()
         elif kind == "finished":
-            self._finished.labels(content.outcome).inc()
+            self._finished.labels(content.outcome, content.cause or NO_CAUSE).inc()
         elif kind == "camera_fault":
             self._faults.labels(content["finger"], content["code"]).inc()

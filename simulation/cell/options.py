@@ -29,8 +29,8 @@ class CellOptions:
     """Camera rate: 30, 60 or 90; the sensor's if left out."""
     egm_lag_ms: float = 20.0
     """First-order lag of the arm behind the guide."""
-    gripper: Literal["held", "open"] = "held"
-    """The object is held at the start, or stands in its fixture between the open fingers."""
+    gripper: Literal["held", "open"] = "open"
+    """The object stands in its fixture between the open fingers at the start, or is held already."""
     fixed_blocks: bool = False
     """Blocks bolted down (as in data collection) instead of free."""
     lift_mm: float = 10.0

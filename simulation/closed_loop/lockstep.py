@@ -170,6 +170,20 @@ class LockstepCell:
         )
         return FramePair(left, right)
 
+    def open_pair(self) -> FramePair:
+        """Both fingers' frames of this moment as they would be with nothing between the fingers; takes no time."""
+        gel = np.zeros_like(self.state.gel[0])
+        left, right = (
+            TactileFrame(
+                finger,
+                self.frame,
+                self.now_ns,
+                renderer.raw(gel, hash_seed(self.seed, 0, k, 3)) if self.draws else _NOTHING,
+            )
+            for k, (finger, renderer) in enumerate(zip(FINGERS, self.renderers, strict=True))
+        )
+        return FramePair(left, right)
+
     def arrived(self) -> tuple[bool, bool]:
         """Which of the two frames taken last reached the service: cameras drop a share of them, each for itself."""
         share = dropped_share(self.scene)

@@ -37,7 +37,7 @@ from robot_client.insertion.machine import step
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Phase, Plan, State
 from service.contract import FINGERS, FramePair
-from service.contract.wire import Correction, Estimate, NoDecision
+from service.contract.wire import Correction, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Evidence
 from service.decision.models import ModelSet, load_models
@@ -45,10 +45,10 @@ from service.decision.work import Work
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
 from service.session.state_machine import InsertionSession
-from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View
+from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View, empty_correction
 from simulation.closed_loop.job import Job, Outcome, Perception
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
-from simulation.closed_loop.true_fields import TrueFieldFinger
+from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
 from simulation.physics.quasistatic import PhysicsError
 from simulation.scene.unstated import Unstated
 
@@ -68,12 +68,13 @@ class Insertion:
         *,
         chooser: Chooser | None = None,
         perception: Perception = "pictures",
+        fault: Fault | None = None,
     ) -> None:
         self.cell = cell
         self.models = models
         self.controller = controller
         self.chooser = chooser
-        left, right = (_finger(models, cell, index, perception) for index in range(2))
+        left, right = (_finger(models, cell, index, perception, fault) for index in range(2))
         self.session = InsertionSession(models, left, right, controller_name=controller.service_controller)
         if not controller.uses_networks:
             self.session.submit = self._skip_networks
@@ -92,8 +93,11 @@ class Insertion:
         except (PhysicsError, GraspEndError) as stuck:
             void = f"physics: {stuck}"
         error = cell.state.object_error
+        fingers = (self.session.left, self.session.right)
+        gone = any(isinstance(finger, TrueFieldFinger) and finger.gone for finger in fingers)
+        in_gap = cell.state.inserted and not void and not gone
         return Outcome(
-            inserted=self.state.phase is Phase.INSERTED and cell.state.inserted and not void,
+            inserted=self.state.phase is Phase.INSERTED and in_gap,
             claimed=self.state.phase is Phase.INSERTED,
             attempts=self.state.attempt,
             reason=void or self.state.reason,
@@ -102,6 +106,7 @@ class Insertion:
             grasp_kept=not cell.state.grasp_lost,
             course=cell.course,
             trials=self.trials,
+            in_gap=in_gap,
         )
 
     def _play(self) -> None:
@@ -144,7 +149,7 @@ class Insertion:
     def _skip_networks(self, work: Work) -> None:
         """In the networks' place where nobody listens to them: done with the last frame of the decision."""
         attempt = self.session.attempt
-        if attempt is not None and len(attempt.decision_pairs) >= self.models.card.frames_per_decision:
+        if attempt is not None and attempt.fed:
             self._skipped.append(work)
 
     def _nothing_known(self) -> Evidence:
@@ -158,6 +163,8 @@ class Insertion:
 
     def _note(self, message: Correction | NoDecision) -> Correction | NoDecision:
         """Log the attempt beside the truth; a baseline puts its own move in the correction's place."""
+        if self.chooser and self.session.decider:
+            self.session.decider.consistency = None  # the arm follows another's moves
         if self.chooser and (isinstance(message, Correction) or not self.controller.uses_networks):
             message = self._chosen(self.chooser, message)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
@@ -181,7 +188,7 @@ class Insertion:
             estimate,
         )
         dx, dtheta = chooser.choose(view)
-        correction = message if isinstance(message, Correction) else _empty_correction(message)
+        correction = message if isinstance(message, Correction) else empty_correction(message)
         return correction.model_copy(update={"dx_mm": dx, "dtheta_deg": dtheta, "reason": self.controller.title})
 
     def _post(self, event: Event) -> None:
@@ -195,6 +202,8 @@ class Insertion:
         match command:
             case Send():
                 self._hear(self.session.handle(command.message, self.cell.now_ns))
+                if isinstance(command.message, LearnOpen):
+                    self._hear(self.session.on_pair(self.cell.open_pair(), self.cell.now_ns))
             case Grasp():
                 self._events.append(Grasped(at_s=self.cell.now_s, width_mm=80.0))
             case Hold():
@@ -237,25 +246,12 @@ def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits) -> Plan:
     )
 
 
-def _finger(models: ModelSet, cell: LockstepCell, index: int, perception: Perception) -> FingerWatch:
+def _finger(
+    models: ModelSet, cell: LockstepCell, index: int, perception: Perception, fault: Fault | None
+) -> FingerWatch:
     if perception == "fields":
-        return TrueFieldFinger(cell, FINGERS[index])
+        return TrueFieldFinger(cell, FINGERS[index], fault)
     return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))
-
-
-def _empty_correction(refused: NoDecision) -> Correction:
-    return Correction(
-        insertion_id=refused.insertion_id,
-        attempt=refused.attempt,
-        dx_mm=0.0,
-        dtheta_deg=0.0,
-        class_probabilities={},
-        estimate=Estimate(dx_mm=0.0, dtheta_deg=0.0),
-        confidence=0.0,
-        controller="heuristic",
-        reason="",
-        latency_ms={},
-    )
 
 
 def stage(job: Job, models: ModelSet) -> Insertion:
@@ -275,6 +271,7 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         controller,
         chooser=chooser,
         perception=perception,
+        fault=Fault(**job.fault) if job.fault else None,
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 from websockets.sync.server import ServerConnection, serve
 
 from service.contract import wire
+from service.contract.replies import clock
 from tests.docs.commands import ROOT, blocks
 
 DEPTH_MM = 25.0
@@ -16,6 +17,8 @@ TOKEN = "a-token-for-driving"
 
 class Arm:
     """Blocked at 6 mm on its first attempt, free afterwards; moves 0.5 mm each time it is asked."""
+
+    speed_mm_s = 10.0
 
     def __init__(self):
         self.moves: list[tuple[float, float]] = []
@@ -74,9 +77,11 @@ def script(link: ServerConnection, watches: bool = True):
                     cameras=(),
                     controller="belief",
                     limits=limits,
-                    clock=wire.clock(said, time.monotonic_ns()),
+                    clock=clock(said, time.monotonic_ns()),
                     **head,
                 )
+            case wire.LearnOpen():
+                answer = wire.OpenLearnt(**head)
             case wire.Arm():
                 answer = wire.Armed(attempt=said.attempt, **now(reference_seq=7), **head)
             case wire.Descending(attempt=1):

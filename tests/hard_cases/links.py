@@ -141,7 +141,7 @@ def deciding() -> State:
     )
     at_height, above = plan.approach, plan.approach.at_height(60.0)
     story = [
-        Begin(at_s=0.0, pose=pose(z=60.0)),
+        Begin(at_s=0.0, pose=pose(z=60.0), held=True),
         FromService(at_s=0.1, message=hello),
         Grasped(at_s=0.2, width_mm=80.0),
         *(Arrived(at_s=0.3, pose=there) for there in (pose(z=60.0), above, at_height)),

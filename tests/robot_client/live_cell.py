@@ -18,6 +18,7 @@ from robot_client.session.report import Report
 from robot_client.session.runner import Runner
 from robot_client.settings import Settings, _merged, load_settings
 from service.contract import wire
+from service.contract.replies import beat, clock
 from service.contract.token import keep_token, state_folder
 from simulation.cell.emulators.abb.cabinet import Cabinet, Delays
 from simulation.cell.emulators.abb.egm import EgmEmulator
@@ -88,7 +89,7 @@ class TruthfulService:
         try:
             async for text in connection:
                 message = wire.parse_client(text)
-                if not isinstance(message, wire.ClientHeartbeat):
+                if not isinstance(message, wire.ClientHeartbeat | wire.Telemetry | wire.Episode):
                     self.received.append(message)
                 await asyncio.sleep(self.delays_s.get(message.type, 0.0))
                 replies = self.on_message(message) if self.on_message else None
@@ -152,9 +153,11 @@ class TruthfulService:
         self.insertion_id = message.insertion_id
         match message:
             case wire.ClientHello():
-                replies = [self.hello(clock=wire.clock(message, time.monotonic_ns()))]
+                replies = [self.hello(clock=clock(message, time.monotonic_ns()))]
             case wire.ClientHeartbeat() if not self.silent_heartbeat:
-                replies = [wire.beat(message, time.monotonic_ns(), 10.0)]
+                replies = [beat(message, time.monotonic_ns(), 10.0)]
+            case wire.LearnOpen():
+                replies = [wire.OpenLearnt(**name)]
             case wire.Arm():
                 self._attempt, self._watching = message.attempt, True
                 now_ns = time.monotonic_ns()

@@ -92,6 +92,9 @@ class Crane(Arm):
     def position(self):
         return self.guide.target
 
+    def target(self):
+        return self.guide.target
+
     def statistics(self):
         return {}
 

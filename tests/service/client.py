@@ -53,6 +53,8 @@ class Driver:
         self.rest()
         self.send(wire.Arm(insertion_id=self.id, attempt=number, gap_width_mm=56.0, expected_depth_mm=25.0))
         self.until("armed")
+        self.send(wire.Descending(insertion_id=self.id, attempt=number))
+        time.sleep(0.3)  # full depth is believed of a descent that was watched
         self.send(wire.Stopped(insertion_id=self.id, attempt=number, depth_mm=25.0, outcome="inserted"))
         return self.until("finished")
 

@@ -22,12 +22,13 @@ def calibration() -> Calibration:
 
 
 def gel(shift_mm: float, slip_mm: float = 0.0) -> NDArray[np.float32]:
-    """A patch pressed in the middle, carried up by ``shift_mm``; the patch's rim lags by ``slip_mm``."""
+    """A patch pressed in the middle, so that it bulges, carried up by ``shift_mm``; its rim lags by ``slip_mm``."""
     rows, cols = np.mgrid[0:20, 0:21]
     distance = np.hypot((rows - 9.5) / 8.0, (cols - 10.0) / 8.5)
     inside = np.clip(1.3 - distance, 0, 1) / 1.0
     state = np.zeros((20, 21, 3), np.float32)
-    state[..., 1] = -np.clip(inside * 1.6, 0, 1) * shift_mm
+    state[..., 0] = 0.12 * inside * (cols - 10.0) / 8.5
+    state[..., 1] = 0.12 * inside * (rows - 9.5) / 8.0 - np.clip(inside * 1.6, 0, 1) * shift_mm
     rim = (distance > 0.55) & (distance < 0.85)
     state[..., 1] += np.where(rim, slip_mm, 0)
     state[..., 2] = 0.05 * np.clip(1 - distance, 0, 1)

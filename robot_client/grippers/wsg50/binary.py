@@ -45,8 +45,9 @@ class BinaryWsg50(Wsg50):
         for task in list(self._tasks):
             task.cancel()
         if self._writer is not None:
-            with contextlib.suppress(GripperError):
-                await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
+            for command in (Command.WIDTH, Command.GRASPING_STATE):
+                with contextlib.suppress(GripperError):
+                    await self.request(command, UpdateFlag.ONCE, 0)
             with contextlib.suppress(GripperError):
                 await self.request(Command.DISCONNECT)
             self._writer.close()
@@ -98,7 +99,8 @@ class BinaryWsg50(Wsg50):
         return f"fault {faults.name}" if faults else ""
 
     async def _subscribe(self) -> None:
-        await self.request(Command.GRASPING_STATE, UpdateFlag.PERIODIC, self.settings.update_period_ms)
+        for command in (Command.WIDTH, Command.GRASPING_STATE):
+            await self.request(command, UpdateFlag.PERIODIC, self.settings.update_period_ms)
 
     async def _home(self, direction: HomingDirection) -> None:
         await self.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
@@ -135,6 +137,8 @@ class BinaryWsg50(Wsg50):
         if reply.command == Command.GRASPING_STATE and reply.values:
             self._silence.heard(time.monotonic())
             self._on_state(float(reply.values[0]))
+        if reply.command == Command.WIDTH and reply.values:
+            self._on_width(float(reply.values[0]))
         if reply.command in self._waiting:
             self._waiting[reply.command].put_nowait(reply)
 

@@ -5,6 +5,7 @@ During an insertion the gripper is never stopped: STOP ends its part monitoring;
 """
 
 import asyncio
+import math
 import time
 from abc import abstractmethod
 from collections.abc import Coroutine
@@ -13,9 +14,11 @@ from typing import Any, Literal
 
 from robot_client.grippers.wsg50.codes import GraspingState
 from robot_client.grippers.wsg50.settings import Settings
-from robot_client.insertion.events import Failure, Grasped, PartLost
+from robot_client.insertion.events import Failure, Grasped, PartLost, Width
 from robot_client.ports import Check, DriverError, Finding, Gripper, HomingDirection, Post
 from robot_client.silence import Silence
+
+_WIDTH_STEP_MM = 0.1  # a smaller change of the width is not reported
 
 
 class GripperError(DriverError):
@@ -30,11 +33,17 @@ class Wsg50(Gripper):
     state: GraspingState | None = None
     _post: Post | None = None
     _writer: asyncio.StreamWriter | None = None
+    _told_mm: float = math.inf
     _silence: Silence = field(init=False)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self._silence = Silence(self.settings.silence_s, self.settings.silence_s / 4.0)
+
+    @property
+    def held(self) -> bool:
+        """Whether the grasping state is HOLDING."""
+        return self.state is GraspingState.HOLDING
 
     # ---- port -----------------------------------------------------------------------------------------------------
 
@@ -80,7 +89,7 @@ class Wsg50(Gripper):
 
     @abstractmethod
     async def _subscribe(self) -> None:
-        """Have the grasping state sent periodically."""
+        """Have the grasping state and the width sent periodically."""
 
     @abstractmethod
     async def _home(self, direction: HomingDirection) -> None: ...
@@ -134,6 +143,11 @@ class Wsg50(Gripper):
                 self._post(PartLost(at_s=time.monotonic()))
             else:
                 self._fail("released", f"gripper: left HOLDING for {self.state.name} without an order")
+
+    def _on_width(self, width_mm: float) -> None:
+        if self._post is not None and math.isfinite(width_mm) and abs(width_mm - self._told_mm) >= _WIDTH_STEP_MM:
+            self._told_mm = width_mm
+            self._post(Width(at_s=time.monotonic(), width_mm=width_mm))
 
     async def _watch(self) -> None:
         """Updates of the grasping state are the heartbeat: silence about it is a failure."""

@@ -140,6 +140,7 @@ class TextWsg50(Wsg50):
             return
         if value[1] == "POS":
             self._width_mm = float(value[2])
+            self._on_width(self._width_mm)
         elif value[1] == "GRIPSTATE":
             self._silence.heard(time.monotonic())
             self._on_state(float(value[2]))

@@ -124,6 +124,10 @@ class EgmArm:
         """Measured by the newest datagram."""
         return self._measured
 
+    def target(self) -> WorkPose | None:
+        """What the last answer asked for."""
+        return None if self._guide is None else self._guide.target
+
     def statistics(self) -> dict[str, Any]:
         """Counts of the stream and the worst times in microseconds from datagram to answer and from hold to wire."""
         return {

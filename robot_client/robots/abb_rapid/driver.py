@@ -49,6 +49,7 @@ class SocketArm:
     _waiting: Literal["arrived", "fresh position", "standstill"] | None = None
     _asked: int = 0
     _here: WorkPose | None = None
+    _target: WorkPose | None = None
     _still: WorkPose | None = None
     _still_since_s: float = 0.0
     _silence: Silence = field(init=False)
@@ -93,6 +94,7 @@ class SocketArm:
         self._until_s = until_s
         self._move = self._next()
         self._pending, self._waiting, self._still = (self._move, target, speed), "arrived", None
+        self._target = target
         self._ask_guard("R", self._move)
 
     def renew(self, until_s: float) -> None:
@@ -128,6 +130,10 @@ class SocketArm:
     def position(self) -> WorkPose | None:
         """The guard's newest answer."""
         return self._here
+
+    def target(self) -> WorkPose | None:
+        """Where the latest move ends: the controller alone knows what it asks for on the way."""
+        return self._target
 
     def statistics(self) -> dict[str, Any]:
         """Answers of the guard."""

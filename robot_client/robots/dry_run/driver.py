@@ -66,6 +66,10 @@ class DryArm(Arm):
         """The target: the dry arm has no lag."""
         return self._guide.target
 
+    def target(self) -> WorkPose | None:
+        """What it follows exactly."""
+        return self._guide.target
+
     def statistics(self) -> dict[str, Any]:
         """Cycles that were computed."""
         return {"dry_cycles": self._cycles}

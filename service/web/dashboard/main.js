@@ -39,11 +39,12 @@ function told(message) {
   switch (message.type) {
     case "hello": return `connected, controller ${message.controller}`;
     case "armed": return `attempt ${message.attempt} armed`;
+    case "enough": return `attempt ${message.attempt}: pressed by ${message.pressed_mm.toFixed(1)} mm, stopped`;
     case "slip": return `attempt ${message.attempt}: slip, ${message.finger} finger, seen after ${message.age_ms.toFixed(0)} ms`;
     case "correction": return `attempt ${message.attempt}: move ${signed(message.dx_mm)} mm, turn ${signed(message.dtheta_deg)}°`;
     case "no_decision": return `attempt ${message.attempt}: no decision, ${message.detail}`;
     case "refused": return `attempt ${message.attempt}: refused, ${message.detail}`;
-    case "finished": return `${message.outcome} after ${message.attempts} attempts`;
+    case "finished": return `${message.outcome.replaceAll("_", " ")} after ${message.attempts} attempts${message.cause ? `: ${message.cause.replaceAll("_", " ")}` : ""}`;
     default: return `${message.code ?? message.type}: ${message.detail ?? ""}`;
   }
 }

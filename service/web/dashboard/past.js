@@ -4,6 +4,12 @@ const at = (id) => document.getElementById(id);
 let chosen = null;
 let timer = null;
 
+// How it ended and, unless it was inserted or a person stopped it, why.
+function ended({ outcome, cause }) {
+  const said = outcome.replaceAll("_", " ");
+  return cause && cause !== outcome && outcome !== "aborted" ? `${said} (${cause.replaceAll("_", " ")})` : said;
+}
+
 export async function listPast() {
   const answer = await fetch(withToken("/v1/recordings"));
   if (!answer.ok) return;
@@ -12,8 +18,8 @@ export async function listPast() {
   at("past").replaceChildren(...broken, ...recordings.map((recording) => {
     const button = document.createElement("button");
     button.type = "button";
-    button.textContent = `${recording.started.slice(11, 16)} ${recording.outcome} ${recording.attempts}: ${recording.insertion_id}`;
-    button.title = `${recording.started} UTC, insertion ${recording.insertion_id}: ${recording.outcome} after ${recording.attempts} attempts`;
+    button.textContent = `${recording.started.slice(11, 16)} ${recording.object ?? ""} ${ended(recording)} ${recording.attempts}: ${recording.insertion_id}`;
+    button.title = `${recording.started} UTC, insertion ${recording.insertion_id}: ${ended(recording)} after ${recording.attempts} attempts`;
     button.onclick = () => choose(recording);
     return button;
   }));
@@ -21,7 +27,7 @@ export async function listPast() {
 
 function choose(recording) {
   chosen = recording;
-  at("player-title").textContent = `${recording.started} UTC · ${recording.insertion_id}: ${recording.outcome} after ${recording.attempts} attempts`;
+  at("player-title").textContent = `${recording.started} UTC · ${recording.insertion_id}: ${ended(recording)} after ${recording.attempts} attempts`;
   at("download").href = withToken(`/v1/recordings/${recording.name}`);
   at("past-decision").textContent = recording.decided.length ? "" : "No attempt of this insertion was decided.";
   at("still").hidden = recording.decided.length === 0;

@@ -9,6 +9,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from service.cameras.capture import now_ns
 from service.contract import ContractError, wire
+from service.contract.replies import beat
 from service.contract.wire import ServiceMessage
 from service.session.station import Station
 from service.web.access import Access
@@ -161,7 +162,7 @@ async def _watch(socket: WebSocket, connection: Connection, station: Station) ->
         while True:
             message: Any = wire.parse_client(await _text(socket))
             if isinstance(message, wire.ClientHeartbeat):
-                connection.send(wire.beat(message, now_ns(), station.frame_age_ms()))
+                connection.send(beat(message, now_ns(), station.frame_age_ms()))
             else:
                 detail = f"a watching client may send heartbeats only, not {message.type}"
                 connection.fault("watch_only", detail, fatal=False)

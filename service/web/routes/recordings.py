@@ -38,6 +38,8 @@ class Summary(BaseModel):
     insertion_id: str
     outcome: str
     attempts: int
+    cause: str | None = None
+    object: str | None = None
 
 
 def list_recordings(root: Path) -> tuple[list[dict[str, Any]], list[str]]:

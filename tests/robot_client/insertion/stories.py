@@ -91,7 +91,7 @@ def at(pose, kind=Arrived, at_s=0.0):
 
 ABOVE = APPROACH.at_height(60.0)
 TO_ARMING = [
-    Begin(at_s=0.0, pose=WorkPose(x_mm=0.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0)),
+    Begin(at_s=0.0, pose=WorkPose(x_mm=0.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0), held=True),
     service(hello()),
     Grasped(at_s=0.0, width_mm=50.0),
     at(WorkPose(x_mm=0.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0)),

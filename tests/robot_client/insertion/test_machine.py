@@ -15,6 +15,7 @@ from robot_client.insertion.events import (
     Send,
     Standstill,
     Tick,
+    Width,
 )
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.machine import Phase, State, step
@@ -53,6 +54,31 @@ def test_a_blocked_attempt_is_reported_corrected_in_the_air_and_tried_again():
     assert (state.phase, arm.message.attempt) == (Phase.ARMING, 2)
 
 
+def test_an_open_hand_shows_its_gels_before_it_closes():
+    state, commands = run([Begin(at_s=0.0, pose=APPROACH), service(hello())])
+    assert (state.phase, commands[-1].message.type) == (Phase.LEARNING, "learn_open")
+    state, (grasp,) = step(state, service(wire.OpenLearnt(insertion_id=ID)))
+    assert (state.phase, grasp.kind) == (Phase.GRASPING, "grasp")
+
+
+def test_the_gripper_s_width_goes_with_the_messages_that_need_it():
+    _, commands = run([*TO_STOP, Width(at_s=0.0, width_mm=31.5), at(APPROACH.at_height(28.0), Standstill)])
+    widths = {
+        c.message.type: c.message.gripper_width_mm
+        for c in commands
+        if hasattr(c, "message") and hasattr(c.message, "gripper_width_mm")
+    }
+    assert widths == {"arm": 50.0, "stopped": 31.5}
+
+
+def test_what_keeps_full_depth_from_being_confirmed_is_the_reason_of_the_failure():
+    doubt = wire.Doubt(reason="push", detail="the gels still carry a push")
+    ended = wire.Finished(insertion_id=ID, outcome="not_confirmed", attempts=1, cause="not_confirmed", doubts=(doubt,))
+    state, _ = run([*TO_FULL_DEPTH, service(ended)])
+    assert state.phase is Phase.FAILED
+    assert state.reason == "service: not_confirmed: full depth was reached, but the gels still carry a push"
+
+
 def test_a_full_descent_is_an_insertion():
     state, _ = run([*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)])
     assert state.phase is Phase.CLOSING
@@ -66,14 +92,13 @@ TO_FULL_DEPTH = [*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_heigh
 @pytest.mark.parametrize(
     "event",
     [
-        service(wire.Fault(insertion_id=ID, code="not_seated", detail="the gels still carry a push", fatal=False)),
-        service(wire.Fault(insertion_id=ID, code="not_seen", detail="no frame pair", fatal=False)),
+        service(wire.Finished(insertion_id=ID, outcome="not_confirmed", attempts=1)),
         service(wire.Finished(insertion_id=ID, outcome="failed", attempts=1)),
         Failure(at_s=0.0, source="service", code="link", detail="connection lost"),
         Failure(at_s=0.0, source="service", code="silent", detail="no message"),
         Tick(at_s=5.1),
     ],
-    ids=["not seated", "not seen", "failed", "link lost", "silent", "no answer"],
+    ids=["not confirmed", "failed", "link lost", "silent", "no answer"],
 )
 def test_full_depth_alone_is_no_claim(event):
     state, _ = run(TO_FULL_DEPTH)
@@ -94,7 +119,7 @@ def test_a_late_slip_still_counts_as_inserted_when_the_depth_says_so():
 
 def test_the_approach_goes_up_over_and_down():
     low = WorkPose(x_mm=-5.0, y_mm=2.0, z_mm=20.0, yaw_deg=0.0)
-    state, commands = run([Begin(at_s=0.0, pose=low), service(hello()), Grasped(at_s=0.0, width_mm=50.0)])
+    state, commands = run([Begin(at_s=0.0, pose=low, held=True), service(hello()), Grasped(at_s=0.0, width_mm=50.0)])
     path = [commands[-1].target, *state.path]
     assert path == [low.at_height(35.0), APPROACH, APPROACH]
 

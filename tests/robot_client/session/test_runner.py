@@ -21,6 +21,8 @@ from tests.robot_client.insertion.stories import PLAN, TO_ARMING
 class Port:
     """Any of the three ports: notes what it is asked, in order, in a list that all share."""
 
+    held = False
+
     def __init__(self, name, notes, breaks=""):
         self.name, self.notes, self.breaks = name, notes, breaks
         self.closing = asyncio.Event()
@@ -39,6 +41,12 @@ class Port:
 
     def grasp(self):
         self.notes.append("grasp")
+
+    def position(self):
+        return None
+
+    def target(self):
+        return None
 
     def statistics(self):
         return {}

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.contract import ContractError
+from service.contract.replies import unspoken
 from service.contract.wire import (
     MAX_TEXT_BYTES,
     PROTOCOL,
@@ -18,7 +19,6 @@ from service.contract.wire import (
     Stopped,
     parse_client,
     parse_service,
-    unspoken,
 )
 
 CORRECTION = Correction(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from service.contract import FramePair, Sensor, TactileFrame, wire
 from service.decision.models import ModelSet, load_models
-from service.decision.seating import LEAST_PITCH, Push, SeatingEvidence, push_of, seating_evidence, strongest_push
+from service.decision.seating import NOISE_PITCH, Push, SeatingEvidence, push_of, seating_evidence, strongest_push
 from service.observability.hub import Hub
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation, PairObservation
@@ -57,11 +57,11 @@ def descend(session: InsertionSession, onset: int, frames: int = FRAMES) -> int:
 
 def test_an_object_that_pushes_all_the_way_is_not_claimed(session: InsertionSession) -> None:
     now_ns = descend(session, onset=8)
-    fault, finished = session.handle(stopped(), now_ns)
-    assert (fault.type, fault.code, fault.fatal) == ("fault", "not_seated", False)
-    assert "gels still carry a push of 0." in fault.detail
-    assert "not claimed" in fault.detail
-    assert (finished.type, finished.outcome) == ("finished", "failed")
+    (finished,) = session.handle(stopped(), now_ns)
+    assert (finished.type, finished.outcome, finished.cause) == ("finished", "not_confirmed", "not_confirmed")
+    (doubt,) = finished.doubts
+    assert doubt.reason == "push"
+    assert "gels still carry a push of 0." in doubt.detail
     assert session.handle(stopped(), now_ns) == [finished], "asked again, it says the same"
 
 
@@ -71,23 +71,18 @@ def test_an_object_that_came_along_is_claimed_at_once(session: InsertionSession,
     assert finished.outcome == "inserted"
 
 
-def test_where_the_look_is_switched_off_depth_alone_is_the_claim(session: InsertionSession) -> None:
-    session.checks_full_depth = False
-    (finished,) = session.handle(stopped(), descend(session, onset=8))
-    assert finished.outcome == "inserted"
-
-
 def test_without_a_frame_that_tells_the_claim_waits_and_is_then_refused(session: InsertionSession) -> None:
     now_ns = descend(session, NEVER, frames=1)
     assert session.handle(stopped(), now_ns) == []
     assert session.on_tick(now_ns + 1_900_000_000) == []
-    fault, finished = session.on_tick(now_ns + 2_100_000_000)
-    assert (fault.code, finished.outcome) == ("not_seen", "failed")
+    (finished,) = session.on_tick(now_ns + 2_100_000_000)
+    assert (finished.outcome, [doubt.reason for doubt in finished.doubts]) == ("not_confirmed", ["not_seen"])
 
 
 def test_a_frame_that_comes_late_still_makes_the_claim(session: InsertionSession) -> None:
+    session.limits = session.limits.model_copy(update={"max_frame_age_ms": 100.0})
     now_ns = descend(session, NEVER)
-    late_ns = now_ns + int(2 * session.limits.max_frame_age_ms * 1e6)
+    late_ns = now_ns + 200_000_000
     assert session.handle(stopped(), late_ns) == [], "what was seen last is too old"
     (finished,) = session.on_pair(drawn.pair(FRAMES, onset=NEVER, start_ns=late_ns - now_ns), late_ns + 40_000_000)
     assert finished.outcome == "inserted"
@@ -105,7 +100,8 @@ def test_a_frozen_camera_never_makes_a_claim(session: InsertionSession) -> None:
         said += session.on_tick(pair.captured_ns)
         if session.finished:
             break
-    assert [getattr(m, "code", m.type) for m in said] == ["not_seen", "finished"]
+    assert [m.type for m in said] == ["finished"]
+    assert (said[0].outcome, [doubt.reason for doubt in said[0].doubts]) == ("not_confirmed", ["not_seen"])
 
 
 # ---- the evidence itself --------------------------------------------------------------------------------------
@@ -172,14 +168,14 @@ def test_a_grasp_that_slides_is_seen_whatever_single_frames_miss(pushes: list[fl
     assert not seating_evidence(seen, 0, 0.5).seated
 
 
-@given(st.floats(0.0, 0.9 * LEAST_PITCH), st.floats(0.0, 1.0))
+@given(st.floats(0.0, 0.9 * NOISE_PITCH), st.floats(0.0, 1.0))
 def test_what_the_walls_of_a_gap_leave_is_claimed_whatever_the_grasp_bears(rub: float, bears: float) -> None:
     assert seating_evidence([Push(k * 33_000_000, rub, rub) for k in range(75)], 0, bears).seated
 
 
 def test_the_operator_reads_the_push_and_what_it_is_compared_with() -> None:
     told = str(SeatingEvidence(0.48, 0.5))
-    assert "0.48 marker pitches, 96% of the strongest they bore (in a gap: below 0.25)" in told
+    assert "0.480 marker pitches, 96% of the strongest they bore (in a gap: below 0.015)" in told
     assert "strongest" not in str(SeatingEvidence(0.48, 0.0))
 
 

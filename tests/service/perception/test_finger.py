@@ -40,20 +40,23 @@ def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_whil
     assert set(states[13:]) == {"no_contact"}
 
 
-def test_an_attempt_with_nothing_in_hand_says_so_and_is_not_decided(tmp_path) -> None:
+def test_an_empty_hand_is_not_armed(tmp_path) -> None:
     models = load_models(tiny_models.write_models(tmp_path / "m"))
     renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
     calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
-    session, states = make_session(models, calibration), set()
-    session.on_observation = lambda observation: states.add(observation.slip.state)
+    session, said = make_session(models, calibration), []
     session.handle(wire.ClientHello(insertion_id="empty", client="test"), 0)
-    said = session.handle(wire.Arm(insertion_id="empty", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
-    for index in range(6):
+    session.handle(wire.LearnOpen(insertion_id="empty"), 0)
+    for index in range(4):
         stamp_ns = index * drawn.PERIOD_NS
         frames = (TactileFrame(f, index, stamp_ns, renderers[f].raw(FREE, index)) for f in ("left", "right"))
         said += session.on_pair(drawn.FramePair(*frames), stamp_ns)
-    said += session.handle(wire.Stopped(insertion_id="empty", attempt=1, depth_mm=6.0, outcome="blocked"), stamp_ns)
-    said += session.on_tick(stamp_ns + 10_000_000_000)
-    assert states == {"no_contact"}
-    assert [message.type for message in said] == ["armed", "no_decision"]
-    assert (said[-1].reason, said[-1].detail) == ("no_motion", "nothing touches the gels")
+        if index == 0:
+            said += session.handle(
+                wire.Arm(insertion_id="empty", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 1
+            )
+    assert [message.type for message in said] == ["open_learnt", "refused"]
+    assert (said[-1].reason, said[-1].detail) == (
+        "nothing_held",
+        "both gels look as they do when nothing touches them",
+    )

@@ -79,9 +79,11 @@ def test_an_insertion_of_several_attempts_ends_with_inserted(session: InsertionS
     for attempt in (1, 2, 3):
         assert kinds(probe(session, attempt, attempt * 10**10))[-1] == "correction"
     session.handle(wire.Arm(insertion_id=ID, attempt=4, gap_width_mm=56.0, expected_depth_mm=25.0), 5 * 10**10)
-    for index in (0, 1):
+    for index in range(8):
         pair = drawn.pair(index, start_ns=5 * 10**10)
         session.on_pair(pair, pair.captured_ns)
+        if index == 1:
+            session.handle(wire.Descending(insertion_id=ID, attempt=4), pair.captured_ns)
     end = wire.Stopped(insertion_id=ID, attempt=4, depth_mm=25.0, outcome="inserted")
     (finished,) = session.handle(end, pair.captured_ns)
     assert (finished.outcome, finished.attempts) == ("inserted", 4)

@@ -3,6 +3,7 @@
 import os
 import re
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,14 @@ def colours(page: Any, canvas: str) -> int:
     )
 
 
+def wait_until(page: Any, holds: str) -> None:
+    """Poll an expression from outside: the browser's own way evaluates text, which the page's policy forbids."""
+    deadline = time.monotonic() + WAIT_MS / 1e3
+    while not page.evaluate(holds):
+        assert time.monotonic() < deadline, holds
+        page.wait_for_timeout(30)
+
+
 def insertion(live: LiveService, name: str) -> Driver:
     driver = Driver(live, name)
     driver.until("hello")
@@ -69,9 +78,9 @@ def insertion(live: LiveService, name: str) -> Driver:
 
 
 def test_the_page_shows_an_insertion_as_it_happens(live: LiveService, page: Any) -> None:
-    page.wait_for_function("document.getElementById('status').textContent === 'ready'")
+    wait_until(page, "document.getElementById('status').textContent === 'ready'")
     for finger in ("left", "right"):
-        page.wait_for_function(f"document.getElementById('{finger}-state').textContent !== ''")
+        wait_until(page, f"document.getElementById('{finger}-state').textContent !== ''")
         assert colours(page, finger) > 500
     driver = insertion(live, "shown")
     page.get_by_text("robot shown").wait_for()
@@ -108,9 +117,9 @@ def test_a_past_insertion_is_played_back_with_the_keyboard_alone(live: LiveServi
     outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
     assert outline == "solid"
     page.keyboard.press("Enter")
-    page.wait_for_function("document.getElementById('player').open")
-    page.wait_for_function("document.getElementById('still').naturalWidth > 600")
-    page.wait_for_function("document.getElementById('past-decision').textContent.startsWith('correction')")
+    wait_until(page, "document.getElementById('player').open")
+    wait_until(page, "document.getElementById('still').naturalWidth > 600")
+    wait_until(page, "document.getElementById('past-decision').textContent.startsWith('correction')")
     page.locator("#scrub").focus()
     page.keyboard.press("ArrowRight")
     page.get_by_text("frame 2", exact=True).wait_for()
@@ -119,7 +128,7 @@ def test_a_past_insertion_is_played_back_with_the_keyboard_alone(live: LiveServi
     page.get_by_text("frame 8", exact=True).wait_for()
     keep(page, "dashboard_playback")
     page.keyboard.press("Escape")
-    page.wait_for_function("!document.getElementById('player').open")
+    wait_until(page, "!document.getElementById('player').open")
     assert page.problems == []
 
 
@@ -151,22 +160,36 @@ def test_everything_fits_a_panel_and_can_be_read_from_two_metres(live: LiveServi
 
 def test_dropped_frames_are_red_while_they_grow_and_not_for_ever(live: LiveService, page: Any) -> None:
     dropped = page.locator("#health li").last
-    page.wait_for_function("document.querySelectorAll('#health li').length === 4")
+    wait_until(page, "document.querySelectorAll('#health li').length === 4")
     live.station.counters.frames_dropped_n += 7
-    page.wait_for_function("document.querySelector('#health li:last-child').className === 'bad'")
+    wait_until(page, "document.querySelector('#health li:last-child').className === 'bad'")
     page.evaluate("const now = Date.now; Date.now = () => now() + 61_000")
-    page.wait_for_function("document.querySelector('#health li:last-child').className === 'good'")
+    wait_until(page, "document.querySelector('#health li:last-child').className === 'good'")
     assert dropped.text_content() == f"dropped {live.station.counters.frames_dropped_n}"
 
 
 def test_a_cut_camera_is_seen_at_once_and_nothing_is_missing(live: LiveService, page: Any) -> None:
-    page.wait_for_function("document.querySelectorAll('#health .good').length >= 2")
+    wait_until(page, "document.querySelectorAll('#health .good').length >= 2")
     live.fingers[1].connected = False
-    page.wait_for_function("document.getElementById('status').textContent === 'cameras not live'")
+    wait_until(page, "document.getElementById('status').textContent === 'cameras not live'")
     assert page.locator("#health .bad").first.text_content().startswith("right")
     keep(page, "dashboard_fault")
     live.fingers[1].connected = True
     page.get_by_text(re.compile(r"right \d+ Hz")).wait_for()
-    page.wait_for_function("document.getElementById('status').textContent === 'ready'")
+    wait_until(page, "document.getElementById('status').textContent === 'ready'")
     assert page.request.get(live.url("/favicon.ico")).status == 200
     assert page.problems == []
+
+
+def test_the_policy_stops_what_is_not_ours(live: LiveService, page: Any, browser: Any) -> None:
+    """A script that got into the page does not run, and a foreign page may not frame ours."""
+    wait_until(page, "document.getElementById('status').textContent === 'ready'")
+    page.evaluate("""() => { const s = document.createElement("script"); s.textContent = "window.ran = 1";
+      document.body.append(s); }""")
+    assert page.evaluate("window.ran") is None
+    assert any("Content Security Policy" in problem for problem in page.problems)
+    foreign = browser.new_page()
+    foreign.set_content(f'<iframe src="{live.url("/")}"></iframe>')
+    foreign.wait_for_timeout(1000)
+    assert foreign.frames[1].locator("#status").count() == 0
+    foreign.close()

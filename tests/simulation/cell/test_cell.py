@@ -15,7 +15,7 @@ from tests.simulation.physics.bench import WsgClient, bench
 
 @pytest.fixture(scope="module")
 def cell():
-    with bench() as made:
+    with bench(gripper="held") as made:
         yield made
 
 

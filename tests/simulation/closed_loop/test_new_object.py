@@ -78,7 +78,7 @@ def test_every_world_is_played_with_every_object_and_continued(box, models, tmp_
     world.write_text(WEAK)
     out = tmp_path / "rows.json"
     ask = ["evaluate", "--worlds", str(world), "--objects", str(box), "circle", "--models", str(models)]
-    ask += ["--perception", "fields", "--seed", "3", "-j", "1", "--json", str(out)]
+    ask += ["--perception", "fields", "--seed", "3", "-j", "1", "--json", str(out), "--controllers", "oracle"]
     assert main([*ask, "--count", "1"]) == 0
     rows = json.loads(out.read_text())
     assert [(row["world"], row["object"]) for row in rows] == [("weak", "box"), ("weak", "circle")]

@@ -11,7 +11,7 @@ from robot_client.cli.home import _home
 from robot_client.grippers.wsg50.gripper import GripperError
 from robot_client.grippers.wsg50.settings import Settings
 from robot_client.grippers.wsg50.text import LineParser, TextWsg50, encode_call
-from robot_client.insertion.events import Failure, Grasped, PartLost
+from robot_client.insertion.events import Failure, Grasped, PartLost, Width
 from robot_client.settings import load_settings
 
 
@@ -68,7 +68,9 @@ def first_event(act, **options):
     async def story():
         async with connected(**options) as (peer, gripper, events):
             act(peer, gripper)
-            return await asyncio.wait_for(events.get(), 30.0), peer
+            while isinstance(event := await asyncio.wait_for(events.get(), 30.0), Width):
+                pass
+            return event, peer
 
     return asyncio.run(story())
 

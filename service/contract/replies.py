@@ -1,0 +1,31 @@
+"""Answers that need nothing of a session: clocks, heartbeats, and to a client of another protocol."""
+
+from service.contract.wire import PROTOCOL, Cause, ClientHeartbeat, ClientHello, Clock, Ending, Fault, ServiceHeartbeat
+
+
+def unspoken(hello: ClientHello) -> Fault | None:
+    """Why a client of another protocol cannot be served, None if it speaks ours."""
+    if hello.protocol == PROTOCOL:
+        return None
+    detail = f"client speaks protocol {hello.protocol}, this service {PROTOCOL}; update the older one"
+    return Fault(insertion_id=hello.insertion_id, code="protocol_version", detail=detail, fatal=True)
+
+
+def clock(message: ClientHello | ClientHeartbeat, now_ns: int) -> Clock | None:
+    """The answer to a client's clock at ``now_ns`` of the service's; None for one that did not ask."""
+    return None if message.sent_ns is None else Clock(sent_ns=message.sent_ns, service_ns=now_ns)
+
+
+def beat(message: ClientHeartbeat, now_ns: int, frame_age_ms: float | None) -> ServiceHeartbeat:
+    """The answer to a client's heartbeat at ``now_ns`` of the service's clock."""
+    named, count = message.insertion_id, message.count
+    return ServiceHeartbeat(insertion_id=named, count=count, clock=clock(message, now_ns), frame_age_ms=frame_age_ms)
+
+
+def ending(cause: Cause | None) -> Ending:
+    """How an insertion ended, by what ended it: inserted where nothing speaks against it."""
+    if cause is None:
+        return "inserted"
+    if cause == "not_confirmed":
+        return "not_confirmed"
+    return "aborted" if cause == "operator" else "failed"

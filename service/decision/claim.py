@@ -1,0 +1,157 @@
+"""What has to be shown before full depth is claimed to be an insertion.
+
+Absence of a signal is no evidence: each check asks for something that was measured, and what could not be measured is
+a doubt. One doubt is enough for "not confirmed".
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.contract.wire import Doubt, DoubtReason
+from service.decision.attempt import Attempt
+from service.decision.seating import Push, seating_evidence, strongest_push
+
+DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the depth that was asked for
+FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was not reached by one
+WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; gel gives way by less
+BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry
+PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
+LASTING_TURN = 0.26  # of the turn that markers show when the arm stops; what stays of it in the hand (simulated)
+TURNED_DEG = 2.0  # an object that stays turned in the hand by this much does not stand upright in its gap
+
+
+@dataclass(slots=True)
+class GraspRecord:
+    """What the attempts so far have shown of this grasp.
+
+    ``width_mm`` is the gripper's at the first arming. ``blocked_pitch``: the strongest push that the gels carried in
+    the attempts that were blocked, marker pitches. ``pressed_mm``: the furthest that a blocked attempt went on after
+    its contact. ``turned_deg``: the expected sum of what those attempts have left of a turn, signed as the left finger
+    shows it.
+    """
+
+    width_mm: float | None = None
+    blocked_pitch: float = 0.0
+    pressed_mm: float = 0.0
+    turned_deg: float = 0.0
+
+    def blocked(self, attempt: Attempt) -> None:
+        """Take in an attempt that was blocked."""
+        self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
+        self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
+        self.turned_deg += LASTING_TURN * turn_deg(attempt)
+
+
+def pressed_mm(attempt: Attempt) -> float:
+    """How far the arm went down after the onset of motion, mm, at the descent's mean speed; 0 without an onset."""
+    began, onset, stopped = attempt.descending_ns, attempt.onset_ns, attempt.stopped_ns
+    if began is None or onset is None or stopped is None or not began < onset < stopped:
+        return 0.0
+    return attempt.depth_mm * (stopped - onset) / (stopped - began)
+
+
+def turn_deg(attempt: Attempt) -> float:
+    """How far the object has turned in the plane of the gels when the arm stood, deg, as the left finger shows it.
+
+    Both fingers see the same turn from opposite sides. 0 where either does not know it.
+    """
+    if not attempt.ring:
+        return 0.0
+    left, right = (finger.slip.angle_rad for finger in attempt.ring[-1].fingers)
+    turn = math.degrees(0.5 * (left - right))
+    return turn if math.isfinite(turn) else 0.0
+
+
+# ---- at full depth ----------------------------------------------------------------------------------------------
+
+
+def doubts(attempt: Attempt, grasp: GraspRecord) -> tuple[Doubt, ...]:
+    """What keeps this attempt's full depth from being claimed; empty where everything was shown that has to be."""
+    checks = (_order, _depth, _watched, _held, _width, _pushed, _moved_in_hand)
+    return tuple(doubt for check in checks for doubt in check(attempt, grasp))
+
+
+def _doubt(reason: DoubtReason, detail: str, value: float | None = None, bound: float | None = None) -> Doubt:
+    value, bound = (number if number is not None and math.isfinite(number) else None for number in (value, bound))
+    return Doubt(reason=reason, detail=detail, value=value, bound=bound)
+
+
+def _order(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
+    if attempt.descending_ns is None:
+        yield _doubt("order", "no descent was announced before full depth was")
+        return
+    lasted_s = ((attempt.stopped_ns or 0) - attempt.descending_ns) / 1e9
+    least_s = attempt.depth_mm / FASTEST_MM_S
+    if not lasted_s >= least_s:
+        detail = f"{attempt.depth_mm:.1f} mm in {lasted_s:.2f} s is no guarded descent"
+        yield _doubt("order", detail, lasted_s, least_s)
+
+
+def _depth(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
+    least_mm = attempt.arm.expected_depth_mm - DEPTH_TOLERANCE_MM
+    if not attempt.depth_mm >= least_mm:
+        detail = f"stopped at {attempt.depth_mm:.1f} mm, full depth begins at {least_mm:.1f} mm"
+        yield _doubt("depth", detail, attempt.depth_mm, least_mm)
+
+
+def _watched(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
+    """The gels were read all the way down: no gap between readable pairs, none before the first or after the last."""
+    if attempt.descending_ns is None or attempt.stopped_ns is None:
+        return
+    read = [push.captured_ns for push in attempt.pushes if math.isfinite(push.weaker_pitch)]
+    on_the_way = [stamp for stamp in read if attempt.descending_ns < stamp < attempt.stopped_ns]
+    blind_s = max(np.diff([attempt.descending_ns, *on_the_way, attempt.stopped_ns])) / 1e9
+    if not blind_s <= BLIND_S:
+        detail = f"for {blind_s:.2f} s of the descent no pair showed what the gels carry"
+        yield _doubt("not_seen", detail, blind_s, BLIND_S)
+
+
+def _held(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
+    """Each finger that felt the object before the descent still feels it."""
+    reference = attempt.reference
+    if reference is None or not attempt.ring:
+        yield _doubt("not_seen", "no pair shows the object in the hand")
+        return
+    for before, now in zip(reference.fingers, attempt.ring[-1].fingers, strict=True):
+        if now.bulge is None:
+            yield _doubt("not_seen", f"the {now.finger} gel does not show whether it is touched")
+        elif before.bulge is not None and before.bulge >= 1.0 > now.bulge:
+            yield _doubt("not_held", f"the {now.finger} gel looks as if nothing touches it", now.bulge, 1.0)
+
+
+def _width(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
+    before, now = grasp.width_mm, attempt.gripper_width_mm
+    if before is None:
+        return  # a gripper that never told a width cannot tell that it changed; the gels have to
+    if now is None or not abs(now - before) <= WIDTH_CHANGE_MM:
+        text = "nothing" if now is None else f"{now:.1f} mm"
+        change = None if now is None else abs(now - before)
+        yield _doubt("width", f"the gripper held {before:.1f} mm and now tells {text}", change, WIDTH_CHANGE_MM)
+
+
+def _pushed(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
+    began_ns = attempt.armed_ns if attempt.descending_ns is None else attempt.descending_ns
+    seating = seating_evidence(attempt.pushes, began_ns, grasp.blocked_pitch)
+    if not seating.seated:
+        yield _doubt("push", str(seating), seating.push_pitch, seating.bound_pitch)
+
+
+def _moved_in_hand(_: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
+    if not grasp.pressed_mm <= PRESSED_MM:
+        detail = f"an attempt went on for {grasp.pressed_mm:.1f} mm after its contact: the object was moved in the hand"
+        yield _doubt("moved_in_hand", detail, grasp.pressed_mm, PRESSED_MM)
+    if not abs(grasp.turned_deg) <= TURNED_DEG:
+        detail = (
+            f"the blocked attempts have left the object turned in the hand by about {abs(grasp.turned_deg):.1f} deg"
+        )
+        yield _doubt("moved_in_hand", detail, abs(grasp.turned_deg), TURNED_DEG)
+
+
+def newest_age_s(pushes: Sequence[Push], now_ns: int) -> float:
+    """Age of the newest pair that shows what the gels carry, s; infinite without one."""
+    if not pushes or not math.isfinite(pushes[-1].weaker_pitch):
+        return math.inf
+    return float(now_ns - pushes[-1].captured_ns) / 1e9

@@ -1,0 +1,50 @@
+"""Both fingers of a session: their perception, what each showed last, how old that is, and their open gels."""
+
+from dataclasses import dataclass, field
+
+from service.contract import FINGERS, Finger, FramePair, TactileFrame
+from service.perception.observation import FingerWatch, Observation, PairObservation, belongs
+
+
+@dataclass(slots=True)
+class Fingers:
+    """Neither finger detects slip for the other: an age is that of the finger that is further behind."""
+
+    left: FingerWatch
+    right: FingerWatch
+    _seen: dict[Finger, Observation] = field(default_factory=dict)
+    _newest_ns: dict[Finger, int] = field(default_factory=dict)
+
+    def watch(self, finger: Finger) -> FingerWatch:
+        """The perception of one finger."""
+        return self.left if finger == "left" else self.right
+
+    def note(self, *frames: TactileFrame) -> None:
+        """These frames came, whether or not anyone looks at them."""
+        for frame in frames:
+            self._newest_ns[frame.finger] = frame.captured_ns
+
+    def observe(self, frame: TactileFrame) -> Observation:
+        """Perceive a frame, and keep it as its finger's newest."""
+        self._seen[frame.finger] = self.watch(frame.finger).observe(frame)
+        return self._seen[frame.finger]
+
+    def missing(self, pair: FramePair) -> list[TactileFrame]:
+        """The frames of a pair that were not perceived yet."""
+        frames = (pair.left, pair.right)
+        return [f for f in frames if f.finger not in self._seen or not belongs(self._seen[f.finger], pair)]
+
+    def both(self) -> PairObservation:
+        """What both fingers showed last."""
+        return PairObservation(self._seen["left"], self._seen["right"])
+
+    def age_ms(self, now_ns: int) -> float | None:
+        """Age of the newest frame; None until both fingers have shown one."""
+        return (now_ns - min(self._newest_ns.values())) / 1e6 if len(self._newest_ns) == len(FINGERS) else None
+
+    def stale(self, now_ns: int, allowed_ms: float) -> str:
+        """Why the frames are too old, or nothing."""
+        age_ms = self.age_ms(now_ns)
+        if age_ms is None or age_ms <= allowed_ms:
+            return ""
+        return f"a finger's newest frame is {age_ms:.0f} ms old; hold until it is back"

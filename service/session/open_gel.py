@@ -1,0 +1,47 @@
+"""The open gels: what both fingers show before they grasp, learnt from the first frames after the client asked."""
+
+from dataclasses import dataclass, field
+
+from service.contract import FINGERS, Finger, TactileFrame, wire
+from service.perception.observation import FingerWatch
+
+
+@dataclass(slots=True)
+class OpenGels:
+    """Learns each finger's open gel once for every time that it is asked to."""
+
+    _asked_ns: int | None = None
+    _learnt: set[Finger] = field(default_factory=set)
+    _problem: str = "no frame arrived"
+
+    @property
+    def waiting(self) -> bool:
+        """Whether frames are still wanted."""
+        return self._asked_ns is not None
+
+    def ask(self, now_ns: int) -> None:
+        """Learn from frames that were captured from now on."""
+        self._asked_ns, self._problem = now_ns, "no frame arrived"
+        self._learnt.clear()
+
+    def take(self, insertion_id: str, watch: FingerWatch, frame: TactileFrame) -> list[wire.ServiceMessage]:
+        """Learn from a frame; the answer once both fingers are learnt."""
+        if self._asked_ns is None or frame.captured_ns < self._asked_ns or frame.finger in self._learnt:
+            return []
+        problem = watch.learn_open(frame)
+        if problem:
+            self._problem = f"{frame.finger} finger: {problem}"
+            return []
+        self._learnt.add(frame.finger)
+        if len(self._learnt) < len(FINGERS):
+            return []
+        self._asked_ns = None
+        return [wire.OpenLearnt(insertion_id=insertion_id)]
+
+    def overdue(self, insertion_id: str, now_ns: int, allowed_s: float) -> list[wire.ServiceMessage]:
+        """The fault once the frames have taken too long."""
+        if self._asked_ns is None or now_ns - self._asked_ns <= allowed_s * 1e9:
+            return []
+        self._asked_ns = None
+        detail = f"the open gels could not be learnt: {self._problem}"
+        return [wire.Fault(insertion_id=insertion_id, code="open_gel", detail=detail, fatal=False)]

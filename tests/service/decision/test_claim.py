@@ -1,0 +1,119 @@
+"""One missing piece of evidence is a doubt: each check alone, on a descent in which all others are satisfied."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.contract import Sensor, wire
+from service.decision.attempt import Attempt, Stage
+from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm, turn_deg
+from service.decision.seating import Push
+from service.perception.markers.field import field_from_gel
+from service.perception.observation import Observation, PairObservation
+from service.perception.slip.detector import SlipDetector
+
+PERIOD_NS = 33_333_333
+FRAMES = 76  # 25 mm at 10 mm/s
+
+
+def observation(finger: str, bulge: float | None = 6.0, angle_rad: float = 0.0) -> Observation:
+    field = field_from_gel(np.zeros((20, 21, 3), np.float32), 0, Sensor.load())
+    slip = replace(SlipDetector().rearm(field), angle_rad=angle_rad)
+    return Observation(finger, 0, 0, np.zeros((0, 0, 3), np.uint8), field, slip, None, {}, bulge)
+
+
+def pair(left: float | None = 6.0, right: float | None = 6.0, turn_rad: float = 0.0) -> PairObservation:
+    return PairObservation(observation("left", left, turn_rad), observation("right", right, -turn_rad))
+
+
+def descent(**changes: object) -> Attempt:
+    """A watched descent to full depth with a held object that nothing pushes."""
+    arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0, gripper_width_mm=50.0)
+    attempt = Attempt(arm, 0, generation=1, stage=Stage.STOPPED, reference=pair(), descending_ns=0)
+    attempt.pushes = [Push(index * PERIOD_NS, 0.0, 0.0) for index in range(FRAMES)]
+    attempt.ring.append(pair())
+    attempt.stopped_ns, attempt.outcome = FRAMES * PERIOD_NS, "inserted"
+    attempt.depth_mm, attempt.gripper_width_mm = 25.0, 50.0
+    for name, value in changes.items():
+        setattr(attempt, name, value)
+    return attempt
+
+
+def reasons(attempt: Attempt, grasp: GraspRecord | None = None) -> list[str]:
+    return [doubt.reason for doubt in doubts(attempt, grasp or GraspRecord(width_mm=50.0))]
+
+
+def test_a_watched_descent_with_a_held_object_is_an_insertion() -> None:
+    assert reasons(descent()) == []
+
+
+def test_one_finger_that_never_felt_the_object_may_go_on_feeling_nothing() -> None:
+    attempt = descent(reference=pair(left=0.8))
+    attempt.ring.append(pair(left=0.7))
+    assert reasons(attempt) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"descending_ns": None}, "order"),
+        ({"descending_ns": FRAMES * PERIOD_NS - 50_000_000}, "order"),
+        ({"depth_mm": 0.0}, "depth"),
+        ({"depth_mm": 23.9}, "depth"),
+        ({"depth_mm": math.nan}, "depth"),
+        ({"gripper_width_mm": 47.0}, "width"),
+        ({"gripper_width_mm": None}, "width"),
+        ({"reference": None}, "not_seen"),
+        ({"pushes": []}, "push"),
+    ],
+)
+def test_one_thing_that_is_wrong_is_a_doubt(changes: dict[str, object], reason: str) -> None:
+    assert reason in reasons(descent(**changes))
+
+
+@pytest.mark.parametrize(("left", "reason"), [(0.9, "not_held"), (None, "not_seen")])
+def test_a_finger_that_feels_nothing_any_more_or_does_not_tell_is_a_doubt(left: float | None, reason: str) -> None:
+    attempt = descent()
+    attempt.ring.append(pair(left=left))
+    assert reasons(attempt) == [reason]
+
+
+@given(first=st.integers(0, FRAMES - 10), blind_n=st.integers(0, 60))
+def test_a_descent_is_claimed_only_if_no_part_of_it_was_blind_for_long(first: int, blind_n: int) -> None:
+    gone = range(first, min(first + blind_n, FRAMES - 1))
+    kept = [push for index, push in enumerate(descent().pushes) if index not in gone]
+    blind_s = (len(gone) + 1) * PERIOD_NS * 1e-9
+    told = reasons(descent(pushes=kept))
+    if blind_s > BLIND_S + 0.04:
+        assert told == ["not_seen"]
+    if blind_s < BLIND_S - 0.04:
+        assert told == []
+
+
+def test_what_was_pressed_too_far_or_stays_turned_is_not_claimed() -> None:
+    assert reasons(descent(), GraspRecord(50.0, pressed_mm=5.1)) == ["moved_in_hand"]
+    assert reasons(descent(), GraspRecord(50.0, turned_deg=-2.1)) == ["moved_in_hand"]
+    assert reasons(descent(), GraspRecord(50.0, pressed_mm=4.9, turned_deg=1.9)) == []
+    assert reasons(descent(), GraspRecord(50.0, turned_deg=math.nan)) == ["moved_in_hand"]
+
+
+def test_a_grasp_remembers_its_strongest_push_its_furthest_press_and_the_sum_of_its_turns() -> None:
+    grasp = GraspRecord(50.0)
+    blocked = descent(depth_mm=8.0, onset_ns=FRAMES * PERIOD_NS // 2)
+    blocked.pushes.append(Push(0, 0.3, 0.4))
+    blocked.ring.append(pair(turn_rad=math.radians(5.0)))
+    grasp.blocked(blocked)
+    grasp.blocked(descent(depth_mm=5.0))
+    assert grasp.blocked_pitch == pytest.approx(0.4)
+    assert grasp.pressed_mm == pytest.approx(4.0)
+    assert grasp.turned_deg == pytest.approx(0.26 * 5.0)
+
+
+def test_without_an_onset_nothing_was_pressed_and_without_a_pair_nothing_turned() -> None:
+    attempt = descent()
+    attempt.ring.clear()
+    assert (pressed_mm(attempt), turn_deg(attempt)) == (0.0, 0.0)

@@ -1,0 +1,166 @@
+"""One file tells the whole episode: what was to be done, what the robot did, what was said and judged, how it ended."""
+
+import json
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import httpx
+import jsonschema_rs
+import pytest
+from mcap.reader import make_reader
+
+from service.contract import FINGERS, wire
+from service.recordings.reader import Recording
+from service.recordings.writer import IMAGE
+from tests.service import drawn
+from tests.service.client import Driver
+from tests.service.conftest import LiveService
+from tests.service.mjpeg import FakeFinger
+from tests.service.process import service_process
+
+POSE = wire.ToolPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
+AHEAD_NS = 7_000_000_000_000  # the client's clock, on another machine
+
+
+def tell(driver: Driver, *, seconds: float = 0.0, left_out_n: int = 0) -> list[int]:
+    """The task, and what a robot would tell from now on, of which the stamps on this machine's clock are returned."""
+    named = driver.id
+    driver.send(wire.Episode(insertion_id=named, object="box", start=POSE, approach=POSE, versions={"client": "0.1.0"}))
+    stamps, until = [], time.monotonic() + seconds
+    while not stamps or time.monotonic() < until:
+        now_ns = time.monotonic_ns()
+        samples = [
+            wire.RobotSample(at_ns=now_ns + AHEAD_NS - k, phase="descending", attempt=1, measured=POSE, depth_mm=1.5)
+            for k in (20_000_000, 0)
+        ]
+        driver.send(
+            wire.Telemetry(insertion_id=named, sent_ns=now_ns + AHEAD_NS, samples=tuple(samples), left_out_n=left_out_n)
+        )
+        stamps += [now_ns - 20_000_000, now_ns]
+        time.sleep(0.04)
+    return stamps
+
+
+def episode(live: LiveService, name: str, cause: wire.Cause | None = None, **told: object) -> tuple[Path, list[int]]:
+    """A recorded insertion: made, or given up for a cause."""
+    driver = Driver(live, name)
+    driver.until("hello")
+    stamps = tell(driver, **told)
+    driver.attempt(1)
+    if cause is None:
+        finished = driver.insert(2)
+    else:
+        driver.send(wire.Abort(insertion_id=name, cause=cause, reason="test"))
+        finished = driver.until("finished")
+    driver.close()
+    return Path(finished.recording), stamps
+
+
+def test_the_file_holds_task_robot_and_end(live: LiveService) -> None:
+    path, stamps = episode(live, "whole-episode", seconds=0.5, left_out_n=1)
+    recording = Recording(path)
+    summary = json.loads((path.parent / "summary.json").read_text())
+    expected = {"outcome": "inserted", "cause": None, "attempts": 2, "object": "box", "start": POSE.model_dump()}
+    assert {key: summary[key] for key in expected} == expected
+    assert summary["versions"] == {"client": "0.1.0"}
+    assert summary["robot_samples_lost_n"] == len(stamps) // 2
+    assert (recording.outcome["outcome"], recording.outcome["object"]) == ("inserted", "box")
+    assert json.loads(recording.outcome["start"]) == POSE.model_dump()
+    versions = json.loads(recording.metadata["versions"])
+    assert versions["protocol"] == str(wire.PROTOCOL)
+    assert set(versions) >= {"service", "numpy", "onnxruntime", "opencv"}
+    robot = recording.of("/robot")
+    assert [wire.RobotSample.model_validate_json(entry.data).depth_mm for entry in robot] == [1.5] * len(stamps)
+    late_ms = [(e.log_ns - recording.offset_ns - ns) / 1e6 for e, ns in zip(robot, stamps, strict=True)]
+    assert -1.0 < min(late_ms) <= max(late_ms) < 500.0  # the other machine's clock is mapped; this one may be busy
+    said = [e.json()["message"]["type"] for e in recording.of("/messages")]
+    assert said.count("episode") == said.count("finished") == 1
+    assert "telemetry" not in said
+    judged = {finger: len(recording.of(f"/{finger}/markers")) for finger in FINGERS}
+    assert min(judged.values()) >= 8
+
+
+def test_every_topic_has_one_schema_and_all_that_it_holds_is_as_described(live: LiveService) -> None:
+    path, _ = episode(live, "described")
+    schemas, messages = defaultdict(set), defaultdict(list)
+    with path.open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            schemas[channel.topic].add((schema.name, schema.encoding, schema.data))
+            messages[channel.topic].append(message.data)
+    assert {len(found) for found in schemas.values()} == {1}
+    assert set(schemas) == {
+        *(f"/{finger}/{kind}" for finger in FINGERS for kind in ("image", "markers")),
+        *("/messages", "/calls", "/robot"),
+    }
+    for topic in ("/messages", "/calls", "/robot"):
+        ((_, encoding, described),) = schemas[topic]
+        assert encoding == "jsonschema"
+        check = jsonschema_rs.validator_for(json.loads(described))
+        for data in messages[topic]:
+            check.validate(json.loads(data))
+        with pytest.raises(jsonschema_rs.ValidationError):
+            check.validate({"anything": "else"})
+
+
+def test_a_camera_that_sends_jpeg_is_never_recorded_as_pixels(live: LiveService) -> None:
+    """A pair's other half, too, is the frame that its camera sent."""
+    for number in range(3):
+        path, _ = episode(live, f"jpegs-{number}", "operator")
+        recording = Recording(path)
+        for finger in FINGERS:
+            assert recording.of(f"/{finger}/{IMAGE[next(k for k in IMAGE if 'Raw' in k.DESCRIPTOR.name)]}") == []
+            assert recording.of(f"/{finger}/image")
+
+
+def counted(live: LiveService) -> dict[tuple[str, str], float]:
+    name, values = "tactile_insertions_total{", {}
+    for line in httpx.get(live.url("/metrics")).text.splitlines():
+        if not line.startswith(name):
+            continue
+        labels, value = line.removeprefix(name).split("} ")
+        cause, outcome = (part.split('"')[1] for part in sorted(labels.split(",")))
+        values[outcome, cause] = float(value)
+    return values
+
+
+def test_failures_are_counted_by_cause_and_only_a_person_aborts(live: LiveService) -> None:
+    before = counted(live)
+    assert before["failed", "attempts"] == 0.0  # there from the start, or its first increase would not be seen
+    for number, cause in enumerate(("attempts", "unwatched", "operator", "attempts")):
+        path, _ = episode(live, f"cause-{number}", cause)
+        summary = json.loads((path.parent / "summary.json").read_text())
+        assert summary["cause"] == cause
+        assert summary["outcome"] == ("aborted" if cause == "operator" else "failed")
+    after = counted(live)
+    grown = {key: after[key] - before.get(key, 0.0) for key in after if after[key] != before.get(key, 0.0)}
+    assert grown == {("failed", "attempts"): 2.0, ("failed", "unwatched"): 1.0, ("aborted", "operator"): 1.0}
+    listed = httpx.get(live.url("/v1/recordings")).json()["recordings"]
+    assert {r["cause"] for r in listed if r["insertion_id"].startswith("cause-")} == {
+        *("attempts", "unwatched", "operator")
+    }
+
+
+def test_a_killed_service_has_kept_all_but_half_a_second_of_the_robot(tmp_path: Path, models_folder: Path) -> None:
+    fingers = FakeFinger("left"), FakeFinger("right")
+    drawn.calibration().save(tmp_path / "calibration.toml")
+    options = ["--camera-left", fingers[0].url, "--camera-right", fingers[1].url]
+    options += ["--calibration", str(tmp_path / "calibration.toml"), "--max-frame-age-ms", "60000"]
+    with service_process(models_folder, tmp_path / "recordings", *options) as service:
+        driver = Driver(service, "killed-robot")
+        driver.until("hello")
+        stamps = tell(driver, seconds=2.0)
+        service.kill()
+    for finger in fingers:
+        finger.close()
+    with service_process(models_folder, tmp_path / "recordings", *options[4:], *pushed()) as service:
+        (found,) = httpx.get(service.url("/v1/recordings")).json()["recordings"]
+    assert (found["outcome"], found["cause"], found["object"]) == ("interrupted", "service", "box")
+    (path,) = (tmp_path / "recordings").glob("*_killed-robot/insertion.mcap")
+    recording = Recording(path)
+    newest_ns = max(entry.log_ns for entry in recording.of("/robot")) - recording.offset_ns
+    assert stamps[-1] - newest_ns < 0.5e9
+
+
+def pushed() -> list[str]:
+    return ["--camera-left", "push:", "--camera-right", "push:", "--camera-wait-s", "0"]
