@@ -15,7 +15,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving soak collect train export evaluate robustness requirements docs clean
+.PHONY: help run lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train export evaluate robustness requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -134,6 +134,9 @@ bench: $(VENV)/bench ## what a decision of each released network costs on this m
 
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
+
+bench-hostile: $(VENV)/ready ## what floods of pages, inference, bodies and connections cost the robot: docs/hostile_load.json
+	$(BIN)/python -m tests.benchmarks.hostile --models $(MODELS)
 
 soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models and garbage make trouble: docs/soak.md, .json
 	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)

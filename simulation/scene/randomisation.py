@@ -9,13 +9,16 @@ import numpy as np
 
 from simulation.scene.scene import Scene
 
+MODULUS = "gel.shear_modulus_n_per_mm2"
+
 
 def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False) -> Scene:
     """A domain-randomised copy: what an installation meets that no scene file can know.
 
     How high above its bottom the object is held, its weight, grip and clearance are drawn from all that the cell
     can do. Sizes, frictions, stiffness, crown, grip, noise and light of held-out draws come from ranges that no
-    training draw can reach. What a large scene scales past the limits of a scene stays at the limit.
+    training draw can reach. Where a scene states its own stiffness, friction, crown, grip or height, that is the middle
+    of a range as wide in proportion. What is scaled past the limits of a scene stays at the limit.
     """
 
     def draw(low: float, high: float, margin: float) -> float:
@@ -27,7 +30,7 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
     body = scene.object
     scale = draw(0.9, 1.2, 0.05)
     size_x = min(200.0, body.size_x_mm * scale)
-    height = float(rng.uniform(25.0, 95.0))
+    height = _around(scene, "grasp.height_mm", float(rng.uniform(25.0, 95.0)), 60.0)
     size_y = min(110.0, body.size_y_mm * scale * draw(0.96, 1.04, 0.04))
     changes: dict[str, Any] = {
         "object.size_x_mm": size_x,
@@ -36,11 +39,11 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
         "object.mass_kg": math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))),
         "object.centre_of_mass_height_mm": height * float(rng.uniform(0.4, 0.95)),
         "blocks.gap_mm": min(250.0, size_x + 2.0 * scene.clearance_mm / 2.5 * float(rng.uniform(1.5, 3.0))),
-        "blocks.friction": draw(0.15, 0.35, 0.1),
-        "gel.friction": draw(0.65, 0.95, 0.15),
-        "gel.shear_modulus_n_per_mm2": 0.1 * math.exp(draw(-0.2, 0.2, 0.15)),
-        "gel.crown_mm": draw(0.06, 0.18, 0.06),
-        "grasp.force_n": draw(16.0, 38.0, 4.0),
+        "blocks.friction": _around(scene, "blocks.friction", draw(0.15, 0.35, 0.1), 0.25),
+        "gel.friction": _around(scene, "gel.friction", draw(0.65, 0.95, 0.15), 0.8),
+        "gel.shear_modulus_n_per_mm2": _around(scene, MODULUS, 0.1 * math.exp(draw(-0.2, 0.2, 0.15)), 0.1),
+        "gel.crown_mm": min(_around(scene, "gel.crown_mm", draw(0.06, 0.18, 0.06), 0.12), 0.5 * scene.gel.thickness_mm),
+        "grasp.force_n": _around(scene, "grasp.force_n", draw(16.0, 38.0, 4.0), 27.0),
         "grasp.height_mm": height,
         "camera.noise_grey": min(30.0, scene.camera.noise_grey * draw(0.5, 1.5, 0.4)),
         "camera.light": draw(0.85, 1.15, 0.15),
@@ -53,3 +56,15 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
     if body.shape == "hexagon" or (body.shape == "ellipse" and body.size_x_mm == body.size_y_mm):
         changes["object.size_y_mm"] = size_x  # what is regular or round stays so
     return scene.varied(changes)
+
+
+def _around(scene: Scene, key: str, value: float, middle: float) -> float:
+    """A drawn value, moved to the scene's own one where it has one."""
+    part, name = key.split(".")
+    table = getattr(scene, part)
+    own, field = getattr(table, name), type(table).model_fields[name]
+    if own == field.default:
+        return value
+    (least,) = (bound.ge for bound in field.metadata if hasattr(bound, "ge"))
+    (most,) = (bound.le for bound in field.metadata if hasattr(bound, "le"))
+    return float(min(max(own * value / middle, least), most))

@@ -26,16 +26,21 @@ PATIENT = ["--max-frame-age-ms", "60000", "--reference-timeout-s", "30", "--clie
 
 
 @contextlib.contextmanager
-def busy_service(models: Path, rate_hz: float) -> Iterator[tuple[ServiceProcess, tuple[FakeFinger, FakeFinger]]]:
-    """A service with two MJPEG cameras at 427 x 320 and an armed attempt, so that every frame is perceived."""
+def busy_service(
+    models: Path, rate_hz: float
+) -> Iterator[tuple[ServiceProcess, tuple[FakeFinger, FakeFinger], ClientConnection]]:
+    """A service with two MJPEG cameras at 427 x 320 and an armed attempt, so that every frame is perceived.
+
+    The connection that drives must be read: it gets a message for each pair.
+    """
     fingers = FakeFinger("left", rate_hz), FakeFinger("right", rate_hz)
     with tempfile.TemporaryDirectory() as folder:
         calibration = Path(folder) / "calibration.toml"
         drawn.calibration().save(calibration)
         cameras = ["--camera-left", fingers[0].url, "--camera-right", fingers[1].url]
         options = [*cameras, "--calibration", str(calibration), "--frame-rate-hz", str(rate_hz), *PATIENT]
-        with service_process(models, Path(folder) / "r", *options) as service, armed(service):
-            yield service, fingers
+        with service_process(models, Path(folder) / "r", *options) as service, armed(service) as link:
+            yield service, fingers, link
     for finger in fingers:
         finger.close()
 
@@ -55,6 +60,19 @@ def armed(service: ServiceProcess) -> Iterator[ClientConnection]:
             link.recv(5)
 
 
+@contextlib.contextmanager
+def reading(link: ClientConnection) -> Iterator[None]:
+    """Read and forget what a connection gets while the context lasts: unread, the service would cut it off."""
+    stop = threading.Event()
+    reader = threading.Thread(target=_look, args=(link, stop), daemon=True)
+    reader.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        reader.join(10)
+
+
 def metric(service: ServiceProcess, name: str) -> float:
     lines = httpx.get(service.url("/metrics"), timeout=60).text.splitlines()
     return sum(float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith(name))
@@ -62,7 +80,7 @@ def metric(service: ServiceProcess, name: str) -> float:
 
 def flood(models: Path, rate_hz: float, seconds: float) -> dict[str, Any]:
     """CPU of the whole service (cameras, perception, recording) while every frame of both fingers is perceived."""
-    with busy_service(models, rate_hz) as (service, _):
+    with busy_service(models, rate_hz) as (service, _, link), reading(link):
         time.sleep(2.0)
         names = ("tactile_frames_total", "tactile_frames_dropped", 'tactile_stage_seconds_count{stage="markers"}')
         before, cpu, started = [metric(service, name) for name in names], service.cpu_s(), time.monotonic()
@@ -84,7 +102,7 @@ def flood(models: Path, rate_hz: float, seconds: float) -> dict[str, Any]:
 def healthz_ms(models: Path, seconds: float) -> dict[str, Any]:
     """/healthz while cameras run at 2 x 60 fps, an attempt is watched, inference is asked for and viewers look on."""
     stop = threading.Event()
-    with busy_service(models, 60.0) as (service, _), contextlib.ExitStack() as stack:
+    with busy_service(models, 60.0) as (service, _, link), reading(link), contextlib.ExitStack() as stack:
         viewers = [
             stack.enter_context(connect(service.url(path, "ws"), compression=None, max_size=None, close_timeout=0.2))
             for path in ("/v1/live", "/v1/cameras/left/frames?max_hz=60", "/v1/cameras/right/frames?form=jpeg")

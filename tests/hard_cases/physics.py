@@ -126,6 +126,65 @@ _scene_case(
     lambda seed: grasped("rectangle", 8.0, 5.0, seed, gel__tier="layer"),
     guard="simulation.physics.layer_pads:LayerPads.advance",
 )
+for _tier in ("bristle", "layer"):
+    for _name, _why, _gel, _guard in (
+        (
+            "nu 0.4999",
+            "rubber that keeps its volume: normal over shear stiffness is 5,000",
+            {"gel__poisson_ratio": 0.4999},
+            "simulation.scene.rubber:reach_in_thicknesses",
+        ),
+        (
+            "margin 0",
+            "the gel ends with its outermost markers",
+            {"gel__margin_mm": (0.0, 0.0)},
+            "simulation.physics.pads:pad_of",
+        ),
+        (
+            "margin 1000",
+            "free edges a metre away, forced on",
+            {"gel__margin_mm": (1000.0, 1000.0)},
+            "simulation.scene.rubber:reach_in_thicknesses",
+        ),
+        (
+            "relaxation share 0",
+            "nothing relaxes, forced on",
+            {"gel__relaxation_share": 0.0},
+            "simulation.physics.layer_pads:pads_of",
+        ),
+        (
+            "relaxation share 1",
+            "a gel that flows like a fluid in 1 ms",
+            {"gel__relaxation_share": 1.0, "gel__relaxation_s": 1e-3},
+            "simulation.physics.layer_pads:Relaxation.crept",
+        ),
+        (
+            "shear reach 50",
+            "the gel can be sheared by fifty pitches before it slides, as far as its thickness bears the grip",
+            {
+                "gel__shear_modulus_n_per_mm2": 0.005,
+                "gel__friction": 2.0,
+                "gel__thickness_mm": 10.0,
+                "grasp__force_n": 6.0,
+            },
+            HALVED,
+        ),
+        (
+            "shear reach 0.01",
+            "the gel slides at a hundredth of a pitch",
+            {"gel__shear_modulus_n_per_mm2": 1.0, "gel__friction": 0.1},
+            HALVED,
+        ),
+    ):
+        _force = {f"effects__{key}": "on" for key in ("poisson", "gel_edges", "relaxation", "finger_compliance")}
+        _scene_case(
+            f"{_name}, {_tier} tier",
+            _why,
+            lambda seed, gel=_gel, tier=_tier, force=_force: grasped(
+                "rectangle", 8.0, 5.0, seed, gel__tier=tier, **force, **gel
+            ),
+            guard=_guard,
+        )
 
 
 @case(

@@ -62,6 +62,25 @@ def test_every_draw_of_the_largest_scene_can_exist() -> None:
     assert all(randomised(scene, rng, held_out=bool(index % 2)).blocks.gap_mm <= 250.0 for index in range(60))
 
 
+def test_a_scenes_own_values_are_the_middle_of_what_is_drawn() -> None:
+    stiff = {"gel__shear_modulus_n_per_mm2": 0.3, "gel__friction": 0.5, "grasp__force_n": 60.0, "gel__crown_mm": 0.3}
+    scene, rng = (
+        load_scene("rectangle", grasp__height_mm=40.0, gel__poisson_ratio=0.45, **stiff),
+        np.random.default_rng(3),
+    )
+    draws = [randomised(scene, rng) for _ in range(400)]
+    for own, drawn in (
+        (0.3, [draw.gel.shear_modulus_n_per_mm2 for draw in draws]),
+        (0.5, [draw.gel.friction for draw in draws]),
+        (60.0, [draw.grasp.force_n for draw in draws]),
+        (0.3, [draw.gel.crown_mm for draw in draws]),
+        (40.0, [draw.grasp.height_mm for draw in draws]),
+    ):
+        assert np.mean(drawn) == pytest.approx(own, rel=0.06)
+        assert 0.1 < np.ptp(drawn) / own < 1.3
+    assert {draw.gel.poisson_ratio for draw in draws} == {0.45}
+
+
 def test_held_out_draws_never_meet_training_draws() -> None:
     scene, rng = load_scene("circle"), np.random.default_rng(0)
     train = [randomised(scene, rng).gel.friction for _ in range(50)]
