@@ -20,7 +20,8 @@ class Job:
     ``scene`` is an object by name or path. The start error is the one that the arm was told to stand at: it is the
     object's, too, unless the world misplaces the hand. ``condition`` names the world or disturbance; ``changes`` are
     its dotted keys of the scene, ``unstated`` those of its table `[world]`. ``dead``: what ails the left camera.
-    Perception "fields" takes the markers from the simulated gel instead of from pictures.
+    Perception "fields" takes the markers from the simulated gel instead of from pictures. ``cell`` "foreign": the
+    mechanics are those of finite elements.
     """
 
     scene: str
@@ -34,6 +35,7 @@ class Job:
     changes: Mapping[str, Any] = field(default_factory=dict)
     unstated: Mapping[str, Any] = field(default_factory=dict)
     dead: Literal["", "dark", "frozen"] = ""
+    cell: Literal["", "foreign"] = ""
 
     def build_scene(self) -> Scene:
         """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""

@@ -49,7 +49,7 @@ from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, V
 from simulation.closed_loop.job import Job, Outcome, Perception
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import TrueFieldFinger
-from simulation.physics.quasistatic import PhysicsError
+from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 
 MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
@@ -265,9 +265,11 @@ def stage(job: Job, models: ModelSet) -> Insertion:
     scene = job.build_scene()
     controller = CONTROLLERS[job.controller]
     perception: Perception = job.perception if controller.uses_networks else "fields"
-    draws = perception == "pictures"
+    draws, foreign = perception == "pictures", job.cell == "foreign"
+    if foreign and draws:
+        raise ValueError("cell 'foreign': it has no pictures of its own yet; expected perception 'fields'")
     unstated = Unstated.model_validate(job.unstated)
-    cell = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws)
+    cell = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, foreign=foreign)
     cell.dead = job.dead
     reach = (scene.x_range_mm, scene.theta_range_deg)
     chooser = controller.make(hash_seed(job.seed, job.index), reach) if controller.make else None

@@ -85,6 +85,8 @@ class Bodies:
         self.stretch = np.zeros((2 * self._slots + 8, 3))  # of each contact's friction, work-object frame, mm
         self.beside = np.zeros(2, np.bool_)
         self.touching = False
+        self._start = (np.eye(3), np.zeros(3))
+        self._block_start, self._old = (self.block_turn.copy(), self.block_place.copy()), self.stretch.copy()
 
     def forget(self) -> None:
         """The object is taken away from the blocks."""
@@ -213,7 +215,9 @@ class Bodies:
         theirs = points.copy()
         for b in range(2):
             mine, based = slots // self._slots == b, (slots - 2 * self._slots) // 4 == b
-            back = (points - self.block_place[b]) @ self.block_turn[b] @ self._block_start[0][b].T + self._block_start[1][b]
+            back = (points - self.block_place[b]) @ self.block_turn[b] @ self._block_start[0][b].T + self._block_start[
+                1
+            ][b]
             theirs[mine], ours[based] = back[mine], back[based]
         slid = theirs - ours + self._old[slots]
         return np.asarray(slid - np.einsum("ij,ij->i", slid, contacts.normals)[:, None] * contacts.normals)
@@ -266,7 +270,13 @@ class Bodies:
         slopes = np.einsum("mij,mjl->mil", self._slopes(contacts, grip, careful=careful), follow)
         slopes[:, :, 3:6] -= (contacts.turns * press)[:, None, None] * cross_matrix(contacts.normals) @ self.hand.turn
         slope = np.einsum("mik,mil->kl", follow, slopes)
-        arms = np.einsum("mij,mjk,mkl->il", -cross_matrix(forces[bodies < 2]), contacts.travel[bodies < 2], follow[bodies < 2], optimize=True)
+        arms = np.einsum(
+            "mij,mjk,mkl->il",
+            -cross_matrix(forces[bodies < 2]),
+            contacts.travel[bodies < 2],
+            follow[bodies < 2],
+            optimize=True,
+        )
         slope[3:6] += self.hand.turn.T @ arms
         return Push(total, slope)
 

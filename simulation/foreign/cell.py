@@ -20,7 +20,7 @@ from simulation.foreign.rigid import rotation, rotation_vector
 from simulation.foreign.surface import HeldSurface
 from simulation.scene.effects import active_effects
 from simulation.scene.ground_truth import Pose, reasons_against
-from simulation.scene.scene import Scene
+from simulation.scene.scene import Scene, SceneError
 from simulation.scene.state import CellState, PhysicsError
 
 Array = NDArray[np.float64]
@@ -34,24 +34,36 @@ HALVINGS = 4
 LOST_MM, LOST_GRIP = 12.0, 0.1
 YAW_ARM_MM = 40.0  # a yaw counts as the arc at this radius
 POISSON_RATIO = 0.48
+ENDLESS_MM = 1e3
 
 
 def pad_of(scene: Scene) -> Pad:
-    """The gel pad that a scene describes."""
+    """The gel pad that a scene describes; a rubber's Poisson's ratio unless it says otherwise.
+
+    Raises SceneError for what these pads do not have: viscosity, and fingers that give way.
+    """
     gel, sensor = scene.gel, scene.sensor
-    poisson = getattr(gel, "poisson_ratio", None)
-    margin = getattr(gel, "margin_mm", None)
-    return Pad(
-        sensor.gel_width_mm,
-        sensor.gel_height_mm,
-        gel.thickness_mm,
-        POISSON_RATIO if poisson is None else poisson,
-        (0.0, 0.0) if margin is None else tuple(margin),
-    )
+    for key, value in (
+        ("gel.relaxation_share", gel.relaxation_share),
+        ("grasp.finger_stiffness_n_per_mm", scene.grasp.finger_stiffness_n_per_mm),
+    ):
+        if value > 0.0:
+            raise SceneError(f"{scene.name}: {key}: {value:g} is not in the foreign cell; expected 0")
+    sizes, margins = [], []
+    markers = (sensor.marker_columns - 1, sensor.marker_rows - 1)
+    for axis, pressed_mm in enumerate((sensor.gel_width_mm, sensor.gel_height_mm)):
+        beyond_mm = ENDLESS_MM if gel.margin_mm is None else gel.margin_mm[axis]
+        whole_mm = markers[axis] * sensor.marker_pitch_mm + 2.0 * beyond_mm
+        sizes.append(min(pressed_mm, whole_mm))
+        margins.append(0.5 * (whole_mm - sizes[axis]))
+    poisson = POISSON_RATIO if gel.poisson_ratio is None else gel.poisson_ratio
+    return Pad(sizes[0], sizes[1], gel.thickness_mm, poisson, (margins[0], margins[1]))
 
 
 class ForeignCell:
     """A scene with its state; the same doors as the project's own cell."""
+
+    relaxes = False
 
     def __init__(self, scene: Scene, seed: int = 0, pad: Pad | None = None) -> None:
         self.scene, self.rng = scene, np.random.default_rng(seed)
@@ -62,6 +74,7 @@ class ForeignCell:
         self.pose = np.zeros(4)
         self.residual_n, self.iterations = 0.0, 0
         self.grasp_lost = False
+        self.pace_mm_s = scene.speed_mm_s  # nothing here depends on it
         self._slid = np.zeros(len(self.pads.side), np.bool_)
         self._pace: tuple[Array, Array, Array] | None = None
         self.regrasp(0.0, 0.0)
@@ -82,7 +95,7 @@ class ForeignCell:
         self._pace = None
         self._close(rotation(np.array([0.0, tilt[0], tilt[1]])))
         self._advance(self.pose)
-        x, theta = self._object_error()
+        _, theta = self._object_error()
         self.pose[3] += math.radians(theta_deg - theta)
         self.bodies.hand = hand_at(self.pose)
         self.pose[0] += x_mm - self._object_error()[0]
@@ -109,7 +122,8 @@ class ForeignCell:
         if pressed_mm > THROUGH * self.scene.gel.thickness_mm:
             raise PhysicsError(
                 f"grasp.force_n: {force_n} N presses the gel in by {pressed_mm:.2f} mm of "
-                f"{self.scene.gel.thickness_mm} mm", "gel squeezed through",
+                f"{self.scene.gel.thickness_mm} mm",
+                "gel squeezed through",
             )
 
     def _rests(self, drive: Drive, travel: Array | None = None) -> bool:
@@ -156,6 +170,10 @@ class ForeignCell:
         self.bodies.hand = hand_at(self.pose)
         return self.look()
 
+    def wait(self, _time_s: float) -> CellState:
+        """Stand still: nothing here changes with time."""
+        return self.look()
+
     def _free_share(self, target: Array) -> float:
         """Share of a straight move in which the object just rides along, clear of the blocks."""
         now, then = self._lowest(hand_at(self.pose)), self._lowest(hand_at(target))
@@ -171,6 +189,10 @@ class ForeignCell:
 
     def _advance(self, target: Array, depth: int = 0) -> None:
         """One load step, halved where it must be. Raises PhysicsError."""
+        if self._drops():
+            self.grasp_lost, self.pose = True, target.copy()
+            self.bodies.hand = hand_at(target)
+            return
         beside, start = self.bodies.beside.copy(), self.grip.on.copy()
         before, after = hand_at(self.pose), hand_at(target)
         self.bodies.begin(self.grip, before, after)
@@ -178,13 +200,11 @@ class ForeignCell:
             self._arrive(target, start)
             return
         self.bodies.beside, self.bodies.hand = beside, before
-        if self._drops():
-            self.grasp_lost, self.pose = True, target.copy()
-            return
         if depth == HALVINGS:
             raise PhysicsError(
                 f"scene {self.scene.name!r}: no equilibrium within {TOLERANCE_N} N at TCP "
-                f"{np.round(target[:3], 3).tolist()} mm", "forces unbalanced",
+                f"{np.round(target[:3], 3).tolist()} mm",
+                "forces unbalanced",
             )
         self._advance(0.5 * (self.pose + target), depth + 1)
         if not self.grasp_lost:
@@ -201,7 +221,9 @@ class ForeignCell:
         moved = np.linalg.norm(self.grip.on - start, axis=1)
         self._slid = (self.grip.status == SLIP) & (moved > 1e-7)
         grips = np.abs(self.pads.forces(self.grip)[:, 1].reshape(2, -1).sum(axis=1))
-        self.grasp_lost = bool(np.abs(self.grip.place).max() > LOST_MM or grips.min() < LOST_GRIP * self.scene.grasp.force_n)
+        self.grasp_lost = bool(
+            np.abs(self.grip.place).max() > LOST_MM or grips.min() < LOST_GRIP * self.scene.grasp.force_n
+        )
 
     def _object_error(self) -> tuple[float, float]:
         turn, place = self.bodies.pose(self.grip)
@@ -231,4 +253,3 @@ class ForeignCell:
             grasp_lost=self.grasp_lost,
             residual_n=self.residual_n,
         )
-

@@ -41,7 +41,7 @@ class Closing:
         return float(np.abs(force).max())
 
     def reach(self, motion: Array) -> float:
-        """mm."""
+        """Mm."""
         return float(np.abs(motion).max())
 
     def memory(self) -> tuple[Array, ...]:

@@ -113,7 +113,6 @@ class Step:
     def _pressing(self) -> Array:
         return self.pads.judge(self.grip, self.planes, self.start, None).pressing
 
-
     def run(self, tolerance_n: float, limit: Array | None, most: int) -> float:
         """Newton's iteration with limits held [n] or following (None). The residual, N; infinite: not at rest."""
         pads, grip, drive = self.pads, self.grip, self.drive

@@ -159,7 +159,7 @@ class Pads:
         return Judged(forces, normal, tangents, pressing, drag, trial, limit, ahead, status, worst)
 
     def rows(self, pad: int, grip: Grip, judged: Judged, lines: Array, *, follow: bool, turns: bool) -> Rows:
-        """Equations of a pad's free nodes. lines [n, 3, k]; follow: limits follow the pressures; turns: y is a twist."""
+        """Equations of a pad's free nodes; lines [n, 3, k], limits that follow the pressures, y that is a twist."""
         part = slice(pad * self.count, (pad + 1) * self.count)
         status, forces = grip.status[part], judged.forces[part]
         opened, slipping = np.flatnonzero(status == OPEN), np.flatnonzero(status == SLIP)

@@ -16,18 +16,19 @@ class Readout:
 
     def __init__(self, face: Face, sensor: Sensor) -> None:
         pitch, (margin_u, margin_v) = sensor.marker_pitch_mm, sensor.gel_margin_mm
-        u = margin_u + np.arange(sensor.marker_columns) * pitch - 0.5 * sensor.gel_width_mm
-        v = margin_v + np.arange(sensor.marker_rows) * pitch - 0.5 * sensor.gel_height_mm
+        u: Array = margin_u + np.arange(sensor.marker_columns) * pitch - 0.5 * sensor.gel_width_mm
+        v: Array = margin_v + np.arange(sensor.marker_rows) * pitch - 0.5 * sensor.gel_height_mm
         # finger 0 sees x to its right, finger 1 to its left; both see z upwards, v runs down
         self._curved = [(_quadratic(face.z, -v), _quadratic(face.x, side * u)) for side in (1.0, -1.0)]
         self._straight = [(_linear(face.z, -v), _linear(face.x, side * u)) for side in (1.0, -1.0)]
         self._nearest = [
-            np.ix_(np.abs(-v[:, None] - face.z).argmin(1), np.abs(s * u[:, None] - face.x).argmin(1)) for s in (1.0, -1.0)
+            np.ix_(np.abs(-v[:, None] - face.z).argmin(1), np.abs(s * u[:, None] - face.x).argmin(1))
+            for s in (1.0, -1.0)
         ]
         self._grid = (len(face.z), len(face.x))
 
     def __call__(self, motion: Array, pressure: Array) -> NDArray[np.float32]:
-        """motion [n, 3], mm, hand frame, and pressure [n], N/mm2, of both pads' nodes."""
+        """Motion [n, 3], mm, hand frame, and pressure [n], N/mm2, of both pads' nodes."""
         fingers = []
         for finger, side in enumerate((1.0, -1.0)):
             along_v, along_u = self._curved[finger]

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def cross_matrix(a: Array) -> Array:
-    """Matrices [..., 3, 3] with cross_matrix(a) @ b = a x b."""
+    """What a x b is as a matrix [..., 3, 3] on b."""
     out = np.zeros((*a.shape, 3))
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -a[..., 2], a[..., 1], -a[..., 0]
     out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = a[..., 2], -a[..., 1], a[..., 0]
