@@ -15,7 +15,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train export evaluate robustness requirements docs clean
+.PHONY: help run trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train export evaluate robustness requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -124,6 +124,9 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 
 slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md (REAL=folder adds recordings)
 	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
+
+trust-live: $(RUN_VENV)/ready ## break live insertions on purpose: docs/motion_bounds.md, .json; goes on after an interruption (TOGETHER=1)
+	$(RUN) -m simulation motion-bounds $(if $(TOGETHER),--together $(TOGETHER))
 
 tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png (FOLDERS= names others than models/)
 	$(BIN)/python -m export tradeoff --data $(PROBES) $(FOLDERS)

@@ -22,6 +22,7 @@ _CAUSES: dict[str, wire.Cause] = {
     "attempts": "attempts",
     "part_lost": "part_lost",
     "no_decision": "no_decision",
+    "contradictory": "no_decision",
     "refused": "refused",
     "timeout": "timeout",
     "not_seated": "not_confirmed",
@@ -98,10 +99,10 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
 
 
 def descend(state: State, captured_ns: int, at_s: float) -> Result:
-    """Go down on the lease of the reference frame; without one nothing moves."""
+    """Go down on the lease of the reference frame; if that has become too old, on one that is judged after it."""
     state = watched(state, captured_ns, at_s)
     if at_s >= state.until_s:
-        return unwatched(state, at_s)
+        return state, ()
     assert state.armed is not None
     plan = state.plan
     bottom = state.armed.at_height(state.armed.z_mm - state.bottom_mm)

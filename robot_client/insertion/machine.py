@@ -256,7 +256,7 @@ def _on_attempt_message(state: State, message: wire.AttemptMessage, at_s: float)
     if message.attempt < state.attempt:
         return result
     match message:
-        case wire.Armed() if state.phase is Phase.ARMING:
+        case wire.Armed() | wire.Watching() if state.phase is Phase.ARMING:
             result = descend(state, message.frame_captured_ns, at_s)
         case wire.Refused() if state.phase is Phase.ARMING:
             result = fail(state, "service", "refused", f"{message.reason}: {message.detail}")
@@ -280,8 +280,9 @@ def _on_correction(state: State, message: wire.Correction, at_s: float) -> Resul
 
 
 def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
-    """Probe the same spot again, the one motion that is no guess; never after non-finite results, and not for ever."""
+    """Probe the same spot again, the one motion that is no guess; not for ever, and never in a cell that is wrong."""
     count = state.no_decisions + 1
-    if message.reason == "non_finite" or count > state.plan.max_no_decisions:
-        return fail(state, "service", "no_decision", f"{message.reason}: {message.detail}")
+    if message.reason in {"non_finite", "contradictory"} or count > state.plan.max_no_decisions:
+        code = "contradictory" if message.reason == "contradictory" else "no_decision"
+        return fail(state, "service", code, f"{message.reason}: {message.detail}")
     return retract(replace(state, no_decisions=count), 0.0, 0.0, at_s)

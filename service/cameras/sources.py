@@ -111,13 +111,21 @@ def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False)
     stamp = _STAMP.search(header.replace(b"\r\n", b"\n"))
     if stamp is None:
         return arrived_ns
-    stamp_ns = int(stamp[1]) * 1_000_000_000 + int(stamp[2].ljust(9, b"0"))
+    return capture_ns(int(stamp[1]) * 1_000_000_000 + int(stamp[2].ljust(9, b"0")), arrived_ns, same_clock=same_clock)
+
+
+def capture_ns(stamp_ns: int, arrived_ns: int, *, same_clock: bool) -> int:
+    """A camera's own stamp if it can be of this machine's monotonic clock, else the frame's arrival."""
     age_ns = arrived_ns - stamp_ns
     return stamp_ns if age_ns >= 0 and (same_clock or age_ns <= _SAME_CLOCK_NS) else arrived_ns
 
 
 class V4l2Source:
-    """A local video device, read through OpenCV."""
+    """A local video device, read through OpenCV; stamped with the time that its driver wrote into the buffer.
+
+    The driver stamps when a frame begins or ends to come in, and on the monotonic clock where it says anything
+    (V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, as UVC does). A stamp of another clock is left for the time of reading.
+    """
 
     def __init__(self, device: int, frame_rate_hz: float, size: tuple[int, int] | None = None) -> None:
         self.name = f"v4l2:{device}"
@@ -135,11 +143,16 @@ class V4l2Source:
             if self._size:
                 capture.set(cv2.CAP_PROP_FRAME_WIDTH, self._size[0])
                 capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self._size[1])
+            same_clock = False
             while not stop.is_set():
                 grabbed, pixels = capture.read()
                 if not grabbed:
                     return
-                yield Capture(now_ns(), np.asarray(pixels, np.uint8))
+                read_ns = now_ns()
+                driver_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+                stamp_ns = capture_ns(driver_ns, read_ns, same_clock=same_clock)
+                same_clock = same_clock or stamp_ns != read_ns
+                yield Capture(stamp_ns, np.asarray(pixels, np.uint8))
         finally:
             capture.release()
 

@@ -29,6 +29,7 @@ from service.contract.wire_parts import (
     InsertionId,
     Limits,
     ModelEntry,
+    NoDecisionReason,
     Outcome,
     RefusalReason,
     RobotSample,
@@ -50,6 +51,7 @@ __all__ = [
     "InsertionId",
     "Limits",
     "ModelEntry",
+    "NoDecisionReason",
     "Outcome",
     "RefusalReason",
     "RobotSample",
@@ -227,7 +229,7 @@ class NoDecision(_Message):
 
     type: Literal["no_decision"] = "no_decision"
     attempt: Attempt
-    reason: Literal["no_motion", "out_of_distribution", "low_confidence", "non_finite", "stale", "too_few_frames"]
+    reason: NoDecisionReason
     detail: str
 
 

@@ -30,6 +30,15 @@ Cause = Literal[
 ]
 Ending = Literal["inserted", "not_confirmed", "failed", "aborted"]
 RefusalReason = Literal["no_reference", "nothing_held", "implausible_width", "late_frames", "not_seen"]
+NoDecisionReason = Literal[
+    "no_motion",
+    "out_of_distribution",
+    "low_confidence",
+    "non_finite",
+    "stale",
+    "too_few_frames",
+    "contradictory",  # the estimates do not follow from the commanded moves: the cell is wired wrong
+]
 DoubtReason = Literal["push", "not_seen", "not_held", "width", "moved_in_hand", "depth", "order"]
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from service.contract import wire
 from service.decision.attempt import Attempt, Stage
 from service.decision.claim import GraspRecord, doubts, newest_age_s
+from service.decision.consistency import Consistency
 from service.decision.controllers import Command, Controller
 from service.decision.evidence import Evidence, Refusal
 from service.decision.models import ModelSet
@@ -20,7 +21,10 @@ Decision = wire.Correction | wire.NoDecision
 
 @dataclass(slots=True)
 class Decider:
-    """Decides the attempts of one insertion; ``command`` is the move of the last correction."""
+    """Decides the attempts of one insertion; ``command`` is the move of the last correction.
+
+    ``consistency`` is None where something else than its corrections moves the arm.
+    """
 
     insertion_id: str
     models: ModelSet
@@ -28,6 +32,7 @@ class Decider:
     deadlines: Deadlines
     command: Command | None = None
     grasp: GraspRecord = field(default_factory=GraspRecord)
+    consistency: Consistency | None = field(default_factory=Consistency)
 
     def conclude(self, attempt: Attempt, now_ns: int) -> Decision | None:
         """The answer to a blocked attempt, None while its frames or the networks' result may still come."""
@@ -65,6 +70,9 @@ class Decider:
         try:
             check_evidence(self.models, attempt, evidence)
             command = self.controller.decide(evidence, attempt.arm.attempt)
+            decided = correction(self.insertion_id, attempt, evidence, command, latency_ms)
+            if self.consistency is not None:
+                self.consistency.add(decided, attempt.ring[-1])
         except Refusal as refusal:
             return self._refuse(attempt, refusal)
         latency_ms = latency_ms | {
@@ -72,7 +80,7 @@ class Decider:
             "since_last_frame": (now_ns - attempt.decision_pairs[-1].captured_ns) / 1e6,
         }
         self.command = command
-        return correction(self.insertion_id, attempt, evidence, command, latency_ms)
+        return decided.model_copy(update={"latency_ms": latency_ms})
 
     def _refuse(self, attempt: Attempt, refusal: Refusal) -> Decision:
         self.controller.blocked_without_evidence()

@@ -2,26 +2,24 @@
 
 import time
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import ContractError, ErrorClass, ModelCard
-from service.contract.wire import Estimate
+from service.contract.wire import Estimate, NoDecisionReason
 from service.decision.models import Array, LoadedModel, ModelSet
 
 Floats = NDArray[np.float64]
-RefusalReason = Literal["no_motion", "out_of_distribution", "low_confidence", "non_finite", "stale", "too_few_frames"]
 Z_90 = 1.6448536269514722  # a normal variable lies within this many sigmas with probability 0.9
 
 
 class Refusal(ContractError):  # noqa: N818 - a refusal is an answer, not an error
     """No correction can be trusted; ``reason`` is the wire's code."""
 
-    def __init__(self, reason: RefusalReason, detail: str) -> None:
+    def __init__(self, reason: NoDecisionReason, detail: str) -> None:
         super().__init__(detail)
-        self.reason: RefusalReason = reason
+        self.reason: NoDecisionReason = reason
 
 
 @dataclass(frozen=True, slots=True)

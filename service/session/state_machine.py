@@ -55,7 +55,7 @@ class InsertionSession:
     attempt: Attempt | None = None
     finished: wire.Finished | None = None
     recording: str | None = None
-    _decider: Decider | None = None
+    decider: Decider | None = None
     _fingers: Fingers = field(init=False)
     _generation: int = 0
     _open: OpenGels = field(default_factory=OpenGels)
@@ -122,10 +122,10 @@ class InsertionSession:
         elif message.attempt != last + 1 or not decided:
             state = "decided" if decided else "not decided yet"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
-        if self._decider is None:
+        if self.decider is None:
             controller = make_controller(self.controller_name, self.limits, message.grasp_height_mm)
-            self._decider = Decider(message.insertion_id, self.models, controller, self.deadlines)
-            self._decider.grasp.width_mm = message.gripper_width_mm
+            self.decider = Decider(message.insertion_id, self.models, controller, self.deadlines)
+            self.decider.grasp.width_mm = message.gripper_width_mm
         self._generation += 1
         self.attempt = Attempt(message, now_ns, self._generation)
         return []
@@ -259,14 +259,14 @@ class InsertionSession:
         return [self._fault("stale_frames", why)]
 
     def _conclude(self, now_ns: int) -> Replies:
-        if self.attempt is None or self._decider is None:
+        if self.attempt is None or self.decider is None:
             return []
         if self.attempt.outcome == "inserted":
-            doubts = self._decider.doubts(self.attempt, now_ns, self.limits.max_frame_age_ms)
+            doubts = self.decider.doubts(self.attempt, now_ns, self.limits.max_frame_age_ms)
             cause: wire.Cause | None = "not_confirmed" if doubts else None
             return [] if doubts is None else self._end(self.attempt, cause, doubts)
-        decision = self._decider.conclude(self.attempt, now_ns)
-        if command := self._decider.command:
+        decision = self.decider.conclude(self.attempt, now_ns)
+        if command := self.decider.command:
             self.on_command(command)
         return [] if decision is None else self._decided(self.attempt, decision)
 

@@ -9,17 +9,22 @@ from fastapi.responses import JSONResponse
 from simulation.cell.emulators.faults import FaultBoard, FaultError, Faults
 
 
-def create_admin(read_truth: Callable[[], dict[str, Any]], board: FaultBoard) -> FastAPI:
-    """``GET /truth``, ``GET|POST|DELETE /faults``, ``GET /faults/schema``, ``GET /healthz``."""
+def create_admin(
+    readings: dict[str, Callable[[], Any]],
+    board: FaultBoard,
+) -> FastAPI:
+    """Serve ``GET /NAME`` of each reading, ``GET /healthz``, and the faults.
+
+    ``GET|POST|DELETE /faults``, ``GET /faults/schema``.
+    """
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
     @app.get("/healthz")
     async def health() -> dict[str, str]:
         return {"status": "ok"}
 
-    @app.get("/truth")
-    async def truth() -> dict[str, Any]:
-        return read_truth()
+    for name, read in readings.items():
+        app.get(f"/{name}")(read)
 
     @app.get("/faults")
     async def faults() -> dict[str, Any]:

@@ -29,6 +29,7 @@ class CameraFeed:
         self._loop = loop
         self._waiting: Exposure | None = None
         self._shot_s = -1.0
+        self._frozen: Image | None = None  # the last picture that was drawn
         self._wake = threading.Condition()
         self._stopped = False
         self._thread = threading.Thread(target=self._run, name=f"camera-{camera.finger}", daemon=True)
@@ -61,7 +62,12 @@ class CameraFeed:
         """Draw and encode one exposure, with this camera's faults."""
         faults = self._camera.faults
         gel, previous = exposure.gel[self._index], exposure.previous[self._index]
-        pixels = self._draw(gel, 2 * exposure.seq + self._index, previous)
+        if not faults.frozen_noise or self._frozen is None:
+            self._frozen = self._draw(gel, 2 * exposure.seq + self._index, previous)
+        pixels = self._frozen
+        if faults.frozen_noise:
+            noise = np.random.default_rng(exposure.seq).integers(-2, 3, pixels.shape)
+            pixels = np.clip(pixels + noise, 0, 255).astype(np.uint8)
         if faults.black:
             pixels = np.zeros_like(pixels)
         if faults.half_size:

@@ -62,6 +62,12 @@ class Child:
         except (OSError, IndexError, ValueError):
             return float("nan")
 
+    def go_first(self) -> None:
+        """Run before other processes from now on, as on a cell's PC, where the machine allows it."""
+        for thread in Path(f"/proc/{self.process.pid}/task").glob("*"):
+            with contextlib.suppress(OSError, AttributeError):
+                os.sched_setscheduler(int(thread.name), os.SCHED_RR, os.sched_param(1))
+
     def end(self, patience_s: float = 8.0) -> None:
         """Ask it to end, insist after ``patience_s``."""
         for number, wait_s in ((signal.SIGTERM, patience_s), (signal.SIGKILL, 5.0)):

@@ -12,6 +12,7 @@ import signal
 import socket
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -39,6 +40,7 @@ from simulation.cell.world import HeldPart, Mechanics, World
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM
 
 APPROACH_MM = 5.0  # the object's bottom above the block tops at the approach pose
+TRACE_N = 30_000  # TCP heights, 250 a second: two minutes
 INSERTION_MM = 20.0  # how deep its bottom is in the gap when it counts as inserted
 
 
@@ -108,7 +110,8 @@ class LiveCell:
         self.egm = EgmEmulator(self.cabinet, self.frames, self.guide_port, joint_mode=options.egm_joint_mode)
         self.stop_watch = StopWatch(self.cabinet)
         self.rapid = RapidServers(self.cabinet)
-        self.egm.on_cycle += [self.rapid.cycle, self.stop_watch, self._set_lag]
+        self.egm.on_cycle += [self.rapid.cycle, self.stop_watch, self._set_lag, self._note_height]
+        self.trace: deque[tuple[int, float]] = deque(maxlen=TRACE_N)
         self.gate = Gate(self.board, options.rws_user, options.rws_password)
         self.rws = HttpServer(create_app(self.cabinet, self.frames, self.gate), self.sockets.rws)
         self.gate.abort = self.rws.abort
@@ -119,7 +122,8 @@ class LiveCell:
         self.gripper = Gripper(self.part, self.board, holding=held)
         self.wsg = Wsg50Emulator(self.gripper, self.board)
         self.cameras = {finger: CameraEmulator(finger, self.board, plant.dropped_share) for finger in FINGERS}
-        self.admin = HttpServer(create_admin(self.truth, self.board), self.sockets.admin)
+        readings = {"truth": self.truth, "glance": self.glance, "trace": self.way}
+        self.admin = HttpServer(create_admin(readings, self.board), self.sockets.admin)
         self.feeds: list[CameraFeed] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._started_s = time.monotonic()
@@ -136,6 +140,9 @@ class LiveCell:
 
         if self._loop is not None:
             self._loop.call_soon_threadsafe(stop)
+
+    def _note_height(self) -> None:
+        self.trace.append((time.monotonic_ns(), self.cabinet.arm.pose.position_mm[2]))
 
     def _set_lag(self) -> None:
         lag_ms = self.board.faults.robot.egm_lag_ms
@@ -208,7 +215,16 @@ class LiveCell:
             "fps": self.plant.fps,
         }
 
-    def truth(self) -> dict[str, Any]:
+    async def way(self) -> list[tuple[int, float]]:
+        """Heights of the TCP in mm over the machine's steady clock in ns, a cycle of the arm each."""
+        return list(self.trace)
+
+    async def glance(self) -> dict[str, Any]:
+        """Where the arm is, and whether the object touches anything."""
+        state = self.world.state
+        return {"z_mm": self.cabinet.arm.pose.position_mm[2], "touches": state is not None and bool(state.in_contact)}
+
+    async def truth(self) -> dict[str, Any]:
         """What only a simulator knows, and what went over the wires."""
         arm, state, course = self.cabinet.arm, self.world.state, self.world.course
         truth: dict[str, Any] = {

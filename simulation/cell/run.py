@@ -6,7 +6,7 @@ The cell plays robot, gripper and cameras on loopback; the service and the clien
 import json
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -134,6 +134,8 @@ def _start_client(start: Start, facts: dict[str, Any], url: str, options: RunOpt
     }[options.link]
     keys = {**robot, "rws.url": facts["rws_url"]}.items()
     lines = ["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys)]
+    if options.link == "socket":  # REACTION_S and the controller's stop ramp
+        lines += ["[lease]", "stop_lag_s = 0.07"]
     lines += ["[service]", f"token_file = {json.dumps(str((folder / 'state' / TOKEN_FILE).resolve()))}"]
     lines += ["[task]", f"object = {json.dumps(start.object)}"]
     config.write_text("\n".join(lines))
@@ -165,8 +167,13 @@ class Loop(NamedTuple):
 
 
 @contextmanager
-def loop(start: Start, options: RunOptions, folder: Path) -> Iterator[Loop]:
-    """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails."""
+def loop(
+    start: Start, options: RunOptions, folder: Path, through: Callable[[str], str] = lambda url: url
+) -> Iterator[Loop]:
+    """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails.
+
+    ``through``: the address by which the client reaches the service, made of the service's own.
+    """
     folder.mkdir(parents=True)
     with ExitStack() as children:
         cell = children.enter_context(_start_cell(start, options, folder))
@@ -174,7 +181,9 @@ def loop(start: Start, options: RunOptions, folder: Path) -> Iterator[Loop]:
         facts = json.loads((folder / "cell" / "cell.json").read_text())
         service = children.enter_context(_start_service(facts, options, folder))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        client = children.enter_context(_start_client(start, facts, url, options, folder))
+        client = children.enter_context(_start_client(start, facts, through(url), options, folder))
+        for child in (cell, service, client):
+            child.go_first()
         yield Loop(cell, service, client, facts, folder / "episode.jsonl")
 
 

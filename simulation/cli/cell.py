@@ -10,6 +10,7 @@ from pathlib import Path
 
 import tyro
 
+from reporting.page import publish
 from reporting.statistics import mean
 from reporting.table import table
 from simulation.cell import run_report
@@ -19,6 +20,8 @@ from simulation.cell.options import CellOptions
 from simulation.cell.plant import build, load
 from simulation.cell.run import RunOptions, Start, insert, starts
 from simulation.cell.run_report import Result
+from simulation.studies.motion_bounds import report as bounds_report
+from simulation.studies.motion_bounds.campaign import BoundsOptions, measure
 
 FAILED_COUNTS_AS = 16
 
@@ -45,6 +48,25 @@ def run(arguments: list[str]) -> int:
         return 0 if all(result.inserted for result in results) else 1
 
     return exit_status("run", insert_all)
+
+
+def motion_bounds(arguments: list[str]) -> int:
+    """Every fault in every phase; exit 0 if all bounds hold, 1 if one does not."""
+    options = tyro.cli(BoundsOptions, args=arguments, prog="tactile-insertion motion-bounds")
+    if options.together < 1 or not options.out.is_dir():
+        raise ValueError(f"expected --together >= 1 and an existing folder, got {options.together} and {options.out}")
+
+    def break_all() -> int:
+        rows = measure(options, lambda line: print(line, flush=True))
+        broken = [row for row in rows if not row["held"]]
+        if not options.only:
+            data = {"rows": rows}
+            print(publish(options.out, bounds_report.NAME, bounds_report.bounds_page(data), data))
+        for row in broken:
+            print(f"motion-bounds: does not hold: {row}", file=sys.stderr)
+        return 1 if broken else 0
+
+    return exit_status("motion-bounds", break_all)
 
 
 def exit_status(command: str, work: Callable[[], int]) -> int:

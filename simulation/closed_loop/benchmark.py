@@ -97,5 +97,5 @@ def _holds(interval: Sequence[float] | None, truth: float) -> bool:
 
 
 def _cause(reason: str) -> str:
-    """Who ended it and why, without the details."""
-    return ": ".join(reason.split(": ")[:2])
+    """Who ended it and why, without the details; a cell that is wired wrong with what is wrong with it."""
+    return reason if "contradictory" in reason else ": ".join(reason.split(": ")[:2])

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from service.contract import FINGERS, FramePair, TactileFrame
 from service.perception.rectification import CameraCalibration
-from simulation.foreign.cell import ForeignCell
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.inertia import duration_s as time_at
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -102,7 +101,13 @@ class LockstepCell:
 
         foreign: its mechanics are those of finite elements, see `simulation.foreign`.
         """
-        cell: Cell = ForeignCell(scene, seed) if foreign else QuasiStaticCell(scene, seed)
+        cell: Cell
+        if foreign:
+            from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem, which nothing else needs
+
+            cell = ForeignCell(scene, seed)
+        else:
+            cell = QuasiStaticCell(scene, seed)
         cell.regrasp(x_mm, theta_deg)
         misplaced = Misplacement(unstated or Unstated(), _pose_of(cell))
         left, right = (Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS)

@@ -158,6 +158,8 @@ class Insertion:
 
     def _note(self, message: Correction | NoDecision) -> Correction | NoDecision:
         """Log the attempt beside the truth; a baseline puts its own move in the correction's place."""
+        if self.chooser and self.session.decider:
+            self.session.decider.consistency = None  # the arm follows another's moves
         if self.chooser and (isinstance(message, Correction) or not self.controller.uses_networks):
             message = self._chosen(self.chooser, message)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})

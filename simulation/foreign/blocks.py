@@ -1,9 +1,6 @@
 """The two blocks and the held object as bodies: where they touch, what that does, and how they move.
 
-Block frame: origin in the middle of the inner top edge, x into the block, y along the edge, z up. A contact is a
-spring of the scene's stiffness along its normal and a softer one with Coulomb's limit across it. Contacts of a block
-come from cutting the object's bottom face along the block's inner edge: what lies over the block stands on its top
-(corners) or on its edge (the cut's ends). Below the tops, it is the prism's upright edges that lean on the wall.
+A contact is a spring of the scene's stiffness along its normal and a softer one with Coulomb's limit across it.
 """
 
 from __future__ import annotations
@@ -14,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.foreign.contacts import Contacts, Properties, against_wall, is_beside, on_top
 from simulation.foreign.newton import ARM_MM, Push
 from simulation.foreign.pads import Grip
 from simulation.foreign.rigid import about_z, cross_matrix, lines_of, rotation, rotation_vector
@@ -26,7 +24,6 @@ GRAVITY_N_PER_KG = 9.81
 TANGENTIAL_SHARE = 0.5  # of a contact's stiffness across its normal
 TABLE_N_PER_MM = 2000.0  # below each corner of a free block
 NEAR_MM = 1.0
-ENTERED_MM = 0.5  # how much deeper than it overlaps an object must be to count as beside a block
 SHARERS = 8  # a curved bottom's many corners share the stiffness of this many
 
 
@@ -35,22 +32,6 @@ class Hand(NamedTuple):
 
     place: Array
     turn: Array
-
-
-class Contacts(NamedTuple):
-    """m possible contacts: points and normals [m, 3] (on the first body, work-object frame), gaps, mm, slots [m].
-
-    travel [m, 3, 3]: how the point moves with the first body's motion there. turns [m]: the normal is the object's.
-    """
-
-    points: Array
-    normals: Array
-    gaps: Array
-    slots: NDArray[np.intp]
-    stiffness: Array
-    travel: Array
-    turns: NDArray[np.bool_]
-    friction: Array
 
 
 class Bodies:
@@ -62,9 +43,9 @@ class Bodies:
         blocks, body = scene.blocks, scene.object
         self.foot = np.column_stack([body.footprint_mm, np.full(len(body.footprint_mm), -scene.grasp.height_mm)])
         self.free, self._size = active.free_blocks, (blocks.size_x_mm, blocks.size_y_mm, blocks.height_mm)
-        self._stiffness = blocks.stiffness_n_per_mm
-        self._shared = self._stiffness * min(1.0, SHARERS / len(self.foot))
-        self._friction = blocks.friction if active.edge_friction else 0.0
+        shared = blocks.stiffness_n_per_mm * min(1.0, SHARERS / len(self.foot))
+        friction = blocks.friction if active.edge_friction else 0.0
+        self._props = Properties(blocks.stiffness_n_per_mm, shared, friction)
         self._table_friction = blocks.table_friction
         self.weight_n = body.mass_kg * GRAVITY_N_PER_KG if scene.effects.gravity != "off" else 0.0
         self._centre = np.array([0.0, 0.0, body.centre_of_mass_height_mm - scene.grasp.height_mm])
@@ -108,7 +89,7 @@ class Bodies:
         self._block_start = (self.block_turn.copy(), self.block_place.copy())
         self._old = self.stretch.copy()
         for b in range(2):
-            self.beside[b] = self._is_beside(self._seen_from(b, grip), bool(self.beside[b]))
+            self.beside[b] = is_beside(self._seen_from(b, grip), bool(self.beside[b]))
 
     def arrive(self, grip: Grip) -> None:
         """The step came to rest: keep what friction has stretched."""
@@ -129,15 +110,6 @@ class Bodies:
         turn, place = self.pose(grip)
         return np.asarray((self.foot @ turn.T + place - self.block_place[b]) @ self.block_turn[b])
 
-    @staticmethod
-    def _is_beside(corners: Array, was: bool) -> bool:
-        below = corners[:, 2] < 0.0
-        if was or not below.any():
-            return was and bool(below.any())
-        over = corners[:, 0] > 0.0
-        depth = -float(corners[over, 2].min()) if over.any() else 0.0
-        return not over.any() or depth > float(corners[:, 0].max()) + ENTERED_MM
-
     def _contacts(self, grip: Grip) -> tuple[Contacts, NDArray[np.intp]]:
         """All that may touch now, and which bodies: 0, 1: the object and a block; 2, 3: a block and the table."""
         parts = [self._of_block(b, grip) for b in range(2)]
@@ -145,57 +117,19 @@ class Bodies:
         if self.free:
             parts += [self._on_table(b) for b in range(2)]
             bodies += [np.full(4, 2), np.full(4, 3)]
-        joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
+        joined: list[Any] = [np.concatenate(each) for each in zip(*parts, strict=True)]
         return Contacts(*joined), np.concatenate(bodies)
 
     def _of_block(self, b: int, grip: Grip) -> Contacts:
         corners, axis = self._seen_from(b, grip), self.block_turn[b].T @ self.pose(grip)[0][:, 2]
-        find = self._against_wall if self.beside[b] else self._on_top
-        found, frame = find(corners, axis), self.block_turn[b]
+        find = against_wall if self.beside[b] else on_top
+        found, frame = find(corners, axis, self._props), self.block_turn[b]
         found = Contacts(*(part[found.gaps < NEAR_MM] for part in found))
         return found._replace(
             points=found.points @ frame.T + self.block_place[b],
             normals=found.normals @ frame.T,
             slots=found.slots + b * self._slots,
             travel=frame @ found.travel @ frame.T,
-        )
-
-    def _on_top(self, corners: Array, axis: Array) -> Contacts:
-        """Corners over the block, and the ends of the block's edge below the bottom; block frame."""
-        ahead = np.roll(corners, -1, axis=0)
-        over = corners[:, 0] > 0.0
-        cut, corner = np.flatnonzero(over != (ahead[:, 0] > 0.0)), np.flatnonzero(over)
-        along = ahead[cut] - corners[cut]
-        ends = corners[cut] + (corners[cut, 0] / (corners[cut, 0] - ahead[cut, 0]))[:, None] * along
-        beside = np.cross(along, axis)  # normal of the upright side through which the edge leaves
-        shift = np.zeros((len(cut), 3, 3))
-        shift[:, 1] = beside / np.where(np.abs(beside[:, 1:2]) > 0.07 * np.abs(beside[:, :1]), beside[:, 1:2], np.inf)
-        slots = np.concatenate([np.where(over[cut], 0, 1), 2 + corner])
-        return Contacts(
-            np.concatenate([ends * [0.0, 1.0, 0.0], corners[corner]]),
-            np.concatenate([np.tile(axis, (len(cut), 1)), np.tile([0.0, 0.0, 1.0], (len(corner), 1))]),
-            np.concatenate([ends[:, 2] * axis[2], corners[corner, 2]]),
-            slots,
-            np.where(slots < 2, self._stiffness, self._shared),
-            np.concatenate([shift, np.tile(np.eye(3), (len(corner), 1, 1))]),
-            slots < 2,
-            np.full(len(slots), self._friction),
-        )
-
-    def _against_wall(self, corners: Array, axis: Array) -> Contacts:
-        """Upright edges of the object against the wall, at their lower ends and at the block's rim; block frame."""
-        low = np.flatnonzero(corners[:, 2] < 0.0)
-        rim = corners[low] - corners[low, 2:] / axis[2] * axis
-        points, count = np.concatenate([corners[low], rim]), 2 * len(low)
-        return Contacts(
-            points,
-            np.tile([-1.0, 0.0, 0.0], (count, 1)),
-            -points[:, 0],
-            np.concatenate([2 + low, 2 + len(corners) + low]),
-            np.full(count, self._shared),
-            np.tile(np.eye(3), (count, 1, 1)),
-            np.zeros(count, np.bool_),
-            np.full(count, self._friction),
         )
 
     def _on_table(self, b: int) -> Contacts:

@@ -174,9 +174,9 @@ class Step:
                 left = push.force + rest
                 if drive.weight(left) <= goal:
                     return total
-                motion = np.linalg.solve(push.slope + matrix, -left)
-                motion *= min(1.0, LONGEST_MM / max(1e-300, drive.reach(motion)))
-                motion *= self._share_of(motion, left, rest, matrix)
+                motion: Array = np.asarray(np.linalg.solve(push.slope + matrix, -left), np.float64)
+                motion = motion * min(1.0, LONGEST_MM / max(1e-300, drive.reach(motion)))
+                motion = motion * self._share_of(motion, left, rest, matrix)
                 total = total + motion
             if not careful:
                 drive.recall(memory)

@@ -16,8 +16,9 @@ class Readout:
 
     def __init__(self, face: Face, sensor: Sensor) -> None:
         pitch, (margin_u, margin_v) = sensor.marker_pitch_mm, sensor.gel_margin_mm
-        u: Array = margin_u + np.arange(sensor.marker_columns) * pitch - 0.5 * sensor.gel_width_mm
-        v: Array = margin_v + np.arange(sensor.marker_rows) * pitch - 0.5 * sensor.gel_height_mm
+        u: Array = np.linspace(0.0, pitch * (sensor.marker_columns - 1), sensor.marker_columns)
+        v: Array = np.linspace(0.0, pitch * (sensor.marker_rows - 1), sensor.marker_rows)
+        u, v = u + (margin_u - 0.5 * sensor.gel_width_mm), v + (margin_v - 0.5 * sensor.gel_height_mm)
         # finger 0 sees x to its right, finger 1 to its left; both see z upwards, v runs down
         self._curved = [(_quadratic(face.z, -v), _quadratic(face.x, side * u)) for side in (1.0, -1.0)]
         self._straight = [(_linear(face.z, -v), _linear(face.x, side * u)) for side in (1.0, -1.0)]

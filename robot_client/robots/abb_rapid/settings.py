@@ -17,6 +17,6 @@ class Settings(DeviceSettings):
     motion_port: int = Field(default=5010, ge=0, le=65535)
     guard_port: int = Field(default=5011, ge=0, le=65535)
     connect_timeout_s: float = Field(default=5.0, gt=0)
-    poll_s: float = Field(default=0.05, gt=0)
+    poll_s: float = Field(default=0.02, gt=0)
     silence_s: float = Field(default=0.5, gt=0)
     rws: RwsSettings = RwsSettings()

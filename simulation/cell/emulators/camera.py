@@ -45,13 +45,13 @@ class Shot:
     seq: int
     captured_ns: int
 
-    def part(self) -> bytes:
+    def part(self, *, stamped: bool = True) -> bytes:
         """The multipart part that carries this frame."""
         seconds, rest = divmod(self.captured_ns, 1_000_000_000)
+        stamp = f"X-Timestamp: {seconds}.{rest:09d}\r\nX-Captured-Ns: {self.captured_ns}\r\n" if stamped else ""
         head = (
             f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(self.jpeg)}\r\n"
-            f"X-Timestamp: {seconds}.{rest:09d}\r\n"
-            f"X-Captured-Ns: {self.captured_ns}\r\nX-Sequence: {self.seq}\r\n\r\n"
+            f"{stamp}X-Sequence: {self.seq}\r\n\r\n"
         )
         return head.encode() + self.jpeg + b"\r\n"
 
@@ -159,7 +159,7 @@ class CameraEmulator:
         while not (self._stopped or self.faults.disconnect):
             if await self._newer_than(sent) and self._newest is not None:
                 sent = self.published
-                writer.write(self._newest.part())
+                writer.write(self._newest.part(stamped=not self.faults.unstamped))
                 await writer.drain()
 
     async def _newer_than(self, sent: int) -> bool:

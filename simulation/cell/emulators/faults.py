@@ -66,6 +66,8 @@ class CameraFaults(_Section):
     garbage_next: Count = 0  # this many parts are not a JPEG
     half_size: bool = False  # frames come at half their width and height
     black: bool = False
+    frozen_noise: bool = False  # the same picture again and again, each with new noise of two grey levels
+    unstamped: bool = False  # parts do not say when they were captured
 
 
 class RobotFaults(_Section):

@@ -197,8 +197,14 @@ class Device:
         self.set_to[key] = value
         return True
 
+    def get(self, key: int) -> float:
+        """The driver's stamp in ms, as `cv2.CAP_PROP_POS_MSEC` gives it: the picture waited for 80 ms."""
+        assert key == cv2.CAP_PROP_POS_MSEC
+        return self.read_ns / 1e6 - 80.0
+
     def read(self) -> tuple[bool, np.ndarray | None]:
         self.left_n -= 1
+        self.read_ns = now_ns()
         return (self.left_n >= 0, np.full((4, 4, 3), self.left_n % 250, np.uint8) if self.left_n >= 0 else None)
 
     def release(self) -> None:
@@ -213,6 +219,9 @@ def test_a_video_device_gives_its_frames_and_is_given_back_when_unplugged(monkey
     captures = list(source.frames(threading.Event()))
     assert (source.name, opened, len(captures)) == ("v4l2:2", [(2, cv2.CAP_V4L2)], 5)
     assert all(a.captured_ns <= b.captured_ns for a, b in itertools.pairwise(captures))
+    assert captures[-1].captured_ns == pytest.approx(device.read_ns - 80_000_000, abs=10_000_000), (
+        "not when it was read"
+    )
     assert device.set_to == {cv2.CAP_PROP_FPS: 60.0, cv2.CAP_PROP_BUFFERSIZE: 1}
     assert device.released
 

@@ -135,7 +135,7 @@ def test_different_grids_on_two_fingers_are_refused_by_name_and_every_frame_is_k
         base, token = f"ws://127.0.0.1:{port}", bearer(station)
         with pushed(base, token, {"left": (20, 21), "right": (16, 17)}) as show:
             fault, shown, path = refused(base, token, station, show)
-    assert fault.reason == "no_reference"
+    assert (fault.type, fault.reason) == ("refused", "no_reference")
     assert "the fingers show different grids: left 21 x 20 markers, right 17 x 16" in fault.detail
     assert station.counters.perception_errors_n == 0
     recording = Recording(path)
@@ -147,7 +147,7 @@ def test_different_grids_on_two_fingers_are_refused_by_name_and_every_frame_is_k
 def refused(
     base: str, token: dict[str, str], station: Station, show: Callable[[], None]
 ) -> tuple[wire.Refused, int, Path]:
-    """Ask for a reference until it is refused; the fault, how many pairs were shown meanwhile, and the recording."""
+    """Ask for a reference until it is refused; the refusal, how many pairs were shown meanwhile, and the recording."""
     with connect(f"{base}/v1/insertion", additional_headers=token, compression=None) as link:
         link.send(wire.ClientHello(insertion_id="unlike", client="test").model_dump_json())
         assert wire.parse_service(link.recv(20)).type == "hello"

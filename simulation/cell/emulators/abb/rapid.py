@@ -15,7 +15,7 @@ from robot_client.robots.abb_rapid.codec import MAX_TEXT, TextParser
 from simulation.cell.emulators.abb.cabinet import Cabinet
 from simulation.cell.emulators.abb.motion import Pose, normalised, rotated, rotation_between
 
-SILENCE_S = 0.3  # silenceLimit of TactileGuard.mod
+SILENCE_S = 0.1  # silenceLimit of TactileGuard.mod
 TOP_SPEED_MM_S = 80.0  # topSpeed and turnSpeed of TactileMotion.mod
 TURN_SPEED_RAD_S = math.radians(60.0)
 REACTION_S = 0.04  # from the flag to the brake: an assumption, the modules have run on no controller yet

@@ -1,0 +1,202 @@
+"""One fault in one phase of a live insertion over real sockets: how far the arm went on, how hard, and how it ended."""
+
+import contextlib
+import json
+import shutil
+import threading
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from simulation.cell.children import Child, ChildError
+from simulation.cell.run import RunOptions, Start, loop
+from simulation.studies.motion_bounds.faults import Bench, Fault, Phase
+from simulation.studies.motion_bounds.relay import Relay
+
+SPEED_MM_S = 10.0
+BOUND_MM, MOST_N = 1.5, 25.0
+AIR_MM = 1.5  # below the approach pose
+END_S, SETTLE_S, STOP_S = 60.0, 0.4, 0.3
+POLL_S = 0.004
+MOVED_MM = 0.05
+LOGGED: dict[Phase, str] = {
+    "arming": '"type": "arm"',
+    "deciding": '"type": "stopped"',
+    "retracting": '"motion": "retract"',
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """``travel_mm`` after the capture of the last picture that showed the world and was judged; heights are the TCP's.
+
+    ``moved_mm``: the largest way after the arm had come to rest for good. ``injected``: whether the phase was met.
+    """
+
+    fault: str
+    phase: str
+    injected: bool
+    travel_mm: float
+    force_n: float
+    moved_mm: float
+    ended: str
+    inserted: bool
+    hung: bool
+    tracebacks: int
+    bounded: bool
+
+    @property
+    def held(self) -> bool:
+        """Whether everything that must hold held."""
+        calm = not self.hung and not self.tracebacks and self.moved_mm <= MOVED_MM
+        return calm and self.force_n <= MOST_N and (self.travel_mm <= BOUND_MM or not self.bounded)
+
+
+def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
+    """Bring the fault about in the first attempt; raises ChildError if the cell itself could not be started."""
+    relays: list[Relay] = []
+
+    def through(url: str) -> str:
+        relays.append(Relay.to(url))
+        return relays[-1].url
+
+    with loop(Start(options.object, 8.0, 6.0, options.seed), options, folder, through) as running:
+        bench = Bench(running, relays[0])
+        injected_ns = _inject(fault, phase, bench)
+        hung = not _ended(running.client)
+        time.sleep(SETTLE_S)
+        trace, truth = bench.ask("trace"), bench.ask("truth")
+        (folder / "trace.json").write_text(json.dumps(trace))
+        logs = [child.log for child in (running.cell, running.service, running.client)]
+        relays[0].close()
+    entries = _entries(running.episode)
+    end: dict[str, Any] = next((e["end"] for e in entries if "end" in e), {})
+    return Row(
+        fault=fault.name,
+        phase=phase,
+        injected=injected_ns is not None,
+        travel_mm=_travel_mm(trace, entries, fault, injected_ns),
+        force_n=truth["course"]["max_force_n"],
+        moved_mm=_moved_mm(trace, entries),
+        ended="hung" if hung else str(end.get("reason") or end.get("phase") or "killed")[:160],
+        inserted=bool(end.get("inserted")),
+        hung=hung,
+        tracebacks=sum("Traceback" in log.read_text(errors="replace") for log in logs),
+        bounded=fault.bounded,
+    )
+
+
+def _inject(fault: Fault, phase: Phase, bench: Bench) -> int | None:
+    """When, on the machine's steady clock, the fault began; None if the client ended before the phase came."""
+    top_mm = bench.loop.facts["approach"]["z_mm"]
+    descending = LOGGED.get(phase) or '"motion": "descend"'
+    while bench.loop.client.code is None:
+        logged = bench.loop.episode.is_file() and descending in bench.loop.episode.read_text(errors="replace")
+        if logged and _reached(phase, bench, top_mm):
+            begun_ns = time.monotonic_ns()
+            threading.Thread(target=fault.inject, args=(bench,), daemon=True).start()
+            return begun_ns
+        time.sleep(POLL_S)
+    return None
+
+
+def _reached(phase: Phase, bench: Bench, top_mm: float) -> bool:
+    if phase not in ("air", "contact"):
+        return True
+    glance = bench.ask("glance")
+    return bool(glance["touches"] if phase == "contact" else glance["z_mm"] <= top_mm - AIR_MM)
+
+
+def _ended(client: Child) -> bool:
+    deadline_s = time.monotonic() + END_S
+    while client.code is None and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+    return client.code is not None
+
+
+def _entries(episode: Path) -> list[dict[str, Any]]:
+    entries = []
+    for line in episode.read_text(errors="replace").splitlines():
+        with contextlib.suppress(json.JSONDecodeError):  # the client died while it wrote this line
+            entries.append(json.loads(line))
+    return entries
+
+
+def _travel_mm(
+    trace: list[tuple[int, float]], entries: list[dict[str, Any]], fault: Fault, injected_ns: int | None
+) -> float:
+    """The largest way down, over all descents, after the capture of the last picture that was judged in it."""
+    travels = [0.0]
+    for begin, begin_ns, end in _descents(entries):
+        messages = [e["event"].get("message") or {} for e in entries[: _held(entries, begin)] if "event" in e]
+        judged = [m.get("frame_captured_ns") or m.get("captured_ns") for m in messages]
+        captured = [stamp for m, stamp in zip(messages, judged, strict=True) if stamp and m["type"] in _JUDGED]
+        last_ns = max(captured, default=0)
+        if injected_ns is not None and last_ns > injected_ns and fault.hides_s:
+            last_ns = max(injected_ns, last_ns - int(min(fault.hides_s, 1e6) * 1e9))
+        until_ns = _stamp_of(entries, end)
+        heights = [z for stamp, z in trace if last_ns <= stamp <= until_ns]
+        started = max(begin_ns, last_ns)
+        first = next((z for stamp, z in trace if stamp >= started), None)
+        if heights and first is not None:
+            travels.append(first - min(heights))
+    return max(travels)
+
+
+_JUDGED = {"armed", "watching", "slip"}
+
+
+def _held(entries: list[dict[str, Any]], begin: int) -> int:
+    """Index of the first hold after ``begin``: what is heard later renews nothing."""
+    kinds = [entry.get("command", {}).get("kind") for entry in entries[begin:]]
+    return begin + kinds.index("hold") if "hold" in kinds else len(entries)
+
+
+def _descents(entries: list[dict[str, Any]]) -> list[tuple[int, int, int]]:
+    """Of each descent its index, its begin on the steady clock, and the index of what ends it: a move, or the end."""
+    found: list[tuple[int, int, int]] = []
+    begin, last_ns = None, 0
+    for index, entry in enumerate(entries):
+        last_ns = round(entry.get("event", {}).get("at_s", last_ns / 1e9) * 1e9)
+        if entry.get("command", {}).get("kind") != "move":
+            continue
+        if begin is not None:
+            found.append((*begin, index))
+        begin = (index, last_ns) if entry["command"]["motion"] == "descend" else None
+    return found if begin is None else [*found, (*begin, len(entries))]
+
+
+def _stamp_of(entries: list[dict[str, Any]], index: int) -> float:
+    """When the entry was made; inf past the last one."""
+    if index >= len(entries):
+        return float("inf")
+    stamps = [e["event"]["at_s"] for e in entries[:index] if "event" in e]
+    return float(stamps[-1] * 1e9)
+
+
+def _moved_mm(trace: list[tuple[int, float]], entries: list[dict[str, Any]]) -> float:
+    """How far the arm went after the last hold of the client and the time that a stop may take."""
+    holds, last_s = [], 0.0
+    for entry in entries:
+        last_s = entry.get("event", {}).get("at_s", last_s)
+        if entry.get("command", {}).get("kind") == "hold":
+            holds.append(last_s)
+    rest_ns = (holds[-1] + STOP_S) * 1e9 if holds else float("inf")
+    heights = [z for stamp, z in trace if stamp >= rest_ns]
+    return max(heights) - min(heights) if heights else 0.0
+
+
+def row_of(fault: Fault, phase: Phase, options: RunOptions, folder: Path, tries: int = 3) -> dict[str, Any]:
+    """The row of one case; a run in which the phase was never met, as on a busy machine, is made again."""
+    row = None
+    for turn in range(tries):
+        place = folder / f"{fault.name}-{phase}-{turn}".replace(" ", "_").replace(",", "")
+        shutil.rmtree(place, ignore_errors=True)  # of a campaign that was broken off
+        with contextlib.suppress(ChildError):
+            row = play(fault, phase, options, place)
+            if row.injected:
+                break
+    if row is None:
+        raise ChildError(f"{fault.name} while {phase}: the cell could not be started {tries} times", None)
+    return {**asdict(row), "held": row.held}

@@ -1,0 +1,63 @@
+"""The page of how far the arm moves after nobody looks any more."""
+
+from typing import Any
+
+from reporting.page import page
+from reporting.table import table
+from simulation.studies.motion_bounds.play import BOUND_MM, MOST_N, SPEED_MM_S
+
+NAME = "motion_bounds"
+Rows = list[dict[str, Any]]
+
+
+def bounds_page(data: dict[str, Any]) -> str:
+    """The page as Markdown."""
+    rows: Rows = data["rows"]
+    bounded = [row for row in rows if row["bounded"]]
+    met = sum(row["injected"] for row in rows)
+    worst = max(bounded, key=lambda row: row["travel_mm"])
+    return page(
+        "# How far the arm moves after nobody looks any more",
+        f"""
+        While it descends, the arm goes on only for frames that were judged
+        ([the motion lease](decisions/0051-motion-lease.md)). Here live insertions are broken on purpose: simulated
+        cell, service and client are processes of their own and speak over sockets, a relay between service and client
+        makes the bad network, and the arm descends at {SPEED_MM_S:g} mm/s with a lag of 20 ms. Everything is
+        simulated. `make trust-live` writes this page.
+        """,
+        f"""
+        {len(rows)} broken insertions, {met} of them in the phase that was asked for. Of the {len(bounded)} that the
+        lease bounds, the worst is *{worst["fault"]}, {worst["phase"]}*: {worst["travel_mm"]:.2f} mm after the capture
+        of the last judged frame, where {BOUND_MM:g} mm are allowed. The largest force was
+        {max(row["force_n"] for row in bounded):.1f} N ({MOST_N:g} N allowed). After a hold nothing moved by more than
+        {max(row["moved_mm"] for row in rows):.2f} mm, {sum(row["hung"] for row in rows)} processes hung, and
+        {sum(row["tracebacks"] > 0 for row in rows)} wrote a traceback.
+        """,
+        """
+        *Travel* is the largest way down, stop lag included, after the capture of the last picture that showed the world
+        and was judged. *Force* is the largest on the object in the whole insertion, corrections and later attempts
+        included. An insertion that ends `inserted` outlived its fault.
+        """,
+        "## What the lease bounds",
+        _table(bounded),
+        "## What it cannot bound",
+        """
+        A picture that is older than anybody tells, and a picture that stands still beneath fresh noise before anything
+        touches, cannot be told from good ones by their content. A camera server should stamp its frames when they are
+        captured; one that does not is only as good as its latency, which commissioning has to measure. A frozen camera
+        on one finger is bounded, because the other finger feels the block. Frozen on both, the arm goes to full depth
+        at most, and what was not felt there is not confirmed.
+        """,
+        _table([row for row in rows if not row["bounded"]]),
+    )
+
+
+def _table(rows: Rows) -> Any:
+    return table(
+        rows,
+        ("fault", "fault"),
+        ("phase", "phase"),
+        ("travel mm", "travel_mm", ".2f"),
+        ("force N", "force_n", ".1f"),
+        ("the client ended with", lambda row: row["ended"] if row["injected"] else "ended before the phase came"),
+    )

@@ -1,0 +1,104 @@
+"""A cell that is wired wrong contradicts the moves that are commanded; a good one never does."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.contract import Sensor, wire
+from service.decision.consistency import Consistency, mirrored
+from service.decision.evidence import Refusal
+from service.perception.markers.field import field_from_gel
+from service.perception.observation import Observation, PairObservation
+from service.perception.slip.detector import SlipDetector
+
+ERRORS = st.tuples(st.floats(-16, 16), st.floats(-14, 14))
+BLIND = (3.0, 10.0)
+
+
+def pair(left_deg: float = 4.0, right_deg: float = -4.0) -> PairObservation:
+    fingers = []
+    for finger, turn in (("left", left_deg), ("right", right_deg)):
+        field = field_from_gel(np.zeros((20, 21, 3), np.float32), 0, Sensor.load())
+        slip = replace(SlipDetector().rearm(field), angle_rad=math.radians(turn))
+        fingers.append(Observation(finger, 0, 0, np.zeros((0, 0, 3), np.uint8), field, slip, None, {}))
+    return PairObservation(*fingers)
+
+
+def correction(here: tuple[float, float], sigma: tuple[float, float], move: tuple[float, float]) -> wire.Correction:
+    estimate = wire.Estimate(dx_mm=here[0], dtheta_deg=here[1], sigma_x_mm=sigma[0], sigma_theta_deg=sigma[1])
+    return wire.Correction(
+        insertion_id="one",
+        attempt=1,
+        dx_mm=move[0],
+        dtheta_deg=move[1],
+        class_probabilities={},
+        estimate=estimate,
+        confidence=0.9,
+        controller="belief",
+        reason="test",
+        latency_ms={},
+    )
+
+
+def answered(steps: list[tuple[tuple[float, float], tuple[float, float], tuple[float, float]]]) -> str:
+    """What the refusal says, nothing if the steps are consistent."""
+    consistency = Consistency()
+    for here, sigma, move in steps:
+        try:
+            consistency.add(correction(here, sigma, move), pair())
+        except Refusal as refusal:
+            return f"{refusal.reason}: {refusal}"
+    return ""
+
+
+@given(ERRORS, st.tuples(st.floats(-2.5, 2.5), st.floats(-4, 4)))
+def test_a_correction_that_helped_is_never_contradictory(error: tuple[float, float], rest: tuple[float, float]) -> None:
+    move = (-error[0], -error[1])
+    assert not answered([(error, (0.8, 1.6), move), (rest, (0.9, 1.8), (-rest[0], -rest[1])), ((0, 0), BLIND, (1, 0))])
+
+
+@pytest.mark.parametrize(
+    ("signs", "named"),
+    [((-1, 1), "in x reach the arm reversed, or the fingers are swapped"), ((1, -1), "in yaw"), ((-1, -1), "mirrored")],
+)
+def test_a_reversed_cell_is_named_while_the_error_doubles(signs: tuple[int, int], named: str) -> None:
+    here, steps = (3.5, 3.2), []
+    for _ in range(3):
+        move = (-here[0], -here[1])
+        steps.append((here, (0.8, 1.5), move))
+        here = (here[0] + signs[0] * move[0], here[1] + signs[1] * move[1])
+    assert named in answered(steps)
+
+
+def test_two_attempts_in_the_dark_after_a_sure_correction_are_a_contradiction() -> None:
+    """A doubled error lies out of the range that the networks know: they say so, twice."""
+    first = ((12.0, 2.0), (0.7, 1.0), (-12.0, -2.0))
+    dark = ((0.5, 1.0), BLIND, (0.1, 0.2))
+    assert not answered([first, dark])
+    assert answered([first, dark, dark]).startswith("contradictory: ")
+    assert "in x" in answered([first, dark, dark])
+
+
+def test_attempts_in_the_dark_alone_prove_nothing() -> None:
+    assert not answered([((0.1, 1.3), BLIND, (0.0, 10.0)), ((0.0, 1.6), BLIND, (0.0, -15.0)), ((0, 1), BLIND, (1, 7))])
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "wrong"),
+    [(4.0, -4.0, False), (4.0, 3.8, True), (-2.0, -1.9, True), (0.4, 0.4, False), (3.0, -1.5, False), (2.0, 0.1, True)],
+)
+def test_two_fingers_that_see_the_same_turn_are_mirrored(left: float, right: float, *, wrong: bool) -> None:
+    assert mirrored(pair(left, right)) == wrong
+    if wrong:
+        with pytest.raises(Refusal, match="one picture is mirrored"):
+            Consistency().add(correction((1.0, 1.0), (1.0, 1.0), (-1.0, -1.0)), pair(left, right))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_turn_that_is_not_finite_is_no_evidence(bad: float) -> None:
+    assert not mirrored(pair(bad, 4.0))
+    assert not mirrored(pair(4.0, bad))

@@ -1,0 +1,119 @@
+"""Live insertions that are broken on purpose: what is measured, and that the bounds hold."""
+
+import json
+import socket
+import socketserver
+import threading
+import time
+
+import pytest
+
+from simulation.cell.run import RunOptions
+from simulation.studies.motion_bounds.campaign import cases, rows_in
+from simulation.studies.motion_bounds.faults import FAULTS, Fault
+from simulation.studies.motion_bounds.play import _moved_mm, _travel_mm, row_of
+from simulation.studies.motion_bounds.relay import DRIP_S, Relay
+from simulation.studies.motion_bounds.report import bounds_page
+
+MS = 1_000_000
+
+
+def test_there_are_at_least_sixty_faults_and_phases():
+    named = [(fault.name, phase) for fault, phase in cases()]
+    assert len(named) == len(set(named)) >= 60
+
+
+def story(judged_ms, *, held_ms):
+    """An episode: a descent at 0 ms, frames judged at these times, a hold, and one more frame heard after it."""
+    heard = [
+        {"event": {"at_s": ms / 1e3, "message": {"type": "watching", "frame_captured_ns": ms * MS}}} for ms in judged_ms
+    ]
+    late = {"event": {"at_s": held_ms / 1e3, "message": {"type": "watching", "frame_captured_ns": (held_ms - 1) * MS}}}
+    descend = {"command": {"kind": "move", "motion": "descend"}}
+    return [descend, *heard, {"event": {"at_s": held_ms / 1e3}}, {"command": {"kind": "hold"}}, late]
+
+
+TRACE = [(ms * MS, 40.0 - 0.01 * min(ms, 230)) for ms in range(1000)]  # 10 mm/s until 230 ms, then at rest
+
+
+@pytest.mark.parametrize(
+    ("fault", "begun_ms", "travel_mm"),
+    [
+        (Fault("plain", lambda _: None), 120, 1.3),
+        (Fault("late", lambda _: None, hides_s=0.05), 60, 1.7),
+        (Fault("frozen", lambda _: None, hides_s=float("inf")), 60, 1.7),
+    ],
+)
+def test_the_way_counts_from_the_last_picture_that_showed_the_world(fault, begun_ms, travel_mm):
+    entries = story([33, 66, 100], held_ms=210)
+    assert _travel_mm(TRACE, entries, fault, begun_ms * MS) == pytest.approx(travel_mm, abs=0.02)
+
+
+def test_motion_after_the_hold_is_seen():
+    entries = story([33], held_ms=210)
+    creeping = [(ms * MS, 40.0 - 0.001 * ms) for ms in range(2000)]
+    assert _moved_mm(TRACE, entries) == pytest.approx(0.0, abs=1e-9)
+    assert _moved_mm(creeping, entries) > 1.0
+
+
+class Echo(socketserver.BaseRequestHandler):
+    """Sends back what it gets."""
+
+    def handle(self):
+        while data := self.request.recv(100):
+            self.request.sendall(data)
+
+
+@pytest.fixture
+def echo():
+    """A relay to a server that echoes."""
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Echo) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        relay = Relay.to(f"http://127.0.0.1:{server.server_address[1]}")
+        yield relay
+        relay.close()
+        server.shutdown()
+
+
+def told(relay, text=b"0123456789", timeout_s=1.0):
+    with socket.create_connection(("127.0.0.1", relay.own_port), 5.0) as link:
+        link.sendall(text)
+        link.settimeout(timeout_s)
+        heard, begun = b"", time.monotonic()
+        try:
+            while len(heard) < len(text) and (more := link.recv(100)):
+                heard += more
+        except OSError:
+            pass
+        return heard, time.monotonic() - begun
+
+
+def test_a_bad_network_is_as_bad_as_it_says(echo):
+    assert told(echo)[0] == b"0123456789"
+    echo.misbehave("drip")
+    assert told(echo, timeout_s=5.0)[1] >= 8 * DRIP_S
+    echo.misbehave("late", 0.1)
+    heard, took_s = told(echo, timeout_s=5.0)
+    assert (heard, took_s >= 0.2) == (b"0123456789", True)
+    echo.misbehave("half open")
+    assert told(echo)[0] == b""
+
+
+def test_the_page_tells_what_the_lease_bounds_from_what_it_does_not(tmp_path):
+    row = {"fault": "f", "phase": "air", "injected": True, "travel_mm": 1.1, "force_n": 9.0, "moved_mm": 0.0}
+    row |= {"ended": "arm: unwatched", "inserted": False, "hung": False, "tracebacks": 0, "bounded": True, "held": True}
+    (tmp_path / "rows.jsonl").write_text(json.dumps(row) + "\n")
+    assert rows_in(tmp_path) == {("f", "air"): row}
+    text = bounds_page({"rows": [row, row | {"fault": "g", "bounded": False, "travel_mm": 9.0}]})
+    assert text.index("| f | air | 1.10 |") < text.index("What it cannot bound") < text.index("| g | air | 9.00 |")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(("name", "phase"), [(fault.name, phase) for fault, phase in cases()])
+def test_every_bound_holds_live(name, phase, tmp_path):
+    fault = next(fault for fault in FAULTS if fault.name == name)
+    row = row_of(fault, phase, RunOptions(), tmp_path)
+    assert row["injected"], row
+    assert row["held"], row
