@@ -6,7 +6,7 @@ A contact is a spring of the scene's stiffness along its normal and a softer one
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,7 +124,8 @@ class Bodies:
         corners, axis = self._seen_from(b, grip), self.block_turn[b].T @ self.pose(grip)[0][:, 2]
         find = against_wall if self.beside[b] else on_top
         found, frame = find(corners, axis, self._props), self.block_turn[b]
-        found = Contacts(*(part[found.gaps < NEAR_MM] for part in found))
+        near: list[Any] = [part[found.gaps < NEAR_MM] for part in found]
+        found = Contacts(*near)
         return found._replace(
             points=found.points @ frame.T + self.block_place[b],
             normals=found.normals @ frame.T,
