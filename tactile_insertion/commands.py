@@ -33,6 +33,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "view": Command("simulation", "view", "draw trials of a dataset"),
         "export-dataset": Command("simulation", "export-dataset", "write a dataset as LeRobot v3 or MCAP"),
         "evaluate": Command("simulation", "evaluate", "play the paper's protocol or drawn worlds"),
+        "trust": Command("simulation", "trust", "count claims that are not true, under faults"),
         "robustness": Command("simulation", "robustness", "play insertions under disturbances"),
     },
     "train and export networks": {

@@ -16,7 +16,10 @@ WINDOW = FRAMES_PER_DECISION + 2 * JITTER
 
 
 class DataConfig(Contract):
-    """Which trials are read. ``rendered`` bounds the training trials drawn as images (the costly part)."""
+    """Which trials are read. ``rendered`` bounds the training trials drawn as images (the costly part).
+
+    ``views``: cameras drawn for each training trial that is read as steps of depth.
+    """
 
     path: str
     cache: str = "runs/cache"
@@ -24,6 +27,7 @@ class DataConfig(Contract):
     rendered_training: int = Field(default=1200, ge=0)
     rendered_validation: int = Field(default=400, ge=0)
     rendered_test: int = Field(default=400, ge=0)
+    views: int = Field(default=2, ge=1)
 
 
 class StageConfig(Contract):

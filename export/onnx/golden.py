@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FrameSpec, MarkerSpec, ModelCard, Sensor
+from service.contract.model_card import Lattice
 
 PITCH_PX, RADIUS_PX = Sensor.load().marker_pitch_px, Sensor.load().marker_diameter_px / 2
 
@@ -47,7 +48,7 @@ def hard_frames(spec: FrameSpec, count: int) -> dict[str, NDArray[np.uint8]]:
     }
 
 
-def golden_markers(spec: MarkerSpec, count: int, seed: int = 0) -> NDArray[np.float32]:
+def golden_markers(spec: MarkerSpec | Lattice, count: int, seed: int = 0) -> NDArray[np.float32]:
     """Marker fields that shear and twist over time, a few markers unseen: float32 [count, 2, rows, columns, 3]."""
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[: spec.rows, : spec.columns].astype(np.float32)
@@ -63,7 +64,7 @@ def golden_markers(spec: MarkerSpec, count: int, seed: int = 0) -> NDArray[np.fl
     return fields
 
 
-def hard_markers(spec: MarkerSpec, count: int) -> dict[str, NDArray[np.float32]]:
+def hard_markers(spec: MarkerSpec | Lattice, count: int) -> dict[str, NDArray[np.float32]]:
     """Fields no tracker should give but some day one will; each float32 [count, 2, rows, columns, 3]."""
     still = np.repeat(golden_markers(spec, 1), count, axis=0)
     spark, torn = still.copy(), still.copy()
@@ -79,15 +80,19 @@ def hard_markers(spec: MarkerSpec, count: int) -> dict[str, NDArray[np.float32]]
     }
 
 
+def _grid(card: ModelCard) -> MarkerSpec | Lattice | None:
+    return card.pressing.lattice if card.pressing else card.markers
+
+
 def golden_input(card: ModelCard, seed: int = 0) -> NDArray[Any]:
     """A golden decision as the card's graph reads it: [frames_per_decision, 2, *input_shape]."""
-    if card.markers:
-        return golden_markers(card.markers, card.frames_per_decision, seed)
+    if grid := _grid(card):
+        return golden_markers(grid, card.frames_per_decision, seed)
     return golden_frames(card.frame, card.frames_per_decision, seed)
 
 
 def hard_input(card: ModelCard) -> dict[str, NDArray[Any]]:
     """The hard decisions of the card's kind of input, by name."""
-    if card.markers:
-        return dict(hard_markers(card.markers, card.frames_per_decision))
+    if grid := _grid(card):
+        return dict(hard_markers(grid, card.frames_per_decision))
     return dict(hard_frames(card.frame, card.frames_per_decision))

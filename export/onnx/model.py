@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from export.onnx.runtime import session
 from service.contract import ContractError, ModelCard
+from service.contract.self_test import CONDITIONS
 
 TOLERANCE = 1e-5
 INT8_TOLERANCE = 2e-2
@@ -65,7 +66,11 @@ def open_model(file: Path, threads: int = 1) -> Model:
 
 
 def geometry_inputs(card: ModelCard, batch: int, gap_width_mm: float = 56.0, grasp_height_mm: float = 30.0) -> Arrays:
-    """Gap width and grasp height, float32 [batch, 1] each, as far as the network reads them."""
+    """Gap width and grasp height, float32 [batch, 1] each, as far as the network reads them, and other conditions."""
     geometry = {"gap_width_mm": gap_width_mm} if card.gap_width_input else {}
     geometry |= {"grasp_height_mm": grasp_height_mm} if card.grasp_height_input else {}
-    return {name: np.full((batch, 1), value, np.float32) for name, value in geometry.items()}
+    inputs: Arrays = {name: np.full((batch, 1), value, np.float32) for name, value in geometry.items()}
+    if card.pressing:
+        told = (gap_width_mm, grasp_height_mm, *CONDITIONS[2:])
+        inputs["conditions"] = np.tile(np.array(told, np.float32), (batch, 1))
+    return inputs

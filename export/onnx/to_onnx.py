@@ -18,8 +18,8 @@ from export.onnx.model import open_model
 from export.onnx.runtime import session
 from export.onnx.verify import OPSET, verify_forms
 from reporting.machine import cpu_name
-from service.contract import Calibration, ContractError, ModelCard, Sensor
-from service.contract.self_test import make_self_test
+from service.contract import Calibration, ContractError, ModelCard
+from service.contract.self_test import CONDITIONS, make_self_test
 from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.fit.checkpoint import Checkpoint
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
@@ -53,7 +53,7 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
     written = []
     with tempfile.TemporaryDirectory(dir=out) as scratch:
         for role in network.roles:
-            for form in FORMS if role != "pair" else FORMS[1:]:
+            for form in FORMS[1:] if role == "pair" or checkpoint.pressing else FORMS:
                 file = Path(scratch) / f"{role}.{form}.onnx"
                 if only and file.name.removesuffix(".onnx") not in only:
                     continue
@@ -74,6 +74,7 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
     """The card of one file; its validation figures are those of the validation split, all objects."""
     joint = role == "joint"
     scales = checkpoint.joint_scales if joint else checkpoint.scales
+    told = network.uses_geometry and not checkpoint.pressing  # with steps of depth these are conditions
     return ModelCard(
         name=f"{checkpoint.name}-{role}",
         role=role,
@@ -81,13 +82,14 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         frame=checkpoint.sensor.rectified,
         markers=checkpoint.sensor.markers if network.reads_markers else None,
         sensor=checkpoint.sensor,
-        frames_per_decision=FRAMES_PER_DECISION,
+        pressing=checkpoint.pressing,
+        frames_per_decision=checkpoint.pressing.steps_n if checkpoint.pressing else FRAMES_PER_DECISION,
         state_size=network.state_size if form == "step" else 0,
         classes=CLASSES,
         threshold_x_mm=THRESHOLD_X_MM,
         threshold_theta_deg=THRESHOLD_THETA_DEG,
-        gap_width_input=network.uses_geometry,
-        grasp_height_input=network.uses_geometry,
+        gap_width_input=told,
+        grasp_height_input=told,
         has_sigma=role in ("magnitude", "pair"),
         grid_x_mm=GRID_X_MM if joint else (),
         grid_theta_deg=GRID_THETA_DEG if joint else (),
@@ -102,15 +104,15 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
     )
 
 
-def _example(network: Any, sensor: Sensor, form: Form, batch: int) -> dict[str, torch.Tensor]:
-    golden = (
-        golden_markers(sensor.markers, FRAMES_PER_DECISION)
-        if network.reads_markers
-        else golden_frames(sensor.rectified, FRAMES_PER_DECISION)
-    )
+def _example(network: Any, checkpoint: Checkpoint, form: Form, batch: int) -> dict[str, torch.Tensor]:
+    sensor, pressing = checkpoint.sensor, checkpoint.pressing
+    grid = pressing.lattice if pressing else sensor.markers if network.reads_markers else None
+    count = FRAMES_PER_DECISION
+    golden = golden_markers(grid, count) if grid else golden_frames(sensor.rectified, count)
     frames = torch.from_numpy(golden)
     geometry = {"gap_width_mm": torch.full((batch, 1), 57.0), "grasp_height_mm": torch.full((batch, 1), 40.0)}
     geometry = geometry if network.uses_geometry else {}
+    geometry = {"conditions": torch.tensor([CONDITIONS] * batch)} if pressing else geometry
     if form == "sequence":
         return {"frames": frames[None].repeat(batch, 1, 1, 1, 1, 1), **geometry}
     state = torch.linspace(-0.5, 0.5, network.state_size).repeat(batch, 1)
@@ -120,8 +122,9 @@ def _example(network: Any, sensor: Sensor, form: Form, batch: int) -> dict[str, 
 
 def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: Path) -> None:
     wrapped: nn.Module = (SequenceForm if form == "sequence" else StepForm)(network, role).eval()
-    example = _example(network, checkpoint.sensor, form, 2)
-    outputs = [*OUTPUTS[role], *(["next_state"] if form == "step" else [])]
+    example = _example(network, checkpoint, form, 2)
+    strange = ["strangeness"] if checkpoint.pressing else []
+    outputs = [*OUTPUTS[role], *strange, *(["next_state"] if form == "step" else [])]
     batch = torch.export.Dim("batch", min=1, max=1024)
     with warnings.catch_warnings(), torch.inference_mode(mode=False), torch.no_grad():
         warnings.simplefilter("ignore")

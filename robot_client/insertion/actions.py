@@ -109,7 +109,8 @@ def descend(state: State, captured_ns: int, at_s: float) -> Result:
     state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s, state.until_s)
     if state.done:
         return state, commands
-    message = wire.Descending(insertion_id=plan.insertion_id, attempt=state.attempt)
+    speed_mm_s = plan.ramps.descend.speed_mm_s
+    message = wire.Descending(insertion_id=plan.insertion_id, attempt=state.attempt, speed_mm_s=speed_mm_s)
     return state, (send(message), *commands)
 
 

@@ -198,7 +198,9 @@ def _on_service(state: State, event: FromService) -> Result:
             result = grasp(state, at_s)
         case wire.Finished():
             result = _on_finished(state, message)
-        case wire.Armed() | wire.Refused() | wire.Watching() | wire.Slip() | wire.Correction() | wire.NoDecision():
+        case wire.Armed() | wire.Refused() | wire.Watching() | wire.Slip() | wire.Enough():
+            result = _on_attempt_message(state, message, at_s)
+        case wire.Correction() | wire.NoDecision():
             result = _on_attempt_message(state, message, at_s)
     return result
 
@@ -252,6 +254,8 @@ def _on_attempt_message(state: State, message: wire.AttemptMessage, at_s: float)
         return fail(state, "service", "protocol", detail)
     if isinstance(message, wire.Slip) and state.phase is Phase.DESCENDING:  # of any attempt: stopping is safe
         return hold(state, f"slip on finger {message.finger}, frame {message.frame_seq}", at_s)
+    if isinstance(message, wire.Enough) and state.phase is Phase.DESCENDING:
+        return hold(state, f"pressed by {message.pressed_mm:.2f} mm, frame {message.frame_seq}", at_s)
     result: Result = state, ()
     if message.attempt < state.attempt:
         return result

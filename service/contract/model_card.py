@@ -4,6 +4,7 @@ One ``metadata_props`` key holds strict JSON. Keys that other tools add beside i
 unknown is accepted. The service refuses a model without a valid card, and two models whose cards disagree.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
@@ -19,6 +20,87 @@ CARD_KEY = "tactile_insertion.card"
 Sign = Literal[-1, 0, 1]
 Role = Literal["direction", "magnitude", "joint", "pair"]
 Positive = Annotated[float, Field(gt=0)]
+
+
+CONDITIONS = ("gap_width_mm", "grasp_height_mm", "grip_n", "shear_reach_mm", "speed_mm_s", "frame_spacing_mm")
+"""What may be told beside the field, in the order of the graph's input; 0 where it is not known.
+
+``shear_reach_mm`` is how far the gel shears before it slides (mu p t / G); ``frame_spacing_mm`` how far the arm moves
+from frame to frame, which the service knows itself.
+"""
+MARKER_PITCH = "marker_pitch_mm"
+"""Also has a trained range, though no graph reads it."""
+
+
+class Lattice(Contract):
+    """Points on the gel, ``pitch_mm`` apart, centred on the rectified frame; u to the right, v down."""
+
+    rows: int = Field(ge=4, le=64)
+    columns: int = Field(ge=4, le=64)
+    pitch_mm: Positive
+
+    @property
+    def points_mm(self) -> NDArray[np.float32]:
+        """[rows, columns, 2]: (u, v) of each point from the frame's centre."""
+        u = (np.arange(self.columns) - 0.5 * (self.columns - 1)) * self.pitch_mm
+        v = (np.arange(self.rows) - 0.5 * (self.rows - 1)) * self.pitch_mm
+        return np.stack(np.meshgrid(u, v), -1).astype(np.float32)
+
+
+class Span(Contract):
+    """What a network was trained on of one quantity, both ends included."""
+
+    low: float
+    high: float
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high):
+            raise ValueError(f"from {self.low} to {self.high} is no range")
+        return self
+
+
+class Pressing(Contract):
+    """How a network reads a descent: ``steps_n`` steps of ``step_mm`` of depth since the object first moved.
+
+    A field of a step is the mean over that stretch of depth, in mm against the field before the onset. With a stop
+    before the last step the network decides from at least ``least_steps_n``. ``trained``: the range of each condition;
+    outside it the service refuses. ``strangeness_limit``: above it a field is like none of training.
+    """
+
+    lattice: Lattice
+    step_mm: Positive
+    steps_n: int = Field(ge=1, le=64)
+    least_steps_n: int = Field(ge=1, le=64, default=1)
+    trained: dict[str, Span]
+    strangeness_limit: Positive | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.least_steps_n > self.steps_n:
+            raise ValueError(f"least_steps_n is {self.least_steps_n}, more than all {self.steps_n} steps")
+        unknown = set(self.trained) - {*CONDITIONS, MARKER_PITCH}
+        if unknown:
+            raise ValueError(
+                f"trained: {', '.join(sorted(unknown))} is none of {', '.join((*CONDITIONS, MARKER_PITCH))}"
+            )
+        return self
+
+    @property
+    def depth_mm(self) -> float:
+        """How far the object is pressed for a whole decision."""
+        return self.steps_n * self.step_mm
+
+    def outside(self, told: Mapping[str, float | None]) -> str:
+        """Which condition lies outside what the network was trained on, as a sentence; empty if none does.
+
+        What is not told is not outside; a number that is not finite is.
+        """
+        for name, span in self.trained.items():
+            value = told.get(name)
+            if value is not None and not span.low <= value <= span.high:
+                return f"{name} is {value:g}, the networks were trained on {span.low:g} to {span.high:g}"
+        return ""
 
 
 class ErrorClass(Contract):
@@ -57,14 +139,16 @@ class ModelCard(Contract):
       ``state`` float32 [B, state_size]
     - with ``markers``, fingers are not pictures but marker fields: float32 [.., 2, rows, columns, 3] in place of uint8
       [.., 2, H, W, 3], each marker (du_px, dv_px, 1 or 0 if it was not seen), displaced since any one instant
+    - with ``pressing``, fingers are fields on its lattice, a step of depth each: float32 [.., 2, rows, columns, 3] of
+      (du_mm, dv_mm, 1 or 0 if it was not seen), and ``conditions`` float32 [B, 6] come with them, 0 where not known
     - both, if ``gap_width_input``: ``gap_width_mm`` float32 [B, 1]
     - both, if ``grasp_height_input``: ``grasp_height_mm`` float32 [B, 1], 0 where it is not known
 
     Outputs: ``direction`` -> ``logits`` float32 [B, len(classes)]; ``magnitude`` -> ``error`` float32 [B, 2]
     (dx in mm, dtheta in deg: the estimated position error) and, if ``has_sigma``, ``log_sigma`` float32 [B, 2];
     ``pair`` -> all three, from one pass; ``joint`` -> ``log_density`` float32 [B, len(grid_x_mm),
-    len(grid_theta_deg)], unnormalised. ``step`` adds ``next_state`` float32 [B, state_size]. The two
-    fingers are ordered left, right. A fresh state is all zeros.
+    len(grid_theta_deg)], unnormalised. A ``pressing`` with a limit adds ``strangeness`` float32 [B, 1]. ``step`` adds
+    ``next_state`` float32 [B, state_size]. The two fingers are ordered left, right. A fresh state is all zeros.
     """
 
     schema_version: Literal[1] = 1
@@ -73,6 +157,7 @@ class ModelCard(Contract):
     form: Literal["sequence", "step"]
     frame: FrameSpec
     markers: MarkerSpec | None = None
+    pressing: Pressing | None = None
     sensor: Sensor | None = None
     frames_per_decision: int = Field(ge=1, le=64)
     state_size: int = Field(ge=0, default=0)
@@ -105,6 +190,10 @@ class ModelCard(Contract):
             raise ValueError("a joint network needs grid_x_mm and grid_theta_deg")
         if self.form == "step" and self.state_size == 0:
             raise ValueError("a step network needs a state_size")
+        if self.pressing and (self.markers or self.frames_per_decision != self.pressing.steps_n):
+            raise ValueError(
+                "a network that reads steps of depth reads no markers, and a frame of a decision is a step"
+            )
         if self.sensor and (self.frame != self.sensor.rectified or self.markers not in (None, self.sensor.markers)):
             raise ValueError(f"frame and markers must be those of its sensor {self.sensor}")
         return self
@@ -117,19 +206,21 @@ class ModelCard(Contract):
     @property
     def input_shape(self) -> tuple[int, int, int]:
         """What the graph reads of one finger at one instant: (H, W, 3) or (rows, columns, 3)."""
+        if self.pressing:
+            return (self.pressing.lattice.rows, self.pressing.lattice.columns, 3)
         return (self.markers.rows, self.markers.columns, 3) if self.markers else self.frame.shape
 
     @property
     def input_dtype(self) -> type[np.uint8 | np.float32]:
-        """Of pictures uint8, of markers float32."""
-        return np.float32 if self.markers else np.uint8
+        """Of pictures uint8, of fields float32."""
+        return np.float32 if self.markers or self.pressing else np.uint8
 
     def check(self, pair: NDArray[np.uint8] | NDArray[np.float32]) -> None:
         """Raise ContractError unless ``pair`` is [2, *input_shape] of the right dtype, and finite."""
         if pair.shape != (2, *self.input_shape) or pair.dtype != self.input_dtype:
             expected = f"{np.dtype(self.input_dtype)} {[2, *self.input_shape]}"
             raise ContractError(f"a pair is {pair.dtype} {list(pair.shape)}, {self.name} reads {expected}")
-        if self.markers and not np.isfinite(pair).all():
+        if self.input_dtype is np.float32 and not np.isfinite(pair).all():
             raise ContractError(f"a marker field holds a number that is not finite, {self.name} cannot read it")
 
     @classmethod
@@ -151,6 +242,7 @@ class ModelCard(Contract):
         shared = (
             "frame",
             "markers",
+            "pressing",
             "profile",
             "frames_per_decision",
             "reference_rule",

@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract.frames import ContractError, FrameSpec
-from service.contract.model_card import ModelCard, SelfTest
+from service.contract.model_card import Lattice, ModelCard, SelfTest
 from service.contract.sensor import MarkerSpec, Sensor
 
 Arrays = dict[str, NDArray[Any]]
 Run = Callable[[Arrays], Mapping[str, NDArray[Any]]]
+CONDITIONS = (56.0, 40.0, 20.0, 0.8, 10.0, 0.33)
+MM = 0.0625
+"""What counts as a pixel where fields are in mm: a power of two, so that it adds no rounding."""
 GEOMETRY_MM = {"gap_width_mm": 56.0, "grasp_height_mm": 40.0}
 MOST_VALUES = 32
 TOLERANCE = {"none": 1e-3, "fp16": 1e-3, "int8": 5e-2}
@@ -34,7 +37,7 @@ def self_test_frames(sensor: Sensor, spec: FrameSpec, count: int) -> NDArray[np.
     return np.stack([level - 30, level, level - 20], -1).astype(np.uint8)
 
 
-def self_test_markers(spec: MarkerSpec, count: int) -> NDArray[np.float32]:
+def self_test_markers(spec: MarkerSpec | Lattice, count: int) -> NDArray[np.float32]:
     """The same motion as marker fields, every 19th marker unseen: float32 [count, 2, rows, columns, 3]."""
     v, u = np.mgrid[: spec.rows, : spec.columns]
     step = np.arange(count)[:, None, None, None]
@@ -48,6 +51,9 @@ def self_test_input(card: ModelCard) -> NDArray[Any]:
     """The fixed decision as the card's graph reads it: [frames_per_decision, 2, *input_shape]."""
     if card.markers:
         return self_test_markers(card.markers, card.frames_per_decision)
+    if card.pressing:
+        fields = self_test_markers(card.pressing.lattice, card.frames_per_decision)
+        return fields * np.array([MM, MM, 1], np.float32)
     return self_test_frames(card.profile, card.frame, card.frames_per_decision)
 
 
@@ -58,6 +64,8 @@ def run_self_test(card: ModelCard, run: Run) -> dict[str, tuple[float, ...]]:
     geometry: Arrays = {
         name: np.full((1, 1), GEOMETRY_MM[name], np.float32) for name, wanted in asked.items() if wanted
     }
+    if card.pressing:
+        geometry["conditions"] = np.array([CONDITIONS], np.float32)
     if card.form == "sequence":
         outputs = dict(run({"frames": frames, **geometry}))
     else:

@@ -7,7 +7,7 @@ is the client's, which the service sends back beside its own clock (:class:`Cloc
 
 client:  hello -> episode? -> learn_open? -> (arm -> descending -> stopped)*
          abort, heartbeat and telemetry at any time
-service: hello -> open_learnt? -> (armed -> watching* -> slip? -> correction | no_decision)* -> finished
+service: hello -> open_learnt? -> (armed -> watching* -> (slip | enough)? -> correction | no_decision)* -> finished
          refused instead of armed; fault and heartbeat at any time
 """
 
@@ -17,6 +17,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from service.contract.frames import ContractError, Finger, first_error
 from service.contract.wire_parts import (
+    MAX_ATTEMPTS,
+    Attempt,
     CameraEntry,
     Cause,
     Clock,
@@ -24,6 +26,7 @@ from service.contract.wire_parts import (
     Doubt,
     DoubtReason,
     Ending,
+    Enough,
     Episode,
     Estimate,
     InsertionId,
@@ -39,6 +42,8 @@ from service.contract.wire_parts import (
 from service.contract.wire_parts import InsertionMessage as _Message
 
 __all__ = [
+    "MAX_ATTEMPTS",
+    "Attempt",
     "CameraEntry",
     "Cause",
     "Clock",
@@ -46,6 +51,7 @@ __all__ = [
     "Doubt",
     "DoubtReason",
     "Ending",
+    "Enough",
     "Episode",
     "Estimate",
     "InsertionId",
@@ -60,10 +66,7 @@ __all__ = [
 ]  # the parts; what is defined here goes without saying
 
 PROTOCOL = 2
-MAX_ATTEMPTS = 15
 MAX_TEXT_BYTES = 65536
-
-Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
 
 
 # ---- client to service ------------------------------------------------------------------------------------------
@@ -91,22 +94,26 @@ class Arm(_Message):
 
     ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them; None if the
     cell does not know it. It is the lever arm of the edge's friction: without it the size of an error is a guess.
-    ``gripper_width_mm``: how far apart the fingers are; None if the gripper does not tell.
+    ``gripper_width_mm``: how far apart the fingers are; None if the gripper does not tell. ``grip_n`` is their force,
+    ``shear_reach_mm`` how far the gel shears under it before it slides.
     """
 
     type: Literal["arm"] = "arm"
     attempt: Attempt
     gap_width_mm: float = Field(gt=0, le=1000)
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
+    grip_n: float | None = Field(default=None, gt=0, le=1000)
+    shear_reach_mm: float | None = Field(default=None, gt=0, le=100)
     expected_depth_mm: float = Field(gt=0, le=1000)
     gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
 
 
 class Descending(_Message):
-    """The guarded descent has begun."""
+    """The guarded descent has begun, at this speed; networks that read depth need to know it."""
 
     type: Literal["descending"] = "descending"
     attempt: Attempt
+    speed_mm_s: float | None = Field(default=None, gt=0, le=1000)
 
 
 class Stopped(_Message):
@@ -139,10 +146,8 @@ class ClientHeartbeat(_Message):
     sent_ns: int | None = None
 
 
-ClientMessage = Annotated[
-    ClientHello | Episode | LearnOpen | Arm | Descending | Stopped | Abort | ClientHeartbeat | Telemetry,
-    Field(discriminator="type"),
-]
+_Client = ClientHello | Episode | LearnOpen | Arm | Descending | Stopped | Abort | ClientHeartbeat | Telemetry
+ClientMessage = Annotated[_Client, Field(discriminator="type")]
 
 # ---- service to client ------------------------------------------------------------------------------------------
 
@@ -257,10 +262,7 @@ class Fault(_Message):
 
 
 class ServiceHeartbeat(_Message):
-    """Answer to a client heartbeat, same count; the age is of the newest frame of the finger that is further behind.
-
-    The age is for a person to read: a frame that came is not one that was judged (:class:`Watching`).
-    """
+    """Answer to a heartbeat, same count; for a person, the age of the newest frame of the finger further behind."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int
@@ -268,10 +270,9 @@ class ServiceHeartbeat(_Message):
     frame_age_ms: float | None
 
 
-AttemptMessage = Armed | Refused | Watching | Slip | Correction | NoDecision
-ServiceMessage = Annotated[
-    ServiceHello | OpenLearnt | AttemptMessage | Finished | Fault | ServiceHeartbeat, Field(discriminator="type")
-]
+AttemptMessage = Armed | Refused | Watching | Slip | Enough | Correction | NoDecision
+_Service = ServiceHello | OpenLearnt | AttemptMessage | Finished | Fault | ServiceHeartbeat
+ServiceMessage = Annotated[_Service, Field(discriminator="type")]
 
 
 _Parsed = TypeVar("_Parsed")

@@ -42,6 +42,10 @@ NoDecisionReason = Literal[
 DoubtReason = Literal["push", "not_seen", "not_held", "width", "moved_in_hand", "depth", "order"]
 
 
+MAX_ATTEMPTS = 15
+Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
+
+
 class InsertionMessage(Contract):
     """What every message carries."""
 
@@ -155,3 +159,12 @@ class Episode(InsertionMessage):
     start: ToolPose
     approach: ToolPose
     versions: dict[str, Annotated[str, Field(max_length=128)]] = Field(default_factory=dict, max_length=16)
+
+
+class Enough(InsertionMessage):
+    """The object was pressed as deep as the networks read: stop the arm now, as on slip."""
+
+    type: Literal["enough"] = "enough"
+    attempt: Attempt
+    frame_seq: int
+    pressed_mm: float

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import FINGERS, Finger, TactileFrame
+from service.contract import FINGERS, Finger, ModelCard, TactileFrame
 from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome, RefusalReason, Refused, Watching
 from service.decision.arming import implausible_width, nothing_held
 from service.decision.evidence import DecisionRun, Evidence, Refusal
+from service.decision.network_input import Descent
 from service.decision.seating import Push, push_of
 from service.perception.observation import FingerWatch, Observation, PairObservation
 
@@ -49,7 +50,10 @@ def unlike_grids(both: PairObservation) -> list[str]:
 
 @dataclass(slots=True)
 class Attempt:
-    """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones."""
+    """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones.
+
+    ``fed``: the networks were given the last of their input. ``stop_ns``: capture of the frame that stopped the arm.
+    """
 
     arm: Arm
     armed_ns: int
@@ -64,9 +68,13 @@ class Attempt:
     decision_pairs: list[PairObservation] = field(default_factory=list)
     network_reference: PairObservation | None = None
     run: DecisionRun | None = None
+    descent: Descent | None = None
+    speed_mm_s: float | None = None
+    fed: bool = False
     watched_ns: int = 0
     _judged_ns: dict[Finger, int] = field(default_factory=dict)
     slip_sent: bool = False
+    stop_ns: int | None = None
     stale_sent: bool = False
     stopped_ns: int | None = None
     outcome: Outcome | None = None
@@ -166,6 +174,37 @@ class Attempt:
             fresh = pairs[index : index + frames_n]
         self.decision_pairs += fresh
         return fresh
+
+    def told(self) -> dict[str, float | None]:
+        """The conditions of the attempt as far as the client told them; see `model_card.CONDITIONS`."""
+        arm = self.arm
+        return {
+            "gap_width_mm": arm.gap_width_mm,
+            "grasp_height_mm": arm.grasp_height_mm,
+            "grip_n": arm.grip_n,
+            "shear_reach_mm": arm.shear_reach_mm,
+            "speed_mm_s": self.speed_mm_s,
+        }
+
+    def stops(self, now_ns: int) -> None:
+        """The arm is ordered to stop because of a frame captured then."""
+        self.slip_sent, self.stop_ns = True, now_ns
+
+    def take_steps(self, card: ModelCard) -> list[NDArray[np.float32]]:
+        """The steps of depth that the newest pair completes; the descent that shows them begins with the onset."""
+        pair, descent = self.ring[-1], self.descent
+        if self.stop_ns is not None and pair.captured_ns > self.stop_ns:
+            return []
+        if descent is not None:
+            self.decision_pairs.append(pair)
+            return descent.add(pair)
+        index = self.onset_index()
+        if index is None:
+            return []
+        pairs = list(self.ring)
+        self.decision_pairs += pairs[index:]
+        self.descent = Descent(card, self.told())
+        return self.descent.begin(pairs, index)
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """The frames of the decision, as :mod:`service.recordings.writer` documents for ``attempt_XX.npz``."""

@@ -1,7 +1,9 @@
 """From the frames of one attempt to the evidence on the position error."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,8 +86,8 @@ class Evidence:
 class DecisionRun:
     """The networks over one attempt: fed pair by pair as they arrive, so that one step remains after the last frame.
 
-    ``reference`` and every frame are [2, *card.input_shape], left finger first: pictures or marker fields. Not thread
-    safe: one thread feeds a run.
+    ``reference`` and every frame are [2, *card.input_shape], left finger first: pictures, marker fields or steps of
+    depth, for which ``told`` are the conditions. Not thread safe: one thread feeds a run.
     """
 
     def __init__(
@@ -94,10 +96,11 @@ class DecisionRun:
         reference: NDArray[np.uint8] | NDArray[np.float32],
         gap_width_mm: float,
         grasp_height_mm: float | None = None,
+        told: Mapping[str, float | None] = MappingProxyType({}),
     ) -> None:
         self._models = models
         self._reference = reference
-        self._geometry = gap_width_mm, grasp_height_mm
+        self._geometry = gap_width_mm, grasp_height_mm, told
         self._states = [step.fresh_state() for step in models.steps]
         self._outputs: list[dict[str, Array]] = []
         self.frames_n = 0
@@ -117,21 +120,37 @@ class DecisionRun:
         outputs, self._states[index] = step.step(frame, self._reference, self._states[index], *self._geometry)
         return outputs
 
+    def _check_count(self) -> None:
+        card = self._models.card
+        needed = card.pressing.least_steps_n if card.pressing else card.frames_per_decision
+        if self.frames_n < needed:
+            what = "steps of depth" if card.pressing else "frame pairs"
+            raise Refusal("too_few_frames", f"{self.frames_n} {what} since motion began, expected {needed}")
+
     def evidence(self) -> Evidence:
         """The evidence after the last frame; raise Refusal if too few came or any output is not finite."""
-        needed = self._models.card.frames_per_decision
-        if self.frames_n < needed:
-            raise Refusal("too_few_frames", f"{self.frames_n} frame pairs since motion began, expected {needed}")
+        self._check_count()
         by_role = {step.card.role: out for step, out in zip(self._models.steps, self._outputs, strict=True)}
         for role, outputs in by_role.items():
             if not all(np.isfinite(value).all() for value in outputs.values()):
                 raise Refusal("non_finite", f"the {role} network gave a non-finite output")
         cards = {step.card.role: step.card for step in self._models.steps}
+        for role, outputs in by_role.items():
+            check_strangeness(cards[role], outputs)
         if "joint" in by_role:
             return from_joint(cards["joint"], by_role["joint"])
         if "pair" in by_role:
             return from_pair(cards["pair"], cards["pair"], by_role["pair"], by_role["pair"])
         return from_pair(cards["direction"], cards["magnitude"], by_role["direction"], by_role["magnitude"])
+
+
+def check_strangeness(card: ModelCard, outputs: dict[str, Array]) -> None:
+    """Raise Refusal if the network finds its input stranger than its card allows."""
+    limit = card.pressing.strangeness_limit if card.pressing else None
+    if limit is not None and not float(outputs["strangeness"][0, 0]) <= limit:
+        strangeness = float(outputs["strangeness"][0, 0])
+        detail = f"the gels move as in no training: strangeness {strangeness:.1f}, at most {limit:.1f} is known"
+        raise Refusal("out_of_distribution", detail)
 
 
 def softmax(logits: Floats) -> Floats:

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from service.contract import ContractError, ModelCard
+from service.contract.model_card import CONDITIONS
 from service.contract.self_test import check_self_test
 from service.contract.wire import ModelEntry
 
@@ -68,13 +70,19 @@ class LoadedModel:
         state: NDArray[np.float32],
         gap_width_mm: float,
         grasp_height_mm: float | None = None,
+        told: Mapping[str, float | None] = MappingProxyType({}),
     ) -> tuple[dict[str, Array], NDArray[np.float32]]:
-        """Outputs after one pair; ``frame`` and ``reference`` are [2, *card.input_shape], left finger first."""
+        """Outputs after one pair; ``frame`` and ``reference`` are [2, *card.input_shape], left finger first.
+
+        ``told`` are the conditions by name, for a network that reads steps of depth.
+        """
         inputs: dict[str, Array] = {"frame": frame[None], "reference": reference[None], "state": state}
         if self.card.gap_width_input:
             inputs["gap_width_mm"] = np.array([[gap_width_mm]], np.float32)
         if self.card.grasp_height_input:
             inputs["grasp_height_mm"] = np.array([[grasp_height_mm or 0.0]], np.float32)
+        if self.card.pressing:
+            inputs["conditions"] = np.array([[told.get(name) or 0.0 for name in CONDITIONS]], np.float32)
         outputs = self.run(inputs)
         return outputs, outputs.pop("next_state")
 
@@ -144,11 +152,14 @@ def _check_graph(model: LoadedModel) -> None:
         expected["gap_width_mm"] = [1]
     if card.grasp_height_input:
         expected["grasp_height_mm"] = [1]
+    if card.pressing:
+        expected["conditions"] = [len(CONDITIONS)]
     inputs = {entry.name: list(entry.shape[1:]) for entry in model.inputs}
     if inputs != expected:
         raise ModelError(f"{model.path} takes inputs {inputs}, but its card says {expected}; export it again")
     outputs = {entry.name for entry in model.outputs}
     needed = _OUTPUTS[card.role] | ({"log_sigma"} if card.has_sigma else set())
+    needed |= {"strangeness"} if card.pressing and card.pressing.strangeness_limit else set()
     needed |= {"next_state"} if card.form == "step" else set()
     if not needed <= outputs:
         raise ModelError(f"{model.path} gives outputs {sorted(outputs)}, but its card promises {sorted(needed)}")

@@ -1,15 +1,24 @@
-"""What a network sees of a pair of frames: the rectified pictures, or the marker fields that perception tracked."""
+"""What a network sees of frames: the rectified pictures, marker fields that perception tracked, or steps of depth.
 
+Steps of depth (`service.perception.pressing`) are fed as they are complete. The decision is complete after the card's
+last step, or with the steps there are once the arm was ordered to stop: what follows is at no known depth.
+"""
+
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import ModelCard
+from service.contract.model_card import MARKER_PITCH, Lattice
 from service.decision.evidence import Refusal
-from service.perception.markers.field import marker_array
+from service.perception.markers.field import MarkerField, marker_array
 from service.perception.markers.sequence import track_pairs
 from service.perception.observation import PairObservation
+from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
+
+Floats = NDArray[np.float32]
 
 
 def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
@@ -33,3 +42,97 @@ def network_frames(card: ModelCard, frames: NDArray[np.uint8]) -> NDArray[Any]:
         return track_pairs(frames, card.markers, card.profile.fps)
     except ValueError as error:
         raise Refusal("out_of_distribution", str(error)) from error
+
+
+@dataclass(slots=True)
+class PressedFinger:
+    """One finger's fields on the lattice; its weights are those of the first grid it showed."""
+
+    lattice: Lattice
+    mm_per_px: float
+    centre_px: Floats
+    _weights: Floats | None = None
+
+    def read(self, field_px: MarkerField) -> Floats:
+        """[rows, columns, 3] in mm since the tracker's first frame; raise Refusal where there is no such grid."""
+        seen = field_px.valid.ravel()
+        if self._weights is None:
+            if not seen.size:
+                raise Refusal("out_of_distribution", f"no marker grid was found: {field_px.reason or field_px.status}")
+            rest_mm = (field_px.rest_px.reshape(-1, 2) - self.centre_px) * self.mm_per_px
+            self._weights = lattice_weights(rest_mm, self.lattice, field_px.pitch_px * self.mm_per_px)
+        if seen.size != self._weights.shape[1]:
+            raise Refusal("out_of_distribution", f"the grid changed to {field_px.valid.shape} markers")
+        moved_mm = field_px.displacement_px.reshape(-1, 2) * np.float32(self.mm_per_px)
+        return on_lattice(moved_mm, seen, self._weights).reshape(self.lattice.rows, self.lattice.columns, 3)
+
+
+@dataclass(slots=True)
+class Descent:
+    """The steps of depth of one attempt. ``speed_mm_s`` None: the client did not tell, and no depth is known."""
+
+    card: ModelCard
+    told: dict[str, float | None]
+    problem: Refusal | None = None
+    _steps: DepthSteps | None = None
+    _fingers: tuple[PressedFinger, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        assert self.card.pressing is not None
+        frame, mm_per_px = self.card.frame, self.card.profile.mm_per_px
+        centre = np.array([0.5 * (frame.width_px - 1), 0.5 * (frame.height_px - 1)], np.float32)
+        self._fingers = tuple(PressedFinger(self.card.pressing.lattice, mm_per_px, centre) for _ in range(2))
+
+    @property
+    def enough(self) -> bool:
+        """Whether the object was pressed as deep as the networks read."""
+        steps = self._steps
+        return steps is not None and steps.steps_n >= steps.spec.steps_n
+
+    @property
+    def pressed_mm(self) -> float:
+        """How far the object has been pressed since the onset."""
+        return 0.0 if self._steps is None else self._steps.pressed_mm
+
+    def begin(self, pairs: list[PairObservation], first: int) -> list[Floats]:
+        """Take the pairs up to now, ``first`` being the first to show motion; the steps that are complete."""
+        try:
+            self._check(pairs)
+            speed_mm_s, spec = self.told["speed_mm_s"], self.card.pressing
+            assert spec is not None
+            assert speed_mm_s is not None
+            self._steps = DepthSteps(spec, speed_mm_s)
+            self._steps.begin([pair.captured_ns for pair in pairs], [self._read(pair) for pair in pairs], first)
+            return self._steps.fresh()
+        except Refusal as refusal:
+            self.problem = refusal
+            return []
+
+    def add(self, pair: PairObservation) -> list[Floats]:
+        """The steps that one more pair completes."""
+        if self._steps is None or self.problem:
+            return []
+        try:
+            self._steps.add(pair.captured_ns, self._read(pair))
+            return self._steps.fresh()
+        except Refusal as refusal:
+            self.problem = refusal
+            return []
+
+    def _read(self, pair: PairObservation) -> Floats:
+        return np.stack([finger.read(one.field) for finger, one in zip(self._fingers, pair.fingers, strict=True)])
+
+    def _check(self, pairs: list[PairObservation]) -> None:
+        """Learn what the frames themselves tell, and raise Refusal outside what the networks were trained on."""
+        if not self.told.get("speed_mm_s"):
+            detail = "these networks read depth: expected `descending` with speed_mm_s"
+            raise Refusal("out_of_distribution", detail)
+        stamps_ns = np.array([pair.captured_ns for pair in pairs], np.float64)
+        if len(stamps_ns) > 1:
+            period_s = float(np.median(np.diff(stamps_ns))) * 1e-9
+            self.told["frame_spacing_mm"] = period_s * float(self.told["speed_mm_s"] or 0.0)
+        pitch_mm = [finger.field.pitch_px * self.card.profile.mm_per_px for finger in pairs[-1].fingers]
+        for pitch in pitch_mm:
+            outside = self.card.pressing.outside(self.told | {MARKER_PITCH: pitch}) if self.card.pressing else ""
+            if outside:
+                raise Refusal("out_of_distribution", outside)

@@ -1,10 +1,12 @@
 """The networks' work for one attempt, and the rules by which their evidence becomes a correction or is refused."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from service.contract import wire
-from service.decision.attempt import Attempt, WorkResult
+from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.controllers import Command
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.models import ModelSet
@@ -23,6 +25,15 @@ class Work:
     run: Callable[[], WorkResult | None]
 
 
+def plan(models: ModelSet, attempt: Attempt) -> list[Work]:
+    """All network work that the newest pair makes possible, in order."""
+    card = models.card
+    if card.pressing:
+        return plan_steps(models, attempt)
+    pairs = attempt.take_decision_pairs(card.frames_per_decision, card.reference_rule)
+    return [plan_work(models, attempt, pair) for pair in pairs]
+
+
 def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work:
     """The networks' step on one pair of the attempt's decision; the step on its last pair returns the result."""
     number, generation = attempt.arm.attempt, attempt.generation
@@ -36,6 +47,8 @@ def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work
     run, pairs = attempt.run, attempt.decision_pairs
     complete = pair is pairs[-1] and len(pairs) >= models.card.frames_per_decision
 
+    attempt.fed = attempt.fed or complete
+
     def compute() -> WorkResult | None:
         try:
             run.step(network_pair(models.card, pair))
@@ -48,6 +61,41 @@ def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work
             return WorkResult(number, generation, None, Refusal("non_finite", f"the networks failed: {error}"), {})
 
     return Work(number, compute)
+
+
+def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
+    """The networks' steps of depth that the newest pair completes; the last ones return the result.
+
+    Nothing comes after the last step of the card, after an order to stop, or where no depth can be known.
+    """
+    if attempt.fed:
+        return []
+    steps, pair, descent = attempt.take_steps(models.card), attempt.ring[-1], attempt.descent
+    if descent is None:
+        return []
+    number, generation, problem = attempt.arm.attempt, attempt.generation, descent.problem
+    attempt.fed = descent.enough or attempt.spoilt or attempt.stage is Stage.STOPPED or problem is not None
+    if attempt.run is None:
+        still = np.zeros((2, *models.card.input_shape), np.float32)
+        still[..., 2] = 1.0  # a step is a change already, and says itself what was seen
+        attempt.run = DecisionRun(models, still, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm, descent.told)
+    run, complete = attempt.run, attempt.fed
+
+    def compute() -> WorkResult | None:
+        try:
+            for step in steps:
+                run.step(step)
+            if not complete:
+                return None
+            if problem is not None:
+                raise problem
+            return WorkResult(number, generation, run.evidence(), None, latencies(run, pair))
+        except Refusal as refusal:
+            return WorkResult(number, generation, None, refusal, {})
+        except Exception as error:
+            return WorkResult(number, generation, None, Refusal("non_finite", f"the networks failed: {error}"), {})
+
+    return [Work(number, compute)] if steps or complete else []
 
 
 def latencies(run: DecisionRun, last: PairObservation) -> dict[str, float]:
@@ -82,6 +130,19 @@ def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, 
     )
 
 
+def seen_enough(attempt: Attempt) -> Iterator[wire.Enough]:
+    """The order to stop, if the networks have seen all that they read while the arm was still going down."""
+    descent, pair = attempt.descent, attempt.ring[-1]
+    if attempt.stage is Stage.ARMED and not attempt.slip_sent and descent is not None and descent.enough:
+        attempt.stops(pair.captured_ns)
+        yield wire.Enough(
+            insertion_id=attempt.arm.insertion_id,
+            attempt=attempt.arm.attempt,
+            frame_seq=pair.seq,
+            pressed_mm=descent.pressed_mm,
+        )
+
+
 def correction(
     insertion_id: str, attempt: Attempt, evidence: Evidence, command: Command, latency_ms: dict[str, float]
 ) -> wire.Correction:
@@ -103,7 +164,7 @@ def correction(
 def overdue(attempt: Attempt, waited_s: float, needed: int, deadlines: Deadlines) -> Refusal | None:
     """Why no decision will come any more, None while it still may."""
     have = len(attempt.decision_pairs)
-    if have >= needed:
+    if attempt.fed or have >= needed:
         late = waited_s > deadlines.decision_s
         return Refusal("stale", f"the networks took longer than {deadlines.decision_s:g} s") if late else None
     if waited_s <= deadlines.decision_frames_s:

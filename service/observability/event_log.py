@@ -10,6 +10,7 @@ from service.observability.hub import Hub
 log = structlog.get_logger()
 LOGGED = {
     "slip": ("attempt", "finger", "frame_seq", "age_ms", "score"),
+    "enough": ("attempt", "frame_seq", "pressed_mm"),
     "correction": ("attempt", "dx_mm", "dtheta_deg", "confidence", "latency_ms"),
     "no_decision": ("attempt", "reason", "detail"),
     "armed": ("attempt",),

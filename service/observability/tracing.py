@@ -65,6 +65,8 @@ class Spans:
                 self._attempt = self._span("attempt", self._insertion, now, {"attempt": content.attempt})
             case wire.Slip() if self._attempt is not None:
                 self._attempt.add_event("slip", {"finger": content.finger, "age_ms": content.age_ms}, now)
+            case wire.Enough() if self._attempt is not None:
+                self._attempt.add_event("enough", {"pressed_mm": content.pressed_mm}, now)
             case wire.Correction() if self._attempt is not None:
                 self._stages(content, now)
             case wire.NoDecision() if self._attempt is not None:

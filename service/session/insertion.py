@@ -149,7 +149,7 @@ class Insertion:
         attempt = self.session.attempt
         near = attempt is not None and attempt.stage is Stage.STOPPED
         if near and paired and attempt is not None:
-            near = len(attempt.decision_pairs) >= self.session.models.card.frames_per_decision
+            near = attempt.fed
         if not near or now - self._settled_ns > HOLD_S * 1e9:
             self._settle()
 

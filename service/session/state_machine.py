@@ -16,7 +16,7 @@ from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.controllers import Command, make_controller
 from service.decision.decider import Decider, Decision
 from service.decision.models import ModelSet
-from service.decision.work import Work, plan_work, slip_message
+from service.decision.work import Work, plan, seen_enough, slip_message
 from service.perception.observation import FingerWatch, Observation
 from service.session.fingers import Fingers
 from service.session.open_gel import OpenGels
@@ -132,7 +132,7 @@ class InsertionSession:
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:
         if self.attempt and self._is_current(message.attempt, {Stage.ARMED}):
-            self.attempt.descending_ns = now_ns
+            self.attempt.descending_ns, self.attempt.speed_mm_s = now_ns, message.speed_mm_s
             return []
         return [self._fault("protocol", f"descending in attempt {message.attempt}, which is not armed; send arm first")]
 
@@ -186,7 +186,7 @@ class InsertionSession:
             return []
         if not observation.slip.stop:
             return [*attempt.judged(observation, now_ns)]
-        attempt.slip_sent = True
+        attempt.stops(observation.captured_ns)
         return [slip_message(str(self.insertion_id), attempt, observation, now_ns)]
 
     def on_pair(self, pair: FramePair, now_ns: int) -> Replies:
@@ -207,10 +207,9 @@ class InsertionSession:
         attempt.take_in(both)
         if attempt.outcome == "inserted":
             return replies + self._conclude(now_ns)
-        card = self.models.card
-        for fresh in attempt.take_decision_pairs(card.frames_per_decision, card.reference_rule):
-            replies += self._submit(plan_work(self.models, attempt, fresh), now_ns)
-        return replies
+        for work in plan(self.models, attempt):
+            replies += self._submit(work, now_ns)
+        return [*replies, *seen_enough(attempt)]
 
     # ---- networks ------------------------------------------------------------------------------------------------
 

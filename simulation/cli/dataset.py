@@ -34,7 +34,7 @@ class CollectOptions:
     trials_per_object: int = 7500
     """Collisions to keep of each object; rounded up to whole shards."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = training_objects()
-    """Scene names or TOML files."""
+    """Scene names or TOML files; or `drawn` for worlds and objects drawn over all that cells are."""
     sensor: str = ""
     """Name or TOML file of the fingers' sensor, where it is not the scenes' own."""
     seed: int = 0

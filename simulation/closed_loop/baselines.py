@@ -14,6 +14,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from service.contract.wire import Correction, Estimate, NoDecision
+
 Move = tuple[float, float]
 SIGNS: Mapping[str, tuple[int, int]] = {
     "1": (-1, 0), "2": (1, 0), "3": (-1, 1), "4": (-1, -1), "5": (1, 1),
@@ -192,6 +194,22 @@ class Controller:
     folder: str = "."
     uses_networks: bool = True
     make: Make | None = None
+
+
+def empty_correction(refused: NoDecision) -> Correction:
+    """What a baseline's move is put into where the service had none to give."""
+    return Correction(
+        insertion_id=refused.insertion_id,
+        attempt=refused.attempt,
+        dx_mm=0.0,
+        dtheta_deg=0.0,
+        class_probabilities={},
+        estimate=Estimate(dx_mm=0.0, dtheta_deg=0.0),
+        confidence=0.0,
+        controller="heuristic",
+        reason="",
+        latency_ms={},
+    )
 
 
 CONTROLLERS: Mapping[str, Controller] = {

@@ -20,6 +20,7 @@ class Job:
     ``scene`` is an object by name or path. The start error is the one that the arm was told to stand at: it is the
     object's, too, unless the world misplaces the hand. ``condition`` names the world or disturbance; ``changes`` are
     its dotted keys of the scene, ``unstated`` those of its table `[world]`. ``dead``: what ails the left camera.
+    ``fault``: the fields of a `simulation.closed_loop.true_fields.Fault`, for perception "fields" alone.
     Perception "fields" takes the markers from the simulated gel instead of from pictures. ``cell`` "foreign": the
     mechanics are those of finite elements.
     """
@@ -36,6 +37,7 @@ class Job:
     unstated: Mapping[str, Any] = field(default_factory=dict)
     dead: Literal["", "dark", "frozen"] = ""
     cell: Literal["", "foreign"] = ""
+    fault: Mapping[str, Any] = field(default_factory=dict)
 
     def build_scene(self) -> Scene:
         """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""
@@ -46,7 +48,8 @@ class Job:
 class Outcome:
     """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
 
-    ``inserted`` is the truth, ``claimed`` what the client believes; ``void``: the physics came to its end.
+    ``inserted`` is a claim that is true, ``claimed`` what the client believes, ``in_gap`` the ground truth whether
+    claimed or not; ``void``: the physics came to its end.
     """
 
     inserted: bool
@@ -58,6 +61,7 @@ class Outcome:
     grasp_kept: bool
     course: Course
     trials: list[dict[str, Any]] = field(default_factory=list)
+    in_gap: bool = False
 
     @classmethod
     def never_held(cls, job: Job, reason: str) -> Outcome:

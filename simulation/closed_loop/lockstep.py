@@ -95,19 +95,10 @@ class LockstepCell:
         *,
         unstated: Unstated | None = None,
         draws: bool = True,
-        foreign: bool = False,
+        make: Callable[[Scene, int], Cell] = QuasiStaticCell,
     ) -> LockstepCell:
-        """A cell with the object grasped, told to be at the error given, at approach height.
-
-        foreign: its mechanics are those of finite elements, see `simulation.foreign`.
-        """
-        cell: Cell
-        if foreign:
-            from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem, which nothing else needs
-
-            cell = ForeignCell(scene, seed)
-        else:
-            cell = QuasiStaticCell(scene, seed)
+        """A cell with the object grasped, told to be at the error given, at approach height; ``make``: its mechanics."""
+        cell = make(scene, seed)
         cell.regrasp(x_mm, theta_deg)
         misplaced = Misplacement(unstated or Unstated(), _pose_of(cell))
         left, right = (Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS)

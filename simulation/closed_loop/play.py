@@ -8,6 +8,7 @@ This is the one module of the simulator that imports them.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -37,7 +38,7 @@ from robot_client.insertion.machine import step
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Phase, Plan, State
 from service.contract import FINGERS, FramePair
-from service.contract.wire import Correction, Estimate, LearnOpen, NoDecision
+from service.contract.wire import Correction, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Evidence
 from service.decision.models import ModelSet, load_models
@@ -45,11 +46,13 @@ from service.decision.work import Work
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
 from service.session.state_machine import InsertionSession
-from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View
+from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View, empty_correction
 from simulation.closed_loop.job import Job, Outcome, Perception
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
-from simulation.closed_loop.true_fields import TrueFieldFinger
-from simulation.scene.state import PhysicsError
+from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
+from simulation.physics.quasistatic import QuasiStaticCell
+from simulation.scene.scene import Scene
+from simulation.scene.state import Cell, PhysicsError
 from simulation.scene.unstated import Unstated
 
 MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
@@ -68,12 +71,13 @@ class Insertion:
         *,
         chooser: Chooser | None = None,
         perception: Perception = "pictures",
+        fault: Fault | None = None,
     ) -> None:
         self.cell = cell
         self.models = models
         self.controller = controller
         self.chooser = chooser
-        left, right = (_finger(models, cell, index, perception) for index in range(2))
+        left, right = (_finger(models, cell, index, perception, fault) for index in range(2))
         self.session = InsertionSession(models, left, right, controller_name=controller.service_controller)
         if not controller.uses_networks:
             self.session.submit = self._skip_networks
@@ -92,8 +96,11 @@ class Insertion:
         except (PhysicsError, GraspEndError) as stuck:
             void = f"physics: {stuck}"
         error = cell.state.object_error
+        fingers = (self.session.left, self.session.right)
+        gone = any(isinstance(finger, TrueFieldFinger) and finger.gone for finger in fingers)
+        in_gap = cell.state.inserted and not void and not gone
         return Outcome(
-            inserted=self.state.phase is Phase.INSERTED and cell.state.inserted and not void,
+            inserted=self.state.phase is Phase.INSERTED and in_gap,
             claimed=self.state.phase is Phase.INSERTED,
             attempts=self.state.attempt,
             reason=void or self.state.reason,
@@ -102,6 +109,7 @@ class Insertion:
             grasp_kept=not cell.state.grasp_lost,
             course=cell.course,
             trials=self.trials,
+            in_gap=in_gap,
         )
 
     def _play(self) -> None:
@@ -144,7 +152,7 @@ class Insertion:
     def _skip_networks(self, work: Work) -> None:
         """In the networks' place where nobody listens to them: done with the last frame of the decision."""
         attempt = self.session.attempt
-        if attempt is not None and len(attempt.decision_pairs) >= self.models.card.frames_per_decision:
+        if attempt is not None and attempt.fed:
             self._skipped.append(work)
 
     def _nothing_known(self) -> Evidence:
@@ -183,7 +191,7 @@ class Insertion:
             estimate,
         )
         dx, dtheta = chooser.choose(view)
-        correction = message if isinstance(message, Correction) else _empty_correction(message)
+        correction = message if isinstance(message, Correction) else empty_correction(message)
         return correction.model_copy(update={"dx_mm": dx, "dtheta_deg": dtheta, "reason": self.controller.title})
 
     def _post(self, event: Event) -> None:
@@ -241,25 +249,22 @@ def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits) -> Plan:
     )
 
 
-def _finger(models: ModelSet, cell: LockstepCell, index: int, perception: Perception) -> FingerWatch:
+def _finger(
+    models: ModelSet, cell: LockstepCell, index: int, perception: Perception, fault: Fault | None
+) -> FingerWatch:
     if perception == "fields":
-        return TrueFieldFinger(cell, FINGERS[index])
+        return TrueFieldFinger(cell, FINGERS[index], fault)
     return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))
 
 
-def _empty_correction(refused: NoDecision) -> Correction:
-    return Correction(
-        insertion_id=refused.insertion_id,
-        attempt=refused.attempt,
-        dx_mm=0.0,
-        dtheta_deg=0.0,
-        class_probabilities={},
-        estimate=Estimate(dx_mm=0.0, dtheta_deg=0.0),
-        confidence=0.0,
-        controller="heuristic",
-        reason="",
-        latency_ms={},
-    )
+def _mechanics(job: Job) -> Callable[[Scene, int], Cell]:
+    if job.cell != "foreign":
+        return QuasiStaticCell
+    if job.perception != "fields":
+        raise ValueError("cell 'foreign': it has no pictures of its own yet; expected perception 'fields'")
+    from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem
+
+    return ForeignCell
 
 
 def stage(job: Job, models: ModelSet) -> Insertion:
@@ -267,11 +272,11 @@ def stage(job: Job, models: ModelSet) -> Insertion:
     scene = job.build_scene()
     controller = CONTROLLERS[job.controller]
     perception: Perception = job.perception if controller.uses_networks else "fields"
-    draws, foreign = perception == "pictures", job.cell == "foreign"
-    if foreign and draws:
-        raise ValueError("cell 'foreign': it has no pictures of its own yet; expected perception 'fields'")
+    draws = perception == "pictures"
     unstated = Unstated.model_validate(job.unstated)
-    cell = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, foreign=foreign)
+    cell = LockstepCell.build(
+        scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, make=_mechanics(job)
+    )
     cell.dead = job.dead
     reach = (scene.x_range_mm, scene.theta_range_deg)
     chooser = controller.make(hash_seed(job.seed, job.index), reach) if controller.make else None
@@ -281,6 +286,7 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         controller,
         chooser=chooser,
         perception=perception,
+        fault=Fault(**job.fault) if job.fault else None,
     )
 
 

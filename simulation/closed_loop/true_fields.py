@@ -7,14 +7,15 @@ added; a picture is drawn only when a network asks for it. Some five times cheap
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS, Finger, TactileFrame
-from service.perception.markers.field import MarkerField, field_from_gel
+from service.perception.markers.field import MarkerField, empty_field, field_from_gel
 from service.perception.observation import Observation
 from service.perception.rectification import Rectifier
 from service.perception.slip.contact import FreeGel
@@ -42,10 +43,30 @@ class LatePicture:
         return self._pixels
 
 
+Kind = Literal["dark", "frozen", "stuck", "dropped"]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Fault:
+    """What goes wrong with what fingers see or hold, from ``depth_mm`` of the descent of ``attempt`` on, for good.
+
+    dark: no marker is found. frozen: the same frame again and again. stuck: the same picture with new camera noise.
+    dropped: the object has left the hand, unnoticed by the gripper. A negative depth: from the first frame on.
+    """
+
+    kind: Kind
+    fingers: tuple[Finger, ...] = FINGERS
+    attempt: int = 1
+    depth_mm: float = 0.0
+
+
 class TrueFieldFinger:
     """A :class:`FingerWatch` that looks at the cell's gel of this moment instead of the frame."""
 
-    def __init__(self, cell: LockstepCell, finger: Finger) -> None:
+    def __init__(self, cell: LockstepCell, finger: Finger, fault: Fault | None = None) -> None:
+        self._fault = fault if fault and finger in fault.fingers else None
+        self._attempt, self._top_mm, self._struck = 0, math.inf, False
+        self._seen: NDArray[np.floating] | None = None
         self._cell = cell
         self._finger = finger
         self._index = FINGERS.index(finger)
@@ -60,6 +81,12 @@ class TrueFieldFinger:
     def rearm(self) -> None:
         """The next frame becomes the reference of slip and onset."""
         self._rearm = True
+        self._attempt, self._top_mm = self._attempt + 1, self._cell.pose[2]
+
+    @property
+    def gone(self) -> bool:
+        """Whether the object has left the hand, whatever the mechanics say."""
+        return self._struck and self._fault is not None and self._fault.kind == "dropped"
 
     def learn_open(self, frame: TactileFrame) -> str:
         """Take the gel at rest for what nothing touches."""
@@ -68,7 +95,7 @@ class TrueFieldFinger:
 
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive the moment that the frame was taken at."""
-        field = self._tracked(self._exposed(), frame, 7)
+        field = self._field(frame)
         onset = None
         if self._rearm:
             slip = self._slip.rearm(field)
@@ -80,6 +107,23 @@ class TrueFieldFinger:
         onset_ns = None if onset is None else onset.captured_ns
         bulge = self._free.bulge(field)
         return Observation(self._finger, frame.seq, frame.captured_ns, picture, field, slip, onset_ns, {}, bulge)
+
+    def _field(self, frame: TactileFrame) -> MarkerField:
+        """What is found in a frame: the cell's gel, or what a fault has made of it."""
+        fault = self._fault
+        if fault and not self._struck:
+            depth_mm = self._top_mm - self._cell.pose[2]
+            self._struck = fault.depth_mm < 0.0 or (self._attempt >= fault.attempt and depth_mm >= fault.depth_mm)
+        if not fault or not self._struck or self._seen is None:
+            self._seen = self._exposed()
+        elif fault.kind == "dark":
+            return empty_field(frame.captured_ns, "lost", "no marker was found")
+        gel = np.zeros_like(self._seen) if self.gone else self._seen
+        field = self._tracked(gel, frame, 7)
+        return dataclasses.replace(field, status="duplicate") if self._repeats() else field
+
+    def _repeats(self) -> bool:
+        return self._struck and self._fault is not None and self._fault.kind == "frozen"
 
     def _tracked(self, gel: NDArray[np.floating], frame: TactileFrame, what: int) -> MarkerField:
         """The field of a gel state with the tracker's error on it, which ``what`` and the frame decide."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from reporting.files import write_durably
 from service.contract import FINGERS, Sensor
+from simulation.data import drawn_cells
 from simulation.data.dataset import DatasetError, ShardEntry, Trial, encode_shard, split_of
 from simulation.data.manifest import shard_file_name
 from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
@@ -70,10 +71,13 @@ class Fixture:
     held_out: bool
     appearances: tuple[Appearance, Appearance]
     cell_seed: int
+    drawn: str = ""
 
 
 def scene_of(name: str, sensor: Sensor | None) -> Scene:
     """The scene to collect from, with another sensor than its own if one is given."""
+    if name == drawn_cells.NAME:
+        return drawn_cells.base()
     return load_scene(name, **({"camera__sensor": sensor} if sensor else {}))
 
 
@@ -87,10 +91,14 @@ def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.rand
     group = plan.group_id(number)
     rng = np.random.Generator(np.random.PCG64([plan.seed, group]))
     held_out = bool(rng.random() < plan.held_out_share)
-    scene = randomised(base, rng, held_out=held_out)
+    drawn = ""
+    if plan.scene_name == drawn_cells.NAME:
+        scene, drawn = drawn_cells.draw_cell(rng)
+    else:
+        scene = randomised(base, rng, held_out=held_out)
     look_seed, cell_seed = (int(n) for n in rng.integers(2**31, size=2))
     left, right = (Appearance.draw(scene, finger, look_seed) for finger in FINGERS)
-    return Fixture(scene, group, held_out, (left, right), cell_seed), rng
+    return Fixture(scene, group, held_out, (left, right), cell_seed, drawn), rng
 
 
 def pokes(plan: Plan, base: Scene) -> Iterator[tuple[Fixture, int, int, Probe | None]]:
@@ -109,7 +117,7 @@ def pokes(plan: Plan, base: Scene) -> Iterator[tuple[Fixture, int, int, Probe | 
             try:
                 hand = hand or Hand(fixture)
                 hand.aim(x_mm, theta_deg)
-                probe = hand.poke(rng)
+                probe = hand.press(rng) if fixture.drawn else hand.poke(rng)
             except PhysicsError:
                 yield fixture, poke, seed, None
                 break
@@ -141,6 +149,17 @@ class Hand:
         probe = descend(
             cell, x, math.degrees(yaw), phase=phase, stop_delay_frames=delay_frames, overtravel_mm=overtravel_mm
         )
+        if probe.outcome == "blocked":
+            self._lift(top)
+        return probe
+
+    def press(self, rng: np.random.Generator) -> Probe:
+        """Descend to a fixed depth below the onset, in steps of depth, and lift off again."""
+        cell = self._cell
+        x, _, top, yaw = (float(value) for value in cell.pose)
+        rate = cell.scene.speed_mm_s / drawn_cells.FRAME_MM
+        theta_deg, press_mm = math.degrees(yaw), drawn_cells.PRESS_MM
+        probe = descend(cell, x, theta_deg, phase=float(rng.random()), fps=rate, press_mm=press_mm)
         if probe.outcome == "blocked":
             self._lift(top)
         return probe
@@ -182,6 +201,8 @@ def trial_of(
         wrench=np.asarray(probe.wrench, np.float32),
         in_hand=np.asarray(probe.in_hand, np.float32),
         slipping=probe.slipping if slip_truth else None,
+        drawn=fixture.drawn,
+        **(drawn_cells.stated(fixture.scene) if fixture.drawn else {}),
     )
 
 

@@ -151,9 +151,9 @@ def encode_shard(
         trial.check()
     sensor = trials[0].sensor if trials else Sensor.load()
     slip_truth = bool(trials) and all(trial.slipping is not None for trial in trials)
-    table = pa.Table.from_pylist(
-        [to_row(trial) for trial in trials], schema=parquet_schema(sensor, slip_truth=slip_truth)
-    )
+    drawn = bool(trials) and all(trial.drawn for trial in trials)
+    schema = parquet_schema(sensor, slip_truth=slip_truth, drawn=drawn)
+    table = pa.Table.from_pylist([to_row(trial) for trial in trials], schema=schema)
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, row_group_size=_ROWS_PER_GROUP, compression="zstd", use_dictionary=["appearances"])
     data = sink.getvalue().to_pybytes()
@@ -248,7 +248,11 @@ class Dataset:
                 raise DatasetError(f"{path}: not a Parquet shard: {error}") from error
             schema = self._files[shard].schema_arrow
             version, sensor = self.manifest.schema_version, self.manifest.sensor
-            known = [parquet_schema(sensor, slip_truth=slip, schema_version=version) for slip in (False, True)]
+            known = [
+                parquet_schema(sensor, slip_truth=slip, drawn=drawn, schema_version=version)
+                for slip in (False, True)
+                for drawn in (False, True)
+            ]
             if not any(schema.equals(other) for other in known):
                 raise DatasetError(f"{path}: its columns are not those of schema {version} and sensor {sensor}")
         return self._files[shard]

@@ -110,15 +110,17 @@ def descend(
     theta_deg: float,
     *,
     phase: float = 0.5,
-    fps: int | None = None,
+    fps: float | None = None,
     frames: int = 30,
     speed_mm_s: float | None = None,
     stop_delay_frames: int = 0,
     overtravel_mm: float = 0.0,
+    press_mm: float | None = None,
 ) -> Probe:
     """As `run_probe`, from where the cell stands now: for pokes that follow one another without a new fixture.
 
-    phase: when the first frame falls within a frame period, 0..1.
+    phase: when the first frame falls within a frame period, 0..1. press_mm: do not stop on slip, but so far below the
+    depth of the onset's frame, or at the force limit.
     """
     rate, speed = fps or cell.scene.fps, speed_mm_s or cell.scene.speed_mm_s
     _check(frames, rate, speed, stop_delay_frames, overtravel_mm)
@@ -126,7 +128,8 @@ def descend(
     if cell.coasting is not None:
         cell.coasting.speed_mm_s = speed
     record = _Recorder(cell.look())
-    slip, outcome = _lower(cell, record, speed / rate, phase, stop_delay_frames, overtravel_mm)
+    late_mm = stop_delay_frames * speed / rate + overtravel_mm
+    slip, outcome = _lower(cell, record, speed / rate, phase, late_mm, press_mm)
     stop = len(record.states) - 1
     still_moves = cell.coasting is not None or cell.relaxes
     while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
@@ -148,8 +151,8 @@ def _lower(
     record: _Recorder,
     pitch_mm: float,
     phase: float,
-    stop_delay_frames: int,
-    overtravel_mm: float,
+    late_mm: float,
+    press_mm: float | None,
 ) -> tuple[int, Outcome]:
     """Go down by pitch_mm a frame until something ends it; gives the frame that truly slips (-1: none) and the end."""
     start, limits = cell.pose.copy(), cell.scene.numerics
@@ -162,9 +165,15 @@ def _lower(
         if state.grasp_lost:
             return slip, "grasp_lost"
         slips = float(state.slipping_share.max()) >= limits.slip_share
-        if slip < 0 and (slips or state.wrench_n_nmm[2] > cell.scene.grasp.force_limit_n):
+        overloaded = state.wrench_n_nmm[2] > cell.scene.grasp.force_limit_n
+        if press_mm is not None and index == record.onset:
+            stop_depth = min(INSERTION_DEPTH_MM, depth + press_mm)
+        if slip < 0 and (slips or overloaded):
             slip = index
-            stop_depth = min(INSERTION_DEPTH_MM, depth + stop_delay_frames * pitch_mm + overtravel_mm)
+            if press_mm is None:
+                stop_depth = min(INSERTION_DEPTH_MM, depth + late_mm)
+        if press_mm is not None and overloaded:
+            stop_depth = depth
         if depth >= INSERTION_DEPTH_MM:
             return slip, "inserted" if state.inserted else "blocked"
         if depth >= stop_depth:

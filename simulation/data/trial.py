@@ -27,6 +27,8 @@ class Trial:
     ``gel`` float16 [30, 2, rows, columns, 3]: (du_mm, dv_mm, pressure N/mm2) per frame and finger (left, right).
     ``onset_frame``: first frame that shows motion of the object; a decision uses 8 frames from there.
     ``slipping`` bool [30, 2, rows, columns], where the gel slid on the object, or None where it was not collected.
+    ``drawn``: of a drawn cell, all that was drawn, as JSON by dotted key; then ``speed_mm_s``, ``grip_n`` and
+    ``shear_reach_mm`` are stated, too, and frames are so many steps of depth; else 0.
     ``wrench`` float32 [30, 6] (N, N mm) at the TCP; ``depth_mm`` float32 [30]; ``in_hand`` float32 [30, 6] (mm, rad).
     """
 
@@ -50,6 +52,10 @@ class Trial:
     wrench: NDArray[np.float32]
     in_hand: NDArray[np.float32]
     slipping: NDArray[np.bool_] | None = None
+    drawn: str = ""
+    speed_mm_s: float = 0.0
+    grip_n: float = 0.0
+    shear_reach_mm: float = 0.0
 
     @property
     def sensor(self) -> Sensor:
@@ -101,6 +107,10 @@ SCALARS = (
 )
 
 
+DRAWN = {"drawn": "", "speed_mm_s": 0.0, "grip_n": 0.0, "shear_reach_mm": 0.0}
+"""Columns of drawn cells, and what they are of others."""
+
+
 def slip_shape(sensor: Sensor) -> tuple[int, int, int, int]:
     """Of ``Trial.slipping``."""
     return (FRAMES, FINGER_COUNT, sensor.marker_rows, sensor.marker_columns)
@@ -116,10 +126,13 @@ def arrays(sensor: Sensor) -> dict[str, tuple[tuple[int, ...], Any]]:
     }
 
 
-def parquet_schema(sensor: Sensor, *, slip_truth: bool = False, schema_version: int = SCHEMA_VERSION) -> Any:
+def parquet_schema(
+    sensor: Sensor, *, slip_truth: bool = False, drawn: bool = False, schema_version: int = SCHEMA_VERSION
+) -> Any:
     """The Arrow schema of a shard: scalars, optics as JSON, arrays as fixed-size little-endian bytes.
 
-    slip_truth: with ``slipping``, one bit a marker. Schema 1 has no ``grasp_height_mm``.
+    slip_truth: with ``slipping``, one bit a marker. drawn: with the columns of drawn cells. Schema 1 has no
+    ``grasp_height_mm``.
     """
     import pyarrow as pa
 
@@ -131,6 +144,9 @@ def parquet_schema(sensor: Sensor, *, slip_truth: bool = False, schema_version: 
     fields += [pa.field(name, pa.binary(size), nullable=False) for name, size in sizes.items()]
     if slip_truth:
         fields.append(pa.field("slipping", pa.binary(-(-int(np.prod(slip_shape(sensor))) // 8)), nullable=False))
+    if drawn:
+        fields.append(pa.field("drawn", pa.string(), nullable=False))
+        fields += [pa.field(name, pa.float64(), nullable=False) for name in list(DRAWN)[1:]]
     return pa.schema(fields)
 
 
@@ -147,6 +163,8 @@ def to_row(trial: Trial) -> dict[str, Any]:
         row[name] = np.ascontiguousarray(getattr(trial, name), kind).tobytes()
     if trial.slipping is not None:
         row["slipping"] = np.packbits(trial.slipping).tobytes()
+    if trial.drawn:
+        row |= {name: getattr(trial, name) for name in DRAWN}
     return row
 
 
@@ -159,6 +177,7 @@ def from_row(row: dict[str, Any], sensor: Sensor) -> Trial:
         grid = slip_shape(sensor)
         bits = np.unpackbits(np.frombuffer(row["slipping"], np.uint8), count=int(np.prod(grid)))
         values["slipping"] = bits.astype(bool).reshape(grid)
+    values |= {name: row.get(name, missing) for name, missing in DRAWN.items()}
     return Trial(appearances=(left, right), **values)
 
 

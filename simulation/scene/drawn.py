@@ -94,6 +94,11 @@ def draw_worlds(count: int, seed: int) -> list[Tables]:
     return [_world(dict(zip(names, row, strict=True))) for row in cube.tolist()]
 
 
+def draw_world(rng: np.random.Generator) -> Tables:
+    """One world by itself, every quantity for its own."""
+    return _world({name: float(rng.random()) for name in (*MIXED, *QUANTITIES)})
+
+
 def _world(u: Mapping[str, float]) -> Tables:
     flat = {name: of(u[name]) for name, of in QUANTITIES.items()}
     for pair, parts in PAIRS.items():
@@ -144,14 +149,20 @@ def draw_objects(count: int, seed: int) -> list[Tables]:
         raise ValueError(f"--count {count}: expected at least 1")
     rng, drawn = np.random.default_rng((seed, 0x0B)), list[Tables]()
     while len(drawn) < count:
+        drawn.append(draw_object(rng))
+    return drawn
+
+
+def draw_object(rng: np.random.Generator) -> Tables:
+    """One object that a soft pad can hold."""
+    while True:
         tables = _object(rng)
         try:
             held_mm = touched_width_mm(scene_of_tables(tables, "drawn"))
         except SceneError:
             continue  # its corners cannot be as round as drawn
         if held_mm >= HELD_MM:
-            drawn.append(tables)
-    return drawn
+            return tables
 
 
 def _object(rng: np.random.Generator) -> Tables:

@@ -18,6 +18,8 @@ TOKEN = "a-token-for-driving"
 class Arm:
     """Blocked at 6 mm on its first attempt, free afterwards; moves 0.5 mm each time it is asked."""
 
+    speed_mm_s = 10.0
+
     def __init__(self):
         self.moves: list[tuple[float, float]] = []
         self.retracted = 0

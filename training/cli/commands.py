@@ -106,6 +106,18 @@ def report(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs"),
     print(write_report(run, out, recipe=recipe))
 
 
+def depths(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs")) -> None:
+    """Write what a network that reads depth gains from pressing further, its coverage by reach, what it finds strange.
+
+    Args:
+        run: folder of the run, such as runs/pressing.
+        out: folder of depths.md and depths.json.
+    """
+    from training.report.depths import write_depths
+
+    print(write_depths(run, out))
+
+
 def print_table(figures: dict[str, dict[str, float]]) -> None:
     """One line an object and split."""
     names = "trials accuracy chance ece wrong_side_x mae_x_mm mae_theta_deg rmse_x_mm rmse_theta_deg"
@@ -126,6 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "show": show,
                 "stress": stress,
                 "report": report,
+                "depths": depths,
             },
             args=arguments,
             prog="tactile-insertion",

@@ -24,7 +24,8 @@ class Batch:
 
     ``fields`` float32 [B, 8, 2, 3, rows, columns], change against the first frame in physical units; ``drawn`` float32
     [B, 8, 2, ...], block sums of pictures or markers tracked in them, or None; ``error`` [B, 2]; ``label`` [B];
-    ``geometry`` [B, 2], gap width and grasp height in mm, 0 where it is not known.
+    ``geometry`` [B, 2], gap width and grasp height in mm, 0 where it is not known. Of steps of depth: ``fields``
+    against rest, ``geometry`` [B, 6] all conditions, ``length`` [B] how many steps there are.
     """
 
     fields: Tensor
@@ -32,6 +33,7 @@ class Batch:
     error: Tensor
     label: Tensor
     geometry: Tensor
+    length: Tensor | None = None
 
 
 def mirror_fields(fields: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -91,15 +93,6 @@ def _apply_symmetries(
         pooled *= rng.uniform(0.9, 1.1, (len(error), 1, 1, 1, 1, 1)).astype(np.float32)
     error[mirrored] *= MIRROR_SIGNS
     error[turned] *= HALF_TURN_SIGNS
-
-
-def epoch(
-    trials: Trials, chosen: NDArray[np.int64], size: int, rng: np.random.Generator, *, pictures: bool
-) -> Iterator[Batch]:
-    """Shuffled, augmented batches of one epoch."""
-    order = rng.permutation(chosen)
-    for start in range(0, len(order), size):
-        yield decisions(trials, order[start : start + size], rng, pictures=pictures)
 
 
 def frame_pairs(

@@ -11,6 +11,7 @@ from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
 from service.contract import ContractError, Sensor
+from service.contract.model_card import Pressing
 from training.data.labels import CLASSES
 from training.metrics.figures import Scales
 from training.networks import build
@@ -35,6 +36,8 @@ class Checkpoint:
     """Settings of the run it came from; empty in checkpoints older than the field."""
     sensor: Sensor = field(default_factory=Sensor.load)
     """Of the data it was trained on."""
+    pressing: Pressing | None = None
+    """How it reads steps of depth, of networks that do."""
 
     def save(self, path: Path) -> None:
         """Write atomically."""
@@ -49,6 +52,7 @@ class Checkpoint:
             "git_commit": self.git_commit,
             "run": self.run,
             "sensor": self.sensor.model_dump(),
+            "pressing": self.pressing.model_dump() if self.pressing else None,
         }
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".tmp")
@@ -66,6 +70,8 @@ class Checkpoint:
             about["network"] = NetworkConfig.model_validate(about["network"])
             if "sensor" in about:
                 about["sensor"] = Sensor.model_validate(about["sensor"])
+            if about.get("pressing"):
+                about["pressing"] = Pressing.model_validate(about["pressing"])
             for name in ("scales", "joint_scales"):
                 about[name] = Scales(**about[name])
             return cls(weights=stored["weights"], **about)

@@ -18,15 +18,18 @@ from torch.nn import functional
 from reporting.machine import commit
 from service.contract import ContractError, Sensor
 from training.config import RunConfig, pin, refuse_another
-from training.data.batches import Batch, decisions, epoch, frame_pairs
-from training.data.dataset import SPLITS, Source, Trials, load_trials
+from training.data.batches import Batch, frame_pairs
+from training.data.dataset import SPLITS, Source, Trials
 from training.data.labels import CLASSES, class_of
+from training.data.pressed import Pressed
+from training.data.reading import Samples, decisions, epoch, load
 from training.fit import parallel
 from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Stage, fit
+from training.fit.usual import learn_usual
 from training.metrics.figures import Predictions, Sample, Scales, by_split, figures
 from training.metrics.joint import Densities
-from training.networks import build, network_class, reads
+from training.networks import build, network_class
 from training.networks.decider import Decider
 
 EVALUATION_BATCH = 32
@@ -38,10 +41,11 @@ class Trainer:
     """The objects of one run."""
 
     config: RunConfig
-    trials: Trials
+    trials: Samples
     network: Decider
     class_weights: Tensor
     front_error: Tensor
+    most_steps: int = 0  # of depth to decide on; 0 for all
 
     def normalised(self, batch: Batch) -> Tensor:
         """True field changes in the network's units."""
@@ -50,13 +54,21 @@ class Trainer:
     def decision_loss(self, fields: Tensor, batch: Batch) -> Tensor:
         """Cross entropy of the class, and negative log likelihood of the error under one Gaussian and the mixture."""
         network, weight = self.network, self.config.loss
-        state = network.read_fields(fields, batch.geometry)
-        direction = functional.cross_entropy(network.logits(state), batch.label, self.class_weights)
+        state, label, truth = self._asked(fields, batch)
+        direction = functional.cross_entropy(network.logits(state), label, self.class_weights)
         error, log_sigma = network.error(state)
-        z = (error - batch.error) * torch.exp(-log_sigma)
+        z = (error - truth) * torch.exp(-log_sigma)
         magnitude = (0.5 * z.square() + log_sigma).mean()
-        density = network.density.negative_log_likelihood(state, batch.error).mean()
+        density = network.density.negative_log_likelihood(state, truth).mean()
         return direction + weight.magnitude * magnitude + weight.density * density
+
+    def _asked(self, fields: Tensor, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+        """States that have to decide, with label and error of each: the last of a decision; of steps of depth, all."""
+        if batch.length is None:
+            return self.network.read_fields(fields, batch.geometry), batch.label, batch.error
+        states = self.network.read_steps(fields, batch.geometry)
+        row, step = torch.nonzero(torch.arange(states.shape[1]) < batch.length[:, None], as_tuple=True)
+        return states[row, step], batch.label[row], batch.error[row]
 
     def front_loss(self, pair: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         """Mean square error of the field change, in normalised units."""
@@ -87,8 +99,20 @@ class Trainer:
             for start in range(0, len(chosen), EVALUATION_BATCH):
                 batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
                 fields = self.normalised(batch) if batch.drawn is None else self.network.read_drawn(batch.drawn)
-                states.append(self.network.read_fields(fields, batch.geometry))
+                states.append(self._last(fields, batch))
         return torch.cat(states)
+
+    def _last(self, fields: Tensor, batch: Batch) -> Tensor:
+        if batch.length is None:
+            return self.network.read_fields(fields, batch.geometry)
+        last = batch.length.clamp(max=self.most_steps or fields.shape[1]) - 1
+        return self.network.read_steps(fields, batch.geometry)[torch.arange(len(last)), last]
+
+    def last_steps(self, chosen: NDArray[np.int64]) -> Tensor:
+        """Normalised motion [N, 2, 2, rows, columns] of the last step of depth of each decision."""
+        batch = decisions(self.trials, chosen, None, pictures=False)
+        assert batch.length is not None
+        return self.normalised(batch)[torch.arange(len(chosen)), batch.length - 1, :, :2]
 
     def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
         """The pair's predictions of trials."""
@@ -117,6 +141,7 @@ class Trainer:
 
     def front_score(self, chosen: NDArray[np.int64]) -> dict[str, float]:
         """Front's mean square error on validation pictures; also keeps the size of its error for the trunk."""
+        assert isinstance(self.trials, Trials)
         front, rng = self.network.get_submodule("front"), np.random.default_rng(0)
         residuals = [
             front(frame, reference) - self._scaled(change)
@@ -144,7 +169,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
     with parallel.group():
         with parallel.first_goes_first():
             refuse_another(folder, config)
-            trials = load_trials(config.data, source, reads(config.network.kind))
+            trials = load(config.data, config.network.kind, source)
             grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
             pin(folder, config, grounds)  # not before: a mistyped data folder must not claim the run's
         trainer = _prepare(config, trials)
@@ -154,7 +179,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
         return _finish(trainer, folder)
 
 
-def _prepare(config: RunConfig, trials: Trials) -> Trainer:
+def _prepare(config: RunConfig, trials: Samples) -> Trainer:
     for split in ("train", "validation"):
         if not len(trials.of(split)):
             raise ContractError(f"the dataset has no collisions in its {split} split")
@@ -176,7 +201,7 @@ def _start(config: RunConfig, sensor: Sensor) -> Checkpoint:
     return start
 
 
-def _set_scales(network: Decider, trials: Trials) -> None:
+def _set_scales(network: Decider, trials: Samples) -> None:
     """Normalise what the network reads by its spread over some training decisions."""
     chosen = trials.of("train")[:: max(1, len(trials.of("train")) // 500)]
     network.set_scales(decisions(trials, chosen, None, pictures=False).fields)
@@ -197,7 +222,7 @@ def _stages(trainer: Trainer) -> list[Stage]:
         loss=trainer.trunk_loss,
         validate=lambda: trainer.score(held, pictures=False),
     )
-    if network.front is None:
+    if network.front is None or isinstance(trials, Pressed):
         return [trunk]
     front = Stage(
         "front",
@@ -234,6 +259,11 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     pictures = len(trainer.trials.of("validation", rendered=True)) > 0
     scales, tables = _scored(trainer, trainer.predict, pictures=pictures)
     joint_scales, joint_tables = _scored(trainer, trainer.predict_density, pictures=pictures)
+    pressing = (
+        learn_usual(trainer.network, trainer.trials, trainer.last_steps)
+        if isinstance(trainer.trials, Pressed)
+        else None
+    )
     checkpoint = Checkpoint(
         name=trainer.config.name,
         network=trainer.config.network,
@@ -245,6 +275,7 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
         git_commit=commit(),
         run=trainer.config.settings(),
         sensor=trainer.trials.sensor,
+        pressing=pressing,
     )
     if parallel.first():
         checkpoint.save(folder / "checkpoint.pt")

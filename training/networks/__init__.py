@@ -7,12 +7,14 @@ from training.networks.alexnet import AlexNetPair
 from training.networks.compact import CompactNetwork
 from training.networks.decider import Decider
 from training.networks.markers import MarkerNetwork
+from training.networks.pressing import PressingNetwork
 from training.networks.settings import NetworkConfig, nearest
 
 NETWORKS: dict[str, type[Decider | AlexNetPair]] = {
     "alexnet_lstm": AlexNetPair,
     "compact": CompactNetwork,
     "markers": MarkerNetwork,
+    "pressing": PressingNetwork,
 }
 
 
@@ -23,9 +25,12 @@ def network_class(kind: str) -> type[Decider | AlexNetPair]:
     return NETWORKS[kind]
 
 
-def reads(kind: str) -> Literal["pictures", "markers"]:
-    """What a kind of network is shown of a frame."""
-    return "markers" if network_class(kind).reads_markers else "pictures"
+def reads(kind: str) -> Literal["pictures", "markers", "steps"]:
+    """What a kind of network is shown: frames, markers tracked in them, or steps of depth."""
+    network = network_class(kind)
+    if network.reads_steps:
+        return "steps"
+    return "markers" if network.reads_markers else "pictures"
 
 
 def build(settings: NetworkConfig, classes: int, sensor: Sensor) -> Any:

@@ -7,8 +7,6 @@ moves by tenths. A network finds that difference of differences slowly; written 
 import torch
 from torch import Tensor, nn
 
-from service.contract import Sensor
-
 NUMBERS = 41
 QUIET = 0.02
 """Motion, in spreads of the fields, below which a field has no direction of motion."""
@@ -21,17 +19,20 @@ class AffineFit(nn.Module):
     place: Tensor
     spread: Tensor
 
-    def __init__(self, size: int, sensor: Sensor) -> None:
+    def __init__(self, size: int, rows: int, columns: int) -> None:
         super().__init__()
-        rows, columns = torch.linspace(-1, 1, sensor.marker_rows), torch.linspace(-1, 1, sensor.marker_columns)
-        v, u = torch.meshgrid(rows, columns, indexing="ij")
+        v, u = torch.meshgrid(torch.linspace(-1, 1, rows), torch.linspace(-1, 1, columns), indexing="ij")
         self.register_buffer("place", torch.stack([u, v]), persistent=False)
         self.register_buffer("spread", torch.ones(NUMBERS))
         self.read = nn.Linear(NUMBERS, size)
 
     def forward(self, fields: Tensor) -> Tensor:
         """See class."""
-        return torch.relu(self.read(self.raw(fields) / self.spread))
+        return self.read_raw(self.raw(fields))
+
+    def read_raw(self, raw: Tensor) -> Tensor:
+        """Features of what :meth:`raw` gave."""
+        return torch.relu(self.read(raw / self.spread))
 
     def set_spread(self, fields: Tensor) -> None:
         """Make each number of order one on fields like these."""

@@ -132,6 +132,7 @@ class AlexNetPair(nn.Module):
     """DirectionNN and MagnitudeNN of the paper, trained independently, kept in one checkpoint."""
 
     reads_markers = False
+    reads_steps = False
     roles: tuple[Role, ...] = ("direction", "magnitude", "pair")
 
     def __init__(self, _settings: NetworkConfig, classes: int, _sensor: Sensor | None = None) -> None:

@@ -36,12 +36,12 @@ def geometry_features(geometry: Tensor) -> Tensor:
 class Trunk(nn.Module):
     """Normalised field changes of both fingers [B, 2, 3, rows, columns], gap and grasp, and state -> next state."""
 
-    def __init__(self, settings: NetworkConfig, sensor: Sensor) -> None:
+    def __init__(self, settings: NetworkConfig, grid: tuple[int, int], channels: int, conditions: int) -> None:
         super().__init__()
         width = settings.trunk_width
-        cells = -(-sensor.marker_rows // 4) * -(-sensor.marker_columns // 4)
+        cells = -(-grid[0] // 4) * -(-grid[1] // 4)
         self.convolutions = nn.Sequential(
-            nn.Conv2d(FIELD_CHANNELS, width, 3, stride=2, padding=1),
+            nn.Conv2d(channels, width, 3, stride=2, padding=1),
             nn.ReLU(),
             nn.Conv2d(width, 2 * width, 3, stride=2, padding=1),
             nn.ReLU(),
@@ -49,17 +49,21 @@ class Trunk(nn.Module):
         )
         self.project = nn.Linear(2 * width * cells, settings.feature_size)
         self.dropout = nn.Dropout(settings.dropout)
-        self.affine = AffineFit(AFFINE_FEATURES, sensor) if settings.affine_fit else None
+        self.affine = AffineFit(AFFINE_FEATURES, *grid) if settings.affine_fit else None
         features = 2 * settings.feature_size + (AFFINE_FEATURES if settings.affine_fit else 0)
-        self.cell = nn.GRUCell(features + GEOMETRY_FEATURES, settings.state_size)
+        self.cell = nn.GRUCell(features + conditions, settings.state_size)
 
     def encode(self, fields: Tensor) -> Tensor:
         """Fields [N, 2, 3, rows, columns] -> features [N, F]: of the left finger, the right one, and both together."""
-        count = fields.shape[0]
-        maps = fields.reshape(count * 2, *fields.shape[2:])
-        features = torch.relu(self.project(self.convolutions(maps)))
-        kept: Tensor = self.dropout(features.reshape(count, -1))
+        kept = self.read_maps(fields)
         return kept if self.affine is None else torch.cat([kept, self.affine(fields)], 1)
+
+    def read_maps(self, maps: Tensor) -> Tensor:
+        """Maps [N, 2, channels, rows, columns] -> features of the left finger and the right one."""
+        count = maps.shape[0]
+        features = torch.relu(self.project(self.convolutions(maps.reshape(count * 2, *maps.shape[2:]))))
+        kept: Tensor = self.dropout(features.reshape(count, -1))
+        return kept
 
     def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
         """One step of the recurrent cell; ``geometry`` as for :func:`geometry_features`."""
@@ -74,18 +78,25 @@ class Decider(nn.Module):
     state_reach = STATE_REACH
     uses_geometry = True
     reads_markers = False
+    reads_steps = False
+    channels = FIELD_CHANNELS
+    condition_features = GEOMETRY_FEATURES
     roles: tuple[Role, ...] = ("direction", "magnitude", "joint", "pair")
 
     def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
         super().__init__()
         self.state_size = settings.state_size
-        self.trunk = Trunk(settings, sensor)
+        self.trunk = Trunk(settings, self.grid(sensor), self.channels, self.condition_features)
         self.direction = nn.Linear(settings.state_size, classes)
         self.magnitude = nn.Linear(settings.state_size, 4)
         self.density = MixtureDensity(settings.state_size)
         self.front: nn.Module | None = None
         """Reads the pictures of a network that reads any; it is trained first, on true fields."""
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
+
+    def grid(self, sensor: Sensor) -> tuple[int, int]:
+        """Rows and columns that the trunk reads."""
+        return sensor.marker_rows, sensor.marker_columns
 
     def set_scales(self, fields: Tensor) -> None:
         """Make field changes [N, T, 2, 3, rows, columns] like these of order one; u and v alike: turns stay turns."""
@@ -129,6 +140,10 @@ class Decider(nn.Module):
     def log_density(self, state: Tensor) -> Tensor:
         """Log density of the position error on the joint grid [B, 41, 40]."""
         return self.density.on_grid(state)
+
+    def read_steps(self, fields: Tensor, geometry: Tensor) -> Tensor:
+        """States after each step of depth [B, T, S]; of networks that read those."""
+        raise NotImplementedError
 
     def read_fields(self, fields: Tensor, geometry: Tensor) -> Tensor:
         """Decision state after normalised field changes [B, T, 2, 3, rows, columns]."""

@@ -33,6 +33,10 @@ class Recurrent(Protocol):
         """One recurrent step; ``geometry`` [B, 2] is gap width and grasp height in mm."""
         ...
 
+    def strangeness(self, features: Tensor) -> Tensor:
+        """How unlike training a step is, [B, 1]; of networks that read steps of depth."""
+        ...
+
     def logits(self, state: Tensor) -> Tensor:
         """Class logits of a state."""
         ...
@@ -86,11 +90,14 @@ class StepForm(_Form):
         state: Tensor,
         gap_width_mm: Tensor | None = None,
         grasp_height_mm: Tensor | None = None,
+        conditions: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
-        """One step; ``state`` [B, state_size], zeros at first."""
-        features, geometry = self.network.features(frame, reference), _geometry(gap_width_mm, grasp_height_mm)
+        """One step; ``state`` [B, state_size], zeros at first. ``conditions`` [B, 6] come with steps of depth."""
+        geometry = _geometry(gap_width_mm, grasp_height_mm) if conditions is None else conditions
+        features = self.network.features(frame, reference)
         following = self.network.advance(features, geometry, within_reach(state, self.network.state_reach))
-        return (*self.decide(following), following)
+        strange = () if conditions is None else (self.network.strangeness(features),)
+        return (*self.decide(following), *strange, following)
 
 
 class SequenceForm(_Form):

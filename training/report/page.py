@@ -13,8 +13,9 @@ from reporting.statistics import wilson
 from reporting.table import Table, table
 from service.contract import ContractError
 from training.config import RunConfig
-from training.data.dataset import Source, Trials, load_trials
+from training.data.dataset import Source, Trials
 from training.data.labels import CLASSES, class_of
+from training.data.reading import load_drawn
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import MOST_SCORED, Trainer
 from training.metrics.figures import (
@@ -55,7 +56,7 @@ def write_report(run: Path, out: Path, source: Source | None = None, recipe: Pat
     checkpoint = Checkpoint.load(run / "checkpoint.pt")
     baseline = recipe_part(recipe, checkpoint.training_data_sha256)  # a wrong folder is refused before all the scoring
     torch.set_num_threads(config.threads)
-    trials = load_trials(config.data, source, reads(config.network.kind))
+    trials = load_drawn(config.data, config.network.kind, source)
     trainer = Trainer(config, trials, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
     held = trials.of("validation", rendered=True)[:MOST_SCORED]
     if not len(held):

@@ -8,12 +8,12 @@ import torch
 
 from service.contract import ContractError
 from training.config import DataConfig, RunConfig
-from training.data.dataset import Source, Trials, load_trials, open_source
+from training.data.dataset import Source, Trials, open_source
 from training.data.labels import CLASSES
+from training.data.reading import load_drawn
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import Trainer
 from training.metrics.figures import by_object
-from training.networks import reads
 
 NOISE_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0)
 STRESS_FILE = "stress.json"
@@ -41,7 +41,7 @@ def stress(run: Path, trials: int = 300, new: Path | None = None, layer: Path | 
     rows: Rows = {}
 
     def score(name: str, data: DataConfig, source: Source) -> None:
-        drawn = load_trials(data, source, reads(config.network.kind))
+        drawn = load_drawn(data, config.network.kind, source)
         rows.update({f"{name}/{row}": values for row, values in _scored(config, checkpoint, drawn).items()})
 
     few = config.data.model_copy(update={"rendered_training": 0, "rendered_validation": trials, "rendered_test": 0})

@@ -39,6 +39,7 @@ function told(message) {
   switch (message.type) {
     case "hello": return `connected, controller ${message.controller}`;
     case "armed": return `attempt ${message.attempt} armed`;
+    case "enough": return `attempt ${message.attempt}: pressed by ${message.pressed_mm.toFixed(1)} mm, stopped`;
     case "slip": return `attempt ${message.attempt}: slip, ${message.finger} finger, seen after ${message.age_ms.toFixed(0)} ms`;
     case "correction": return `attempt ${message.attempt}: move ${signed(message.dx_mm)} mm, turn ${signed(message.dtheta_deg)}°`;
     case "no_decision": return `attempt ${message.attempt}: no decision, ${message.detail}`;

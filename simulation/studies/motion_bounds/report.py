@@ -44,9 +44,11 @@ def bounds_page(data: dict[str, Any]) -> str:
         """
         A picture that is older than anybody tells, and a picture that stands still beneath fresh noise before anything
         touches, cannot be told from good ones by their content. A camera server should stamp its frames when they are
-        captured; one that does not is only as good as its latency, which commissioning has to measure. A frozen camera
-        on one finger is bounded, because the other finger feels the block. Frozen on both, the arm goes to full depth
-        at most, and what was not felt there is not confirmed.
+        captured; one that does not is only as good as its latency, which commissioning has to measure: here the delay
+        begins in mid-descent, and the gap that it tears ends the lease, but one that was there from the start adds 1 mm
+        for each 100 ms at every stop. A frozen camera on one finger is bounded, because the other finger feels the
+        block. Frozen beneath noise on both, nothing but full depth (25 mm here) bounds the arm, or the forces that the
+        grasp bears.
         """,
         _table([row for row in rows if not row["bounded"]]),
     )

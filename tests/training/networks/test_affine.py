@@ -30,7 +30,7 @@ def fields(left: Motion, right: Motion, rows: slice = slice(None)) -> Tensor:
 
 
 def numbers(field: Tensor) -> Tensor:
-    return AffineFit(8, SENSOR).raw(field)[0]
+    return AffineFit(8, SENSOR.marker_rows, SENSOR.marker_columns).raw(field)[0]
 
 
 @given(du=st.floats(0.05, 0.5), dv=st.floats(-0.5, 0.5), part=st.sampled_from([slice(None), slice(4, 12)]))

@@ -98,7 +98,10 @@ STAGES = "".join(f"[{stage}]\nepochs = 1\n" for stage in ("convolutions", "direc
     ("text", "refusal"),
     [
         (RUN + "[network]\nkind = 'compakt'", "network.kind: 'compakt' is unknown; nearest allowed: compact"),
-        (RUN + "[network]\nkind = 'q'", "network.kind: 'q' is unknown; allowed: alexnet_lstm, compact, markers"),
+        (
+            RUN + "[network]\nkind = 'q'",
+            "network.kind: 'q' is unknown; allowed: alexnet_lstm, compact, markers, pressing",
+        ),
         (RUN + "[network]\nfront_widht = 8", "network.front_widht: the key is unknown; nearest allowed: front_width"),
         ("treads = 2" + RUN, "treads: the key is unknown; nearest allowed: threads"),
         (RUN + "epoch = 1", "trunk.epoch: the key is unknown; nearest allowed: epochs"),

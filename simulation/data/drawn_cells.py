@@ -1,0 +1,50 @@
+"""Cells to collect from that are drawn whole: world and object of each re-fixture, over all that cells are.
+
+A trial of theirs is pressed to a fixed depth, whatever slips, with a frame every so many hundredths of a millimetre. So
+cameras of all rates can be drawn from it when it is read; the arm's speed counts where the gel relaxes.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from simulation.scene import drawn
+from simulation.scene.rubber import shear_reach_pitches
+from simulation.scene.scene import Scene, SceneError
+
+NAME = "drawn"
+"""In place of an object's name."""
+PRESS_MM, FRAME_MM = 2.1, 0.15
+LAYER_SHARE = 0.2
+"""Of cells: a press of theirs costs ten of the bristle tier's. Worlds that are judged on have half of each."""
+
+
+def base() -> Scene:
+    """What stands for all of them where a dataset names its scenes."""
+    return drawn.scene_of_tables({"object": {"shape": "rectangle", "size_x_mm": 60.0, "size_y_mm": 50.0}}, NAME)
+
+
+def draw_cell(rng: np.random.Generator) -> tuple[Scene, str]:
+    """A scene, and all that was drawn of it as JSON by dotted key."""
+    while True:
+        tables, body = drawn.draw_world(rng), drawn.draw_object(rng)
+        tables["gel"]["tier"] = "layer" if rng.random() < LAYER_SHARE else "bristle"
+        try:
+            world = drawn.world(tables, NAME)
+            scene = world.around(drawn.scene_of_tables(body, NAME))
+        except SceneError:
+            continue  # the drawn parts do not fit together
+        return scene, json.dumps(_flat({**tables, **body}), sort_keys=True)
+
+
+def stated(scene: Scene) -> dict[str, Any]:
+    """What a trial says of its cell beside the JSON."""
+    reach_mm = shear_reach_pitches(scene) * scene.sensor.marker_pitch_mm
+    return {"speed_mm_s": scene.speed_mm_s, "grip_n": scene.grasp.force_n, "shear_reach_mm": reach_mm}
+
+
+def _flat(tables: drawn.Tables) -> dict[str, Any]:
+    return {f"{table}.{key}": value for table, values in tables.items() for key, value in values.items()}

@@ -1,0 +1,95 @@
+"""Networks that read depth, in the service: it stops the arm when they have seen enough, and refuses by name."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from export.onnx.to_onnx import export_checkpoint
+from service.contract import Sensor, wire
+from service.contract.model_card import Pressing, Span
+from service.decision.models import ModelSet, load_models
+from simulation.closed_loop.job import Job
+from simulation.closed_loop.play import Insertion, stage
+from training.data.labels import CLASSES
+from training.fit.checkpoint import Checkpoint
+from training.metrics.figures import Scales
+from training.networks import build
+from training.networks.pressing import LATTICE, STEP_MM, STEPS
+from training.networks.settings import NetworkConfig
+
+SMALL = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
+Said = list[wire.ServiceMessage]
+
+
+class AnsweredError(Exception):
+    """The first attempt has its answer."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
+    """An untrained network whose card states what a test says."""
+
+    def make(**stated: object) -> ModelSet:
+        torch.manual_seed(0)
+        folder, weights = tmp_path_factory.mktemp("pressing"), build(SMALL, len(CLASSES), Sensor.load()).state_dict()
+        card = {"lattice": LATTICE, "step_mm": STEP_MM, "steps_n": STEPS, "trained": {}, **stated}
+        Checkpoint(
+            "tiny", SMALL, weights, Scales(), Scales(), {}, "0" * 64, "abc", pressing=Pressing.model_validate(card)
+        ).save(folder / "c.pt")
+        export_checkpoint(folder / "c.pt", folder, ("pair.step",))
+        return load_models(folder / "pair")
+
+    return make
+
+
+def first_attempt(models: ModelSet, **changes: float) -> tuple[Insertion, Said]:
+    """An insertion that is blocked at first, played until its first answer, and all that the service said."""
+    soft = {"gel.friction": 1.0, "gel.shear_modulus_n_per_mm2": 0.08}
+    insertion, said = stage(Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", soft | changes), models), Said()
+    hear = insertion._hear
+
+    def listen(messages: Said) -> None:
+        said.extend(messages)
+        hear(messages)
+        if answers(said)[-1:] and answers(said)[-1] in ("correction", "no_decision"):
+            raise AnsweredError
+
+    insertion._hear = listen  # type: ignore[method-assign]
+    with pytest.raises(AnsweredError):
+        insertion.run()
+    return insertion, said
+
+
+def answers(said: Said) -> list[str]:
+    return [message.type for message in said if message.type in ("slip", "enough", "correction", "no_decision")]
+
+
+@pytest.mark.parametrize("fps", [30, 60])
+def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..., ModelSet], fps: int) -> None:
+    _, said = first_attempt(made(), **{"camera.fps": fps})
+    assert answers(said)[:2] == ["enough", "correction"]
+    enough = next(message for message in said if isinstance(message, wire.Enough))
+    spacing_mm = 10.0 / fps
+    assert STEPS * STEP_MM <= enough.pressed_mm < STEPS * STEP_MM + spacing_mm
+
+
+def test_a_speed_that_nobody_trained_for_is_refused_by_name(made: Callable[..., ModelSet]) -> None:
+    _, said = first_attempt(made(trained={"speed_mm_s": Span(low=20, high=40)}))
+    refused = next(message for message in said if isinstance(message, wire.NoDecision))
+    assert refused.reason == "out_of_distribution"
+    assert "speed_mm_s is 10" in refused.detail
+
+
+def test_a_strange_field_is_refused_with_its_strangeness(made: Callable[..., ModelSet]) -> None:
+    _, said = first_attempt(made(strangeness_limit=1e-6))
+    refused = next(message for message in said if isinstance(message, wire.NoDecision))
+    assert "strangeness" in refused.detail
+
+
+def test_such_a_network_states_its_step_and_no_other_form(made: Callable[..., ModelSet]) -> None:
+    card = made().card
+    assert card.pressing is not None
+    assert card.input_shape == (LATTICE.rows, LATTICE.columns, 3)
+    assert card.frames_per_decision == STEPS
+    assert card.form == "step"

@@ -1,0 +1,102 @@
+"""Steps of depth are the same whatever camera, speed and marker grid they were seen through."""
+
+import numpy as np
+import pytest
+
+from service.contract.model_card import CONDITIONS, Lattice, Pressing, Span
+from service.perception.pressing import DepthSteps, lattice_weights, on_lattice, onset_depth, step_weights
+
+LATTICE = Lattice(rows=9, columns=9, pitch_mm=1.5)
+SPEC = Pressing(lattice=LATTICE, step_mm=0.15, steps_n=8, trained={})
+
+
+def field_at(pressed_mm: float) -> np.ndarray:
+    """A shear and a turn that grow with depth."""
+    u, v = np.moveaxis(LATTICE.points_mm, -1, 0)
+    one = np.stack([0.3 + 0.01 * v, 0.5 - 0.01 * u, np.ones_like(u)], -1)
+    one[..., :2] *= max(0.0, pressed_mm)
+    return np.stack([one, one * np.array([-1, 1, 1])]).astype(np.float32)
+
+
+def steps(fps: float, speed_mm_s: float, phase: float = 0.3) -> list[np.ndarray]:
+    """The steps of a descent that touches 2 mm down, seen at a rate."""
+    spacing_mm = speed_mm_s / fps
+    depths = np.arange(phase, 5.0 / spacing_mm) * spacing_mm
+    stamps = [round(1e9 * depth / speed_mm_s) for depth in depths]
+    fields = [field_at(depth - 2.0) for depth in depths]
+    first = next(k for k, depth in enumerate(depths) if depth > 2.01)
+    descent = DepthSteps(SPEC, speed_mm_s)
+    descent.begin(stamps[: first + 1], fields[: first + 1], first)
+    seen = descent.fresh()
+    for stamp, field in zip(stamps[first + 1 :], fields[first + 1 :], strict=True):
+        descent.add(stamp, field)
+        seen += descent.fresh()
+    return seen
+
+
+@pytest.mark.parametrize(("fps", "speed_mm_s"), [(30, 10), (120, 3), (10, 3), (60, 25), (90, 40)])
+def test_rate_and_speed_do_not_change_what_is_seen_at_a_depth(fps: float, speed_mm_s: float) -> None:
+    seen = steps(fps, speed_mm_s)
+    assert len(seen) == SPEC.steps_n
+    for number, step in enumerate(seen):
+        wanted = field_at((number + 0.5) * SPEC.step_mm)
+        assert np.abs(step - wanted)[..., :2].max() < 0.02
+        assert step[..., 2].all()
+
+
+def test_the_onset_is_found_between_the_frames_that_frame_it() -> None:
+    rng = np.random.default_rng(0)
+    for begin_mm in (0.05, 0.2, 0.3):
+        depths = np.arange(4) * 0.33
+        fields = np.stack([field_at(depth - begin_mm)[..., :2] for depth in depths])
+        noisy = (fields + rng.normal(0, 0.004, fields.shape)).astype(np.float32)
+        assert onset_depth(depths, noisy, 1) == pytest.approx(begin_mm, abs=0.02)
+
+
+def test_step_weights_are_those_of_a_mean_over_a_line() -> None:
+    depths = np.array([0.0, 0.1, 0.35, 0.4, 0.9])
+    weights = step_weights(depths, 0.2, 0.5)
+    assert weights.sum() == pytest.approx(1.0)
+    assert weights @ depths == pytest.approx(0.35)
+
+
+@pytest.mark.parametrize("pitch_mm", [0.8, 1.05, 2.0])
+def test_a_field_is_the_same_on_the_lattice_whatever_the_marker_pitch(pitch_mm: float) -> None:
+    side = np.arange(-10, 10.01, pitch_mm)
+    rest = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2).astype(np.float32)
+    moved = np.stack([0.1 + 0.01 * rest[:, 1], 0.2 - 0.01 * rest[:, 0]], -1)
+    weights = lattice_weights(rest, LATTICE, pitch_mm)
+    seen = np.random.default_rng(1).random(len(rest)) > 0.1
+    read = on_lattice(moved, seen, weights).reshape(9, 9, 3)
+    u, v = np.moveaxis(LATTICE.points_mm, -1, 0)
+    assert read[..., 2].mean() > 0.9
+    inside = read[..., 2] > 0
+    assert np.abs(read[..., 0] - (0.1 + 0.01 * v))[inside].max() < 0.012
+    assert np.abs(read[..., 1] - (0.2 - 0.01 * u))[inside].max() < 0.012
+
+
+def test_a_point_without_markers_is_not_seen_and_shows_no_motion() -> None:
+    rest = np.array([[-6.0, -6.0]], np.float32)
+    read = on_lattice(np.array([[1.0, 1.0]], np.float32), np.array([True]), lattice_weights(rest, LATTICE, 1.05))
+    assert not read[np.abs(LATTICE.points_mm.reshape(-1, 2) - rest).max(1) > 1.5].any()
+
+
+def test_a_stamp_that_does_not_advance_adds_nothing() -> None:
+    descent = DepthSteps(SPEC, 10.0)
+    stamps = [0, 33_000_000, 66_000_000]
+    descent.begin(stamps, [field_at(0.0), field_at(0.0), field_at(0.2)], 2)
+    descent.add(99_000_000, field_at(0.53))
+    before = descent.pressed_mm
+    descent.add(99_000_000, field_at(5.0))
+    descent.add(50_000_000, field_at(5.0))
+    assert descent.pressed_mm == before
+
+
+def test_what_lies_outside_training_is_named() -> None:
+    spec = Pressing(lattice=LATTICE, step_mm=0.15, steps_n=8, trained={"speed_mm_s": Span(low=3, high=40)})
+    assert spec.outside({"speed_mm_s": 10.0, "grip_n": None}) == ""
+    assert "speed_mm_s is 50" in spec.outside({"speed_mm_s": 50.0})
+    assert "speed_mm_s is nan" in spec.outside({"speed_mm_s": float("nan")})
+    assert CONDITIONS[4] == "speed_mm_s"
+    with pytest.raises(ValueError, match="none of"):
+        Pressing(lattice=LATTICE, step_mm=0.15, steps_n=8, trained={"spede": Span(low=3, high=40)})

@@ -1,0 +1,73 @@
+"""Faults in the middle of a descent that would fit: what is claimed of them, and how it is counted."""
+
+import pytest
+
+from service.decision.models import ModelSet, load_models
+from simulation.closed_loop.job import Job
+from simulation.closed_loop.play import insert
+from simulation.scene import drawn
+from simulation.scene.worlds import load_objects
+from simulation.studies import trust
+from tests.service import tiny_models
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory) -> ModelSet:
+    return load_models(tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny"))
+
+
+def fits(**fault: object) -> Job:
+    """An insertion that goes in at once, with a fault in its descent."""
+    given = {"fingers": ("left", "right"), "attempt": 1, "depth_mm": 8.0, **fault} if fault else {}
+    return Job("circle", 0, 0.3, 0.0, 3, "belief", perception="fields", fault=given)
+
+
+def test_without_a_fault_it_is_claimed_and_true(models):
+    row = insert(fits(), models)
+    assert (row["claimed"], row["inserted"], row["in_gap"]) == (True, True, True)
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        ({"kind": "dropped"}, "not_confirmed"),
+        ({"kind": "dropped", "depth_mm": -1.0}, "nothing_held"),
+        ({"kind": "frozen"}, "unwatched"),
+        ({"kind": "frozen", "fingers": ("right",)}, "unwatched"),
+        ({"kind": "dark"}, "unwatched"),
+    ],
+)
+def test_a_hand_that_is_empty_or_eyes_that_are_blind_claim_nothing(models, fault, says):
+    row = insert(fits(**fault), models)
+    assert not row["claimed"]
+    assert says in row["reason"]
+    assert row["in_gap"] == (fault["kind"] != "dropped" and row["in_gap"])
+
+
+def test_the_draw_is_the_same_for_the_same_seed_and_holds_every_kind(tmp_path):
+    worlds = [drawn.world(tables, str(number)) for number, tables in enumerate(drawn.draw_worlds(5, 2))]
+    objects = load_objects(["circle", "can"])
+    first, again = (trust.tasks(worlds, objects, 80, 4, tmp_path, "") for _ in range(2))
+    assert first == again
+    kinds = {task.job["fault"].get("kind", "") for task in first}
+    assert kinds == {"", *trust.KINDS}
+    assert trust.tasks(worlds, objects, 80, 5, tmp_path, "") != first
+
+
+def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
+    row = {"fault": {}, "reason": "", "claimed": True, "inserted": True, "in_gap": True, "void": False}
+    rows = [row] * 97 + [row | {"inserted": False, "in_gap": False}]
+    rows += [row | {"claimed": False, "inserted": False, "reason": "service: not_confirmed: full depth"}]
+    rows += [row | {"claimed": False, "inserted": False, "in_gap": False, "void": True, "reason": "physics: x"}]
+    data = trust.report_of(rows, {})
+    assert data["all"] == {
+        "insertions": 100,
+        "claimed": 98,
+        "claimed_wrongly": 1,
+        "inserted": 97,
+        "good_refused": 1,
+        "void": 1,
+    }
+    text = trust.trust_page(data)
+    assert "**1 claims were not true: 1.00 % (0.18 .. 5.45)**" in text
+    assert "Of 98 insertions that ended in the gap, 1 were not claimed" in text

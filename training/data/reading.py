@@ -1,0 +1,46 @@
+"""A dataset as a kind of network is shown it: frames and tracked markers, or steps of depth."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import ContractError
+from training.config import DataConfig
+from training.data import batches
+from training.data.batches import Batch
+from training.data.dataset import Source, Trials, load_trials
+from training.data.pressed import Pressed, load_pressed
+from training.networks import reads
+
+Samples = Trials | Pressed
+
+
+def load(config: DataConfig, kind: str, source: Source | None = None) -> Samples:
+    """What networks of a kind train on; ContractError as `load_trials`."""
+    shown = reads(kind)
+    return load_pressed(config, source) if shown == "steps" else load_trials(config, source, shown)
+
+
+def load_drawn(config: DataConfig, kind: str, source: Source | None = None) -> Trials:
+    """What networks that see pictures train on; ContractError for a kind that sees none."""
+    samples = load(config, kind, source)
+    if isinstance(samples, Pressed):
+        raise ContractError(f"a {kind} network reads steps of depth; `python -m training depths` reports on it")
+    return samples
+
+
+def decisions(samples: Samples, chosen: NDArray[np.int64], rng: np.random.Generator | None, *, pictures: bool) -> Batch:
+    """The chosen decisions, varied with ``rng``."""
+    if isinstance(samples, Pressed):
+        return samples.batch(chosen, rng)
+    return batches.decisions(samples, chosen, rng, pictures=pictures)
+
+
+def epoch(
+    samples: Samples, chosen: NDArray[np.int64], size: int, rng: np.random.Generator, *, pictures: bool
+) -> Iterator[Batch]:
+    """Shuffled, varied batches of one epoch."""
+    order = rng.permutation(chosen)
+    for start in range(0, len(order), size):
+        yield decisions(samples, order[start : start + size], rng, pictures=pictures)

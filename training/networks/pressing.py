@@ -1,0 +1,145 @@
+"""The network that reads depth: the gel's motion on a lattice in mm, a step of depth at a time, and what the cell told.
+
+Beside the motion it is shown the motion over its own size, which says where the object goes before it has gone far,
+and the motion over the grasp's shear reach where that is known. It decides after every step, and is trained to.
+"""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from service.contract import Sensor
+from service.contract.model_card import CONDITIONS, Lattice
+from training.networks.affine import AffineFit
+from training.networks.decider import Decider
+from training.networks.forms import Role
+from training.networks.settings import NetworkConfig
+
+LATTICE = Lattice(rows=13, columns=13, pitch_mm=1.5)
+STEP_MM = 0.15
+STEPS = 10
+USUAL = (60.0, 60.0, 25.0, 0.8, 10.0, 0.2)
+"""A middle value of each condition: they are read as logarithms of what is told over it."""
+KNOWN_FEATURES = 2 * len(CONDITIONS)
+SHARE_FEATURES = 64
+VISIBLE = 0.5
+LEAST = 1e-3
+SHARES = slice(12, 24)
+"""Of the affine fit's numbers, the motion of the patch that moves with the object."""
+SHAPES = 48
+"""Directions in which the fields of training vary; what a field has beside them is strange."""
+
+
+class Strangeness(nn.Module):
+    """How unlike training a field is, once its size is left out: [N, 2, 2, rows, columns] -> [N, 1], usually near 1.
+
+    The fields of training span few directions. What lies outside them, over what usually does, is one part; how far
+    out it lies along them, over their spread, the other (a Mahalanobis distance). Both fingers are judged together:
+    each may look well and the pair may be none that an object could cause.
+    """
+
+    mean: Tensor
+    axes: Tensor
+    spread: Tensor
+    rest: Tensor
+    limit: Tensor
+
+    def __init__(self, numbers: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(numbers))
+        self.register_buffer("axes", torch.zeros(numbers, SHAPES))
+        self.register_buffer("spread", torch.ones(SHAPES))
+        self.register_buffer("rest", torch.ones(()))
+        self.register_buffer("limit", torch.ones(()))
+
+    def forward(self, fields: Tensor) -> Tensor:
+        """See class."""
+        away = self._shape(fields) - self.mean
+        along = away @ self.axes
+        beside = (away.square().sum(1) - along.square().sum(1)).clamp_min(0.0) / self.rest
+        return (0.5 * beside + 0.5 * (along / self.spread).square().mean(1)).sqrt()[:, None]
+
+    def learn(self, fields: Tensor) -> None:
+        """Take the fields of training for usual."""
+        shape = self._shape(fields)
+        self.mean.copy_(shape.mean(0))
+        _, values, axes = torch.linalg.svd(shape - self.mean, full_matrices=False)
+        count = min(SHAPES, len(values))
+        self.axes[:, :count] = axes[:count].T
+        self.spread[:count] = (values[:count] / len(shape) ** 0.5).clamp_min(LEAST)
+        self.rest.copy_((values[count:].square().sum() / len(shape)).clamp_min(LEAST))
+
+    @staticmethod
+    def _shape(fields: Tensor) -> Tensor:
+        flat = fields.flatten(1)
+        return flat / (flat.square().mean(1, keepdim=True).sqrt() + LEAST)
+
+
+class PressingNetwork(Decider):
+    """Steps float32 [B, 2, rows, columns, 3]: (du_mm, dv_mm, 1 if seen)."""
+
+    reads_steps = True
+    roles: tuple[Role, ...] = ("pair", "joint")
+
+    def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
+        super().__init__(settings, classes, sensor)
+        self.shares = nn.Linear(SHARES.stop - SHARES.start, SHARE_FEATURES)
+        self.strange = Strangeness(4 * LATTICE.rows * LATTICE.columns)
+
+    def grid(self, sensor: Sensor) -> tuple[int, int]:  # noqa: ARG002 any sensor is read on the same lattice
+        """Rows and columns that the trunk reads."""
+        return LATTICE.rows, LATTICE.columns
+
+    channels = 5
+    condition_features = KNOWN_FEATURES + SHARE_FEATURES
+
+    def features(self, frame: Tensor, reference: Tensor) -> Tensor:
+        """A step, which is a change already, against a reference of no change -> features."""
+        seen = (torch.minimum(frame[..., 2:], reference[..., 2:]) > VISIBLE).to(frame.dtype)
+        moved = (frame[..., :2] - reference[..., :2]) * self.field_scale[:2] * seen
+        return self.encode(torch.cat([moved, seen], -1).movedim(-1, -3))
+
+    def encode(self, fields: Tensor) -> Tensor:
+        """Normalised steps [N, 2, 3, rows, columns] -> features, with the patch's motion and strangeness at the end."""
+        moved, seen = fields[:, :, :2], fields[:, :, 2:]
+        size = (moved.square().sum(2, keepdim=True).mean((3, 4), keepdim=True)).mean(1, keepdim=True).sqrt()
+        maps = torch.cat([moved, moved / (size + LEAST), seen], 2)
+        affine = self.trunk.affine
+        assert isinstance(affine, AffineFit)
+        raw = affine.raw(fields)
+        read = torch.cat([self.trunk.read_maps(maps), affine.read_raw(raw)], 1)
+        return torch.cat([read, raw[:, SHARES], self.strange(moved)], 1)
+
+    def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
+        """One step; ``geometry`` [B, 6] as `CONDITIONS`, 0 where not told."""
+        count = SHARES.stop - SHARES.start + 1
+        known = (geometry > 0).to(geometry.dtype)
+        usual = torch.tensor(USUAL, dtype=geometry.dtype)
+        told = known * torch.log(geometry.clamp_min(LEAST) / usual)
+        reach = geometry[:, 3:4].clamp_min(0.02) * self.field_scale[:1]
+        shares = torch.tanh(features[:, -count:-1] / reach) * known[:, 3:4]
+        conditions = torch.cat([known, told, functional.relu(self.shares(shares))], 1)
+        following: Tensor = self.trunk.cell(torch.cat([features[:, :-count], conditions], 1), state)
+        return following
+
+    def strangeness(self, features: Tensor) -> Tensor:
+        """[B, 1] of a step."""
+        return features[:, -1:]
+
+    def normalised(self, fields: Tensor) -> Tensor:
+        """Motion over its spread, and whether it was seen."""
+        return torch.cat([fields[..., :2, :, :] * self.field_scale[:2, None, None], fields[..., 2:, :, :]], -3)
+
+    def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:  # noqa: ARG002 views carry their error
+        """As they are: each view was read with a tracker's error."""
+        return fields
+
+    def read_steps(self, fields: Tensor, geometry: Tensor) -> Tensor:
+        """States [B, T, S] after each step of normalised fields [B, T, 2, 3, rows, columns]."""
+        count, steps = fields.shape[:2]
+        features = self.encode(fields.flatten(0, 1)).reshape(count, steps, -1)
+        state, states = torch.zeros(count, self.state_size), []
+        for step in range(steps):
+            state = self.advance(features[:, step], geometry, state)
+            states.append(state)
+        return torch.stack(states, 1)

@@ -1,0 +1,189 @@
+"""What a network that reads depth gains from pressing further, where its intervals hold, and what it finds strange."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from reporting.page import page, publish
+from reporting.statistics import wilson
+from reporting.table import Table, table
+from service.contract import ContractError
+from training.config import RunConfig
+from training.data.dataset import Source
+from training.data.labels import CLASSES
+from training.data.pressed import Pressed
+from training.data.reading import load
+from training.fit.checkpoint import Checkpoint
+from training.fit.train import Trainer
+from training.metrics.figures import figures
+from training.networks.pressing import STEP_MM, STEPS, PressingNetwork
+
+Rows = dict[str, dict[str, float]]
+MOST = 4000
+DECILES = 10
+UNTOLD = (1, 2, 3)
+"""Conditions of `CONDITIONS` that a cell need not know: grasp height, grip and shear reach."""
+
+
+def write_depths(run: Path, out: Path, source: Source | None = None) -> Path:
+    """Write ``<out>/depths.md`` and ``.json`` of a finished run; ContractError if it is none, or reads no depth."""
+    try:
+        config = RunConfig.model_validate_json((run / "config.json").read_text())
+    except (OSError, ValueError) as error:
+        raise ContractError(f"{run} is not the folder of a training run: no valid config.json") from error
+    checkpoint = Checkpoint.load(run / "checkpoint.pt")
+    torch.set_num_threads(config.threads)
+    samples = load(config.data, config.network.kind, source)
+    if not isinstance(samples, Pressed):
+        raise ContractError(f"{run} holds a {config.network.kind} network, expected one that reads steps of depth")
+    trainer = Trainer(config, samples, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
+    data = {"depths": by_depth(trainer, checkpoint), "reach": by_reach(trainer, checkpoint)}
+    data["strange"] = {name: {"auroc": value} for name, value in strangeness_aurocs(trainer).items()}
+    publish(out, "depths", page(*_parts(checkpoint, data)), data)
+    return out / "depths.md"
+
+
+def _held(trainer: Trainer, split: str) -> NDArray[np.int64]:
+    return trainer.trials.of(split)[:MOST]
+
+
+def by_depth(trainer: Trainer, checkpoint: Checkpoint) -> Rows:
+    """Figures after each step of depth, of both held-out splits; the last also with nothing told."""
+    rows: Rows = {}
+    for split in ("validation", "test"):
+        chosen = _held(trainer, split)
+        if not len(chosen):
+            continue
+        for steps in range(2, STEPS + 1, 2):
+            predictions = replace(trainer, most_steps=steps).predict(chosen, pictures=False)
+            rows[f"{split}, {steps * STEP_MM:.1f} mm"] = figures(predictions.rescaled(checkpoint.scales))
+        untold = replace(trainer, trials=_untold(trainer.trials)).predict(chosen, pictures=False)
+        rows[f"{split}, {STEPS * STEP_MM:.1f} mm, nothing told"] = figures(untold.rescaled(checkpoint.scales))
+    return rows
+
+
+def _untold(trials: object) -> Pressed:
+    assert isinstance(trials, Pressed)
+    conditions = trials.conditions.copy()
+    conditions[:, UNTOLD] = 0.0
+    return replace(trials, conditions=conditions)
+
+
+def by_reach(trainer: Trainer, checkpoint: Checkpoint) -> Rows:
+    """Figures by decile of the true shear reach, of all held-out decisions; nothing where no reach is known."""
+    trials = trainer.trials
+    assert isinstance(trials, Pressed)
+    chosen = np.concatenate([_held(trainer, "validation"), _held(trainer, "test")])
+    reach_mm = trials.reach[chosen]
+    if not (reach_mm > 0).all():
+        return {}
+    edges = np.quantile(reach_mm, np.linspace(0, 1, DECILES + 1))
+    predictions = trainer.predict(chosen, pictures=False).rescaled(checkpoint.scales)
+    place = np.clip(np.searchsorted(edges, reach_mm, side="right") - 1, 0, DECILES - 1)
+    return {
+        f"{edges[decile]:.2f} .. {edges[decile + 1]:.2f} mm": figures(predictions.take(place == decile))
+        for decile in range(DECILES)
+        if (place == decile).any()
+    }
+
+
+def strangeness_aurocs(trainer: Trainer) -> dict[str, float]:
+    """How well strangeness tells each named shift from usual decisions: 1 always, 0.5 not at all."""
+    network = trainer.network
+    assert isinstance(network, PressingNetwork)
+    fields = trainer.last_steps(_held(trainer, "validation"))
+    with torch.inference_mode():
+        usual = network.strange(fields)[:, 0].numpy()
+        return {name: auroc(usual, network.strange(shift(fields))[:, 0].numpy()) for name, shift in SHIFTS.items()}
+
+
+def auroc(low: NDArray[np.float32], high: NDArray[np.float32]) -> float:
+    """Probability that one of ``high`` exceeds one of ``low``; ties count half."""
+    order = np.sort(low)
+    below, upto = np.searchsorted(order, high, "left"), np.searchsorted(order, high, "right")
+    return float((below + upto).mean() / (2 * len(low)))
+
+
+def _one(finger: int, change: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
+    def shifted(fields: Tensor) -> Tensor:
+        changed = fields.clone()
+        changed[:, finger] = change(fields[:, finger])
+        return changed
+
+    return shifted
+
+
+def _mirrored(one: Tensor) -> Tensor:
+    return one.flip(-1) * torch.tensor([-1.0, 1.0])[:, None, None]
+
+
+def _quarter_turn(one: Tensor) -> Tensor:
+    turned = one.rot90(1, (-2, -1))
+    return torch.stack([turned[:, 1], -turned[:, 0]], 1)
+
+
+def _noise(one: Tensor) -> Tensor:
+    size = one.square().mean((1, 2, 3), keepdim=True).sqrt()
+    return one + 0.5 * size * torch.randn(one.shape, generator=torch.Generator().manual_seed(0))
+
+
+def _jump(one: Tensor) -> Tensor:
+    """Half of the markers are taken for their neighbours: a motion of a whole pitch that nothing made."""
+    jumped = one.clone()
+    jumped[..., : one.shape[-1] // 2] += one.square().mean().sqrt() * 3.0
+    return jumped
+
+
+SHIFTS: dict[str, Callable[[Tensor], Tensor]] = {
+    "left camera mirrored": _one(0, _mirrored),
+    "right camera mirrored": _one(1, _mirrored),
+    "left camera upside down": _one(0, lambda one: -one.flip(-1).flip(-2)),
+    "left camera turned by 90 deg": _one(0, _quarter_turn),
+    "left camera frozen": _one(0, torch.zeros_like),
+    "left camera shown twice": lambda fields: fields[:, :1].expand_as(fields),
+    "motion with the wrong sign": lambda fields: -fields,
+    "left camera at twice the scale": _one(0, lambda one: 2.0 * one),
+    "markers taken for their neighbours": _one(0, _jump),
+    "fields of noise": _one(0, _noise),
+}
+
+
+def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Table]:
+    yield f"""
+        # What pressing further tells
+
+        Written by `python -m training depths`. Network `{checkpoint.name}`, data
+        `{checkpoint.training_data_sha256[:12]}`, commit `{checkpoint.git_commit[:12]}`; all figures are of the
+        simulator. Each decision was seen through a camera of another rate, with the tracker's error, and was told gap
+        width, grasp height, grip and shear reach as a cell states them. `test` holds cells of other draws than
+        training. Intervals are 95 % Wilson.
+        """
+    yield _table(data["depths"])
+    if data["reach"]:
+        yield "## By shear reach, held-out decisions"
+        yield _table(data["reach"])
+    yield """
+        ## What is found strange
+
+        AUROC of strangeness on validation decisions against the same decisions with one thing wrong. Two swapped
+        fingers look like another error that an object can have: no single decision tells them.
+        """
+    yield table(data["strange"].items(), ("shift", 0), ("AUROC", "1.auroc", ".3f"))
+
+
+def _table(rows: Rows) -> Table:
+    return table(
+        rows.items(),
+        ("pressed", 0),
+        ("decisions", "1.trials", ".0f"),
+        ("direction", lambda row: wilson(row[1]["accuracy"] * row[1]["trials"], int(row[1]["trials"])), ".1%"),
+        ("MAE x mm", "1.mae_x_mm", ".2f"),
+        ("MAE yaw deg", "1.mae_theta_deg", ".2f"),
+        ("90 % covers x", "1.coverage90_x", ".1%"),
+        ("covers yaw", "1.coverage90_theta", ".1%"),
+    )
