@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from simulation.closed_loop.lockstep import Course
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import Scene
+from simulation.scene.state import Cell
 from simulation.scene.worlds import load_scene
 
 Perception = Literal["pictures", "fields"]
@@ -42,6 +44,16 @@ class Job:
     def build_scene(self) -> Scene:
         """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""
         return load_scene(self.scene, blocks__free=True).varied(self.changes)
+
+    def mechanics(self) -> Callable[[Scene, int], Cell]:
+        """What makes the cell's mechanics of a scene and a seed. Raises ValueError for what it cannot show."""
+        if self.cell != "foreign":
+            return QuasiStaticCell
+        if self.perception != "fields":
+            raise ValueError("cell 'foreign': it has no pictures of its own yet; expected perception 'fields'")
+        from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem
+
+        return ForeignCell
 
 
 @dataclass(slots=True)

@@ -97,7 +97,7 @@ class LockstepCell:
         draws: bool = True,
         make: Callable[[Scene, int], Cell] = QuasiStaticCell,
     ) -> LockstepCell:
-        """A cell with the object grasped, told to be at the error given, at approach height; ``make``: its mechanics."""
+        """A cell with the object grasped, told to be at the error given, at approach height; ``make``: mechanics."""
         cell = make(scene, seed)
         cell.regrasp(x_mm, theta_deg)
         misplaced = Misplacement(unstated or Unstated(), _pose_of(cell))

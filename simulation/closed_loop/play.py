@@ -8,7 +8,6 @@ This is the one module of the simulator that imports them.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -50,9 +49,7 @@ from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, V
 from simulation.closed_loop.job import Job, Outcome, Perception
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
-from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.scene import Scene
-from simulation.scene.state import Cell, PhysicsError
+from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 
 MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
@@ -257,16 +254,6 @@ def _finger(
     return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))
 
 
-def _mechanics(job: Job) -> Callable[[Scene, int], Cell]:
-    if job.cell != "foreign":
-        return QuasiStaticCell
-    if job.perception != "fields":
-        raise ValueError("cell 'foreign': it has no pictures of its own yet; expected perception 'fields'")
-    from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem
-
-    return ForeignCell
-
-
 def stage(job: Job, models: ModelSet) -> Insertion:
     """The insertion of a job, ready to run: blocks free, the object in the hand."""
     scene = job.build_scene()
@@ -275,7 +262,7 @@ def stage(job: Job, models: ModelSet) -> Insertion:
     draws = perception == "pictures"
     unstated = Unstated.model_validate(job.unstated)
     cell = LockstepCell.build(
-        scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, make=_mechanics(job)
+        scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, make=job.mechanics()
     )
     cell.dead = job.dead
     reach = (scene.x_range_mm, scene.theta_range_deg)
