@@ -9,6 +9,7 @@ COMMANDS = {
     "run": "serve: cameras in, slip and corrections out, dashboard at /",
     "replay": "run perception over a clip, or re-decide a recorded insertion (.mcap)",
     "calibrate": "fit the rectification of a camera from frames of a resting gel",
+    "judge": "find contact, hold, slip and loss in recorded grasps, run by run",
     "models": "check a folder of models and print their cards",
 }
 EXIT_BAD_INPUT = 2

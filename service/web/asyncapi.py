@@ -37,7 +37,7 @@ EXAMPLES: tuple[BaseModel, ...] = (
     wire.Episode(**_INSERTION, object="rectangle", start=_POSE, approach=_POSE, versions={"client": "0.1.0"}),
     wire.Telemetry(**_INSERTION, sent_ns=88_010_000_000, samples=(_SAMPLE,)),
     wire.LearnOpen(**_INSERTION),
-    wire.Arm(**_ATTEMPT, gap_width_mm=56.0, expected_depth_mm=25.0),
+    wire.Arm(**_ATTEMPT, gap_width_mm=56.0, expected_depth_mm=25.0, gripper_width_mm=49.6),
     wire.Descending(**_ATTEMPT, speed_mm_s=10.0),
     wire.Stopped(**_ATTEMPT, depth_mm=6.4, outcome="blocked"),
     wire.Abort(**_INSERTION, cause="operator", reason="stopped at the panel"),

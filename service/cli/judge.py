@@ -1,0 +1,30 @@
+"""`python -m service judge`: recorded grasps of real sensors, a row of phases for each run."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from service.tools.judge import judged, runs_of
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Judge every run and write the rows; raises JudgeError in one line."""
+    options = _parse(arguments)
+    rows = []
+    for folder in runs_of(options.folder):
+        rows.append(row := judged(folder))
+        phases = ", ".join(f"{name} {row[f'{name}_frame']}" for name in ("contact", "hold", "slip", "lost"))
+        print(f"{row['run']:<32} {row['frames_n']:>4} frames: {phases}; {row['ms_a_frame']:.1f} ms a frame")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    print(f"wrote {options.out}")
+    return 0
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    description = "judge recorded grasps, a folder of one video a finger each: open, contact, hold, slip, lost"
+    parser = argparse.ArgumentParser(prog="tactile-insertion judge", description=description)
+    parser.add_argument("folder", type=Path, help="holds the runs, or folders of runs")
+    parser.add_argument("--json", type=Path, dest="out", default=Path("runs/judge.json"), help="file for the rows")
+    return parser.parse_args(arguments)

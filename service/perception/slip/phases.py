@@ -1,0 +1,77 @@
+"""The phases of a grasp: open, contact, hold, slip, lost; of a finger alone, and of both together.
+
+A grasp is what at least one finger still touches, so one finger that lets go for a while is no loss. It is lost once
+both fingers are empty in two frames that follow each other.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Phase = Literal["open", "contact", "hold", "slip", "lost"]
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSettings:
+    """Held after ``held_n`` touched frames in a row, lost after ``empty_n`` empty ones.
+
+    Empty: touched below 1, or below ``drop`` of what it was while held.
+    """
+
+    held_n: int = 4
+    empty_n: int = 2
+    drop: float = 0.2
+    remembered_n: int = 30
+
+
+class GraspPhases:
+    """Follows one finger or several, from how strongly each is touched (`OpenGel.touch`) and whether it slips."""
+
+    def __init__(self, settings: PhaseSettings | None = None) -> None:
+        self.settings = settings or PhaseSettings()
+        self.phase: Phase = "open"
+        self._touched_n = 0
+        self._empty_n = 0
+        self._held: list[deque[float]] = []
+
+    def update(self, touches: list[float | None], *, slips: bool) -> Phase:
+        """The phase after a frame; ``touches`` of each finger, None where it is not seen and decides nothing."""
+        if len(self._held) != len(touches):
+            self._held = [deque(maxlen=self.settings.remembered_n) for _ in touches]
+        if all(touch is None for touch in touches):
+            return self.phase
+        if all(self._empty(touch, held) for touch, held in zip(touches, self._held, strict=True)):
+            self._emptied()
+        elif any(touch is not None and touch >= 1 for touch in touches):
+            self._touched(touches, slips=slips)
+        return self.phase
+
+    def _empty(self, touch: float | None, held: deque[float]) -> bool:
+        if touch is None:
+            return False
+        return touch < 1 or (len(held) > 0 and touch < self.settings.drop * float(np.median(held)))
+
+    def _emptied(self) -> None:
+        self._empty_n, self._touched_n = self._empty_n + 1, 0
+        if self.phase in {"hold", "slip"} and self._empty_n >= self.settings.empty_n:
+            self.phase = "lost"
+        elif self.phase == "contact":
+            self.phase = "open"
+
+    def _touched(self, touches: list[float | None], *, slips: bool) -> None:
+        self._touched_n, self._empty_n = self._touched_n + 1, 0
+        for touch, held in zip(touches, self._held, strict=True):
+            if touch is not None and touch >= 1:
+                held.append(touch)
+        if self.phase in {"open", "lost"}:
+            self.phase = "contact"
+            for held in self._held:
+                held.clear()
+        elif self.phase == "contact" and self._touched_n >= self.settings.held_n:
+            self.phase = "hold"
+        if self.phase == "hold" and slips:
+            self.phase = "slip"
+        elif self.phase == "slip" and not slips and self._touched_n % self.settings.held_n == 0:
+            self.phase = "hold"
