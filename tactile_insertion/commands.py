@@ -17,6 +17,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "cell": Command("simulation", "cell", "start the simulated cell on loopback sockets"),
         "serve": Command("service", "run", "start the service: cameras in, corrections out"),
         "calibrate": Command("service", "calibrate", "fit the rectification of both cameras"),
+        "judge": Command("service", "judge", "find touch, hold, slip and loss in recorded runs"),
         "models": Command("service", "models", "check a folder of networks, print their cards"),
         "replay": Command("service", "replay", "decide a recorded insertion or clip again"),
         "check": Command("robot_client", "check", "read every device and move nothing"),

@@ -77,6 +77,8 @@ class Options(PlayOptions):
     """folder with the paper's recipe (AlexNet + LSTM); its row is left out while there is none"""
     worlds: tuple[str, ...] = ()
     """TOML files of worlds, or folders of them; needs --json"""
+    cell: Literal["own", "foreign"] = "own"
+    """whose mechanics, with --json: the project's own, or finite elements that it was not built on (fields only)"""
     json: Path | None = None
     """file for the rows; results go beside it as they come. Without --worlds: the world that was trained for"""
     controllers: tuple[str, ...] = tuple(CONTROLLERS)
@@ -135,8 +137,8 @@ def main(arguments: list[str]) -> int:
     setup = campaign.fingerprint({name: folder_of(options, name) for name in names})
     if options.json is not None:
         return _play_worlds(options, options.json, names[0], objects)
-    if options.worlds:
-        raise ValueError("--worlds: expected --json, too, the file for the rows")
+    if options.worlds or options.cell != "own":
+        raise ValueError("--worlds, --cell: expected --json, too, the file for the rows")
     rows = options.play(tasks(options, names, objects), setup)
     from simulation.closed_loop.report import write
 
@@ -154,6 +156,10 @@ def _play_worlds(options: Options, path: Path, controller: str, objects: dict[st
     setup = json.dumps(campaign.fingerprint({controller: models}), sort_keys=True)
     made_by = hashlib.sha256(setup.encode()).hexdigest()[:16]
     asked = {"controller": controller, "perception": options.perception}
+    if options.cell == "foreign":
+        if options.perception != "fields":
+            raise ValueError("--cell foreign: it has no pictures of its own yet; expected --perception fields")
+        asked["cell"] = "foreign"
     todo = benchmark.tasks(worlds, objects, options.count, options.seed, models, made_by, **asked)
     path.parent.mkdir(parents=True, exist_ok=True)
     log = path.with_suffix(".insertions.jsonl")

@@ -47,7 +47,7 @@ def key_of(row: Mapping[str, Any]) -> str:
     """Key of a job or of the row that came of it."""
     return "/".join(
         str(row.get(name, ""))
-        for name in ("condition", "scene", "controller", "perception", "seed", "index", "made_by")
+        for name in ("condition", "scene", "controller", "perception", "seed", "index", "made_by", "cell")
     )
 
 

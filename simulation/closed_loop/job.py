@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from simulation.closed_loop.lockstep import Course
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import Scene
+from simulation.scene.state import Cell
 from simulation.scene.worlds import load_scene
 
 Perception = Literal["pictures", "fields"]
@@ -21,7 +23,8 @@ class Job:
     object's, too, unless the world misplaces the hand. ``condition`` names the world or disturbance; ``changes`` are
     its dotted keys of the scene, ``unstated`` those of its table `[world]`. ``dead``: what ails the left camera.
     ``fault``: the fields of a `simulation.closed_loop.true_fields.Fault`, for perception "fields" alone.
-    Perception "fields" takes the markers from the simulated gel instead of from pictures.
+    Perception "fields" takes the markers from the simulated gel instead of from pictures. ``cell`` "foreign": the
+    mechanics are those of finite elements.
     """
 
     scene: str
@@ -35,11 +38,22 @@ class Job:
     changes: Mapping[str, Any] = field(default_factory=dict)
     unstated: Mapping[str, Any] = field(default_factory=dict)
     dead: Literal["", "dark", "frozen"] = ""
+    cell: Literal["", "foreign"] = ""
     fault: Mapping[str, Any] = field(default_factory=dict)
 
     def build_scene(self) -> Scene:
         """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""
         return load_scene(self.scene, blocks__free=True).varied(self.changes)
+
+    def mechanics(self) -> Callable[[Scene, int], Cell]:
+        """What makes the cell's mechanics of a scene and a seed. Raises ValueError for what it cannot show."""
+        if self.cell != "foreign":
+            return QuasiStaticCell
+        if self.perception != "fields":
+            raise ValueError("cell 'foreign': it has no pictures of its own yet; expected perception 'fields'")
+        from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem
+
+        return ForeignCell
 
 
 @dataclass(slots=True)

@@ -19,9 +19,10 @@ from service.contract import FINGERS, FramePair, TactileFrame
 from service.perception.rectification import CameraCalibration
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.inertia import duration_s as time_at
-from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.effects import dropped_share
 from simulation.scene.scene import Scene
+from simulation.scene.state import Cell, CellState, PhysicsError
 from simulation.scene.unstated import Misplacement, Pose, Unstated
 
 START_NS = 1_000_000_000
@@ -61,7 +62,7 @@ class LockstepCell:
     """
 
     scene: Scene
-    physics: QuasiStaticCell
+    physics: Cell
     renderers: tuple[Renderer, Renderer]
     misplaced: Misplacement
     seed: int
@@ -94,9 +95,10 @@ class LockstepCell:
         *,
         unstated: Unstated | None = None,
         draws: bool = True,
+        make: Callable[[Scene, int], Cell] = QuasiStaticCell,
     ) -> LockstepCell:
-        """A cell with the object grasped, told to be at the error given, at approach height."""
-        cell = QuasiStaticCell(scene, seed)
+        """A cell with the object grasped, told to be at the error given, at approach height; ``make``: mechanics."""
+        cell = make(scene, seed)
         cell.regrasp(x_mm, theta_deg)
         misplaced = Misplacement(unstated or Unstated(), _pose_of(cell))
         left, right = (Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS)
@@ -278,7 +280,7 @@ class LockstepCell:
         course.force_n = max(course.force_n, float(np.linalg.norm(state.wrench_n_nmm[:3])))
 
 
-def _pose_of(physics: QuasiStaticCell) -> Pose:
+def _pose_of(physics: Cell) -> Pose:
     x, y, z, yaw = physics.pose
     return float(x), float(y), float(z), math.degrees(float(yaw))
 

@@ -49,7 +49,7 @@ from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, V
 from simulation.closed_loop.job import Job, Outcome, Perception
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
-from simulation.physics.quasistatic import PhysicsError
+from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 
 MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
@@ -261,7 +261,9 @@ def stage(job: Job, models: ModelSet) -> Insertion:
     perception: Perception = job.perception if controller.uses_networks else "fields"
     draws = perception == "pictures"
     unstated = Unstated.model_validate(job.unstated)
-    cell = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws)
+    cell = LockstepCell.build(
+        scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, make=job.mechanics()
+    )
     cell.dead = job.dead
     reach = (scene.x_range_mm, scene.theta_range_deg)
     chooser = controller.make(hash_seed(job.seed, job.index), reach) if controller.make else None

@@ -66,6 +66,15 @@ class Cell(Protocol):
 
     scene: Scene
     pose: Array
+    pace_mm_s: float
+    """How fast the moves that follow are, where that matters."""
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether anything changes while the hand stands still."""
+
+    def wait(self, time_s: float, /) -> CellState:
+        """Stand still for a while. Raises PhysicsError as `move_to` does."""
 
     def regrasp(self, x_mm: float, theta_deg: float) -> CellState:
         """Put the object into the hand anew, its error as given, at approach height. Raises PhysicsError."""

@@ -7,7 +7,7 @@ def test_unknown_command_is_one_line_and_exit_2(capsys: pytest.CaptureFixture[st
     assert entry.main(["dance"]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "allowed: calibrate, models, replay, run" in error
+    assert "allowed: calibrate, judge, models, replay, run" in error
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

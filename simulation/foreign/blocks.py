@@ -1,0 +1,278 @@
+"""The two blocks and the held object as bodies: where they touch, what that does, and how they move.
+
+A contact is a spring of the scene's stiffness along its normal and a softer one with Coulomb's limit across it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.foreign.contacts import Contacts, Properties, against_wall, is_beside, on_top
+from simulation.foreign.newton import ARM_MM, Push
+from simulation.foreign.pads import Grip
+from simulation.foreign.rigid import about_z, cross_matrix, lines_of, rotation, rotation_vector
+from simulation.scene.effects import Active
+from simulation.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+GRAVITY_N_PER_KG = 9.81
+TANGENTIAL_SHARE = 0.5  # of a contact's stiffness across its normal
+TABLE_N_PER_MM = 2000.0  # below each corner of a free block
+NEAR_MM = 1.0
+SHARERS = 8  # a curved bottom's many corners share the stiffness of this many
+
+
+class Hand(NamedTuple):
+    """The TCP in the work-object frame: place [3], mm, turn [3, 3]."""
+
+    place: Array
+    turn: Array
+
+
+class Bodies:
+    """A drive: the object's twist in the hand (6) and, where blocks are free, one of each block (12, work object)."""
+
+    turns = True
+
+    def __init__(self, scene: Scene, active: Active) -> None:
+        blocks, body = scene.blocks, scene.object
+        self.foot = np.column_stack([body.footprint_mm, np.full(len(body.footprint_mm), -scene.grasp.height_mm)])
+        self.free, self._size = active.free_blocks, (blocks.size_x_mm, blocks.size_y_mm, blocks.height_mm)
+        shared = blocks.stiffness_n_per_mm * min(1.0, SHARERS / len(self.foot))
+        friction = blocks.friction if active.edge_friction else 0.0
+        self._props = Properties(blocks.stiffness_n_per_mm, shared, friction)
+        self._table_friction = blocks.table_friction
+        self.weight_n = body.mass_kg * GRAVITY_N_PER_KG if scene.effects.gravity != "off" else 0.0
+        self._centre = np.array([0.0, 0.0, body.centre_of_mass_height_mm - scene.grasp.height_mm])
+        self._block_weight_n = blocks.mass_kg * GRAVITY_N_PER_KG
+        self._half_gap_mm = 0.5 * blocks.gap_mm
+        self.count = 18 if self.free else 6
+        corners = np.array([[x, y, -self._size[2]] for x in (0.0, self._size[0]) for y in (-0.5, 0.5)])
+        self._base = corners * [1.0, self._size[1], 1.0]
+        self._slots = 2 + 2 * len(self.foot)
+        self.hand = Hand(np.zeros(3), np.eye(3))
+        self.reset()
+
+    def reset(self) -> None:
+        """Both blocks stand where the scene has them."""
+        sink = 0.25 * self._block_weight_n / TABLE_N_PER_MM if self.free else 0.0
+        self.block_turn = np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])])
+        self.block_place = np.array([[self._half_gap_mm, 0.0, -sink], [-self._half_gap_mm, 0.0, -sink]])
+        self.stretch = np.zeros((2 * self._slots + 8, 3))  # of each contact's friction, work-object frame, mm
+        self.beside = np.zeros(2, np.bool_)
+        self.touching = False
+        self._start = (np.eye(3), np.zeros(3))
+        self._block_start, self._old = (self.block_turn.copy(), self.block_place.copy()), self.stretch.copy()
+
+    def forget(self) -> None:
+        """The object is taken away from the blocks."""
+        self.stretch[: 2 * self._slots] = 0.0
+        self.beside[:], self.touching = False, False
+
+    def memory(self) -> tuple[Array, ...]:
+        """Copies of the blocks' poses."""
+        return self.block_turn.copy(), self.block_place.copy()
+
+    def recall(self, memory: tuple[Array, ...]) -> None:
+        """Put back what `memory` gave."""
+        self.block_turn, self.block_place = (part.copy() for part in memory)
+
+    def begin(self, grip: Grip, before: Hand, after: Hand) -> None:
+        """A step begins: the hand is at its end already, slips are counted from where the bodies were before it."""
+        self.hand = after
+        self._start = (before.turn @ grip.turn, before.place + before.turn @ grip.place)
+        self._block_start = (self.block_turn.copy(), self.block_place.copy())
+        self._old = self.stretch.copy()
+        for b in range(2):
+            self.beside[b] = is_beside(self._seen_from(b, grip), bool(self.beside[b]))
+
+    def arrive(self, grip: Grip) -> None:
+        """The step came to rest: keep what friction has stretched."""
+        contacts, _ = self._contacts(grip)
+        press, drag = self._forces(contacts, grip)
+        self.stretch[:] = 0.0
+        self.stretch[contacts.slots] = -drag / (TANGENTIAL_SHARE * contacts.stiffness)[:, None]
+        self.touching = bool((press[contacts.slots < 2 * self._slots] > 0.0).any())
+
+    # ---- geometry ---------------------------------------------------------------------------------------------------
+
+    def pose(self, grip: Grip) -> tuple[Array, Array]:
+        """The object's turn [3, 3] and place [3] in the work-object frame."""
+        return self.hand.turn @ grip.turn, self.hand.place + self.hand.turn @ grip.place
+
+    def _seen_from(self, b: int, grip: Grip) -> Array:
+        """The bottom's corners in block b's frame, [v, 3]."""
+        turn, place = self.pose(grip)
+        return np.asarray((self.foot @ turn.T + place - self.block_place[b]) @ self.block_turn[b])
+
+    def _contacts(self, grip: Grip) -> tuple[Contacts, NDArray[np.intp]]:
+        """All that may touch now, and which bodies: 0, 1: the object and a block; 2, 3: a block and the table."""
+        parts = [self._of_block(b, grip) for b in range(2)]
+        bodies = [np.full(len(part.gaps), b) for b, part in enumerate(parts)]
+        if self.free:
+            parts += [self._on_table(b) for b in range(2)]
+            bodies += [np.full(4, 2), np.full(4, 3)]
+        joined: list[Any] = [np.concatenate(each) for each in zip(*parts, strict=True)]
+        return Contacts(*joined), np.concatenate(bodies)
+
+    def _of_block(self, b: int, grip: Grip) -> Contacts:
+        corners, axis = self._seen_from(b, grip), self.block_turn[b].T @ self.pose(grip)[0][:, 2]
+        find = against_wall if self.beside[b] else on_top
+        found, frame = find(corners, axis, self._props), self.block_turn[b]
+        near: list[Any] = [part[found.gaps < NEAR_MM] for part in found]
+        found = Contacts(*near)
+        return found._replace(
+            points=found.points @ frame.T + self.block_place[b],
+            normals=found.normals @ frame.T,
+            slots=found.slots + b * self._slots,
+            travel=frame @ found.travel @ frame.T,
+        )
+
+    def _on_table(self, b: int) -> Contacts:
+        points = self._base @ self.block_turn[b].T + self.block_place[b]
+        up, slots = np.tile([0.0, 0.0, 1.0], (4, 1)), 2 * self._slots + 4 * b + np.arange(4)
+        stiffness, friction = np.full(4, TABLE_N_PER_MM), np.full(4, self._table_friction)
+        travel, turns = np.tile(np.eye(3), (4, 1, 1)), np.zeros(4, np.bool_)
+        return Contacts(points, up, points[:, 2] + self._size[2], slots, stiffness, travel, turns, friction)
+
+    # ---- forces -----------------------------------------------------------------------------------------------------
+
+    def _slid(self, contacts: Contacts, grip: Grip) -> Array:
+        """How far the first body's material has slid on the second's since the step began, [m, 3], mm, with stretch."""
+        points, slots = contacts.points, contacts.slots
+        turn, place = self.pose(grip)
+        ours = (points - place) @ turn @ self._start[0].T + self._start[1]
+        theirs = points.copy()
+        for b in range(2):
+            mine, based = slots // self._slots == b, (slots - 2 * self._slots) // 4 == b
+            back = (points - self.block_place[b]) @ self.block_turn[b] @ self._block_start[0][b].T + self._block_start[
+                1
+            ][b]
+            theirs[mine], ours[based] = back[mine], back[based]
+        slid = theirs - ours + self._old[slots]
+        return np.asarray(slid - np.einsum("ij,ij->i", slid, contacts.normals)[:, None] * contacts.normals)
+
+    def _forces(self, contacts: Contacts, grip: Grip) -> tuple[Array, Array]:
+        """Normal forces [m] and friction [m, 3] on the first bodies, N."""
+        press = np.maximum(-contacts.gaps, 0.0) * contacts.stiffness
+        drag = -(TANGENTIAL_SHARE * contacts.stiffness)[:, None] * self._slid(contacts, grip)
+        size = np.linalg.norm(drag, axis=1)
+        return press, drag * np.minimum(1.0, contacts.friction * press / np.maximum(size, 1e-300))[:, None]
+
+    def _slopes(self, contacts: Contacts, grip: Grip, *, careful: bool) -> Array:
+        """How each contact's force on its first body changes with relative motion there, [m, 3, 3]."""
+        press = np.maximum(-contacts.gaps, 0.0) * contacts.stiffness
+        across = TANGENTIAL_SHARE * contacts.stiffness
+        slid, normals = self._slid(contacts, grip), contacts.normals
+        size = np.linalg.norm(slid, axis=1)
+        bound = contacts.friction * press
+        slips = across * size > bound
+        ahead = slid / np.maximum(size, 1e-300)[:, None] * (not careful)
+        flat = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        stick = across[:, None, None] * flat
+        slide = (bound / np.maximum(size, 1e-300))[:, None, None] * (flat - ahead[:, :, None] * ahead[:, None, :])
+        down = (contacts.stiffness * (press > 0.0))[:, None, None] * normals[:, None, :]
+        follow = (contacts.friction * slips)[:, None] * ahead
+        return np.asarray(-(normals - follow)[:, :, None] * down - np.where(slips[:, None, None], slide, stick))
+
+    def _follow(self, contacts: Contacts, bodies: NDArray[np.intp]) -> Array:
+        """How the first body's point moves against the second's with all motions, [m, 3, k]."""
+        out = np.zeros((len(bodies), 3, self.count))
+        of_object = bodies < 2
+        local = (contacts.points[of_object] - self.hand.place) @ self.hand.turn
+        out[of_object, :, :6] = np.einsum("ij,mjk->mik", self.hand.turn, lines_of(local))
+        for b in range(2) if self.free else ():
+            at = slice(6 + 6 * b, 12 + 6 * b)
+            for body, sign in ((b, -1.0), (2 + b, 1.0)):
+                mine = bodies == body
+                out[mine, :, at] = sign * lines_of(contacts.points[mine] - self.block_place[b])
+        return out
+
+    # ---- the drive --------------------------------------------------------------------------------------------------
+
+    def push(self, grip: Grip, *, careful: bool = False) -> Push:
+        """Contacts and weights; careful: what slides is as stiff along its slide as across it."""
+        contacts, bodies = self._contacts(grip)
+        press, drag = self._forces(contacts, grip)
+        forces = press[:, None] * contacts.normals + drag
+        follow = self._follow(contacts, bodies)
+        total = self._weights(grip) + np.einsum("mik,mi->k", follow, forces)
+        slopes = np.einsum("mij,mjl->mil", self._slopes(contacts, grip, careful=careful), follow)
+        slopes[:, :, 3:6] -= (contacts.turns * press)[:, None, None] * cross_matrix(contacts.normals) @ self.hand.turn
+        slope = np.einsum("mik,mil->kl", follow, slopes)
+        arms = np.einsum(
+            "mij,mjk,mkl->il",
+            -cross_matrix(forces[bodies < 2]),
+            contacts.travel[bodies < 2],
+            follow[bodies < 2],
+            optimize=True,
+        )
+        slope[3:6] += self.hand.turn.T @ arms
+        return Push(total, slope)
+
+    def _weights(self, grip: Grip) -> Array:
+        out = np.zeros(self.count)
+        out[2] = -self.weight_n
+        out[3:6] = np.cross(grip.place + grip.turn @ self._centre, out[:3])
+        for b in range(2) if self.free else ():
+            at, down = 6 + 6 * b, np.array([0.0, 0.0, -self._block_weight_n])
+            out[at : at + 3] = down
+            out[at + 3 : at + 6] = np.cross(self.block_turn[b] @ (np.array([0.5, 0.0, -0.5]) * self._size), down)
+        return out
+
+    def lines(self, _grip: Grip, points: Array) -> Array:
+        """Nodes follow the object's twist: [n, 3, 6]."""
+        return lines_of(points)
+
+    def move(self, grip: Grip, motion: Array) -> None:
+        """Apply twists to the object and to the blocks."""
+        turn = rotation(motion[3:6])
+        grip.turn, grip.place = turn @ grip.turn, turn @ grip.place + motion[:3]
+        for b in range(2) if self.free else ():
+            at = 6 + 6 * b
+            self.block_turn[b] = rotation(motion[at + 3 : at + 6]) @ self.block_turn[b]
+            self.block_place[b] += motion[at : at + 3]
+
+    def motion_since(self, before: Grip, after: Grip) -> Array:
+        """The motion [k] that `move` needs to come from one state to the other; the blocks' since the step began."""
+        out = np.zeros(self.count)
+        turn = after.turn @ before.turn.T
+        out[:3], out[3:6] = after.place - turn @ before.place, rotation_vector(turn)
+        for b in range(2) if self.free else ():
+            at = 6 + 6 * b
+            out[at : at + 3] = self.block_place[b] - self._block_start[1][b]
+            out[at + 3 : at + 6] = rotation_vector(self.block_turn[b] @ self._block_start[0][b].T)
+        return out
+
+    def weight(self, force: Array) -> float:
+        """Forces in N; torques by ARM_MM."""
+        parts = np.abs(force.reshape(-1, 2, 3)) / np.array([1.0, ARM_MM])[:, None]
+        return float(parts.max())
+
+    def block_motion(self) -> Array:
+        """How both blocks have moved, [2, 4]: dx, dy mm, yaw and tilt deg."""
+        out = np.zeros((2, 4))
+        for b, sign in enumerate((1.0, -1.0)):
+            turn = self.block_turn[b] * [sign, sign, 1.0]
+            out[b, :2] = self.block_place[b, :2] - (sign * self._half_gap_mm, 0.0)
+            out[b, 2] = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+            out[b, 3] = math.degrees(math.atan2(math.hypot(turn[2, 0], turn[2, 1]), turn[2, 2]))
+        return out
+
+    def reach(self, motion: Array) -> float:
+        """About how far a motion [k] moves anything, mm."""
+        return float((np.abs(motion.reshape(-1, 2, 3)) * np.array([1.0, ARM_MM])[:, None]).max())
+
+    def wrench(self, grip: Grip) -> Array:
+        """What blocks and weight do to the object, [6] N, N mm, at the TCP, hand frame."""
+        return self.push(grip).force[:6]
+
+
+def hand_at(pose: Array) -> Hand:
+    """Of a TCP pose (x, y, z mm, yaw rad)."""
+    return Hand(pose[:3].copy(), about_z(float(pose[3])))

@@ -1,0 +1,210 @@
+"""One load step: semi-smooth Newton on the pads' nodes and all rigid motions at once.
+
+With the friction limits held, a step's equations are those of a convex problem: elastic energy, limits times slips,
+no penetration. `solve` first lets the limits follow the pressures within Newton's iteration, which needs a handful of
+iterations. Where that does not come to rest, it solves the convex problem again and again with limits renewed from
+its pressures (as in Haslinger's fixed point), and gives up by name where that does not settle either.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.foreign.pads import SLIP, STICK, Grip, Judged, Pads, Planes
+from simulation.foreign.surface import HeldSurface
+
+Array = NDArray[np.float64]
+
+FOLLOWING, HOLDING, ROUNDS = 20, 20, 15
+CURVED = 8  # iterations in which the held surface's planes are renewed; a kink would have them jump for ever
+NEARLY_N = 1e-4  # limits that a round changes by less are left to Newton
+BALANCING, BALANCED, SEARCHING, OVERSHOT = 8, 1e-2, 5, 0.5
+STUCK = 1e-5  # residuals that hardly change from iteration to iteration will not
+LONGEST_MM = 0.5  # of an iteration's motion: beyond it, its equations mean nothing
+ARM_MM = 10.0  # turns a torque residual into a force, a rotation into a way
+
+
+class Push(NamedTuple):
+    """Generalised force on the rigid motions [k] (N, N mm) and its derivative [k, k]."""
+
+    force: Array
+    slope: Array
+
+
+class Drive(Protocol):
+    """The rigid motions y [k] that a step solves for, with all that acts on them but the pads."""
+
+    count: int  # k
+    turns: bool  # whether the first six are the held object's twist about the TCP
+
+    def push(self, grip: Grip, *, careful: bool = False) -> Push:
+        """What acts in a state; careful: with a slope that never gives out, for friction that slides."""
+
+    def lines(self, grip: Grip, points: Array) -> Array:
+        """How the pads' nodes [n, 3] follow the first j motions, relative to the gel's rest: [n, 3, j]."""
+
+    def move(self, grip: Grip, motion: Array) -> None:
+        """Apply a motion [k] to the grip and to whatever else moves."""
+
+    def weight(self, force: Array) -> float:
+        """Largest of unbalanced forces [k] in N."""
+
+    def reach(self, motion: Array) -> float:
+        """About how far a motion [k] moves anything, mm."""
+
+    def memory(self) -> tuple[Array, ...]:
+        """Copies of what `move` changes, the grip aside."""
+
+    def recall(self, memory: tuple[Array, ...]) -> None:
+        """Put back what `memory` gave."""
+
+
+class Step:
+    """A load step of a grip under a drive; `run` leaves the grip at its end, or somewhere, and says which."""
+
+    def __init__(self, pads: Pads, held: HeldSurface, drive: Drive, grip: Grip) -> None:
+        self.pads, self.held, self.drive, self.grip, self.start = pads, held, drive, grip, grip.on.copy()
+        self.planes: Planes = pads.planes(held, grip.on)
+        self.iterations, self._guessed = 0, False
+        self._before, self._memory = grip.copy(), drive.memory()
+
+    def guess(self, on: Array, motion: Array) -> None:
+        """Begin the search where nodes have moved by on [n, 3] and rigid motions are motion [k]."""
+        self._guessed = True
+        self.grip.on += on
+        self.drive.move(self.grip, motion)
+
+    def undo(self) -> None:
+        """Put all back as the step was given."""
+        self.drive.recall(self._memory)
+        self.grip.take(self._before)
+
+    def solve(self, tolerance_n: float) -> float:
+        """Find the step's end. The residual, N; infinite where none was found."""
+        residual = self.run(tolerance_n, None, FOLLOWING) if self._guessed else np.inf
+        for follow in (True, False):
+            if residual <= tolerance_n:
+                break
+            self._afresh()
+            residual = self.run(tolerance_n, None, FOLLOWING) if follow else self._by_rounds(tolerance_n)
+        return residual
+
+    def _afresh(self) -> None:
+        """Begin where the step began, with all nodes held that touch: an elastic predictor."""
+        self.undo()
+        self.grip.status[self.grip.status == SLIP] = STICK
+        self.planes = self.pads.planes(self.held, self.grip.on)
+
+    def _by_rounds(self, tolerance_n: float) -> float:
+        """The convex problem with limits held, again and again, each with the limits of the last one's pressures."""
+        limit = self.pads.friction * np.maximum(self._pressing(), 0.0)
+        for _ in range(ROUNDS):
+            if self.run(tolerance_n, limit, HOLDING) > tolerance_n:
+                return np.inf
+            fresh = self.pads.friction * np.maximum(self._pressing(), 0.0)
+            if float(np.abs(fresh - limit).max()) <= NEARLY_N:
+                return self.run(tolerance_n, None, FOLLOWING)
+            limit = fresh
+        return np.inf
+
+    def _pressing(self) -> Array:
+        return self.pads.judge(self.grip, self.planes, self.start, None).pressing
+
+    def run(self, tolerance_n: float, limit: Array | None, most: int) -> float:
+        """Newton's iteration with limits held [n] or following (None). The residual, N; infinite: not at rest."""
+        pads, grip, drive = self.pads, self.grip, self.drive
+        pads.settle(grip, self.planes, self.start, grip.status)
+        residual = np.inf
+        for i in range(most):
+            if i < CURVED:
+                self.planes = pads.planes(self.held, grip.on)
+            judged = pads.judge(grip, self.planes, self.start, limit)
+            lines = drive.lines(grip, grip.points)
+            left = drive.push(grip).force
+            left[: lines.shape[2]] -= judged.forces.ravel() @ lines.reshape(3 * len(grip.on), -1)
+            before, residual = residual, max(drive.weight(left), judged.amiss_n)
+            if residual <= tolerance_n or not np.isfinite(residual):
+                return residual
+            if abs(residual - before) < STUCK * residual:
+                break
+            if (judged.status != grip.status).any() or i < CURVED:
+                pads.settle(grip, self.planes, self.start, judged.status)
+                judged = pads.judge(grip, self.planes, self.start, limit)
+            self.iterations += 1
+            self._improve(judged, lines, follow=limit is None)
+        return np.inf
+
+    def _improve(self, judged: Judged, lines: Array, *, follow: bool) -> None:
+        """Newton's step of the pads, whose free nodes are eliminated; what the pads then are to the drive is linear."""
+        pads, grip, drive, k = self.pads, self.grip, self.drive, lines.shape[2]
+        matrix, force, answers = np.zeros((drive.count, drive.count)), np.zeros(drive.count), []
+        flat = lines.reshape(2, 3 * pads.count, k)
+        for pad, forces in enumerate(judged.forces.reshape(2, -1)):
+            rows = pads.rows(pad, grip, judged, lines, follow=follow, turns=drive.turns)
+            back = -(pads.stiffness[pad] @ flat[pad]).T
+            if drive.turns:
+                back[3:6] += _torque_rows(forces.reshape(-1, 3))
+            answer = np.linalg.solve(rows.matrix, np.column_stack([rows.defect, rows.coupling]))
+            reach = back @ rows.columns.T
+            matrix[:k, :k] += back @ flat[pad] - reach @ answer[:, 1:]
+            force[:k] -= forces @ flat[pad] + reach @ answer[:, 0]
+            answers.append((rows.columns, answer))
+        motion = self._balance(force, matrix)[:k]
+        moved = np.concatenate([columns.T @ -(a[:, 0] + a[:, 1:] @ motion) for columns, a in answers])
+        moved = moved.reshape(-1, 3) @ grip.turn
+        grip.on += min(1.0, LONGEST_MM / max(1e-300, float(np.abs(moved).max()))) * moved
+
+    def _balance(self, force: Array, matrix: Array) -> Array:
+        """Move the drive to where its push balances the pads' force + matrix y; the motion y [k].
+
+        A problem of few unknowns and stiff contacts: Newton's iteration with a line search and, where contacts that
+        slide have nothing to hold on to, one that takes their friction for springs of the size it has.
+        """
+        drive, grip = self.drive, self.grip
+        goal = BALANCED * drive.weight(drive.push(grip).force + force)
+        at, memory = grip.copy(), drive.memory()
+        for careful, most in ((False, BALANCING), (True, 4 * BALANCING)):
+            total = np.zeros_like(force)
+            for _ in range(most):
+                push = drive.push(grip, careful=careful)
+                rest = force + matrix @ total
+                left = push.force + rest
+                if drive.weight(left) <= goal:
+                    return total
+                motion: Array = np.asarray(np.linalg.solve(push.slope + matrix, -left), np.float64)
+                motion = motion * min(1.0, LONGEST_MM / max(1e-300, drive.reach(motion)))
+                motion = motion * self._share_of(motion, left, rest, matrix)
+                total = total + motion
+            if not careful:
+                drive.recall(memory)
+                grip.take(at)
+        return total
+
+    def _share_of(self, motion: Array, left: Array, rest: Array, matrix: Array) -> float:
+        """Move by as much of a motion as leaves no more to do than before, or else by all of it."""
+        drive, grip = self.drive, self.grip
+        at, memory = self.grip.copy(), drive.memory()
+        work, before, share = float(left @ motion), drive.weight(left), 1.0
+        for _ in range(SEARCHING):
+            drive.move(grip, share * motion)
+            now = drive.push(grip).force + rest + matrix @ (share * motion)
+            still = float(now @ motion)
+            if abs(still) <= OVERSHOT * abs(work) or drive.weight(now) <= (1.0 - 0.1 * share) * before:
+                return share
+            drive.recall(memory)
+            grip.take(at)
+            share *= max(0.1, min(0.7, work / (work - still))) if work > 0.0 > still else 0.5
+        drive.move(grip, motion)
+        return 1.0
+
+
+def _torque_rows(forces: Array) -> Array:
+    """How the torque of forces [n, 3] on the gel changes on the object as their points move: [3, 3 n]."""
+    out = np.zeros((3, *forces.shape))
+    out[0, :, 1], out[0, :, 2] = -forces[:, 2], forces[:, 1]
+    out[1, :, 0], out[1, :, 2] = forces[:, 2], -forces[:, 0]
+    out[2, :, 0], out[2, :, 1] = -forces[:, 1], forces[:, 0]
+    return out.reshape(3, -1)

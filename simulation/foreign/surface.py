@@ -1,0 +1,50 @@
+"""The held surface: how high it is and how it slopes, for both sides of an object.
+
+Object frame. On side s (+1: +y, -1: -y) the surface is y = s * height(x); the object is a prism there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.scene.parts import HeldObject
+
+Array = NDArray[np.float64]
+
+NOTHING_MM = -1e3  # height where there is no surface
+STEEPEST = 0.95  # of an arc's half width: beyond it the gel meets nothing
+
+
+class HeldSurface:
+    """Both sides of an object between the fingers."""
+
+    def __init__(self, body: HeldObject) -> None:
+        self._profile, self._faces = body.held_profile, body.held_faces
+
+    @property
+    def crest_mm(self) -> float:
+        """How far from y = 0 the object reaches between the fingers."""
+        return float(self._profile[0])
+
+    def at(self, side: Array, x: Array) -> tuple[Array, Array]:
+        """Height, mm, and slope of the side (+1, -1) [n] at x [n], mm."""
+        return self._arched(x) if self._faces is None else self._faceted(side, x)
+
+    def _faceted(self, side: Array, x: Array) -> tuple[Array, Array]:
+        assert self._faces is not None
+        lines = self._faces[np.where(side > 0.0, 0, 1)]
+        heights = lines[..., 0] + lines[..., 1] * x[:, None]
+        lowest = heights.argmin(axis=1)
+        each = np.arange(len(x))
+        return heights[each, lowest], lines[each, lowest, 1]
+
+    def _arched(self, x: Array) -> tuple[Array, Array]:
+        crest, flat, radius_x, radius_y, incline = self._profile
+        beyond = np.maximum(np.abs(x) - flat, 0.0)
+        if incline > 0.0:
+            return crest - incline * beyond, np.where(beyond > 0.0, -incline * np.sign(x), 0.0)
+        share = beyond / radius_x
+        root = np.sqrt(1.0 - np.minimum(share, STEEPEST) ** 2)
+        height = np.where(share < STEEPEST, crest - radius_y * (1.0 - root), NOTHING_MM)
+        return height, np.where(share < STEEPEST, -np.sign(x) * radius_y * share / (radius_x * root), 0.0)

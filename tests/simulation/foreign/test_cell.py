@@ -1,0 +1,151 @@
+"""The foreign cell keeps the laws of mechanics."""
+
+import math
+
+import numpy as np
+import pytest
+
+from simulation.foreign.cell import TOLERANCE_N, ForeignCell
+from simulation.foreign.elements import Pad
+from simulation.foreign.pads import OPEN, SLIP, STICK
+from simulation.scene.state import PhysicsError
+from simulation.scene.worlds import load_scene
+
+COARSE = Pad(22.05, 21.0, 2.5, 0.48, columns=4, rows=4, layers=1)
+STILL = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+
+
+def held(name="rectangle", x_mm=8.0, theta_deg=0.0, *, pad=COARSE, **changes):
+    """A cell with an object in the hand."""
+    cell = ForeignCell(load_scene(name, **(STILL | changes)), 0, pad)
+    cell.regrasp(x_mm, theta_deg)
+    return cell
+
+
+def lowered(cell, depth_mm):
+    """The state so deep below first touch."""
+    x, y, z, yaw = cell.pose
+    return cell.move_to(x, y, z - 5.0 - depth_mm, math.degrees(yaw))
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    """A yawed rectangle 1 mm down on one edge."""
+    cell = held(theta_deg=5.0)
+    return cell, lowered(cell, 1.0)
+
+
+def test_what_the_pads_do_balances_blocks_and_weight(pressed):
+    cell, state = pressed
+    forces, points = cell.pads.forces(cell.grip), cell.grip.points
+    assert forces.sum(axis=0) == pytest.approx(state.wrench_n_nmm[:3], abs=1e-6)
+    assert np.cross(points, forces).sum(axis=0) == pytest.approx(state.wrench_n_nmm[3:], abs=1e-5)
+    assert state.wrench_n_nmm[2] > 3.0
+    assert state.residual_n <= TOLERANCE_N
+
+
+def test_no_node_pulls_penetrates_or_leaves_the_friction_cone(pressed):
+    cell, _ = pressed
+    grip, planes = cell.grip, cell.pads.planes(cell.held, cell.grip.on)
+    judged = cell.pads.judge(grip, planes, grip.on, None)
+    drag = np.linalg.norm(judged.drag, axis=1)
+    closed = grip.status != OPEN
+    assert judged.pressing[closed].min() >= -1e-6
+    assert np.abs(judged.forces[~closed]).max(initial=0.0) <= 1e-6
+    assert planes.gap(grip.on).min() >= -1e-9
+    assert (drag - cell.pads.friction * judged.pressing)[closed].max() <= 1e-6
+    assert (grip.status == SLIP).any()
+    assert (grip.status == STICK).any()
+
+
+def test_the_grip_is_what_the_scene_says():
+    cell = held(x_mm=0.0)
+    across = cell.pads.forces(cell.grip)[:, 1].reshape(2, -1).sum(axis=1)
+    assert across == pytest.approx([20.0, -20.0], rel=2e-3)
+
+
+def test_in_the_air_the_pads_carry_the_weight():
+    cell = held(x_mm=0.0, object__mass_kg=0.3)
+    assert cell.look().wrench_n_nmm[2] == pytest.approx(-0.3 * 9.81)
+
+
+def test_a_weight_beyond_friction_is_lost():
+    assert held(x_mm=0.0, object__mass_kg=2.0, gel__friction=0.2).look().grasp_lost
+
+
+def test_the_moment_over_the_force_is_the_edges_lever():
+    """A vertical push at the block's edge, without friction there: moment about y is force times G / 2 - |x|."""
+    cell = held(x_mm=8.0, effects__edge_friction="off", object__mass_kg=1e-3)
+    state = lowered(cell, 0.6)
+    along, up, moment = state.wrench_n_nmm[[0, 2, 4]]
+    assert up > 1.0
+    edge_mm = 0.5 * cell.scene.blocks.gap_mm - cell.pose[0]
+    assert (-cell.pose[2] * along - moment) / up == pytest.approx(edge_mm, rel=0.005)
+
+
+def test_left_and_right_mirror_each_other():
+    one, other = held(x_mm=8.0, theta_deg=4.0), held(x_mm=-8.0, theta_deg=-4.0)
+    a, b = lowered(one, 0.8), lowered(other, 0.8)
+    assert a.wrench_n_nmm == pytest.approx(
+        b.wrench_n_nmm * [-1, 1, 1, 1, -1, -1], abs=2e-4 * np.abs(a.wrench_n_nmm).max()
+    )
+
+
+def test_slip_begins_at_the_rim_and_grows():
+    """As in Cattaneo's and Mindlin's contact, though a pad's pressure is flatter than theirs."""
+    cell = held(x_mm=8.0, gel__crown_mm=0.4)
+    shares, radii = [], []
+    for depth in (0.15, 0.6, 1.2):
+        state = lowered(cell, depth)
+        shares.append(float(state.slipping_share.mean()))
+        nodes = np.hypot(cell.pads.rest[:, 0], cell.pads.rest[:, 2])
+        radii.append((nodes[cell.grip.status == SLIP].mean(), nodes[cell.grip.status == STICK].mean()))
+    assert shares == sorted(shares)
+    assert radii[0][0] > radii[0][1]
+
+
+def test_without_slip_the_way_there_does_not_matter():
+    ends = []
+    for step in (0.05, 0.5):
+        cell = held(x_mm=8.0, gel__friction=2.0, numerics__load_step_mm=step)
+        ends.append(lowered(cell, 0.5).wrench_n_nmm)
+    assert ends[0] == pytest.approx(ends[1], rel=0.05, abs=0.5)
+
+
+def test_free_blocks_stand_still_under_their_own_weight_and_move_when_shoved():
+    cell = held(x_mm=8.0, blocks__free=True)
+    assert np.abs(lowered(cell, 0.5).block_motion).max() < 0.05
+    shoved = held(x_mm=8.0, blocks__free=True, blocks__table_friction=0.02)
+    assert np.abs(lowered(shoved, 2.0).block_motion).max() > 0.05
+
+
+@pytest.mark.parametrize("name", ["circle", "hexagon", "ellipse"])
+def test_every_held_face_comes_to_rest(name):
+    state = lowered(held(name, x_mm=9.0, theta_deg=6.0), 0.5)
+    assert state.in_contact
+    assert np.isfinite(state.gel).all()
+    assert state.residual_n <= TOLERANCE_N
+
+
+def test_a_centred_object_is_inserted_by_the_common_ground_truth():
+    cell = held(x_mm=0.3)
+    assert lowered(cell, 20.0).inserted
+
+
+def test_the_markers_follow_the_object_down():
+    cell = held(x_mm=8.0)
+    before, after = cell.look().gel, lowered(cell, 0.8).gel
+    assert before.shape == (2, cell.scene.sensor.marker_rows, cell.scene.sensor.marker_columns, 3)
+    up = -(after - before)[..., 1].mean(axis=(1, 2))
+    assert (up > 0.02).all()
+
+
+def test_a_grip_that_squeezes_the_gel_through_is_refused_by_name():
+    with pytest.raises(PhysicsError) as refused:
+        held(grasp__force_n=120.0, gel__shear_modulus_n_per_mm2=0.005)
+    assert refused.value.reason in {"gel squeezed through", "pads unsettled"}
+
+
+def test_numbers_that_are_none_are_refused():
+    with pytest.raises(ValueError, match="finite"):
+        held().move_to(0.0, 0.0, math.nan, 0.0)
