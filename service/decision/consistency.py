@@ -5,7 +5,7 @@ that the networks know. So after each blocked attempt, the estimate is compared 
 correction in between predict, once as commanded and once with x, yaw or both reversed. A picture that is mirrored shows
 itself at once: both fingers see the object turn from opposite sides, a mirrored one from the same side.
 
-The constants were fitted on 280 insertions in good cells and 145 in reversed ones (simulated, released networks).
+The constants were fitted on 280 insertions in good cells and 161 in reversed ones (simulated, released networks).
 """
 
 import math
@@ -34,7 +34,7 @@ SURE_SHARE, FAR_SURE_SHARE, FITS_BLOCKED = 0.93, 0.35, 0.4
 MODEL_SIGMA = np.array([1.0, 2.0])  # beyond what the networks say of themselves
 WALK_SIGMA = np.array([0.7, 1.0])  # that an attempt without a sure estimate adds
 OUTLIERS, FAR_OUTLIERS, RANGE = 0.15, 0.7, 40.0
-LEAST_TURN_DEG, SAME_SIDE = 1.0, 0.8  # good cells reached 0.53, mirrored ones have 1.00
+LEAST_TURN_DEG, LIKE = 1.0, 0.5  # the smaller turn is at least this share of the larger
 
 
 @dataclass(slots=True)
@@ -91,7 +91,10 @@ class Consistency:
 
 
 def mirrored(both: PairObservation) -> bool:
-    """Whether the fingers' turns agree in sign and size; facing each other, they must be opposite."""
+    """Whether both fingers see a turn of like size and the same sign; facing each other, they must see opposite ones.
+
+    A turn that one finger alone sees says nothing: the other may have been let go, or be blind.
+    """
     left, right = (math.degrees(finger.slip.angle_rad) for finger in both.fingers)
-    size = abs(left) + abs(right)
-    return max(abs(left), abs(right)) > LEAST_TURN_DEG and abs(left + right) > SAME_SIDE * size
+    smaller, larger = sorted((abs(left), abs(right)))
+    return left * right > 0.0 and larger > LEAST_TURN_DEG and LIKE * larger < smaller < math.inf

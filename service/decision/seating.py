@@ -18,7 +18,7 @@ import numpy as np
 
 from service.perception.observation import PairObservation
 
-HELD_SHARE = 0.03  # of what the grasp bears: jammed it carried 0.04 and more, sliding 0.74, hanging free 0.001
+HELD_SHARE = 0.03  # of what the grasp bears: most jams carried 0.04 and more, sliding 0.74, hanging free 0.0001
 NOISE_PITCH = 0.008  # no smaller push counts: what a finger's markers, all of them together, may be off
 LASTING = 1 / 3  # of the descent's time: from the blocks' tops on it slides for 0.7; a floor pushes for the last 0.2
 GLITCHES = 0.1  # of the frames in that time, which may show less

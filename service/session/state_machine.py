@@ -19,7 +19,7 @@ from service.decision.models import ModelSet
 from service.decision.work import Work, plan, seen_enough, slip_message
 from service.perception.observation import FingerWatch, Observation
 from service.session.fingers import Fingers
-from service.session.open_gel import OpenGels
+from service.session.learn_open import OpenGels
 from service.settings import Deadlines
 
 Replies = list[ServiceMessage]

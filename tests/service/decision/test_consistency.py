@@ -89,7 +89,15 @@ def test_attempts_in_the_dark_alone_prove_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("left", "right", "wrong"),
-    [(4.0, -4.0, False), (4.0, 3.8, True), (-2.0, -1.9, True), (0.4, 0.4, False), (3.0, -1.5, False), (2.0, 0.1, True)],
+    [
+        (4.0, -4.0, False),
+        (4.0, 3.8, True),
+        (-2.0, -1.9, True),
+        (0.4, 0.4, False),
+        (3.0, -1.5, False),
+        (2.0, 0.1, False),
+        (0.0, 4.0, False),
+    ],
 )
 def test_two_fingers_that_see_the_same_turn_are_mirrored(left: float, right: float, *, wrong: bool) -> None:
     assert mirrored(pair(left, right)) == wrong
