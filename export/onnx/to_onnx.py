@@ -96,6 +96,7 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         calibration=Calibration(
             temperature=scales.temperature, sigma_scale_x=scales.sigma_x, sigma_scale_theta=scales.sigma_theta
         ),
+        expectations=checkpoint.expectations,
         training_data_sha256=checkpoint.training_data_sha256,
         git_commit=checkpoint.git_commit,
         training_run=checkpoint.run,

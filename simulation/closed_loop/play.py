@@ -69,6 +69,7 @@ class Insertion:
         chooser: Chooser | None = None,
         perception: Perception = "pictures",
         fault: Fault | None = None,
+        reach_mm: float | None = None,
     ) -> None:
         self.cell = cell
         self.models = models
@@ -78,7 +79,7 @@ class Insertion:
         self.session = InsertionSession(models, left, right, controller_name=controller.service_controller)
         if not controller.uses_networks:
             self.session.submit = self._skip_networks
-        self.state = State(_plan(cell, self._pose(), FAR if chooser else ClientLimits()))
+        self.state = State(_plan(cell, self._pose(), FAR if chooser else ClientLimits(), reach_mm))
         self.trials: list[dict[str, Any]] = []
         self.before = cell.state  # what it was when the descent began, hanging free
         self._events: deque[Event] = deque()
@@ -227,7 +228,7 @@ class Insertion:
         return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
 
 
-def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits) -> Plan:
+def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits, reach_mm: float | None) -> Plan:
     """What the client is told, which need not be so."""
     scene, told, ramps = cell.scene, cell.unstated, Ramps()
     top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
@@ -238,6 +239,8 @@ def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits) -> Plan:
         approach=approach,
         gap_width_mm=scene.blocks.gap_mm + told.told_gap_error_mm,
         grasp_height_mm=scene.grasp.height_mm + told.told_height_error_mm,
+        grip_n=scene.grasp.force_n,
+        shear_reach_mm=reach_mm,
         expected_depth_mm=scene.full_depth_mm,
         creep_allowance_mm=CREEP_ALLOWANCE_MM,
         limits=limits,
@@ -274,6 +277,7 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         chooser=chooser,
         perception=perception,
         fault=Fault(**job.fault) if job.fault else None,
+        reach_mm=job.measured_reach_mm(scene),
     )
 
 

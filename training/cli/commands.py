@@ -118,6 +118,26 @@ def depths(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs"))
     print(write_depths(run, out))
 
 
+def expect(
+    checkpoint: Annotated[Path, tyro.conf.Positional], insertions: Annotated[tuple[Path, ...], tyro.conf.Positional]
+) -> None:
+    """Measure on insertions played how a blocked object creeps in the hand; the checkpoint's belief expects that then.
+
+    Args:
+        checkpoint: a ``checkpoint.pt`` written by ``train``; it is replaced.
+        insertions: logs (.insertions.jsonl) of `python -m simulation evaluate` with these networks.
+    """
+    from dataclasses import replace
+
+    from training.fit.checkpoint import Checkpoint
+    from training.fit.expectations import of_insertions
+
+    loaded = Checkpoint.load(checkpoint)
+    found = of_insertions(insertions, loaded.expectations)
+    replace(loaded, expectations=found).save(checkpoint)
+    print(found.model_dump_json(indent=1))
+
+
 def print_table(figures: dict[str, dict[str, float]]) -> None:
     """One line an object and split."""
     names = "trials accuracy chance ece wrong_side_x mae_x_mm mae_theta_deg rmse_x_mm rmse_theta_deg"
@@ -139,6 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "stress": stress,
                 "report": report,
                 "depths": depths,
+                "expect": expect,
             },
             args=arguments,
             prog="tactile-insertion",
