@@ -81,6 +81,7 @@ class Insertion:
             self.session.submit = self._skip_networks
         self.state = State(_plan(cell, self._pose(), FAR if chooser else ClientLimits(), reach_mm))
         self.trials: list[dict[str, Any]] = []
+        self.until: frozenset[Phase] = frozenset()  # phases in which to stop playing
         self.before = cell.state  # what it was when the descent began, hanging free
         self._events: deque[Event] = deque()
         self._standing = False
@@ -96,10 +97,10 @@ class Insertion:
         error = cell.state.object_error
         fingers = (self.session.left, self.session.right)
         gone = any(isinstance(finger, TrueFieldFinger) and finger.gone for finger in fingers)
-        in_gap = cell.state.inserted and not void and not gone
+        in_gap, claimed = cell.state.inserted and not void and not gone, self.state.phase is Phase.INSERTED
         return Outcome(
-            inserted=self.state.phase is Phase.INSERTED and in_gap,
-            claimed=self.state.phase is Phase.INSERTED,
+            inserted=claimed and in_gap,
+            claimed=claimed,
             attempts=self.state.attempt,
             reason=void or self.state.reason,
             void=bool(void),
@@ -115,7 +116,7 @@ class Insertion:
         scene = self.cell.scene
         longer = max(1.0, scene.fps / 30.0) * max(1.0, 10.0 / scene.speed_mm_s)
         for _ in range(round(longer * MAX_FRAMES)):
-            if self.state.done:
+            if self.state.done or self.state.phase in self.until:
                 break
             self._frame()
 

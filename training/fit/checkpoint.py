@@ -55,7 +55,7 @@ class Checkpoint:
             "run": self.run,
             "sensor": self.sensor.model_dump(),
             "pressing": self.pressing.model_dump() if self.pressing else None,
-            "expectations": self.expectations.model_dump(),
+            "expectations": self.expectations.model_dump(mode="json"),
         }
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".tmp")
@@ -76,7 +76,7 @@ class Checkpoint:
             if about.get("pressing"):
                 about["pressing"] = Pressing.model_validate(about["pressing"])
             if "expectations" in about:
-                about["expectations"] = Expectations.model_validate(about["expectations"])
+                about["expectations"] = Expectations.model_validate_json(json.dumps(about["expectations"]))
             for name in ("scales", "joint_scales"):
                 about[name] = Scales(**about[name])
             return cls(weights=stored["weights"], **about)
