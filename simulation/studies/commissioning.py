@@ -5,82 +5,31 @@ The software is not told the world. Adapting is training's own command in a proc
 
 from __future__ import annotations
 
-import contextlib
 import json
 import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from reporting.files import write_durably, write_json
-from robot_client.insertion.state import Phase
+from reporting.files import write_json
 from service.contract import ContractError
-from service.contract.wire import Estimate
-from service.decision.attempt import Attempt
-from service.decision.consistency import mistakes
 from simulation.closed_loop import benchmark
-from simulation.closed_loop.job import Job
-from simulation.closed_loop.play import models_of, stage
 from simulation.closed_loop.statistics import Row, ends
 from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.scene.scene import Scene
-from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import World
+from simulation.studies.episodes import Episode, named_mistakes, play
 
-PROBED = frozenset({Phase.RETRACTING, Phase.CORRECTING, Phase.CLOSING, Phase.INSERTED, Phase.FAILED})
 COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
     *("mean_trials", "inserted", "insertions", "claimed_wrongly"),
 )
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One insertion, or one probe that ends with its first decision, to play and keep in ``folder``."""
-
-    folder: Path
-    models: Path
-    job: Mapping[str, Any]
-    probe: bool
-
-
-def play(episode: Episode) -> Row | None:
-    """In a worker: play and write what a recording keeps for learning; None where the physics came to its end."""
-    done = episode.folder / "summary.json"
-    if done.exists():
-        return dict(json.loads(done.read_text(encoding="utf-8"))["row"] or {}) or None
-    job, attempts = Job(**episode.job), list[Attempt]()
-    row: Row | None = None
-    with contextlib.suppress(PhysicsError):  # the object cannot even be held
-        insertion = stage(job, models_of(episode.models))
-        insertion.session.on_attempt = attempts.append
-        insertion.until = PROBED if episode.probe else frozenset()
-        row = {**episode.job, **asdict(insertion.run())}
-    _keep(episode, job, attempts, row)
-    return row
-
-
-def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row | None) -> None:
-    episode.folder.mkdir(parents=True, exist_ok=True)
-    for attempt in attempts:
-        arrays = attempt.arrays()
-        kept = {name: arrays[name] for name in ("steps", "conditions", "decision") if name in arrays}
-        if "steps" in kept:
-            np.savez(episode.folder / f"attempt_{attempt.arm.attempt:02d}.npz", **kept)  # type: ignore[arg-type]
-    summary = {
-        "purpose": "probe" if episode.probe else "insert",
-        "outcome": "inserted" if row and row["claimed"] else "failed",
-        "approach": {"x_mm": job.x_mm, "yaw_deg": job.theta_deg},
-        "row": row,
-    }
-    write_durably(episode.folder / "summary.json", (json.dumps(summary) + "\n").encode())
 
 
 @dataclass(frozen=True)
@@ -129,7 +78,7 @@ class Plan:
 
 
 PROBES, WORK, JUDGING, SIGNS = 1, 2, 3, 4
-SIDES = np.array([(8.0, 0.0), (-8.0, 0.0), (0.0, 8.0), (0.0, -8.0)])
+SIDES = ((8.0, 0.0), (-8.0, 0.0), (0.0, 8.0), (0.0, -8.0))
 """Probes that show whether the cell is wired as it says, mm and deg."""
 FEW = 50
 
@@ -151,17 +100,12 @@ def commission(cell: Cell, plan: Plan) -> Row:
 
 
 def _mistakes(cell: Cell, plan: Plan) -> list[str]:
-    """How the cell is wired wrong, as four probes show it; a refusal that names a cause counts as one."""
-    told, estimates, named = list[Any](), list[Estimate](), list[str]()
-    for index, (job, (x_mm, theta_deg)) in enumerate(zip(cell.jobs(len(SIDES), SIGNS), SIDES, strict=True)):
-        episode = Episode(cell.folder / "signs" / f"{index:05d}", plan.models, job | _at(x_mm, theta_deg), probe=True)
-        decisions = [trial["decision"] for trial in (play(episode) or {"trials": []})["trials"]]
-        named += [one["detail"] for one in decisions if one.get("reason") == "contradictory"]
-        for one in decisions:
-            if "estimate" in one:
-                told.append((x_mm, theta_deg))
-                estimates.append(Estimate.model_validate_json(json.dumps(one["estimate"])))
-    return sorted(set(named)) or mistakes(np.array(told).reshape(-1, 2), estimates)
+    """How the cell is wired wrong, as four probes show it."""
+    jobs = [job | _at(*side) for job, side in zip(cell.jobs(len(SIDES), SIGNS), SIDES, strict=True)]
+    episodes = [
+        Episode(cell.folder / "signs" / f"{index:05d}", plan.models, job, probe=True) for index, job in enumerate(jobs)
+    ]
+    return named_mistakes(list(results(play, episodes, plan.workers, in_order=True)))
 
 
 def _at(x_mm: float, theta_deg: float) -> Row:
@@ -197,22 +141,26 @@ def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tupl
         (shown / f"{index:05d}").symlink_to((cell.folder / source / f"{index:05d}").resolve())
     verdict = run / "verdict.json"
     run.mkdir(parents=True, exist_ok=True)
-    _call("training", "adapt", str(shown), "--from", str(plan.checkpoint), "--out", str(run), "--json", str(verdict))
+    verdict.unlink(missing_ok=True)
+    told = _call(
+        "training", "adapt", str(shown), "--from", str(plan.checkpoint), "--out", str(run), "--json", str(verdict)
+    )
+    if not verdict.exists():
+        return {"accepted": False, "objections": [told]}, None
     said: Row = json.loads(verdict.read_text(encoding="utf-8"))
     if not said["accepted"]:
         return said, None
-    _call("export", "onnx", str(run / "checkpoint.pt"), "--out", str(run / "models"))
-    return said, run / "models" / "pair"
+    models = run / "models" / "pair"
+    told = _call("export", "onnx", str(run / "checkpoint.pt"), "--out", str(run / "models"))
+    if not list(models.glob("*.step.onnx")):
+        raise ContractError(f"python -m export onnx: {told}")
+    return said, models
 
 
-def _call(package: str, *words: str) -> None:
+def _call(package: str, *words: str) -> str:
+    """What a command said where it refused."""
     done = subprocess.run([sys.executable, "-m", package, *words], capture_output=True, text=True, check=False)
-    if done.returncode not in {0, KEPT}:
-        raise ContractError(f"python -m {package} {words[0]}: {done.stderr.strip() or done.stdout.strip()}")
-
-
-KEPT = 3
-"""Exit status of ``training adapt`` where the release stays."""
+    return done.stderr.strip() or done.stdout.strip()
 
 
 def write(rows: Sequence[Row], path: Path) -> None:

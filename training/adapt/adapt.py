@@ -59,7 +59,7 @@ class Judged:
 def adapt(recordings: Path, start: Path, out: Path, *, stages: Iterable[StageName] = STAGES, seed: int = 0) -> Judged:
     """Fit the released checkpoint ``start`` to ``recordings``; write ``out/checkpoint.pt`` if it is accepted.
 
-    Raises ContractError where there is too little to learn from, or the checkpoint reads no depth.
+    Raises ContractError where there is nothing to learn from, or the checkpoint reads no depth.
     """
     release = Checkpoint.load(start)
     if release.pressing is None:
@@ -75,9 +75,8 @@ def judge(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], 
     """Cross-validate all stages over fixtures; the best has the least loss, and every count is compared in pairs."""
     fixtures_n = len(np.unique(samples.groups))
     if len(samples) < FEWEST or fixtures_n < FOLDS:
-        raise ContractError(
-            f"{len(samples)} attempts of {fixtures_n} fixtures, expected at least {FEWEST} of {FOLDS}: probe more"
-        )
+        few = f"{len(samples)} attempts of {fixtures_n} fixtures, expected at least {FEWEST} of {FOLDS}: probe more"
+        return Judged({}, "released", (few,), len(samples), fixtures_n)
     said = {stage: held_out(stage, release, samples, seed)[0] for stage in dict.fromkeys(("released", *stages))}
     fair = {stage: _fair(stage, release, one, samples.groups) for stage, one in said.items()}
     losses = {stage: _losses(one) for stage, one in fair.items()}

@@ -121,10 +121,12 @@ def test_a_cell_that_is_as_released_keeps_the_release_or_a_likelier_one(release,
         assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("count", [0, 7])
-def test_too_few_probes_are_refused(release, tmp_path, count):
+def test_too_few_probes_leave_the_release_and_none_are_an_error(release, tmp_path):
+    few = adapt(recorded(tmp_path / "few", 7), release, tmp_path / "out")
+    assert not few.accepted
+    assert "probe more" in few.text()
     with pytest.raises(ContractError, match="expected"):
-        adapt(recorded(tmp_path, count), release, tmp_path / "out")
+        adapt(recorded(tmp_path / "none", 0), release, tmp_path / "out")
 
 
 def test_a_network_of_frames_is_refused(release, tmp_path):
