@@ -96,7 +96,7 @@ PICTURES ?= runs/compact-long/checkpoint.pt
 MODELS ?= models
 PRESSES ?= data/presses
 PRESS_TRIALS ?= 30000
-PRESS_MODELS ?= runs/pressing-models
+PRESS_MODELS ?= models/pressing
 EVALUATION ?= runs/evaluation
 COUNT ?= 30
 MUTANTS ?= 200
@@ -121,7 +121,8 @@ pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSE
 	$(BIN)/python -m training train training/configs/pressing.toml --data $(PRESSES)
 	$(BIN)/python -m training depths runs/pressing
 	$(BIN)/python -m export onnx runs/pressing/checkpoint.pt --out $(PRESS_MODELS)
-	for folder in $(PRESS_MODELS)/pair $(PRESS_MODELS)/joint; do $(BIN)/python -m export verify $$folder || exit 1; done
+	cp runs/pressing/checkpoint.pt $(PRESS_MODELS)
+	for folder in $(PRESS_MODELS) $(PRESS_MODELS)/joint; do $(BIN)/python -m export verify $$folder || exit 1; done
 
 export: $(VENV)/ready ## write CHECKPOINT and PICTURES as ONNX files with their cards into MODELS and MODELS/pictures, and verify them
 	$(BIN)/python -m export onnx $(CHECKPOINT) --out $(MODELS)

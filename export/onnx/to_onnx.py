@@ -45,7 +45,7 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
     """Write ``<role>.<form>.onnx`` of every role and form, or of those in ``only``; ContractError if any parity fails.
 
     The two networks go to ``out``, the joint density to ``out/joint``, and both networks in one step graph to
-    ``out/pair``: a service loads one folder and decides with it. Torch and ONNX, and step and sequence, agree to 1e-5.
+    ``out/pair``, of networks that read depth to ``out`` itself: a service loads one folder and decides with it. Torch and ONNX, and step and sequence, agree to 1e-5.
     """
     checkpoint = Checkpoint.load(path)
     network = checkpoint.build()
@@ -60,12 +60,13 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
                 _export(network.of(role), checkpoint, role, form, file)
                 written.append(file)
         verify_forms([open_model(file) for file in written])
-        return [file.replace(_home(out, file.name)) for file in written]
+        beside = ("joint",) if checkpoint.pressing else ("joint", "pair")
+        return [file.replace(_home(out, file.name, beside)) for file in written]
 
 
-def _home(out: Path, name: str) -> Path:
+def _home(out: Path, name: str, beside: tuple[str, ...]) -> Path:
     role = name.partition(".")[0]
-    folder = out / role if role in ("joint", "pair") else out
+    folder = out / role if role in beside else out
     folder.mkdir(exist_ok=True)
     return folder / name
 

@@ -150,8 +150,8 @@ def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tupl
     said: Row = json.loads(verdict.read_text(encoding="utf-8"))
     if not said["accepted"]:
         return said, None
-    models = run / "models" / "pair"
-    told = _call("export", "onnx", str(run / "checkpoint.pt"), "--out", str(run / "models"))
+    models = run / "models"
+    told = _call("export", "onnx", str(run / "checkpoint.pt"), "--out", str(models))
     if not list(models.glob("*.step.onnx")):
         raise ContractError(f"python -m export onnx: {told}")
     return said, models
