@@ -45,7 +45,8 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
     """Write ``<role>.<form>.onnx`` of every role and form, or of those in ``only``; ContractError if any parity fails.
 
     The two networks go to ``out``, the joint density to ``out/joint``, and both networks in one step graph to
-    ``out/pair``, of networks that read depth to ``out`` itself: a service loads one folder and decides with it. Torch and ONNX, and step and sequence, agree to 1e-5.
+    ``out/pair``, of networks that read depth to ``out`` itself: a service loads one folder and decides with it. Torch
+    and ONNX, and step and sequence, agree to 1e-5.
     """
     checkpoint = Checkpoint.load(path)
     network = checkpoint.build()
