@@ -22,8 +22,8 @@ from simulation.studies.drawn_worlds import Variant
 class Options(PlayOptions):
     """Play the same starts in drawn worlds by every variant.
 
-    Variants: the release with a measured shear reach told, with none told, and with the paper's heuristic; the networks
-    of OLDER and of PAPER_MODELS where there are any.
+    Variants: the release with a measured shear reach told, and with none told; the networks of OLDER and of
+    PAPER_MODELS where there are any.
 
     Results go to OUT/insertions.jsonl as they come, the report to DOCS/drawn_worlds.md and .json. All are simulated.
     """
@@ -66,7 +66,6 @@ def _variants(options: Options) -> list[Variant]:
     found = [
         Variant("release, reach told", options.models, "belief", told_reach=True),
         Variant("release, reach not told", options.models, "belief", told_reach=False),
-        Variant("release, the paper's heuristic", options.models, "heuristic", told_reach=False),
     ]
     if list(options.older.glob("*.step.onnx")) and options.older.resolve() != options.models.resolve():
         found.append(Variant("release before", options.older, "belief", told_reach=False))
