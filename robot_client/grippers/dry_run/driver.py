@@ -35,6 +35,14 @@ class DryGripper(Gripper):
         event = Grasped(at_s=time.monotonic(), width_mm=self.settings.width_mm)
         asyncio.get_running_loop().call_soon(lambda: self._post(event))
 
+    async def release(self, width_mm: float) -> float:
+        """Open at once."""
+        return width_mm
+
+    async def finds_nothing(self) -> bool:
+        """What was let go of stayed where it is."""
+        return True
+
     async def close(self) -> None:
         """Nothing to release."""
 

@@ -120,6 +120,10 @@ class TextWsg50(Wsg50):
             raise GripperError("gripper: text mode knows one homing direction, the gripper's own; leave it out")
         await self.call("HOME")
 
+    async def _open_fingers(self, width_mm: float) -> None:
+        await self.call("MOVE", width_mm, self.settings.grasp_speed_mm_s)
+        await asyncio.sleep(2.0 * self.settings.update_period_ms / 1000.0)  # the width after FIN, not the one before
+
     async def _close_fingers(self) -> None:
         settings = self.settings
         await self.call("GRIP", settings.force_limit_n, settings.grasp_width_mm, settings.grasp_speed_mm_s)
