@@ -55,6 +55,9 @@ class Signals(Protocol):
     async def write_signal(self, name: str, *, on: bool) -> None:
         """Switch an output; raises DriverError."""
 
+    async def close(self) -> None:
+        """Release the connection."""
+
 
 class Arm(Protocol):
     """A guided arm. After a failure it is latched: it holds and takes no more moves."""
@@ -127,6 +130,10 @@ class Gripper(Protocol):
     async def acknowledge(self) -> None:
         """Clear a latched fault: only ever on an operator's deliberate command; raises DriverError."""
         raise DriverError("gripper: this device has no fault to acknowledge")
+
+    async def width_mm(self) -> float:
+        """How far apart the fingers are. After :meth:`connect` only; raises DriverError."""
+        raise DriverError("gripper: this device does not tell its width")
 
     async def release(self, width_mm: float) -> float:  # noqa: ARG002 for devices to use
         """Open to ``width_mm``, letting go of what is held; the width in mm then. After :meth:`connect` only.

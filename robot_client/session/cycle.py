@@ -21,6 +21,7 @@ from robot_client.session.travel import Way, over_to, straight_up, travel
 from service.contract.frames import Contract
 
 PATIENCE_S = 0.1
+OPEN_MM = 1.0  # of the taught width
 # After these the object is held, nothing is broken, and the arm may carry it away; after all others it holds.
 REJECTED = ("client: attempts:", "service: no_decision:", "service: refused:")
 
@@ -116,7 +117,7 @@ class Cycle:
     async def _begin(self) -> None:
         if self.plc:
             await self.plc.begin()
-        if await self._holds():
+        if not await self._with_gripper(self._is_empty):
             raise CycleHeldError(
                 "gripper: holds something before the first part; take it out, or insert it with `insert`"
             )
@@ -164,7 +165,7 @@ class Cycle:
             raise CycleHeldError(f"part {number}: {state.reason or 'not inserted'}")
         if self.count.in_a_row_n >= self.settings.max_rejects_in_a_row:
             raise CycleHeldError(f"part {number}: {self.count.in_a_row_n + 1} in a row; the last one: {state.reason}")
-        if not await self._holds():
+        if await self._with_gripper(lambda gripper: gripper.finds_nothing()):
             raise CycleHeldError(f"part {number}: not inserted, and no longer in the hand; {state.reason}")
         self.show(f"part {number}: rejected ({state.reason})")
         await self._go(lambda here: [*straight_up(self.settings.retreat_mm)(here)])
@@ -181,11 +182,9 @@ class Cycle:
     async def _open(self) -> None:
         await self._with_gripper(lambda gripper: gripper.release(self.settings.open_mm))
 
-    async def _holds(self) -> bool:
-        async def ask(gripper: Gripper) -> bool:
-            return gripper.held
-
-        return await self._with_gripper(ask)
+    async def _is_empty(self, gripper: Gripper) -> bool:
+        """Fingers as far apart as taught hold nothing; of others only closing tells: a link that ended says no more."""
+        return await gripper.width_mm() >= self.settings.open_mm - OPEN_MM or await gripper.finds_nothing()
 
     async def _with_gripper(self, work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
         gripper = self.make_gripper()

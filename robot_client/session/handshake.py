@@ -67,7 +67,10 @@ class Handshake:
         await self.signals.write_signal(names.done, on=False)
 
     async def end(self, *, fault: bool) -> None:
-        """No longer ready, and if it ended badly: fault."""
-        await self.busy()
-        if fault:
-            await self.signals.write_signal(self.settings.fault, on=True)
+        """No longer ready, and if it ended badly: fault; then close the connection."""
+        try:
+            await self.busy()
+            if fault:
+                await self.signals.write_signal(self.settings.fault, on=True)
+        finally:
+            await self.signals.close()

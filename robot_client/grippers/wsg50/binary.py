@@ -113,6 +113,9 @@ class BinaryWsg50(Wsg50):
         command = Command.RELEASE if self.held else Command.MOVE
         kind = () if self.held else (codes.MoveFlag.STOP_ON_BLOCK,)
         await self.request(command, *kind, width_mm, self.settings.grasp_speed_mm_s)
+        await self._read_state()
+
+    async def _read_state(self) -> None:
         await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
 
     def _check_referenced(self) -> None:

@@ -89,10 +89,11 @@ class Wsg50(Gripper):
         try:
             await self._close_fingers()
         except GripperError:
+            await self._read_state()
             if self.state is GraspingState.NO_PART:
                 return True
             raise
-        return self.state is GraspingState.NO_PART
+        return False
 
     # ---- what a protocol adds to connect, close and acknowledge ---------------------------------------------------
 
@@ -111,6 +112,10 @@ class Wsg50(Gripper):
     @abstractmethod
     async def _subscribe(self) -> None:
         """Have the grasping state and the width sent periodically."""
+
+    @abstractmethod
+    async def _read_state(self) -> None:
+        """Have the grasping state as it is now."""
 
     @abstractmethod
     async def _home(self, direction: HomingDirection) -> None: ...
