@@ -20,7 +20,16 @@ PICK = WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=45.0, yaw_deg=0.0)
 REJECT = WorkPose(x_mm=25.0, y_mm=-5.0, z_mm=40.0, yaw_deg=0.0)
 OPEN_MM = 80.0
 SIGNALS = ("diTactileStart", "doTactileReady", "doTactileDone", "doTactileFault")
-QUICK = {"ramps": {"travel": {"speed_mm_s": 75.0, "acceleration_mm_s2": 500.0, "jerk_mm_s3": 8000.0}}}
+QUICK = {
+    "ramps": {
+        "travel": {"speed_mm_s": 75.0, "acceleration_mm_s2": 500.0, "jerk_mm_s3": 8000.0},
+        "descend": {
+            "speed_mm_s": 4.0,
+            "acceleration_mm_s2": 100.0,
+            "jerk_mm_s3": 2000.0,
+        },  # a long lease on a busy machine
+    }
+}
 
 
 class Fixture:
