@@ -74,6 +74,7 @@ class TruthfulService:
     mute: bool = False
     silent_heartbeat: bool = False
     sees: bool = True
+    offset: tuple = (0.0, 0.0)
     connection: object = None
     _attempt: int = 0
     _watching: bool = False
@@ -81,7 +82,7 @@ class TruthfulService:
     @property
     def error(self):
         pose = self.cabinet.arm.pose
-        return pose.position_mm[0], pose.yaw_deg
+        return pose.position_mm[0] + self.offset[0], pose.yaw_deg + self.offset[1]
 
     async def handle(self, connection):
         self.connection = connection
@@ -199,7 +200,7 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm"):
+async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", part=None):
     board = FaultBoard()
     start = Pose((5.0, 0.0, 40.0), tool_down(0.0))
     delays = Delays(motors_s=0.02, program_start_s=0.02, program_stop_s=0.05)
@@ -211,7 +212,7 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm"):
     rws_socket, wsg_socket = bind_tcp(0, "RWS"), bind_tcp(0, "gripper")
     rws = HttpServer(create_app(cabinet, frames, gate), rws_socket)
     gate.abort = rws.abort
-    gripper = Gripper(Part(), board, holding=holding)
+    gripper = Gripper(part or Part(), board, holding=holding)
     wsg = Wsg50Emulator(gripper, board)
     service = TruthfulService(cabinet)
     wsg_port = port_of(wsg_socket)

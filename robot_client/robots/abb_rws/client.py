@@ -115,6 +115,14 @@ class RwsClient:
             await asyncio.sleep(self.settings.poll_s)
         return f"STOP NOT CONFIRMED by the controller ({last}): use the stop button"
 
+    async def read_signal(self, name: str) -> bool:
+        """Whether a digital signal of the controller is on; raises RwsError."""
+        return float(await self._state(f"/rw/iosystem/signals/{name}", "lvalue")) != 0.0
+
+    async def write_signal(self, name: str, *, on: bool) -> None:
+        """Switch a digital output of the controller, whose access level must allow it; raises RwsError."""
+        await self._post(f"/rw/iosystem/signals/{name}", "set", {"lvalue": "1" if on else "0"})
+
     # ---- requests -------------------------------------------------------------------------------------------------
 
     async def _until(self, path: str, key: str, wanted: str, timeout_s: float) -> None:

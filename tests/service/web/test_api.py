@@ -16,7 +16,7 @@ WATCH, DRIVE, ADMIN = "a-token-for-watching", "a-token-for-driving", "a-token-fo
 
 def test_the_page_and_its_modules_are_served(live: LiveService) -> None:
     assert "Tactile insertion" in httpx.get(live.url("/")).text
-    for name in ("main.js", "draw.js", "past.js", "token.js", "style.css"):
+    for name in ("main.js", "felt.js", "place.js", "history.js", "player.js", "uplot/uPlot.iife.min.js", "style.css"):
         assert httpx.get(live.url(f"/dashboard/{name}")).status_code == 200
 
 
