@@ -18,9 +18,9 @@ from service.contract.model_card import Expectations
 Floats = NDArray[np.float64]
 MISPLACED = (2.0, 2.0)
 """How far a cell's frames may be off, mm and deg: a start may lie as much beyond those collected."""
-FEWEST = 50
+FEWEST = 40
 LEVER_FROM_MM, LEVER_USUAL_MM = 30.0, 45.0
-LEAST_SPREAD_MM, LEAST_SPREAD_DEG = 0.1, 0.1
+LEAST_SPREAD_MM, LEAST_SPREAD_DEG = 0.2, 0.2
 _STILL_MM = 0.3  # nearer than this the side of an error means nothing
 
 
