@@ -129,7 +129,7 @@ class InsertionManager:
         if self.active:
             self.active.result(result)
 
-    def fault(self, code: str, detail: str) -> None:
+    def fault(self, code: wire.FaultCode, detail: str) -> None:
         if self.active:
             self.active.camera_fault(code, detail)
 
