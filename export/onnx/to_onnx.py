@@ -28,6 +28,7 @@ from training.networks.preprocessing import CHANNELS, selector
 from training.networks.settings import FRAMES_PER_DECISION
 
 TOLERANCE = 1e-5
+IR = 8  # the graphs need no newer form; onnxruntime 1.17 and all since read it
 FLOAT = onnx.TensorProto.FLOAT
 LARGEST_SHARED = 10**7
 """Constants of up to this many elements are stored once, however often the graph names them."""
@@ -181,5 +182,8 @@ def attach_card(file: Path, card: ModelCard) -> None:
     model = onnx.load(str(file))
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, card.model_copy(update={"self_test": tested}).to_props())
+    model.ir_version = min(model.ir_version, IR)
+    for part in (model.graph, *model.graph.node, *model.graph.value_info, *model.graph.input, *model.graph.output):
+        del part.metadata_props[:]  # traces of the exporter, which older forms do not know
     onnx.save(model, str(file))
     open_model(file)

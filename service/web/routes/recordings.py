@@ -42,6 +42,28 @@ class Summary(BaseModel):
     object: str | None = None
 
 
+class Listed(Summary):
+    """A finished insertion with its folder's name, when it began (UTC), and which attempts were decided."""
+
+    name: str
+    started: str
+    decided: list[int]
+
+
+class Recordings(BaseModel):
+    """Finished insertions, newest first, and what keeps others from being listed."""
+
+    recordings: list[Listed]
+    problems: list[str]
+
+
+class Attempt(BaseModel):
+    """A decided attempt: how many frame pairs it rests on, and the `correction` or `no_decision` that was sent."""
+
+    frames_n: int
+    decision: dict[str, Any]
+
+
 def list_recordings(root: Path) -> tuple[list[dict[str, Any]], list[str]]:
     """Finished insertions, newest first, and why others that should be there are not."""
     listed, problems = [], []
@@ -108,7 +130,7 @@ def router(station: Station, access: Access) -> APIRouter:
     watch, admin = [access.require("watch")], [access.require("admin")]
     root = station.settings.recordings
 
-    @routes.get("", dependencies=watch)
+    @routes.get("", dependencies=watch, response_model=Recordings)
     async def recordings() -> dict[str, Any]:
         listed, problems = await asyncio.to_thread(list_recordings, root)
         return {"recordings": listed, "problems": problems}
@@ -125,7 +147,7 @@ def router(station: Station, access: Access) -> APIRouter:
         await asyncio.to_thread(shutil.rmtree, recording_folder(root, name))
         return {"removed": name}
 
-    @routes.get("/{name}/attempts/{number}", dependencies=watch)
+    @routes.get("/{name}/attempts/{number}", dependencies=watch, response_model=Attempt)
     async def attempt(name: str, number: Number) -> dict[str, Any]:
         return await asyncio.to_thread(attempt_facts, recording_folder(root, name), number)
 
