@@ -16,6 +16,7 @@ from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
 from robot_client.ports import Arm, DeviceSettings, Gripper
+from robot_client.session.cycle import CycleSettings
 from robot_client.session.service_link import ServiceSettings
 from service.contract.frames import Contract, ContractError
 from service.contract.refusals import describe, nearest
@@ -64,6 +65,8 @@ class Settings(Contract):
     timeouts: Timeouts = Timeouts()
     lease: Lease = Lease()
     task: Task = Task()
+    cycle: CycleSettings | None = None
+    simulated: bool = False  # the devices are those of a simulated cell: no warning that a robot moves
 
     def make_arm(self) -> Arm:
         """The arm behind its port; nothing is connected yet."""

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("cell:run", "the whole loop: cell, service and robot client insert an object in real time"),
+    "demo": ("cell:demo", "a simulated cell at work, one object after another, with its page, until Ctrl-C"),
     "cell": ("cell:cell", "the cell in real time on loopback: robot, gripper, cameras, truth"),
     "evaluate": ("evaluate:main", "the paper's test protocol in lock step: table, scatter, JSON"),
     "trust": ("trust:main", "claims under adversity: faults, drawn worlds, objects, starts"),

@@ -5,7 +5,7 @@ import secrets
 import time
 from pathlib import Path
 
-from robot_client.cli.terminal import DRY_RUN, NOT_A_SAFETY_FUNCTION, Outcome, show, stop_on_signals
+from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Phase, Plan
 from robot_client.ports import Arm, DecisionService, Gripper
@@ -49,7 +49,7 @@ def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionSe
 
 def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> Outcome:
     """Run one insertion; done if inserted. Raises DriverError if a device is not ready."""
-    show(NOT_A_SAFETY_FUNCTION if live else DRY_RUN)
+    show(warning(live=live, simulated=settings.simulated))
     show(f"insertion {plan.insertion_id}: start x {plan.approach.x_mm:+.2f} mm, yaw {plan.approach.yaw_deg:+.2f} deg")
     return asyncio.run(_insert(settings, plan, live=live, log=log))
 

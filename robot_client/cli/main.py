@@ -12,6 +12,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from robot_client.cli.check import check
+from robot_client.cli.cycle import cycle
 from robot_client.cli.home import home
 from robot_client.cli.insert import insert, make_plan
 from robot_client.cli.jog import jog
@@ -64,6 +65,11 @@ def _parser() -> argparse.ArgumentParser:
         return command
 
     add("insert", "insert the held object; a rehearsal unless --live is typed", _connection, _mode, _insertion)
+    cycling = add(
+        "cycle", "pick, insert and let go, part after part; only told unless --live is typed", _connection, _mode
+    )
+    cycling.add_argument("--parts", type=int, metavar="N", help="stop after so many inserted parts (default: never)")
+    cycling.add_argument("--logs", type=Path, metavar="DIR", help="folder for episode logs (default runs/robot)")
     add("check", "read every device, move nothing, name what is not ready", _connection)
     homing = add("home", "reference the empty gripper", _connection, _mode)
     homing.add_argument(
@@ -126,6 +132,10 @@ def _run(args: argparse.Namespace) -> Outcome:
     if args.command == "jog":
         target = WorkPose(x_mm=args.x_mm, y_mm=args.y_mm, z_mm=args.z_mm, yaw_deg=args.theta_deg)
         return jog(settings, target, live=args.live)
+    if args.command == "cycle":
+        if args.parts is not None and args.parts < 1:
+            raise ValueError(f"--parts {args.parts}: expected 1 or more")
+        return cycle(settings, live=args.live, parts_n=args.parts, log=args.logs or Path("runs") / "robot")
     plan = make_plan(settings, args.x_mm, args.theta_deg, args.insertion_id, args.controller)
     log = args.log or Path("runs") / "robot" / f"{plan.insertion_id}.jsonl"
     if log.exists():

@@ -24,7 +24,8 @@
   ``decision``         0-d string array: JSON of the ``correction`` or ``no_decision`` message; "{}" if there was none
   ===================  ==========================================================================================
 
-- ``summary.json``: insertion id, outcome, cause, attempts, object, start, frames left out for lack of speed or room.
+- ``summary.json``: insertion id, outcome, cause, attempts, object, start, seconds, decisions, frames left out for lack
+  of speed or room.
 """
 
 import contextlib
@@ -272,6 +273,8 @@ def markers_message(observation: Observation) -> dict[str, Any]:
         "valid": observation.field.valid.astype(np.uint8).tobytes(),
         "state": observation.slip.state,
         "slip_score": float(observation.slip.score),
+        "slipping": observation.slip.slipping.astype(np.uint8).tobytes(),
+        "sticking": observation.slip.sticking.astype(np.uint8).tobytes(),
     }
 
 

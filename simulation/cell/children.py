@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -88,7 +88,7 @@ class Child:
         if self.code is not None:
             raise ChildError(f"{self.name} ended with exit code {self.code}:\n{self.tail()}", self.code)
 
-    def until(self, text: str, timeout_s: float) -> str:
+    def until(self, text: str, timeout_s: float, while_waiting: Callable[[], None] = lambda: None) -> str:
         """The first line of its log that contains ``text``; raise ChildError if it ends or is late."""
         deadline_s = time.monotonic() + timeout_s
         while time.monotonic() < deadline_s:
@@ -96,6 +96,7 @@ class Child:
                 if text in line and line.endswith("\n"):
                     return line.strip()
             self.check()
+            while_waiting()
             time.sleep(0.05)
         raise ChildError(f"{self.name} was not ready within {timeout_s:.0f} s:\n{self.tail()}", None)
 

@@ -48,7 +48,7 @@ class Plant(NamedTuple):
     """What stands behind the devices: physics, optics, and the numbers that a client needs."""
 
     mechanics: Mechanics
-    regrasp: Callable[[float], None]
+    regrasp: Callable[[float, int], Pose]  # grip force and number of the object; where the TCP is then
     draw: dict[str, Draw]
     start: Pose  # TCP at the approach pose
     part_width_mm: float
@@ -118,7 +118,7 @@ class LiveCell:
         held = options.gripper == "held"
         self.world = World(plant.mechanics, plant.regrasp, self._pose, sensor=plant.sensor, fps=plant.fps, held=held)
         self.world.on_unsolved = self._supervise
-        self.part = HeldPart(self.world, plant.part_width_mm, self._pose, at_start)
+        self.part = HeldPart(self.world, plant.part_width_mm, self._pose, at_start, fed=options.feed)
         self.gripper = Gripper(self.part, self.board, holding=held)
         self.wsg = Wsg50Emulator(self.gripper, self.board)
         self.cameras = {finger: CameraEmulator(finger, self.board, plant.dropped_share) for finger in FINGERS}
@@ -212,6 +212,7 @@ class LiveCell:
             "expected_depth_mm": APPROACH_MM + INSERTION_MM,
             "creep_allowance_mm": CREEP_ALLOWANCE_MM,
             "approach": {"x_mm": x, "y_mm": y, "z_mm": z, "yaw_deg": self.plant.start.yaw_deg},
+            "home": {"x_mm": x, "y_mm": y, "z_mm": z + self.options.lift_mm, "yaw_deg": self.plant.start.yaw_deg},
             "fps": self.plant.fps,
         }
 
@@ -238,6 +239,9 @@ class LiveCell:
             "wsg": {f.name: getattr(self.wsg.counters, f.name) for f in fields(self.wsg.counters)},
             "course": {f.name: getattr(course, f.name) for f in fields(course)},
             "frames_sent_ns": {finger: list(camera.sent_ns) for finger, camera in self.cameras.items()},
+            "left_behind": [
+                {"inserted": bool(s.inserted), "shortfalls": list(s.shortfalls)} for s in self.world.left_behind
+            ],
             "camera_overruns": [feed.overruns for feed in self.feeds],
         }
         if state is not None:

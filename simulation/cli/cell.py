@@ -6,6 +6,7 @@ import asyncio
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import tyro
@@ -15,6 +16,7 @@ from reporting.statistics import mean
 from reporting.table import table
 from simulation.cell import run_report
 from simulation.cell.children import ChildError, terminate_as_interrupt
+from simulation.cell.demo import DemoOptions, lines
 from simulation.cell.live import bind_all, serve
 from simulation.cell.options import CellOptions
 from simulation.cell.plant import build, load
@@ -48,6 +50,20 @@ def run(arguments: list[str]) -> int:
         return 0 if all(result.inserted for result in results) else 1
 
     return exit_status("run", insert_all)
+
+
+def demo(arguments: list[str]) -> int:
+    """Insert one object after another until Ctrl-C, with the page; exit 1 if a process failed."""
+    options = tyro.cli(DemoOptions, args=arguments, prog="tactile-insertion demo", description=demo.__doc__)
+    (start,) = starts(replace(options, repeat=1))
+    folder = _folder(options, start)
+
+    def work() -> int:
+        for line in lines(options, folder):
+            print(line, flush=True)
+        return 0
+
+    return exit_status("demo", work)
 
 
 def motion_bounds(arguments: list[str]) -> int:

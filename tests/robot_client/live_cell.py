@@ -76,6 +76,7 @@ class TruthfulService:
     mute: bool = False
     silent_heartbeat: bool = False
     sees: bool = True
+    offset: tuple = (0.0, 0.0)
     connection: object = None
     _attempt: int = 0
     _watching: bool = False
@@ -83,7 +84,7 @@ class TruthfulService:
     @property
     def error(self):
         pose = self.cabinet.arm.pose
-        return pose.position_mm[0], pose.yaw_deg
+        return pose.position_mm[0] + self.offset[0], pose.yaw_deg + self.offset[1]
 
     async def handle(self, connection):
         self.connection = connection
@@ -201,7 +202,7 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", omnicore=None):
+async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", part=None, omnicore=None):
     """``omnicore``: files of a certificate and its key, for a controller of RobotWare 7."""
     board = FaultBoard()
     start = Pose((5.0, 0.0, 40.0), tool_down(0.0))
@@ -218,7 +219,7 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", 
         gate = Gate(board, "Default User", "robotics")
         rws = HttpServer(create_app(cabinet, frames, gate), rws_socket)
     gate.abort = rws.abort
-    gripper = Gripper(Part(), board, holding=holding)
+    gripper = Gripper(part or Part(), board, holding=holding)
     wsg = Wsg50Emulator(gripper, board)
     service = TruthfulService(cabinet)
     wsg_port = port_of(wsg_socket)

@@ -123,6 +123,14 @@ class RwsClient:
             await asyncio.sleep(self.settings.poll_s)
         return f"STOP NOT CONFIRMED by the controller ({last}): use the stop button"
 
+    async def read_signal(self, name: str) -> bool:
+        """Whether a digital signal of the controller is on; raises RwsError."""
+        return float(await self._state("lvalue", name)) != 0.0
+
+    async def write_signal(self, name: str, *, on: bool) -> None:
+        """Switch a digital output of the controller, whose access level must allow it; raises RwsError."""
+        await self._order("signal", {"lvalue": "1" if on else "0"}, name)
+
     # ---- requests -------------------------------------------------------------------------------------------------
 
     async def generation(self) -> Generation:
@@ -148,18 +156,18 @@ class RwsClient:
             await asyncio.sleep(self.settings.poll_s)
             value = await self._state(key)
 
-    async def _state(self, key: Resource) -> str:
+    async def _state(self, key: Resource, name: str = "") -> str:
         generation = await self.generation()
-        path = generation.paths[key]
+        path = generation.paths[key].format(name=name)
         answer = await self._request("GET", path)
         try:
             return str(generation.state(answer.json())[key])
         except (ValueError, KeyError, IndexError, TypeError):
             raise RwsError(f"GET {path}: answer without {key}: {answer.text[:80]!r}") from None
 
-    async def _order(self, order: Order, form: Mapping[str, str]) -> None:
+    async def _order(self, order: Order, form: Mapping[str, str], name: str = "") -> None:
         path, query = (await self.generation()).orders[order]
-        await self._request("POST", path, query, form)
+        await self._request("POST", path.format(name=name), query, form)
 
     async def _request(
         self, method: str, path: str, query: Mapping[str, str] | None = None, form: Mapping[str, str] | None = None

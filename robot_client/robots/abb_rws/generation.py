@@ -12,8 +12,8 @@ import httpx
 
 from robot_client.ports import DriverError
 
-Resource = Literal["opmode", "ctrlstate", "speedratio", "ctrlexecstate"]
-Order = Literal["motors", "start", "stop"]
+Resource = Literal["opmode", "ctrlstate", "speedratio", "ctrlexecstate", "lvalue"]
+Order = Literal["motors", "start", "stop", "signal"]
 CHALLENGE = "www-authenticate"
 
 
@@ -26,9 +26,9 @@ class Generation:
     """One generation: how it asks for a password, what it is sent, where its resources are, what it answers.
 
     ``headers`` go with every request, ``form`` besides with one that has a body, ``query`` with every address.
-    ``paths`` has the resource that holds each state, ``orders`` path and query of each order. ``state`` takes the
-    first state out of a parsed answer, ``reason`` the words of a refusal; both may raise KeyError, IndexError or
-    TypeError.
+    ``paths`` has the resource that holds each state, ``orders`` path and query of each order; ``{name}`` in them is a
+    signal's. ``state`` takes the first state out of a parsed answer, ``reason`` the words of a refusal; both may raise
+    KeyError, IndexError or TypeError.
     """
 
     name: str

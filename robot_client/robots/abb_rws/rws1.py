@@ -36,11 +36,13 @@ RWS1 = Generation(
         "ctrlstate": "/rw/panel/ctrlstate",
         "speedratio": "/rw/panel/speedratio",
         "ctrlexecstate": _EXECUTION,
+        "lvalue": "/rw/iosystem/signals/{name}",
     },
     orders={
         "motors": ("/rw/panel/ctrlstate", {"action": "setctrlstate"}),
         "start": (_EXECUTION, {"action": "start"}),
         "stop": (_EXECUTION, {"action": "stop"}),
+        "signal": ("/rw/iosystem/signals/{name}", {"action": "set"}),
     },
     answered=_answered,
     state=_state,

@@ -20,7 +20,8 @@ def _answered(refusal: httpx.Response) -> bool:
 
 
 def _state(body: Any) -> Any:
-    return body["state"][0]
+    rows = body["state"] if "state" in body else body["_embedded"]["resources"]  # the latter of lists and signals
+    return rows[0]
 
 
 def _reason(body: Any) -> str:
@@ -38,11 +39,13 @@ RWS2 = Generation(
         "ctrlstate": "/rw/panel/ctrl-state",
         "speedratio": "/rw/panel/speedratio",
         "ctrlexecstate": _EXECUTION,
+        "lvalue": "/rw/iosystem/signals/{name}",
     },
     orders={
         "motors": ("/rw/panel/ctrl-state", {}),
         "start": (f"{_EXECUTION}/start", {"mastership": "implicit"}),  # held for this request, then given back
         "stop": (f"{_EXECUTION}/stop", {}),
+        "signal": ("/rw/iosystem/signals/{name}/set-value", {}),
     },
     answered=_answered,
     state=_state,

@@ -68,6 +68,18 @@ def test_the_controller_is_asked_and_its_program_started_and_stopped(omnicore):
     assert stopped == "controller confirms: program stopped"
 
 
+def test_signals_are_read_and_switched_with_either_generation(omnicore):
+    async def work(rws, _cell):
+        async def call(client):
+            before = await client.read_signal("doSlipStop")
+            await client.write_signal("doSlipStop", on=True)
+            return before, await client.read_signal("doSlipStop")
+
+        return await closed(RwsClient(rws), call)
+
+    assert story_of(work, omnicore=omnicore) == (False, True)
+
+
 def error_of(changes, call=RwsClient.status, **options):
     async def work(rws, cell):
         settings = rws.model_copy(update=changes(rws))
