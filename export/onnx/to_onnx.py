@@ -46,7 +46,8 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
     """Write ``<role>.<form>.onnx`` of every role and form, or of those in ``only``; ContractError if any parity fails.
 
     The two networks go to ``out``, the joint density to ``out/joint``, and both networks in one step graph to
-    ``out/pair``: a service loads one folder and decides with it. Torch and ONNX, and step and sequence, agree to 1e-5.
+    ``out/pair``, of networks that read depth to ``out`` itself: a service loads one folder and decides with it. Torch
+    and ONNX, and step and sequence, agree to 1e-5.
     """
     checkpoint = Checkpoint.load(path)
     network = checkpoint.build()
@@ -61,12 +62,13 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
                 _export(network.of(role), checkpoint, role, form, file)
                 written.append(file)
         verify_forms([open_model(file) for file in written])
-        return [file.replace(_home(out, file.name)) for file in written]
+        beside = ("joint",) if checkpoint.pressing else ("joint", "pair")
+        return [file.replace(_home(out, file.name, beside)) for file in written]
 
 
-def _home(out: Path, name: str) -> Path:
+def _home(out: Path, name: str, beside: tuple[str, ...]) -> Path:
     role = name.partition(".")[0]
-    folder = out / role if role in ("joint", "pair") else out
+    folder = out / role if role in beside else out
     folder.mkdir(exist_ok=True)
     return folder / name
 
@@ -97,6 +99,7 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         calibration=Calibration(
             temperature=scales.temperature, sigma_scale_x=scales.sigma_x, sigma_scale_theta=scales.sigma_theta
         ),
+        expectations=checkpoint.expectations,
         training_data_sha256=checkpoint.training_data_sha256,
         git_commit=checkpoint.git_commit,
         training_run=checkpoint.run,

@@ -170,10 +170,12 @@ class Telemetry(InsertionMessage):
 class Episode(InsertionMessage):
     """What is to be done and with what, for the recording: sent once after `hello`, never answered.
 
-    ``start`` is where the arm stands, ``approach`` the pose above the gap from which the first attempt goes down.
+    ``start`` is where the arm stands, ``approach`` the pose above the gap from which the first attempt goes down. Of a
+    probe the approach is the error itself: it is known, and nothing is to be inserted.
     """
 
     type: Literal["episode"] = "episode"
+    purpose: Literal["insert", "probe"] = "insert"
     object: str = Field(default="", max_length=128)
     start: ToolPose
     approach: ToolPose

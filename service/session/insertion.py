@@ -18,6 +18,7 @@ from service.session.state_machine import InsertionSession, Replies, ignore
 
 Send = Callable[[ServiceMessage], None]
 LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
+_TASK = {"purpose", "object", "start", "approach", "versions"}
 HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be recorded
 
 
@@ -94,7 +95,7 @@ class Insertion:
     def facts(self) -> dict[str, Any]:
         """What the summary says of the task."""
         told = self.episode
-        task = {} if told is None else told.model_dump(mode="json", include={"object", "start", "approach", "versions"})
+        task = {} if told is None else told.model_dump(mode="json", include=_TASK)
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         return {**task, "seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}

@@ -123,7 +123,8 @@ class InsertionSession:
             state = "decided" if decided else "not decided yet"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
         if self.decider is None:
-            controller = make_controller(self.controller_name, self.limits, message.grasp_height_mm)
+            expected, height_mm = self.models.card.expectations, message.grasp_height_mm
+            controller = make_controller(self.controller_name, self.limits, height_mm, expected)
             self.decider = Decider(message.insertion_id, self.models, controller, self.deadlines)
             self.decider.grasp.width_mm = message.gripper_width_mm
         self._generation += 1
