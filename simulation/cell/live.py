@@ -35,6 +35,7 @@ from simulation.cell.emulators.net import HOST, HttpServer, bind_tcp, bind_udp, 
 from simulation.cell.emulators.stopwatch import StopWatch
 from simulation.cell.emulators.wsg50 import Wsg50Emulator
 from simulation.cell.emulators.wsg50_gripper import Gripper
+from simulation.cell.film import Course
 from simulation.cell.options import CellOptions
 from simulation.cell.world import HeldPart, Mechanics, World
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM
@@ -125,6 +126,8 @@ class LiveCell:
         readings = {"truth": self.truth, "glance": self.glance, "trace": self.way}
         self.admin = HttpServer(create_admin(readings, self.board), self.sockets.admin)
         self.feeds: list[CameraFeed] = []
+        self.course = Course(self.world, plant.fps)
+        self.world.on_exposure(self.course)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._started_s = time.monotonic()
 
@@ -285,4 +288,5 @@ async def serve(options: CellOptions, plant: Plant, sockets: Sockets) -> int:
     for task in (watch, end):
         task.cancel()
     await cell.stop()
+    cell.course.save(options.out / "course.npz", plant.gap_width_mm)
     return 1 if failed else 0

@@ -4,6 +4,7 @@ The cell plays robot, gripper and cameras on loopback; the service and the clien
 """
 
 import json
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,6 +18,7 @@ from service.contract.token import TOKEN_FILE
 from simulation.cell import run_report
 from simulation.cell.children import Child
 from simulation.cell.compiling import Compiling
+from simulation.cell.emulators.net import HOST, free_port
 from simulation.cell.plant import draw_start
 from simulation.cell.run_report import Result
 from simulation.scene.worlds import load_scene, training_objects
@@ -179,7 +181,7 @@ class Loop(NamedTuple):
 
 @contextmanager
 def loop(
-    start: Start, options: RunOptions, folder: Path, through: Callable[[str], str] = lambda url: url
+    start: Start, options: RunOptions, folder: Path, through: Callable[[str], str] = lambda url: url, port: int = 0
 ) -> Iterator[Loop]:
     """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails.
 
@@ -189,9 +191,8 @@ def loop(
     with ExitStack() as children:
         cell = children.enter_context(start_cell(start, options, folder))
         facts = ready_cell(cell, folder)
-        service = children.enter_context(start_service(facts, options, folder))
+        service = children.enter_context(start_service(facts, options, folder, port))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        _say(f"page: {url}")
         client = children.enter_context(_start_client(start, facts, through(url), options, folder))
         for child in (cell, service, client):
             child.go_first()
@@ -201,8 +202,10 @@ def loop(
 def insert(start: Start, options: RunOptions, folder: Path) -> Result:
     """One insertion from nothing running to nothing running; raises ChildError if a process fails."""
     _say(f"{start.object}: start error x {start.x_mm:+.2f} mm, yaw {start.theta_deg:+.2f} deg, seed {start.seed}")
+    port = free_port(socket.SOCK_STREAM)
+    _say(f"page: http://{HOST}:{port}/ (from when the service runs, in some seconds)")
     _say("starting the simulated cell")
-    with loop(start, options, folder) as running:
+    with loop(start, options, folder, port=port) as running:
         watched = (running.cell, running.service)
         began, used = time.monotonic(), [child.cpu_s() for child in watched]
         for line in running.client.lines(watched, options.timeout_s):
