@@ -23,6 +23,7 @@ import numpy as np
 from service.contract import FINGERS, Sensor
 from simulation.cell.admin import create_admin
 from simulation.cell.cameras import CameraFeed, Draw, failure
+from simulation.cell.config import client_config
 from simulation.cell.emulators.abb.cabinet import Cabinet
 from simulation.cell.emulators.abb.egm import EgmEmulator
 from simulation.cell.emulators.abb.frames import CellFrames
@@ -276,8 +277,10 @@ async def serve(options: CellOptions, plant: Plant, sockets: Sockets) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     calibration = (options.out / "calibration.toml").resolve()
     plant.save_calibration(calibration)
+    facts = cell.description(calibration)
+    (options.out / "cell.toml").write_text(client_config(facts, "http://127.0.0.1:8000", None))
     partial = options.out / "cell.json.part"
-    partial.write_text(json.dumps(cell.description(calibration), indent=1) + "\n")
+    partial.write_text(json.dumps(facts, indent=1) + "\n")
     partial.replace(options.out / "cell.json")
     print(f"cell: ready, {options.object} at x {options.x_mm:+.1f} mm, yaw {options.theta_deg:+.1f} deg", flush=True)
     watch, end = asyncio.create_task(cell.watch()), asyncio.create_task(ended.wait())
