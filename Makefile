@@ -15,7 +15,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train pressing export evaluate robustness trust requirements docs clean
+.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train pressing export evaluate robustness trust drawn-worlds requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -100,7 +100,7 @@ PICTURES ?= runs/compact-long/checkpoint.pt
 MODELS ?= models
 PRESSES ?= data/presses
 PRESS_TRIALS ?= 30000
-PRESS_MODELS ?= runs/pressing-models
+PRESS_MODELS ?= models/pressing
 EVALUATION ?= runs/evaluation
 COUNT ?= 30
 MUTANTS ?= 200
@@ -125,7 +125,8 @@ pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSE
 	$(BIN)/python -m training train training/configs/pressing.toml --data $(PRESSES)
 	$(BIN)/python -m training depths runs/pressing
 	$(BIN)/python -m export onnx runs/pressing/checkpoint.pt --out $(PRESS_MODELS)
-	for folder in $(PRESS_MODELS)/pair $(PRESS_MODELS)/joint; do $(BIN)/python -m export verify $$folder || exit 1; done
+	cp runs/pressing/checkpoint.pt $(PRESS_MODELS)
+	for folder in $(PRESS_MODELS) $(PRESS_MODELS)/joint; do $(BIN)/python -m export verify $$folder || exit 1; done
 
 export: $(VENV)/ready ## write CHECKPOINT and PICTURES as ONNX files with their cards into MODELS and MODELS/pictures, and verify them
 	$(BIN)/python -m export onnx $(CHECKPOINT) --out $(MODELS)
@@ -164,6 +165,9 @@ evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an obj
 PERCEPTION ?= pictures
 trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn faults, worlds, objects and starts: docs/trust.md
 	$(RUN) -m simulation trust --out runs/trust --docs docs
+
+drawn-worlds: $(RUN_VENV)/ready ## the closed loop in 300 drawn worlds with drawn objects, all variants: docs/drawn_worlds.md
+	$(RUN) -m simulation drawn-worlds --out runs/drawn_worlds --docs docs
 
 robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time, on both tiers of the gel: docs/robustness.md
 	$(RUN) -m simulation robustness --out runs/robustness --docs docs --perception $(PERCEPTION)

@@ -44,6 +44,8 @@ class Task(Contract):
     depth_tolerance_mm: Positive = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)  # deeper for an object pushed up in the hand: if free
     max_no_decisions: int = Field(default=2, ge=0, le=15)
+    grip_n: float | None = Field(default=None, gt=0, le=1000)  # gripping force; None: nobody measured it
+    shear_reach_mm: float | None = Field(default=None, gt=0, le=100)  # how far the gel shears before it slides
     object: str = Field(default="", max_length=128)  # what is held: for the record, nothing depends on it
 
     @property

@@ -29,6 +29,8 @@ def make_plan(
         approach=approach,
         gap_width_mm=task.gap_width_mm,
         grasp_height_mm=task.grasp_height_mm,
+        grip_n=task.grip_n,
+        shear_reach_mm=task.shear_reach_mm,
         expected_depth_mm=task.expected_depth_mm,
         depth_tolerance_mm=task.depth_tolerance_mm,
         creep_allowance_mm=task.creep_allowance_mm,

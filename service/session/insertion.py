@@ -18,6 +18,7 @@ from service.session.state_machine import InsertionSession, Replies, ignore
 
 Send = Callable[[ServiceMessage], None]
 LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
+_TASK = {"purpose", "object", "start", "approach", "versions"}
 HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be recorded
 
 
@@ -94,7 +95,7 @@ class Insertion:
     def facts(self) -> dict[str, Any]:
         """What the summary says of the task."""
         told = self.episode
-        task = {} if told is None else told.model_dump(mode="json", include={"object", "start", "approach", "versions"})
+        task = {} if told is None else told.model_dump(mode="json", include=_TASK)
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         return {**task, "seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}
@@ -140,7 +141,7 @@ class Insertion:
         self._emit(replies, now)
         self._settle_unless_near(now, paired=False)
 
-    def camera_fault(self, code: str, detail: str) -> None:
+    def camera_fault(self, code: wire.FaultCode, detail: str) -> None:
         now = now_ns()
         self._call({"call": "camera_fault", "code": code, "detail": detail}, now)
         self._emit(self.session.on_camera_fault(code, detail), now)
