@@ -1,6 +1,7 @@
 """Checkpoint -> ONNX: two roles in two forms, the card attached last, parity proved before a file is kept."""
 
 import logging
+import math
 import tempfile
 import warnings
 from pathlib import Path
@@ -64,6 +65,17 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
         verify_forms([open_model(file) for file in written])
         beside = ("joint",) if checkpoint.pressing else ("joint", "pair")
         return [file.replace(_home(out, file.name, beside)) for file in written]
+
+
+def why_untrained(path: Path) -> str:
+    """Why a checkpoint's directions may as well be guessed, by its own validation; empty for a trained one."""
+    figures = Checkpoint.load(path).figures.get("validation/all", {})
+    if not {"accuracy", "chance", "trials"} <= figures.keys():
+        return "its directions were never validated"
+    accuracy, chance, trials_n = figures["accuracy"], figures["chance"], figures["trials"]
+    if accuracy > chance + 3.0 * math.sqrt(chance * (1.0 - chance) / trials_n):
+        return ""
+    return f"{accuracy:.0%} of {trials_n:.0f} directions are right, and guessing gives {chance:.0%}"
 
 
 def _home(out: Path, name: str, beside: tuple[str, ...]) -> Path:
