@@ -181,7 +181,7 @@ def test_the_stock_rws_client_uses_users_and_files(cell):
         "r = RWS(sys.argv[1]); r._do_post('users/rmmp', {'privilege': 'modify'})\n"
         "r.upload_file('$home/x.txt', b'hello'); assert r.read_file('$home/x.txt') == b'hello'\n"
         "assert r.list_files('$home') == ['x.txt']; r.delete_file('$home/x.txt')\n"
-        "assert r.get_ramdisk_path(); assert r.get_digital_io('doSlipStop') == 0\n"
+        "assert r.get_ramdisk_path(); assert r.get_digital_io('diObjectFixed') == 1\n"
         "r.set_digital_io('doSlipStop', 1); assert r.get_digital_io('doSlipStop') == 1\n"
         "r.set_digital_io('doSlipStop', 0)\n"
         "r.set_speedratio(50); assert r.get_speedratio() == 50; r.set_speedratio(100)\n"
@@ -189,7 +189,9 @@ def test_the_stock_rws_client_uses_users_and_files(cell):
         "assert r.get_jointtarget().robax.size == 6; assert r.get_robtarget().trans.size == 3\n"
         "r.read_event_log(); r.get_execution_state(); r.logout(); print('all done')\n"
     )
+    cell.call(cell.cell.board.clear)
     cell.call(cell.cell.cabinet.request_stop)
+    cell.wait(lambda: not cell.cell.cabinet.running)
     done = subprocess.run(
         [sys.executable, "-c", script, cell.told["rws_url"]], capture_output=True, text=True, timeout=60, check=False
     )
