@@ -15,7 +15,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train pressing export evaluate robustness trust drawn-worlds requirements docs clean
+.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train pressing export evaluate robustness trust drawn-worlds requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -27,14 +27,14 @@ help: ## list the commands
 $(RUN_VENV)/ready: requirements/run.txt
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is %d.%d; set PYTHON=" % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(RUN_VENV)
-	$(RUN_VENV)/bin/pip install -q --require-hashes --no-deps -r requirements/run.txt
+	@$(RUN_VENV)/bin/python requirements/install.py $(RUN_VENV)/bin/pip requirements/run.txt
 	@touch $@
 
 $(VENV)/ready: requirements/test.txt requirements/torch.sh
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is %d.%d; set PYTHON=" % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
 	sh requirements/torch.sh $(BIN)/pip $(TORCH_VERSION)
-	$(BIN)/pip install -q --require-hashes --no-deps -r requirements/test.txt
+	@$(BIN)/python requirements/install.py $(BIN)/pip requirements/test.txt
 	@touch $@
 
 $(VENV)/bench: $(VENV)/ready requirements/bench.txt
@@ -53,9 +53,13 @@ $(DOCS_VENV)/ready: requirements/docs.txt
 
 # ---- the main job -------------------------------------------------------------------------------------------------
 
-run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= X_MM= THETA_DEG= SEED=)
-	@$(RUN) -m simulation run --out $(OUT) $(if $(OBJECT),--object $(OBJECT)) $(if $(X_MM),--x-mm=$(X_MM)) \
-	  $(if $(THETA_DEG),--theta-deg=$(THETA_DEG)) $(if $(SEED),--seed $(SEED))
+run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= WORLD= X_MM= THETA_DEG= SEED=; OBJECT and WORLD may be TOML files)
+	@$(RUN) -m simulation run --out $(OUT) $(if $(OBJECT),--object $(OBJECT)) $(if $(WORLD),--world $(WORLD)) \
+	  $(if $(X_MM),--x-mm=$(X_MM)) $(if $(THETA_DEG),--theta-deg=$(THETA_DEG)) $(if $(SEED),--seed $(SEED))
+
+demo: $(RUN_VENV)/ready ## a simulated cell at work, one object after another, with its page, until Ctrl-C (OBJECT= WORLD= SEED= PORT=)
+	@$(RUN) -m simulation demo --out $(OUT) $(if $(OBJECT),--object $(OBJECT)) $(if $(WORLD),--world $(WORLD)) \
+	  $(if $(SEED),--seed $(SEED)) $(if $(PORT),--port $(PORT))
 
 # ---- tests --------------------------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from robot_client.cli.check import check
 from robot_client.cli.cycle import cycle
+from robot_client.cli.doctor import doctor
 from robot_client.cli.home import home
 from robot_client.cli.insert import insert, make_plan
 from robot_client.cli.jog import jog
@@ -20,7 +21,7 @@ from robot_client.cli.terminal import Outcome, show
 from robot_client.insertion.geometry import WorkPose
 from robot_client.ports import DriverError, HomingDirection
 from robot_client.session.replay import ReplayError, replay
-from robot_client.settings import load_settings
+from robot_client.settings import Settings, load_settings
 from service.contract.frames import first_error
 from service.contract.text import printable
 from service.contract.wire import ControllerName
@@ -70,6 +71,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     cycling.add_argument("--parts", type=int, metavar="N", help="stop after so many inserted parts (default: never)")
     cycling.add_argument("--logs", type=Path, metavar="DIR", help="folder for episode logs (default runs/robot)")
+    examining = add(
+        "doctor", "name what is wrong with PC, network, controller, gripper, cameras, and its remedy", _connection
+    )
+    examining.add_argument(
+        "--recordings", type=Path, default=Path("recordings"), help="folder of the service's recordings"
+    )
     add("check", "read every device, move nothing, name what is not ready", _connection)
     homing = add("home", "reference the empty gripper", _connection, _mode)
     homing.add_argument(
@@ -116,15 +123,25 @@ _TASK = ("gap_width_mm", "expected_depth_mm", "creep_allowance_mm", "approach_z_
 
 def _run(args: argparse.Namespace) -> Outcome:
     if args.command == "replay":
-        state = replay(args.path, show)
-        return Outcome(True, {"phase": str(state.phase), "attempts": state.attempt, "reason": state.reason})
+        return _replayed(args.path)
     overrides = {
         "service": {"url": args.service},
         "robot": {"port": args.egm_port, "rws": {"url": args.rws_url}},
         "gripper": {} if args.gripper is None else _address(args.gripper),
         "task": {key: getattr(args, key, None) for key in _TASK},
     }
-    settings = load_settings(args.config, overrides)
+    if args.command == "doctor":
+        return doctor(args.config, overrides, args.recordings)
+    return _on_cell(args, load_settings(args.config, overrides))
+
+
+def _replayed(path: Path) -> Outcome:
+    state = replay(path, show)
+    return Outcome(True, {"phase": str(state.phase), "attempts": state.attempt, "reason": state.reason})
+
+
+def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
+    """A command that needs the cell's settings."""
     if args.command == "check":
         return check(settings)
     if args.command == "home":

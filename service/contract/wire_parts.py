@@ -29,7 +29,7 @@ Cause = Literal[
     "client",  # a defect of the client
 ]
 Ending = Literal["inserted", "not_confirmed", "failed", "aborted"]
-RefusalReason = Literal["no_reference", "nothing_held", "implausible_width", "late_frames", "not_seen"]
+RefusalReason = Literal["no_reference", "nothing_held", "implausible_width"]
 NoDecisionReason = Literal[
     "no_motion",
     "out_of_distribution",
@@ -40,6 +40,25 @@ NoDecisionReason = Literal[
     "contradictory",  # the estimates do not follow from the commanded moves: the cell is wired wrong
 ]
 DoubtReason = Literal["push", "not_seen", "not_held", "width", "moved_in_hand", "depth", "order"]
+FaultCode = Literal[
+    # the connection's, fatal
+    "forbidden",
+    "busy",
+    "taken_over",
+    "not_ready",
+    "protocol_version",
+    "bad_message",  # fatal as the first message only
+    # the insertion's, not fatal
+    "camera_lost",
+    "camera_stalled",
+    "camera_frozen",
+    "camera_size",
+    "stale_frames",
+    "open_gel",
+    "protocol",
+    "watch_only",
+    "internal",
+]
 
 
 MAX_ATTEMPTS = 15

@@ -141,7 +141,7 @@ class Insertion:
         self._emit(replies, now)
         self._settle_unless_near(now, paired=False)
 
-    def camera_fault(self, code: str, detail: str) -> None:
+    def camera_fault(self, code: wire.FaultCode, detail: str) -> None:
         now = now_ns()
         self._call({"call": "camera_fault", "code": code, "detail": detail}, now)
         self._emit(self.session.on_camera_fault(code, detail), now)

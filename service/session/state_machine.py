@@ -228,7 +228,7 @@ class InsertionSession:
         attempt.result = attempt.result or result
         return self._conclude(now_ns)
 
-    def on_camera_fault(self, code: str, detail: str) -> Replies:
+    def on_camera_fault(self, code: wire.FaultCode, detail: str) -> Replies:
         """A camera failed: the client must hold, and an attempt under way needs a new reference."""
         if self.attempt is None or not self.wants_frames:
             return []
@@ -294,7 +294,7 @@ class InsertionSession:
         )
         return [self.finished]
 
-    def _fault(self, code: str, detail: str, insertion_id: str | None = None) -> wire.Fault:
+    def _fault(self, code: wire.FaultCode, detail: str, insertion_id: str | None = None) -> wire.Fault:
         return wire.Fault(
             insertion_id=insertion_id or self.insertion_id or "none", code=code, detail=detail, fatal=False
         )

@@ -4,6 +4,7 @@ The cell plays robot, gripper and cameras on loopback; the service and the clien
 """
 
 import json
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -15,8 +16,9 @@ from urllib.request import urlopen
 from service.contract.shipped import released_models
 from service.contract.token import TOKEN_FILE
 from simulation.cell import run_report
-from simulation.cell.children import Child
-from simulation.cell.compiling import Compiling
+from simulation.cell.children import Child, Compiling
+from simulation.cell.config import client_config
+from simulation.cell.emulators.net import HOST, free_port
 from simulation.cell.plant import draw_start
 from simulation.cell.run_report import Result
 from simulation.scene.worlds import load_scene, training_objects
@@ -127,39 +129,10 @@ def start_service(facts: dict[str, Any], options: RunOptions, folder: Path, port
     return Child("service", "service", ["run", *arguments], folder / "service.log")
 
 
-def client_config(start: Start, facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> list[str]:
-    """Lines of the client's configuration for this cell, as a person would write them for a real one."""
-    robot = {
-        "egm": {"device": "abb_egm", "port": facts["egm_guide_port"]},
-        "socket": {"device": "abb_rapid", **facts["rapid"]},
-    }[options.link]
-    host, _, port = facts["gripper"].rpartition(":")
-    tables: dict[str, dict[str, Any]] = {
-        "robot": {**robot, "rws.url": facts["rws_url"]},
-        "gripper": {"host": host, "port": int(port)},
-        "service": {
-            "url": url.replace("http://", "ws://").rstrip("/") + "/v1/insertion",
-            "token_file": str((folder / "state" / TOKEN_FILE).resolve()),
-        },
-        "task": {
-            "object": Path(start.object).stem,
-            "approach_z_mm": round(facts["approach"]["z_mm"], 4),
-            "gap_width_mm": round(facts["gap_width_mm"], 3),
-            "expected_depth_mm": round(facts["expected_depth_mm"], 3),
-            "creep_allowance_mm": facts["creep_allowance_mm"],
-        },
-    }
-    if options.link == "socket":  # REACTION_S and the controller's stop ramp
-        tables["lease"] = {"stop_lag_s": 0.07}
-    lines = ["simulated = true"]
-    for name, keys in tables.items():
-        lines += [f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
-    return lines
-
-
-def _start_client(start: Start, facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
+def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
     approach, config = facts["approach"], folder / "client.toml"
-    config.write_text("\n".join(client_config(start, facts, url, options, folder)) + "\n")
+    token = (folder / "state" / TOKEN_FILE).resolve()
+    config.write_text(client_config(facts, url, token, options.link))
     arguments = [
         *("--live", "--config", str(config), "--log", str(folder / "episode.jsonl")),
         *(f"--x-mm={approach['x_mm']:.4f}", f"--theta-deg={approach['yaw_deg']:.4f}"),
@@ -179,7 +152,7 @@ class Loop(NamedTuple):
 
 @contextmanager
 def loop(
-    start: Start, options: RunOptions, folder: Path, through: Callable[[str], str] = lambda url: url
+    start: Start, options: RunOptions, folder: Path, through: Callable[[str], str] = lambda url: url, port: int = 0
 ) -> Iterator[Loop]:
     """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails.
 
@@ -189,10 +162,9 @@ def loop(
     with ExitStack() as children:
         cell = children.enter_context(start_cell(start, options, folder))
         facts = ready_cell(cell, folder)
-        service = children.enter_context(start_service(facts, options, folder))
+        service = children.enter_context(start_service(facts, options, folder, port))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        _say(f"page: {url}")
-        client = children.enter_context(_start_client(start, facts, through(url), options, folder))
+        client = children.enter_context(_start_client(facts, through(url), options, folder))
         for child in (cell, service, client):
             child.go_first()
         yield Loop(cell, service, client, facts, folder / "episode.jsonl")
@@ -201,8 +173,10 @@ def loop(
 def insert(start: Start, options: RunOptions, folder: Path) -> Result:
     """One insertion from nothing running to nothing running; raises ChildError if a process fails."""
     _say(f"{start.object}: start error x {start.x_mm:+.2f} mm, yaw {start.theta_deg:+.2f} deg, seed {start.seed}")
+    port = free_port(socket.SOCK_STREAM)
+    _say(f"page: http://{HOST}:{port}/ (from when the service runs, in some seconds)")
     _say("starting the simulated cell")
-    with loop(start, options, folder) as running:
+    with loop(start, options, folder, port=port) as running:
         watched = (running.cell, running.service)
         began, used = time.monotonic(), [child.cpu_s() for child in watched]
         for line in running.client.lines(watched, options.timeout_s):

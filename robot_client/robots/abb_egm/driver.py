@@ -22,7 +22,8 @@ from robot_client.ports import Arm, Check, DriverError, Finding, Post, Signals
 from robot_client.robots.abb_egm import codec
 from robot_client.robots.abb_egm.settings import Settings
 from robot_client.robots.abb_egm.watch import EgmWatch, StreamFault
-from robot_client.robots.abb_rws.client import RwsClient, RwsError
+from robot_client.robots.abb_rws.client import RwsClient
+from robot_client.robots.abb_rws.generation import RwsError
 from robot_client.silence import Silence
 
 _DRAIN = 64

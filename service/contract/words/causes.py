@@ -29,7 +29,7 @@ CAUSES: dict[Cause, Told] = {
     "gripper": Told("a fault of the gripper", "Look at the gripper: power, cable, fast stop."),
     "camera": Told("a camera failed", "Check cable and power of that finger."),
     "service": Told("a fault of the service", "Read its log. It goes on by itself; start a new insertion."),
-    "link": Told("the connection between robot and service was lost", "Check the network; start a new insertion."),
+    "link": Told("robot and service lost each other", "Check the network; start a new insertion."),
     "timeout": Told("a step took too long", "Look at what the step waits for, and start a new insertion."),
     "client": Told("a fault of the robot client", "Keep its log, and start a new insertion."),
 }

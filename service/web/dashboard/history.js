@@ -37,7 +37,7 @@ function show() {
 function row(one) {
   const cell = (textContent, className = "") => element("td", { textContent, className });
   const button = element("button", { type: "button", textContent: "Play", ariaLabel: `play back ${one.insertion_id}`, title: one.insertion_id, onclick: () => play(one) });
-  return element("tr", {}, cell(one.started), cell(words(one.object) || "–"), cell(words(one.outcome), one.outcome === "inserted" ? "good" : one.outcome === "aborted" ? "" : "bad"), cell(words(one.cause)), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
+  return element("tr", {}, cell(one.started.slice(5, 16)), cell(words(one.object) || "–"), cell(words(one.outcome), one.outcome === "inserted" ? "good" : one.outcome === "aborted" ? "" : "bad"), cell(words(one.cause)), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
 }
 
 const mean = (values) => (values.length ? values.reduce((sum, value) => sum + value, 0) / values.length : NaN);

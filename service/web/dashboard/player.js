@@ -9,7 +9,7 @@ let asked = 0;
 
 export async function play(one) {
   const base = `/v1/recordings/${one.name}`;
-  at("player-title").textContent = `${one.started} UTC: ${one.object ?? "object"}, ${one.outcome.replaceAll("_", " ")} after ${one.attempts} attempts`;
+  at("player-title").textContent = `${one.started} UTC: ${one.object ?? "object"}, ${one.outcome.replaceAll("_", " ")} after ${one.attempts} attempt${one.attempts === 1 ? "" : "s"}`;
   at("download").href = withToken(base);
   at("answer").hidden = true;
   at("curves").replaceChildren();

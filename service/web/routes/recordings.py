@@ -13,9 +13,10 @@ from fastapi import APIRouter, HTTPException
 from fastapi import Path as InPath
 from fastapi.responses import FileResponse, Response
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from service.contract.wire import MAX_ATTEMPTS
-from service.recordings.listing import list_recordings
+from service.recordings.listing import Summary, list_recordings
 from service.recordings.writer import FINAL, NAME
 from service.session.station import Station
 from service.web.access import Access
@@ -26,6 +27,33 @@ Index = Annotated[int, InPath(ge=0, le=999)]
 
 class JPEG(Response):
     media_type = "image/jpeg"
+
+
+class Listed(Summary):
+    """A finished insertion with its folder's name, when it began (UTC), and which attempts were decided.
+
+    ``intervals_held_n`` of ``intervals_n`` 90 % intervals held what turned out to be true.
+    """
+
+    name: str
+    started: str
+    decided: list[int]
+    intervals_held_n: int
+    intervals_n: int
+
+
+class Recordings(BaseModel):
+    """Finished insertions, newest first, and what keeps others from being listed."""
+
+    recordings: list[Listed]
+    problems: list[str]
+
+
+class Attempt(BaseModel):
+    """A decided attempt: how many frame pairs it rests on, and the `correction` or `no_decision` that was sent."""
+
+    frames_n: int
+    decision: dict[str, Any]
 
 
 def recording_folder(root: Path, name: str) -> Path:
@@ -64,7 +92,7 @@ def router(station: Station, access: Access) -> APIRouter:
     watch, admin = [access.require("watch")], [access.require("admin")]
     root = station.settings.recordings
 
-    @routes.get("", dependencies=watch)
+    @routes.get("", dependencies=watch, response_model=Recordings)
     async def recordings() -> dict[str, Any]:
         listed, problems = await asyncio.to_thread(list_recordings, root)
         return {"recordings": listed, "problems": problems}
@@ -81,7 +109,7 @@ def router(station: Station, access: Access) -> APIRouter:
         await asyncio.to_thread(shutil.rmtree, recording_folder(root, name))
         return {"removed": name}
 
-    @routes.get("/{name}/attempts/{number}", dependencies=watch)
+    @routes.get("/{name}/attempts/{number}", dependencies=watch, response_model=Attempt)
     async def attempt(name: str, number: Number) -> dict[str, Any]:
         return await asyncio.to_thread(attempt_facts, recording_folder(root, name), number)
 
