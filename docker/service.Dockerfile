@@ -18,7 +18,7 @@ ENV PATH=/opt/venv/bin:$PATH PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1 \
     TACTILE_MODELS=/models TACTILE_RECORDINGS=/var/lib/tactile/recordings TACTILE_STATE=/var/lib/tactile/state
 COPY --from=build /opt/venv /opt/venv
 COPY --from=build /opt/app /opt/app
-COPY models /models
+COPY models/pressing /models
 # The places that are written to; a named volume inherits their owner. Everything else may be read-only.
 RUN install -d -o 10001 -g 10001 /var/lib/tactile /var/lib/tactile/recordings \
  && install -d -o 10001 -g 10001 -m 700 /var/lib/tactile/state
