@@ -15,7 +15,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train pressing export evaluate robustness trust requirements docs clean
+.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train pressing export evaluate robustness trust drawn-worlds requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -27,14 +27,14 @@ help: ## list the commands
 $(RUN_VENV)/ready: requirements/run.txt
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is %d.%d; set PYTHON=" % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(RUN_VENV)
-	$(RUN_VENV)/bin/pip install -q --require-hashes --no-deps -r requirements/run.txt
+	@$(RUN_VENV)/bin/python requirements/install.py $(RUN_VENV)/bin/pip requirements/run.txt
 	@touch $@
 
 $(VENV)/ready: requirements/test.txt requirements/torch.sh
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is %d.%d; set PYTHON=" % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
 	sh requirements/torch.sh $(BIN)/pip $(TORCH_VERSION)
-	$(BIN)/pip install -q --require-hashes --no-deps -r requirements/test.txt
+	@$(BIN)/python requirements/install.py $(BIN)/pip requirements/test.txt
 	@touch $@
 
 $(VENV)/bench: $(VENV)/ready requirements/bench.txt
@@ -53,9 +53,13 @@ $(DOCS_VENV)/ready: requirements/docs.txt
 
 # ---- the main job -------------------------------------------------------------------------------------------------
 
-run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= X_MM= THETA_DEG= SEED=)
-	@$(RUN) -m simulation run --out $(OUT) $(if $(OBJECT),--object $(OBJECT)) $(if $(X_MM),--x-mm=$(X_MM)) \
-	  $(if $(THETA_DEG),--theta-deg=$(THETA_DEG)) $(if $(SEED),--seed $(SEED))
+run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= WORLD= X_MM= THETA_DEG= SEED=; OBJECT and WORLD may be TOML files)
+	@$(RUN) -m simulation run --out $(OUT) $(if $(OBJECT),--object $(OBJECT)) $(if $(WORLD),--world $(WORLD)) \
+	  $(if $(X_MM),--x-mm=$(X_MM)) $(if $(THETA_DEG),--theta-deg=$(THETA_DEG)) $(if $(SEED),--seed $(SEED))
+
+demo: $(RUN_VENV)/ready ## a simulated cell at work, one object after another, with its page, until Ctrl-C (OBJECT= WORLD= SEED= PORT=)
+	@$(RUN) -m simulation demo --out $(OUT) $(if $(OBJECT),--object $(OBJECT)) $(if $(WORLD),--world $(WORLD)) \
+	  $(if $(SEED),--seed $(SEED)) $(if $(PORT),--port $(PORT))
 
 # ---- tests --------------------------------------------------------------------------------------------------------
 
@@ -96,7 +100,7 @@ PICTURES ?= runs/compact-long/checkpoint.pt
 MODELS ?= models
 PRESSES ?= data/presses
 PRESS_TRIALS ?= 30000
-PRESS_MODELS ?= runs/pressing-models
+PRESS_MODELS ?= models/pressing
 EVALUATION ?= runs/evaluation
 COUNT ?= 30
 MUTANTS ?= 200
@@ -121,7 +125,8 @@ pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSE
 	$(BIN)/python -m training train training/configs/pressing.toml --data $(PRESSES)
 	$(BIN)/python -m training depths runs/pressing
 	$(BIN)/python -m export onnx runs/pressing/checkpoint.pt --out $(PRESS_MODELS)
-	for folder in $(PRESS_MODELS)/pair $(PRESS_MODELS)/joint; do $(BIN)/python -m export verify $$folder || exit 1; done
+	cp runs/pressing/checkpoint.pt $(PRESS_MODELS)
+	for folder in $(PRESS_MODELS) $(PRESS_MODELS)/joint; do $(BIN)/python -m export verify $$folder || exit 1; done
 
 export: $(VENV)/ready ## write CHECKPOINT and PICTURES as ONNX files with their cards into MODELS and MODELS/pictures, and verify them
 	$(BIN)/python -m export onnx $(CHECKPOINT) --out $(MODELS)
@@ -160,6 +165,9 @@ evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an obj
 PERCEPTION ?= pictures
 trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn faults, worlds, objects and starts: docs/trust.md
 	$(RUN) -m simulation trust --out runs/trust --docs docs
+
+drawn-worlds: $(RUN_VENV)/ready ## the closed loop in 300 drawn worlds with drawn objects, all variants: docs/drawn_worlds.md
+	$(RUN) -m simulation drawn-worlds --out runs/drawn_worlds --docs docs
 
 robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time, on both tiers of the gel: docs/robustness.md
 	$(RUN) -m simulation robustness --out runs/robustness --docs docs --perception $(PERCEPTION)

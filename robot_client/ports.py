@@ -46,6 +46,19 @@ Check = Callable[[], Awaitable[list[Finding]]]
 """Reads a device and moves nothing; raises ValueError or TimeoutError where it cannot be read."""
 
 
+class Signals(Protocol):
+    """Digital signals of the arm's controller, by name; for a handshake with a PLC."""
+
+    async def read_signal(self, name: str) -> bool:
+        """Whether a signal is on; raises DriverError."""
+
+    async def write_signal(self, name: str, *, on: bool) -> None:
+        """Switch an output; raises DriverError."""
+
+    async def close(self) -> None:
+        """Release the connection."""
+
+
 class Arm(Protocol):
     """A guided arm. After a failure it is latched: it holds and takes no more moves."""
 
@@ -85,6 +98,10 @@ class Arm(Protocol):
         """The checks of an arm that was not started, by the name under which their findings are printed."""
         return {}
 
+    def signals(self) -> Signals | None:
+        """The controller's signals, usable before :meth:`start`; None for an arm that has none."""
+        return None
+
 
 class Gripper(Protocol):
     """A gripper that holds the object during the whole insertion."""
@@ -113,6 +130,21 @@ class Gripper(Protocol):
     async def acknowledge(self) -> None:
         """Clear a latched fault: only ever on an operator's deliberate command; raises DriverError."""
         raise DriverError("gripper: this device has no fault to acknowledge")
+
+    async def width_mm(self) -> float:
+        """How far apart the fingers are. After :meth:`connect` only; raises DriverError."""
+        raise DriverError("gripper: this device does not tell its width")
+
+    async def release(self, width_mm: float) -> float:  # noqa: ARG002 for devices to use
+        """Open to ``width_mm``, letting go of what is held; the width in mm then. After :meth:`connect` only.
+
+        Raises DriverError, also where the fingers did not get there.
+        """
+        raise DriverError("gripper: this device has no order to let go")
+
+    async def finds_nothing(self) -> bool:
+        """Close as for a grasp, and tell whether nothing is between the fingers. After :meth:`connect` only."""
+        raise DriverError("gripper: this device cannot feel whether it is empty")
 
     async def home(self, direction: HomingDirection) -> float:  # noqa: ARG002 for devices to use
         """Reference the axis and return the width in mm; raises DriverError, also while something is held."""

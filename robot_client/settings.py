@@ -16,6 +16,7 @@ from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
 from robot_client.ports import Arm, DeviceSettings, Gripper
+from robot_client.session.cycle import CycleSettings
 from robot_client.session.service_link import ServiceSettings
 from service.contract.frames import Contract, ContractError
 from service.contract.refusals import describe, nearest
@@ -43,6 +44,8 @@ class Task(Contract):
     depth_tolerance_mm: Positive = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)  # deeper for an object pushed up in the hand: if free
     max_no_decisions: int = Field(default=2, ge=0, le=15)
+    grip_n: float | None = Field(default=None, gt=0, le=1000)  # gripping force; None: nobody measured it
+    shear_reach_mm: float | None = Field(default=None, gt=0, le=100)  # how far the gel shears before it slides
     object: str = Field(default="", max_length=128)  # what is held: for the record, nothing depends on it
 
     @property
@@ -64,6 +67,8 @@ class Settings(Contract):
     timeouts: Timeouts = Timeouts()
     lease: Lease = Lease()
     task: Task = Task()
+    cycle: CycleSettings | None = None
+    simulated: bool = False  # the devices are those of a simulated cell: no warning that a robot moves
 
     def make_arm(self) -> Arm:
         """The arm behind its port; nothing is connected yet."""

@@ -9,8 +9,11 @@ from collections.abc import Callable
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("cell:run", "the whole loop: cell, service and robot client insert an object in real time"),
+    "demo": ("cell:demo", "a simulated cell at work, one object after another, with its page, until Ctrl-C"),
     "cell": ("cell:cell", "the cell in real time on loopback: robot, gripper, cameras, truth"),
     "evaluate": ("evaluate:main", "the paper's test protocol in lock step: table, scatter, JSON"),
+    "drawn-worlds": ("drawn_worlds:main", "the closed loop in drawn worlds with drawn objects, all variants"),
+    "commission": ("commission:main", "cells that probe, adapt and learn from work, world by world"),
     "trust": ("trust:main", "claims under adversity: faults, drawn worlds, objects, starts"),
     "robustness": ("robustness:main", "what disturbances cost the closed loop: noise, friction, cameras"),
     "explain": ("explain:explain", "which effects a scene calls for, why, and what each costs"),

@@ -14,16 +14,19 @@ class Command(NamedTuple):
 GROUPS: dict[str, dict[str, Command]] = {
     "run a cell": {
         "run": Command("simulation", "run", "insert one object in the simulated cell, live"),
+        "demo": Command("simulation", "demo", "a simulated cell at work, with its page, until Ctrl-C"),
         "cell": Command("simulation", "cell", "start the simulated cell on loopback sockets"),
         "serve": Command("service", "run", "start the service: cameras in, corrections out"),
         "calibrate": Command("service", "calibrate", "fit the rectification of both cameras"),
         "judge": Command("service", "judge", "find touch, hold, slip and loss in recorded runs"),
         "models": Command("service", "models", "check a folder of networks, print their cards"),
         "replay": Command("service", "replay", "decide a recorded insertion or clip again"),
+        "doctor": Command("robot_client", "doctor", "name what is wrong with a cell, and the remedy"),
         "check": Command("robot_client", "check", "read every device and move nothing"),
         "home": Command("robot_client", "home", "reference the empty gripper"),
         "jog": Command("robot_client", "jog", "move the tool to a pose: up, over, down"),
         "insert": Command("robot_client", "insert", "insert the held object (rehearses without --live)"),
+        "cycle": Command("robot_client", "cycle", "pick, insert, let go, part after part"),
         "replay-log": Command("robot_client", "replay", "play an episode log through the client's machine"),
     },
     "simulate": {

@@ -32,8 +32,21 @@ def test_the_rectangle_is_inserted_through_the_real_protocols(tmp_path):
     assert facts["inserted"]
     assert facts["grasp_kept"]
     assert abs(facts["final_x_mm"]) < 4.0
+    assert "moves a real robot" not in done.stdout
+    assert done.stdout.index("page: http://127.0.0.1:") < done.stdout.index("starting the simulated cell")
+    film = Path(re.search(r"film +(\S+)", done.stdout)[1])
+    assert film.read_bytes()[:6] == b"GIF89a"
     picture = Path(re.search(r"picture +(\S+)", done.stdout)[1])
     assert picture.stat().st_size > 20_000
+
+
+def test_the_demonstration_inserts_one_object_after_another_and_its_cell_knows_that_they_are_in(tmp_path):
+    command = [sys.executable, "-m", "simulation", "demo", "--out", str(tmp_path), "--parts", "2", "--port", "0"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=560, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.rstrip().endswith("2 inserted")
+    (listed,) = tmp_path.glob("*/recordings")
+    assert len(list(listed.glob("*/summary.json"))) == 2
 
 
 def test_nothing_is_left_running_after_an_interrupt(tmp_path):

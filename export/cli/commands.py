@@ -18,15 +18,18 @@ def _positive(**options: float) -> None:
             raise ContractError(f"--{name.replace('_', '-')} {value:g}: expected a finite number above 0")
 
 
-def onnx(checkpoint: Annotated[Path, tyro.conf.Positional], out: Path = Path("models")) -> None:
+def onnx(checkpoint: Annotated[Path, tyro.conf.Positional], out: Path = Path("models"), force: bool = False) -> None:
     """Write both networks in sequence and step form, each with its card, after proving parity with torch.
 
     Args:
         checkpoint: a ``checkpoint.pt`` of ``python -m training train``.
         out: folder of the released models.
+        force: also where the directions are no better than guessed; the card's figures say so.
     """
-    from export.onnx.to_onnx import export_checkpoint
+    from export.onnx.to_onnx import export_checkpoint, why_untrained
 
+    if (why := why_untrained(checkpoint)) and not force:
+        raise ContractError(f"{checkpoint}: {why}; --force exports it all the same")
     for file in export_checkpoint(checkpoint, out):
         print(f"{file}  {file.stat().st_size / 1e6:.2f} MB")
 

@@ -1,6 +1,7 @@
 """Checkpoint -> ONNX: two roles in two forms, the card attached last, parity proved before a file is kept."""
 
 import logging
+import math
 import tempfile
 import warnings
 from pathlib import Path
@@ -28,6 +29,7 @@ from training.networks.preprocessing import CHANNELS, selector
 from training.networks.settings import FRAMES_PER_DECISION
 
 TOLERANCE = 1e-5
+IR = 8  # the graphs need no newer form; onnxruntime 1.17 and all since read it
 FLOAT = onnx.TensorProto.FLOAT
 LARGEST_SHARED = 10**7
 """Constants of up to this many elements are stored once, however often the graph names them."""
@@ -45,7 +47,8 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
     """Write ``<role>.<form>.onnx`` of every role and form, or of those in ``only``; ContractError if any parity fails.
 
     The two networks go to ``out``, the joint density to ``out/joint``, and both networks in one step graph to
-    ``out/pair``: a service loads one folder and decides with it. Torch and ONNX, and step and sequence, agree to 1e-5.
+    ``out/pair``, of networks that read depth to ``out`` itself: a service loads one folder and decides with it. Torch
+    and ONNX, and step and sequence, agree to 1e-5.
     """
     checkpoint = Checkpoint.load(path)
     network = checkpoint.build()
@@ -60,12 +63,24 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
                 _export(network.of(role), checkpoint, role, form, file)
                 written.append(file)
         verify_forms([open_model(file) for file in written])
-        return [file.replace(_home(out, file.name)) for file in written]
+        beside = ("joint",) if checkpoint.pressing else ("joint", "pair")
+        return [file.replace(_home(out, file.name, beside)) for file in written]
 
 
-def _home(out: Path, name: str) -> Path:
+def why_untrained(path: Path) -> str:
+    """Why a checkpoint's directions may as well be guessed, by its own validation; empty for a trained one."""
+    figures = Checkpoint.load(path).figures.get("validation/all", {})
+    if not {"accuracy", "chance", "trials"} <= figures.keys():
+        return "its directions were never validated"
+    accuracy, chance, trials_n = figures["accuracy"], figures["chance"], figures["trials"]
+    if accuracy > chance + 3.0 * math.sqrt(chance * (1.0 - chance) / trials_n):
+        return ""
+    return f"{accuracy:.0%} of {trials_n:.0f} directions are right, and guessing gives {chance:.0%}"
+
+
+def _home(out: Path, name: str, beside: tuple[str, ...]) -> Path:
     role = name.partition(".")[0]
-    folder = out / role if role in ("joint", "pair") else out
+    folder = out / role if role in beside else out
     folder.mkdir(exist_ok=True)
     return folder / name
 
@@ -96,6 +111,7 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         calibration=Calibration(
             temperature=scales.temperature, sigma_scale_x=scales.sigma_x, sigma_scale_theta=scales.sigma_theta
         ),
+        expectations=checkpoint.expectations,
         training_data_sha256=checkpoint.training_data_sha256,
         git_commit=checkpoint.git_commit,
         training_run=checkpoint.run,
@@ -181,5 +197,8 @@ def attach_card(file: Path, card: ModelCard) -> None:
     model = onnx.load(str(file))
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, card.model_copy(update={"self_test": tested}).to_props())
+    model.ir_version = min(model.ir_version, IR)
+    for part in (model.graph, *model.graph.node, *model.graph.value_info, *model.graph.input, *model.graph.output):
+        del part.metadata_props[:]  # traces of the exporter, which older forms do not know
     onnx.save(model, str(file))
     open_model(file)

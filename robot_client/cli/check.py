@@ -2,13 +2,14 @@
 
 import asyncio
 import contextlib
+from collections.abc import AsyncIterator
 
 from robot_client.cli.insert import make_plan
 from robot_client.cli.terminal import Outcome, show
 from robot_client.insertion.events import Event, Failure, FromService
 from robot_client.insertion.limits import check_pose
 from robot_client.insertion.motion import check_ramps
-from robot_client.ports import Check, DriverError, Finding
+from robot_client.ports import Check, DriverError, Finding, Signals
 from robot_client.session.service_link import ServiceLink
 from robot_client.settings import Settings
 from service.contract import wire
@@ -22,6 +23,17 @@ def check(settings: Settings) -> Outcome:
 
 
 async def _check(settings: Settings) -> Outcome:
+    rows = []
+    async for name, finding in findings_of(settings):
+        rows.append({"check": name, **finding._asdict()})
+        show(f"{'ok  ' if finding.good else 'BAD '} {name:9s} {finding.text}")
+    ready = all(row["good"] for row in rows)
+    print("ready to insert" if ready else "NOT ready")
+    return Outcome(ready, {"ready": ready, "findings": rows})
+
+
+async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
+    """Ask the plan, every device and the service, and give each finding with the name of its check; moves nothing."""
     arm, gripper = settings.make_arm(), settings.make_gripper()
     checks: dict[str, Check] = {
         "plan": lambda: _plan(settings),
@@ -29,23 +41,34 @@ async def _check(settings: Settings) -> Outcome:
         **gripper.checks(),
         "service": lambda: _service(settings),
     }
-    rows = []
+    if settings.cycle and settings.cycle.plc and (signals := arm.signals()):
+        names = settings.cycle.plc
+        checks["plc"] = lambda: _plc(signals, [names.start, names.ready, names.done, names.fault])
     try:
         for name, read in checks.items():
             try:
-                findings = await read()
+                found = await read()
             except (ValueError, TimeoutError) as error:
-                findings = [Finding(False, str(error) or "no answer in time")]
-            for finding in findings:
-                rows.append({"check": name, **finding._asdict()})
-                show(f"{'ok  ' if finding.good else 'BAD '} {name:9s} {finding.text}")
+                found = [Finding(False, str(error) or "no answer in time")]
+            for finding in found:
+                yield name, finding
     finally:
         for port in (arm, gripper):
             with contextlib.suppress(Exception):
                 await port.close()
-    ready = all(row["good"] for row in rows)
-    print("ready to insert" if ready else "NOT ready")
-    return Outcome(ready, {"ready": ready, "findings": rows})
+
+
+async def _plc(signals: Signals, names: list[str]) -> list[Finding]:
+    """Read each signal of the handshake."""
+    found = []
+    for name in names:
+        try:
+            on = await signals.read_signal(name)
+        except DriverError as error:
+            found.append(Finding(False, f"signal {name}: {error}"))
+        else:
+            found.append(Finding(True, f"signal {name} is {'on' if on else 'off'}"))
+    return found
 
 
 async def _plan(settings: Settings) -> list[Finding]:
@@ -54,6 +77,10 @@ async def _plan(settings: Settings) -> list[Finding]:
     check_pose(settings.limits, plan.approach, "approach")
     check_pose(settings.limits, bottom, "full insertion")
     check_ramps(settings.limits, settings.ramps)
+    if settings.cycle:
+        for name, pose in (("cycle.pick", settings.cycle.pick), ("cycle.reject", settings.cycle.reject)):
+            if pose is not None:
+                check_pose(settings.limits, pose, name)
     seconds = settings.ramps.duration_s(plan.approach, bottom, "descend")
     text = f"approach z {plan.approach.z_mm:g} mm, full depth z {bottom.z_mm:g} mm, {seconds:.1f} s down"
     return [Finding(True, text)]

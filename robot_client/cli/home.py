@@ -2,7 +2,7 @@
 
 import asyncio
 
-from robot_client.cli.terminal import DRY_RUN, NOT_A_SAFETY_FUNCTION, Outcome, stop_on_signals
+from robot_client.cli.terminal import DRY_RUN, Outcome, show, stop_on_signals, warning
 from robot_client.ports import DriverError, HomingDirection
 from robot_client.session.runner import to_the_end
 from robot_client.settings import Settings
@@ -15,7 +15,7 @@ def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, l
         print(DRY_RUN)
         print(f"would connect to {settings.gripper.address} and " + ", then ".join(steps))
         return Outcome(True, {"live": False, "steps": steps})
-    print(NOT_A_SAFETY_FUNCTION)
+    show(warning(live=True, simulated=settings.simulated))
     return asyncio.run(_home(settings, acknowledge=acknowledge, direction=direction))
 
 

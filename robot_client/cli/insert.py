@@ -5,7 +5,7 @@ import secrets
 import time
 from pathlib import Path
 
-from robot_client.cli.terminal import DRY_RUN, NOT_A_SAFETY_FUNCTION, Outcome, show, stop_on_signals
+from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Phase, Plan
 from robot_client.ports import Arm, DecisionService, Gripper
@@ -29,6 +29,8 @@ def make_plan(
         approach=approach,
         gap_width_mm=task.gap_width_mm,
         grasp_height_mm=task.grasp_height_mm,
+        grip_n=task.grip_n,
+        shear_reach_mm=task.shear_reach_mm,
         expected_depth_mm=task.expected_depth_mm,
         depth_tolerance_mm=task.depth_tolerance_mm,
         creep_allowance_mm=task.creep_allowance_mm,
@@ -49,7 +51,7 @@ def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionSe
 
 def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> Outcome:
     """Run one insertion; done if inserted. Raises DriverError if a device is not ready."""
-    show(NOT_A_SAFETY_FUNCTION if live else DRY_RUN)
+    show(warning(live=live, simulated=settings.simulated))
     show(f"insertion {plan.insertion_id}: start x {plan.approach.x_mm:+.2f} mm, yaw {plan.approach.yaw_deg:+.2f} deg")
     return asyncio.run(_insert(settings, plan, live=live, log=log))
 

@@ -12,6 +12,8 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from robot_client.cli.check import check
+from robot_client.cli.cycle import cycle
+from robot_client.cli.doctor import doctor
 from robot_client.cli.home import home
 from robot_client.cli.insert import insert, make_plan
 from robot_client.cli.jog import jog
@@ -19,7 +21,7 @@ from robot_client.cli.terminal import Outcome, show
 from robot_client.insertion.geometry import WorkPose
 from robot_client.ports import DriverError, HomingDirection
 from robot_client.session.replay import ReplayError, replay
-from robot_client.settings import load_settings
+from robot_client.settings import Settings, load_settings
 from service.contract.frames import first_error
 from service.contract.text import printable
 from service.contract.wire import ControllerName
@@ -64,6 +66,17 @@ def _parser() -> argparse.ArgumentParser:
         return command
 
     add("insert", "insert the held object; a rehearsal unless --live is typed", _connection, _mode, _insertion)
+    cycling = add(
+        "cycle", "pick, insert and let go, part after part; only told unless --live is typed", _connection, _mode
+    )
+    cycling.add_argument("--parts", type=int, metavar="N", help="stop after so many inserted parts (default: never)")
+    cycling.add_argument("--logs", type=Path, metavar="DIR", help="folder for episode logs (default runs/robot)")
+    examining = add(
+        "doctor", "name what is wrong with PC, network, controller, gripper, cameras, and its remedy", _connection
+    )
+    examining.add_argument(
+        "--recordings", type=Path, default=Path("recordings"), help="folder of the service's recordings"
+    )
     add("check", "read every device, move nothing, name what is not ready", _connection)
     homing = add("home", "reference the empty gripper", _connection, _mode)
     homing.add_argument(
@@ -110,15 +123,25 @@ _TASK = ("gap_width_mm", "expected_depth_mm", "creep_allowance_mm", "approach_z_
 
 def _run(args: argparse.Namespace) -> Outcome:
     if args.command == "replay":
-        state = replay(args.path, show)
-        return Outcome(True, {"phase": str(state.phase), "attempts": state.attempt, "reason": state.reason})
+        return _replayed(args.path)
     overrides = {
         "service": {"url": args.service},
         "robot": {"port": args.egm_port, "rws": {"url": args.rws_url}},
         "gripper": {} if args.gripper is None else _address(args.gripper),
         "task": {key: getattr(args, key, None) for key in _TASK},
     }
-    settings = load_settings(args.config, overrides)
+    if args.command == "doctor":
+        return doctor(args.config, overrides, args.recordings)
+    return _on_cell(args, load_settings(args.config, overrides))
+
+
+def _replayed(path: Path) -> Outcome:
+    state = replay(path, show)
+    return Outcome(True, {"phase": str(state.phase), "attempts": state.attempt, "reason": state.reason})
+
+
+def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
+    """A command that needs the cell's settings."""
     if args.command == "check":
         return check(settings)
     if args.command == "home":
@@ -126,6 +149,10 @@ def _run(args: argparse.Namespace) -> Outcome:
     if args.command == "jog":
         target = WorkPose(x_mm=args.x_mm, y_mm=args.y_mm, z_mm=args.z_mm, yaw_deg=args.theta_deg)
         return jog(settings, target, live=args.live)
+    if args.command == "cycle":
+        if args.parts is not None and args.parts < 1:
+            raise ValueError(f"--parts {args.parts}: expected 1 or more")
+        return cycle(settings, live=args.live, parts_n=args.parts, log=args.logs or Path("runs") / "robot")
     plan = make_plan(settings, args.x_mm, args.theta_deg, args.insertion_id, args.controller)
     log = args.log or Path("runs") / "robot" / f"{plan.insertion_id}.jsonl"
     if log.exists():

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from service.contract.text import printable
 
 NOT_A_SAFETY_FUNCTION = "LIVE: this moves a real robot. It is not a safety function; the cell's guards and stops are."
+SIMULATED = "SIMULATED CELL: the orders are real, the robot is not."
 DRY_RUN = "DRY RUN: nothing is connected, nothing moves (type --live to move)."
 
 
@@ -28,6 +29,13 @@ def show(text: str) -> None:
         print(printable(text), flush=True)
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest of the buffer goes there
+
+
+def warning(*, live: bool, simulated: bool) -> str:
+    """What a person is told before anything may move."""
+    if not live:
+        return DRY_RUN
+    return SIMULATED if simulated else NOT_A_SAFETY_FUNCTION
 
 
 def stop_on_signals() -> None:

@@ -92,6 +92,8 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
         grasp_height_mm=plan.grasp_height_mm,
         expected_depth_mm=plan.expected_depth_mm,
         gripper_width_mm=state.width_mm,
+        grip_n=plan.grip_n,
+        shear_reach_mm=plan.shear_reach_mm,
     )
     deadline_s = at_s + plan.timeouts.arming_s
     state = replace(state, phase=Phase.ARMING, attempt=attempt, armed=target, deadline_s=deadline_s)

@@ -57,8 +57,10 @@ class Plan(Contract):
 
     insertion_id: wire.InsertionId
     approach: WorkPose
-    gap_width_mm: float = Field(gt=0, le=1000)  # these three have the bounds of the message `arm`
+    gap_width_mm: float = Field(gt=0, le=1000)  # these five have the bounds of the message `arm`
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
+    grip_n: float | None = Field(default=None, gt=0, le=1000)
+    shear_reach_mm: float | None = Field(default=None, gt=0, le=100)
     expected_depth_mm: float = Field(gt=0, le=1000)
     depth_tolerance_mm: float = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import ContractError, Finger, FramePair, TactileFrame
-from service.contract.wire import CameraEntry
+from service.contract.wire import CameraEntry, FaultCode
 
 RETRY_S = 0.25  # a returned camera is found within 1 s
 STALL_S = 0.5  # no frame for this long is a stall
@@ -83,7 +83,7 @@ class Camera:
         finger: Finger,
         source: Source,
         on_frame: Callable[[CameraFrame], None],
-        on_fault: Callable[[Finger, str, str], None],
+        on_fault: Callable[[Finger, FaultCode, str], None],
         attended: Callable[[], bool] = lambda: True,
     ) -> None:
         self.finger = finger
@@ -202,7 +202,7 @@ class Camera:
         self._broken_n = 0
         return pixels
 
-    def _fault(self, state: State, code: str, detail: str) -> None:
+    def _fault(self, state: State, code: FaultCode, detail: str) -> None:
         changed = self.state != state or code == "camera_size"
         self.state, self.last_fault = state, detail
         self._stamps.clear()

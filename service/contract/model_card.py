@@ -119,6 +119,27 @@ class Calibration(Contract):
     sigma_scale_theta: Positive = 1.0
 
 
+class Expectations(Contract):
+    """What a belief expects of attempts with these networks: measured in the closed loop, not learnt. Pairs: mm, deg.
+
+    ``edge`` of the errors at the start; ``spread`` of the errors trained on, which a stated sigma includes;
+    ``tolerance`` of a pose that inserts. A blocked object is left turned outwards in the hand: by ``creep_mm``, nearer
+    than ``near_mm`` to the gap by ``creep_near_mm`` and so much more per mm that it is held higher than 30 mm, each
+    with its spread. The defaults are those of the first release, which pressed until slip.
+    """
+
+    edge: tuple[Positive, Positive] = (19.0, 16.0)
+    spread: tuple[Positive, Positive] = (9.0, 8.7)
+    tolerance: tuple[Positive, Positive] = (2.0, 3.5)
+    near_mm: Positive = 5.0
+    creep_mm: float = Field(default=0.45, ge=-5.0, le=5.0)
+    creep_near_mm: float = Field(default=0.28, ge=-5.0, le=5.0)
+    creep_near_mm_per_mm: float = Field(default=0.022, ge=-0.2, le=0.2)
+    creep_spread_mm: Positive = 0.35
+    creep_near_more_mm: float = Field(default=0.35, ge=0.0, le=5.0)
+    creep_theta_deg: Positive = 0.3
+
+
 class SelfTest(Contract):
     """The outputs on fixed frames where the network was released; see :mod:`service.contract.self_test`."""
 
@@ -171,6 +192,7 @@ class ModelCard(Contract):
     grid_x_mm: tuple[float, ...] = ()
     grid_theta_deg: tuple[float, ...] = ()
     calibration: Calibration = Calibration()
+    expectations: Expectations = Expectations()
     min_confidence: float = Field(ge=0, le=1, default=0.0)
     training_data_sha256: str
     git_commit: str

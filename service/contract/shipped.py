@@ -5,11 +5,13 @@ from pathlib import Path
 
 
 def released_models() -> Path:
-    """Folder of the released networks: `models` here, else the checkout's, else the installed ones.
+    """Folder of the released networks: in `models` here, else in the checkout's, else in the installed ones.
 
-    Where none holds an ONNX file the answer is `models`, so that an error names the folder a user would expect.
+    Those that read depth lie in its folder `pressing`. Where none holds an ONNX file the answer is `models`, so that an
+    error names the folder a user would expect.
     """
     here = Path("models")
     checkout = Path(__file__).parents[2] / "models"
     installed = Path(sysconfig.get_path("data")) / "share" / "tactile-insertion" / "models"
-    return next((folder for folder in (here, checkout, installed) if any(folder.glob("*.onnx"))), here)
+    folders = [folder for root in (here, checkout, installed) for folder in (root / "pressing", root)]
+    return next((folder for folder in folders if any(folder.glob("*.onnx"))), here)

@@ -29,6 +29,7 @@ from service.contract.wire_parts import (
     Enough,
     Episode,
     Estimate,
+    FaultCode,
     InsertionId,
     Limits,
     ModelEntry,
@@ -54,6 +55,7 @@ __all__ = [
     "Enough",
     "Episode",
     "Estimate",
+    "FaultCode",
     "InsertionId",
     "Limits",
     "ModelEntry",
@@ -64,7 +66,6 @@ __all__ = [
     "Telemetry",
     "ToolPose",
 ]  # the parts; what is defined here goes without saying
-
 PROTOCOL = 2
 MAX_TEXT_BYTES = 65536
 
@@ -191,8 +192,8 @@ class Refused(_Message):
 class Watching(_Message):
     """Both fingers were judged on new frames, and nothing speaks against going on: the arm may move a little longer.
 
-    ``frame_captured_ns`` is the capture of the older of the two fingers' newest judged frames, ``judged_ns`` when this
-    was sent. The client moves only while the newest of these is younger than its lease.
+    ``frame_captured_ns`` is the older finger's newest judged frame, ``judged_ns`` when this was sent. The client moves
+    only while the newest of these is younger than its lease.
     """
 
     type: Literal["watching"] = "watching"
@@ -256,7 +257,7 @@ class Fault(_Message):
     """Something is wrong; hold the arm. ``fatal`` closes the connection."""
 
     type: Literal["fault"] = "fault"
-    code: str
+    code: FaultCode
     detail: str
     fatal: bool = True
 

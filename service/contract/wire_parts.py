@@ -29,7 +29,7 @@ Cause = Literal[
     "client",  # a defect of the client
 ]
 Ending = Literal["inserted", "not_confirmed", "failed", "aborted"]
-RefusalReason = Literal["no_reference", "nothing_held", "implausible_width", "late_frames", "not_seen"]
+RefusalReason = Literal["no_reference", "nothing_held", "implausible_width"]
 NoDecisionReason = Literal[
     "no_motion",
     "out_of_distribution",
@@ -40,6 +40,25 @@ NoDecisionReason = Literal[
     "contradictory",  # the estimates do not follow from the commanded moves: the cell is wired wrong
 ]
 DoubtReason = Literal["push", "not_seen", "not_held", "width", "moved_in_hand", "depth", "order"]
+FaultCode = Literal[
+    # the connection's, fatal
+    "forbidden",
+    "busy",
+    "taken_over",
+    "not_ready",
+    "protocol_version",
+    "bad_message",  # fatal as the first message only
+    # the insertion's, not fatal
+    "camera_lost",
+    "camera_stalled",
+    "camera_frozen",
+    "camera_size",
+    "stale_frames",
+    "open_gel",
+    "protocol",
+    "watch_only",
+    "internal",
+]
 
 
 MAX_ATTEMPTS = 15
@@ -151,10 +170,12 @@ class Telemetry(InsertionMessage):
 class Episode(InsertionMessage):
     """What is to be done and with what, for the recording: sent once after `hello`, never answered.
 
-    ``start`` is where the arm stands, ``approach`` the pose above the gap from which the first attempt goes down.
+    ``start`` is where the arm stands, ``approach`` the pose above the gap from which the first attempt goes down. Of a
+    probe the approach is the error itself: it is known, and nothing is to be inserted.
     """
 
     type: Literal["episode"] = "episode"
+    purpose: Literal["insert", "probe"] = "insert"
     object: str = Field(default="", max_length=128)
     start: ToolPose
     approach: ToolPose

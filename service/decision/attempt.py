@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS, Finger, ModelCard, TactileFrame
+from service.contract.model_card import CONDITIONS
 from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome, RefusalReason, Refused, Watching
 from service.decision.arming import implausible_width, nothing_held
 from service.decision.evidence import DecisionRun, Evidence, Refusal
@@ -69,6 +70,7 @@ class Attempt:
     network_reference: PairObservation | None = None
     run: DecisionRun | None = None
     descent: Descent | None = None
+    steps: list[NDArray[np.float32]] = field(default_factory=list)
     speed_mm_s: float | None = None
     fed: bool = False
     watched_ns: int = 0
@@ -197,14 +199,17 @@ class Attempt:
             return []
         if descent is not None:
             self.decision_pairs.append(pair)
-            return descent.add(pair)
-        index = self.onset_index()
-        if index is None:
-            return []
-        pairs = list(self.ring)
-        self.decision_pairs += pairs[index:]
-        self.descent = Descent(card, self.told())
-        return self.descent.begin(pairs, index)
+            fresh = descent.add(pair)
+        else:
+            index = self.onset_index()
+            if index is None:
+                return []
+            pairs = list(self.ring)
+            self.decision_pairs += pairs[index:]
+            self.descent = Descent(card, self.told())
+            fresh = self.descent.begin(pairs, index)
+        self.steps += fresh
+        return fresh
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """The frames of the decision, as :mod:`service.recordings.writer` documents for ``attempt_XX.npz``."""
@@ -223,4 +228,12 @@ class Attempt:
             "displacement_px": np.stack([finger.field.displacement_px for finger in last]),
             "valid": np.stack([finger.field.valid for finger in last]),
             "decision": np.array(decision),
+            **self._read_by_depth(),
         }
+
+    def _read_by_depth(self) -> dict[str, NDArray[np.generic]]:
+        """What networks that read steps of depth were shown."""
+        if not self.steps or self.descent is None:
+            return {}
+        told = [self.descent.told.get(name) or 0.0 for name in CONDITIONS]
+        return {"steps": np.stack(self.steps), "conditions": np.array(told, np.float32)}

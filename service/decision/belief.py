@@ -12,28 +12,20 @@ over, and the search closes in on the side instead of swinging past it.
 
 import numpy as np
 
+from service.contract.model_card import Expectations
 from service.decision.evidence import Density, Evidence, Floats, Refusal
 
 HALF_RANGE = 22.0  # grid reaches +-22 mm and +-22 deg
 CELL = 0.5
-# Starts are within 15 deg and 30 % of the object's width, which is 18.6 mm for the widest that was foreseen
-PRIOR_EDGE_X_MM, PRIOR_EDGE_THETA_DEG, PRIOR_SOFTNESS = 19.0, 16.0, 0.6
-# A pose closer than this inserts; the same for all objects since the service does not know the shape it holds.
-TOLERANCE_X_MM, TOLERANCE_THETA_DEG = 2.0, 3.5
-SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7
+PRIOR_SOFTNESS = 0.6
+SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7  # of the tolerance
 SURE_INSERT = 0.95  # probability of insertion at zero error
-# A blocked object is left tilted outwards in the hand: by about half a millimetre, and by more the longer the lever
-# from its bottom to the fingers and the nearer the edge that it pivots on (docs/decisions/0039-belief-expects-creep.md)
-CREEP_MM, CREEP_NEAR_MM, CREEP_NEAR_MM_PER_MM, CREEP_NEAR_BELOW_MM = 0.45, 0.28, 0.022, 5.0
-CREEP_SPREAD_MM, CREEP_NEAR_SPREAD_MM, CREEP_THETA_DEG = 0.35, 0.35, 0.3
 SHORT_LEVER_MM, UNKNOWN_LEVER_MM = 30.0, 45.0
 # Both networks see the same images, so their errors are correlated: each gets less than its full weight.
 DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.3, 0.9
 OUTLIER_SHARE = 0.02
 DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
-# Spread of the errors the networks were trained on. A network states its belief after seeing the pictures, this spread
-# included; the evidence of the pictures alone is that belief divided by it. An estimate no sharper carries none.
-TRAINED_SPREAD = (9.0, 8.7)
+USUAL = Expectations()
 UNINFORMATIVE, FINEST = 100.0, 0.01  # mm and deg: a flat likelihood, and the sharpest that a half-millimetre grid needs
 INCONSISTENT_BELOW = 0.05  # Bayes factor of all that was learnt against knowing nothing
 RANGE = 15.0  # of the errors the networks were trained on (mm and deg)
@@ -57,10 +49,14 @@ def _near(values: Floats, tolerance: float, softness: float) -> Floats:
     return _sigmoid((tolerance - np.abs(values)) / softness)
 
 
-def stated(evidence: Evidence) -> tuple[float, float]:
-    """Sigma (mm, deg) of an attempt's pictures alone: the networks' own without their prior."""
+def stated(evidence: Evidence, trained: tuple[float, float]) -> tuple[float, float]:
+    """Sigma (mm, deg) of an attempt's pictures alone: the networks' own without their prior.
+
+    A network states its belief after seeing the pictures, the spread of the errors it was ``trained`` on included; the
+    evidence of the pictures alone is that belief divided by it. An estimate no sharper carries none.
+    """
     given = evidence.sigma or DEFAULT_SIGMA
-    alone = (max(s, FINEST) ** -2 - spread**-2 for s, spread in zip(given, TRAINED_SPREAD, strict=True))
+    alone = (max(s, FINEST) ** -2 - spread**-2 for s, spread in zip(given, trained, strict=True))
     x_mm, theta_deg = (precision**-0.5 if precision > UNINFORMATIVE**-2 else UNINFORMATIVE for precision in alone)
     return x_mm, theta_deg
 
@@ -75,21 +71,23 @@ class BeliefGrid:
     """Probability [89, 89] over the first error, and the sum of the moves made since.
 
     ``layers`` [2, 89, 89] are the two hypotheses, trusted and gain unknown; together they sum to 1. All methods cost
-    well under a millisecond: every kernel is separable, so each is two small matrix products.
+    well under a millisecond: every kernel is separable, so each is two small matrix products. ``expected``: of the
+    networks whose evidence it takes.
     """
 
-    def __init__(self, grasp_height_mm: float | None = None) -> None:
+    def __init__(self, grasp_height_mm: float | None = None, expected: Expectations = USUAL) -> None:
+        self._expected = expected
         self._cells = np.arange(-HALF_RANGE, HALF_RANGE + CELL / 2, CELL)
-        edges = [_near(self._cells, edge, PRIOR_SOFTNESS) for edge in (PRIOR_EDGE_X_MM, PRIOR_EDGE_THETA_DEG)]
+        edges = [_near(self._cells, edge, PRIOR_SOFTNESS) for edge in expected.edge]
         self._prior = np.outer(*edges) / (edges[0].sum() * edges[1].sum())
         shares = np.array([1 - GAIN_UNKNOWN_SHARE, GAIN_UNKNOWN_SHARE])
         self.layers: Floats = shares[:, None, None] * self._prior
         self.offset = np.zeros(2)
         distance = self._cells[:, None] - self._cells[None]
-        self._aim_x = _near(distance, TOLERANCE_X_MM, SOFT_X_MM)
-        self._aim_theta = _near(distance, TOLERANCE_THETA_DEG, SOFT_THETA_DEG)
+        self._aim_x = _near(distance, expected.tolerance[0], SOFT_X_MM)
+        self._aim_theta = _near(distance, expected.tolerance[1], SOFT_THETA_DEG)
         self._lever_mm = max(0.0, (grasp_height_mm or UNKNOWN_LEVER_MM) - SHORT_LEVER_MM)
-        self._turned = _blurred(self._cells[:, None] - self._cells, np.array(CREEP_THETA_DEG))
+        self._turned = _blurred(self._cells[:, None] - self._cells, np.array(expected.creep_theta_deg))
 
     @property
     def probability(self) -> Floats:
@@ -119,19 +117,19 @@ class BeliefGrid:
 
     def creep(self) -> None:
         """An attempt was blocked: the object has turned in the hand, its bottom outwards, before the next move."""
-        x_mm = self.current_x_mm
-        near = _sigmoid((CREEP_NEAR_BELOW_MM - np.abs(x_mm)) / 0.8)
-        far_mm, near_mm = CREEP_MM, CREEP_NEAR_MM + CREEP_NEAR_MM_PER_MM * self._lever_mm
-        outwards = (far_mm + near * (near_mm - far_mm)) * np.tanh(x_mm / 0.7)
-        spread = CREEP_SPREAD_MM + CREEP_NEAR_SPREAD_MM * near
+        x_mm, expected = self.current_x_mm, self._expected
+        near = _sigmoid((expected.near_mm - np.abs(x_mm)) / 0.8)
+        near_mm = expected.creep_near_mm + expected.creep_near_mm_per_mm * self._lever_mm
+        outwards = (expected.creep_mm + near * (near_mm - expected.creep_mm)) * np.tanh(x_mm / 0.7)
+        spread = expected.creep_spread_mm + expected.creep_near_more_mm * near
         crept = _blurred(self._cells[:, None] - (self._cells + outwards), spread)
         self.layers = (crept @ self.layers) @ self._turned.T
 
     def absorb_failure(self) -> None:
         """The current pose did not insert, so the error is not near zero."""
         near = np.outer(
-            _near(self.current_x_mm, TOLERANCE_X_MM, SOFT_X_MM),
-            _near(self.current_theta_deg, TOLERANCE_THETA_DEG, SOFT_THETA_DEG),
+            _near(self.current_x_mm, self._expected.tolerance[0], SOFT_X_MM),
+            _near(self.current_theta_deg, self._expected.tolerance[1], SOFT_THETA_DEG),
         )
         self._normalise(self.layers * (1 - SURE_INSERT * near))
 
@@ -163,7 +161,7 @@ class BeliefGrid:
         for cells, estimate, sigma, start in zip(
             (self.current_x_mm, self.current_theta_deg),
             evidence.error,
-            stated(evidence),
+            stated(evidence, self._expected.spread),
             (GAIN_FROM_X_MM, GAIN_FROM_THETA_DEG),
             strict=True,
         ):
@@ -189,7 +187,7 @@ class BeliefGrid:
         return np.asarray(x_part.T @ table @ theta_part, np.float64)
 
     def _magnitude_likelihood(self, evidence: Evidence) -> Floats:
-        sigma = stated(evidence)
+        sigma = stated(evidence, self._expected.spread)
         peaks = [
             np.exp(-0.5 * ((cells - centre) / width) ** 2)
             for cells, centre, width in zip(

@@ -9,12 +9,13 @@ The constants were fitted on 280 insertions in good cells and 161 in reversed on
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract.wire import Correction
+from service.contract.wire import Correction, Estimate
 from service.decision.evidence import Refusal
 from service.perception.observation import PairObservation
 
@@ -56,8 +57,16 @@ class Consistency:
         for signs, predicted in self._predicted.items():
             self._log[signs] += self._likelihood(predicted, here, sigma, sure=sure)
         self._walk(np.array([correction.dx_mm, correction.dtheta_deg]), here, sigma, sure=sure)
-        if causes := self._causes():
+        if causes := self.causes():
             raise Refusal("contradictory", f"the estimates contradict the moves: {'; or '.join(causes)}")
+
+    def add_probe(self, told: Pair, estimate: Estimate) -> None:
+        """Take in the estimate of an error that was known."""
+        here = np.array([estimate.dx_mm, estimate.dtheta_deg])
+        sigma = np.array([estimate.sigma_x_mm or math.inf, estimate.sigma_theta_deg or math.inf])
+        spread = np.sqrt(np.square(sigma) + np.square(MODEL_SIGMA))
+        for signs in self._log:
+            self._log[signs] += _log_density((here - np.array(signs) * told) / spread, spread, OUTLIERS)
 
     def _likelihood(self, predicted: Pair, here: Pair, sigma: Pair, *, sure: bool) -> float:
         far = bool((np.abs(predicted) > FAR).any())
@@ -67,9 +76,7 @@ class Consistency:
             log += math.log(FITS_BLOCKED)
         if sure:
             spread = np.sqrt(self._variance + np.square(sigma) + np.square(MODEL_SIGMA))
-            density = np.exp(-0.5 * np.square((here - predicted) / spread)) / (spread * math.sqrt(2.0 * math.pi))
-            outliers = FAR_OUTLIERS if far else OUTLIERS
-            log += float(np.log((1.0 - outliers) * density + outliers / RANGE).sum())
+            log += _log_density((here - predicted) / spread, spread, FAR_OUTLIERS if far else OUTLIERS)
         return log
 
     def _walk(self, command: Pair, here: Pair, sigma: Pair, *, sure: bool) -> None:
@@ -81,13 +88,30 @@ class Consistency:
             self._predicted = {signs: there + np.array(signs) * command for signs, there in self._predicted.items()}
             self._variance = self._variance + np.square(WALK_SIGMA)
 
-    def _causes(self) -> list[str]:
+    def causes(self) -> list[str]:
         """The causes that explain the attempts, best first; none while a good cell explains them well enough."""
         best = max(self._log.values())
         if not best - self._log[1, 1] > ODDS:
             return []
         likely = sorted((signs for signs in CAUSES if best - self._log[signs] < NAMED), key=lambda s: -self._log[s])
         return [CAUSES[signs] for signs in likely]
+
+
+def _log_density(z: Pair, spread: Pair, outliers: float) -> float:
+    """Of both axes together; an outlier may be anywhere in the range."""
+    density = np.exp(-0.5 * np.square(z)) / (spread * math.sqrt(2.0 * math.pi))
+    return float(np.log((1.0 - outliers) * density + outliers / RANGE).sum())
+
+
+def mistakes(told: Pair, estimates: Sequence[Estimate]) -> list[str]:
+    """How a cell is likely wired wrong whose probes at the errors ``told`` [n, 2] (mm, deg) gave these estimates.
+
+    Best explanation first; empty while a good cell explains the probes well enough.
+    """
+    judge = Consistency()
+    for error, estimate in zip(told, estimates, strict=True):
+        judge.add_probe(error, estimate)
+    return judge.causes()
 
 
 def mirrored(both: PairObservation) -> bool:

@@ -5,8 +5,9 @@ from typing import Protocol
 
 import numpy as np
 
+from service.contract.model_card import Expectations
 from service.contract.wire import ControllerName, Limits
-from service.decision.belief import BeliefGrid
+from service.decision.belief import USUAL, BeliefGrid
 from service.decision.evidence import Evidence, Floats, Refusal
 
 GAIN_AGREED = 0.7  # Eq. 1: direction and magnitude agree
@@ -137,6 +138,8 @@ def _pair(values: tuple[float, float]) -> str:
     return f"({values[0]:+.1f} mm, {values[1]:+.1f} deg)"
 
 
-def make_controller(name: ControllerName, limits: Limits, grasp_height_mm: float | None = None) -> Controller:
-    """A fresh controller for one insertion; the belief expects more creep of an object that is held high."""
-    return Belief(limits, grid=BeliefGrid(grasp_height_mm)) if name == "belief" else Heuristic(limits)
+def make_controller(
+    name: ControllerName, limits: Limits, grasp_height_mm: float | None = None, expected: Expectations = USUAL
+) -> Controller:
+    """A fresh controller for one insertion; the belief expects what the networks' card says of attempts with them."""
+    return Belief(limits, grid=BeliefGrid(grasp_height_mm, expected)) if name == "belief" else Heuristic(limits)

@@ -14,7 +14,7 @@ from typing import IO
 
 import structlog
 from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
@@ -95,6 +95,9 @@ def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
             case Channel():
                 number = writer.register_channel(record.topic, record.message_encoding, schemas[record.schema_id])
                 channels[record.id] = number, record.topic
+            case Attachment():
+                about = record.create_time, record.log_time, record.name, record.media_type
+                writer.add_attachment(*about, record.data)
             case Metadata():
                 writer.add_metadata(record.name, record.metadata)
                 if record.name == "insertion":

@@ -29,6 +29,8 @@ _MARKER_FIELDS = {
     "valid": _Field.TYPE_BYTES,
     "state": _Field.TYPE_STRING,
     "slip_score": _Field.TYPE_FLOAT,
+    "slipping": _Field.TYPE_BYTES,
+    "sticking": _Field.TYPE_BYTES,
 }
 
 

@@ -9,8 +9,9 @@
   (tactile_insertion.Markers: every judged frame), ``/robot`` (arm and gripper, 50 times a second, from the client),
   ``/messages`` (``from`` client or service, ``message``), ``/calls`` (the calls of the session in order, which make a
   replay exact to the bit). Metadata: ``insertion`` (id, versions, models, controller, calibration, clock offset) and,
-  once it has ended, ``outcome``. Log times are wall-clock nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of
-  the metadata.
+  once it has ended, ``outcome``. Attachments: ``configuration.json`` (the service's settings without its tokens),
+  ``calibration.toml`` where cameras are rectified, and ``NAME.card.json`` of each network. Log times are wall-clock
+  nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of the metadata.
 - ``attempt_01.npz``, ``attempt_02.npz``, ... for each blocked attempt, read with ``numpy.load``:
 
   ===================  ==========================================================================================
@@ -20,10 +21,13 @@
   ``rest_px``          float32 [2, rows, cols, 2] marker positions at rest (u, v) in the rectified image
   ``displacement_px``  float32 [2, rows, cols, 2] marker displacement in the last of the pairs
   ``valid``            bool [2, rows, cols]
+  ``steps``            float32 [k, 2, rows, cols, 3] of (du_mm, dv_mm, 1 if seen), a step of depth each, and
+                       ``conditions`` float32 [6] (`model_card.CONDITIONS`): what networks that read depth were shown
   ``decision``         0-d string array: JSON of the ``correction`` or ``no_decision`` message; "{}" if there was none
   ===================  ==========================================================================================
 
-- ``summary.json``: insertion id, outcome, cause, attempts, object, start, frames left out for lack of speed or room.
+- ``summary.json``: insertion id, outcome, cause, attempts, object, start, seconds, decisions, frames left out for lack
+  of speed or room.
 """
 
 import contextlib
@@ -58,6 +62,7 @@ FINAL = "insertion.mcap"
 RECOVERING = "insertion.mcap.recovering"
 UNREADABLE = "insertion.mcap.unreadable"
 IMAGE = {CompressedImage: "image", RawImage: "image_raw"}  # a topic has one schema, whatever the camera sends
+MEDIA = {"json": "application/json", "toml": "application/toml"}  # of attachments
 OUTCOME = "outcome"  # name of the metadata that an ended recording carries
 RECOVERY = "recovery"  # name of the metadata that a recovered recording carries
 
@@ -84,6 +89,9 @@ class _Mcap:
             self._channels[topic] = self._writer.register_channel(topic, "json", schema)
         self._writer.add_message(self._channels[topic], log_ns, json.dumps(value).encode(), log_ns, 0)
 
+    def attach(self, name: str, content: bytes, log_ns: int) -> None:
+        self._writer.add_attachment(log_ns, log_ns, name, MEDIA[name.rsplit(".", 1)[-1]], content)
+
     def metadata(self, name: str, value: Mapping[str, str]) -> None:
         self._writer.add_metadata(name, dict(value))
 
@@ -108,6 +116,7 @@ class Recorder:
     insertion_id: str
     metadata: Mapping[str, str]
     largest_bytes: int = MAX_INSERTION_BYTES
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
     left_out_n: int = 0
     folder: Path = field(init=False)
     _queue: queue.SimpleQueue[Callable[[], object] | None] = field(init=False, default_factory=queue.SimpleQueue)
@@ -133,6 +142,8 @@ class Recorder:
         self._mcap.metadata(
             "insertion", facts | dict(self.metadata) | {"wall_minus_monotonic_ns": str(self._offset_ns)}
         )
+        for name, content in self.attachments.items():
+            self._mcap.attach(name, content, time.time_ns())
         self._mcap.flush()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -264,6 +275,8 @@ def markers_message(observation: Observation) -> dict[str, Any]:
         "valid": observation.field.valid.astype(np.uint8).tobytes(),
         "state": observation.slip.state,
         "slip_score": float(observation.slip.score),
+        "slipping": observation.slip.slipping.astype(np.uint8).tobytes(),
+        "sticking": observation.slip.sticking.astype(np.uint8).tobytes(),
     }
 
 

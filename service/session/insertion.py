@@ -11,12 +11,14 @@ from service.cameras.capture import CameraFrame, now_ns
 from service.contract import Finger, FramePair, wire
 from service.contract.wire import ServiceMessage
 from service.decision.attempt import Attempt, Stage, WorkResult
+from service.decision.seating import strongest_push
 from service.perception.observation import Observation
 from service.recordings.writer import Recorder
 from service.session.state_machine import InsertionSession, Replies, ignore
 
 Send = Callable[[ServiceMessage], None]
 LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
+_TASK = {"purpose", "object", "start", "approach", "versions"}
 HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be recorded
 
 
@@ -42,6 +44,8 @@ class Insertion:
     jpegs: Mapping[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     episode: wire.Episode | None = None
     telemetry_lost_n: int = 0
+    opened_ns: int = field(default_factory=now_ns)
+    _decisions: list[dict[str, Any]] = field(default_factory=list)
     _client_ahead_ns: int | None = None
     _observed: list[Observation] = field(default_factory=list)
     _later: deque[Callable[[], None]] = field(default_factory=deque)
@@ -64,10 +68,12 @@ class Insertion:
             return
         if isinstance(message, wire.Episode):
             self.episode = message
+            self._later.append(partial(self.publish, "client", message))
             self._note(_record_told, message, now)
             return
         if message.type != "heartbeat":
             self._note(_record_received, message, now)
+            self._later.append(partial(self.publish, "client", message))
         self._emit(self.session.handle(message, now), now)
         self._settle()
 
@@ -81,14 +87,18 @@ class Insertion:
         self.telemetry_lost_n += message.left_out_n
         for sample in message.samples:
             self._note(Recorder.robot, sample, sample.at_ns - self._client_ahead_ns)
+        if message.samples:
+            self._later.append(partial(self.publish, "robot", message.samples[-1]))
         self._settle_unless_near(now, paired=False)
 
     @property
     def facts(self) -> dict[str, Any]:
         """What the summary says of the task."""
         told = self.episode
-        task = {} if told is None else told.model_dump(mode="json", include={"object", "start", "approach", "versions"})
-        return {**task, "robot_samples_lost_n": self.telemetry_lost_n}
+        task = {} if told is None else told.model_dump(mode="json", include=_TASK)
+        seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
+        lost_n = self.telemetry_lost_n
+        return {**task, "seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}
 
     def prime(self, frame: CameraFrame) -> None:
         """Show the trackers a first frame."""
@@ -131,7 +141,7 @@ class Insertion:
         self._emit(replies, now)
         self._settle_unless_near(now, paired=False)
 
-    def camera_fault(self, code: str, detail: str) -> None:
+    def camera_fault(self, code: wire.FaultCode, detail: str) -> None:
         now = now_ns()
         self._call({"call": "camera_fault", "code": code, "detail": detail}, now)
         self._emit(self.session.on_camera_fault(code, detail), now)
@@ -140,6 +150,7 @@ class Insertion:
     def attempt_decided(self, attempt: Attempt) -> None:
         """Keep the frames of the decision; a decided attempt no longer changes, so they may be gathered later."""
         if attempt.decision is not None:
+            self._decisions.append(_facts_of(attempt, attempt.decision))
             self._note(Recorder.attempt, attempt.arm.attempt, attempt.arrays)
 
     # ---- what can wait until the client has its answer --------------------------------------------------------------
@@ -214,6 +225,17 @@ class Insertion:
             self.show(observation)
             self._note(Recorder.observation, observation)
         self._observed.clear()
+
+
+def _facts_of(attempt: Attempt, decision: wire.Correction | wire.NoDecision) -> dict[str, Any]:
+    """What the summary says of a decided attempt (see :class:`service.recordings.listing.Decided`)."""
+    facts: dict[str, Any] = {"attempt": attempt.arm.attempt, "type": decision.type, "depth_mm": attempt.depth_mm}
+    facts["reach_pitch"] = strongest_push(attempt.pushes)
+    if isinstance(decision, wire.NoDecision):
+        return facts | {"reason": decision.reason}
+    felt = decision.estimate
+    moved = {"correction": (decision.dx_mm, decision.dtheta_deg), "confidence": decision.confidence}
+    return facts | moved | {"interval_x_mm": felt.interval_x_mm, "interval_theta_deg": felt.interval_theta_deg}
 
 
 def _record_told(recorder: Recorder, message: Any, now: int) -> None:

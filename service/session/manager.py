@@ -129,7 +129,7 @@ class InsertionManager:
         if self.active:
             self.active.result(result)
 
-    def fault(self, code: str, detail: str) -> None:
+    def fault(self, code: wire.FaultCode, detail: str) -> None:
         if self.active:
             self.active.camera_fault(code, detail)
 
@@ -177,10 +177,19 @@ class InsertionManager:
         }
         try:
             largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))
-            return Recorder(root, insertion_id, facts, largest)
+            return Recorder(root, insertion_id, facts, largest, self._attachments(session))
         except OSError as error:
             self._note_recorded(f"cannot record into {root}: {error}")
             return None
+
+    def _attachments(self, session: InsertionSession) -> dict[str, bytes]:
+        """What decided and with what: settings, calibration, cards. Tokens stay where they are."""
+        secrets = {"token_watch", "token_drive", "token_admin"}
+        attached = {"configuration.json": self.settings.model_dump_json(exclude=secrets, indent=1).encode()}
+        if self._calibration_text:
+            attached["calibration.toml"] = self._calibration_text.encode()
+        cards = {f"{entry.card.name}.card.json": entry.card for entry in session.models.entries}
+        return attached | {name: card.model_dump_json(indent=1).encode() for name, card in cards.items()}
 
     def _publish(self, kind: str, content: Any) -> None:
         self.hub.publish(kind, content)

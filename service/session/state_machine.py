@@ -123,7 +123,8 @@ class InsertionSession:
             state = "decided" if decided else "not decided yet"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
         if self.decider is None:
-            controller = make_controller(self.controller_name, self.limits, message.grasp_height_mm)
+            expected, height_mm = self.models.card.expectations, message.grasp_height_mm
+            controller = make_controller(self.controller_name, self.limits, height_mm, expected)
             self.decider = Decider(message.insertion_id, self.models, controller, self.deadlines)
             self.decider.grasp.width_mm = message.gripper_width_mm
         self._generation += 1
@@ -229,7 +230,7 @@ class InsertionSession:
         attempt.result = attempt.result or result
         return self._conclude(now_ns)
 
-    def on_camera_fault(self, code: str, detail: str) -> Replies:
+    def on_camera_fault(self, code: wire.FaultCode, detail: str) -> Replies:
         """A camera failed: the client must hold, and an attempt under way needs a new reference."""
         if self.attempt is None or not self.wants_frames:
             return []
@@ -293,7 +294,7 @@ class InsertionSession:
         )
         return [self.finished]
 
-    def _fault(self, code: str, detail: str, insertion_id: str | None = None) -> wire.Fault:
+    def _fault(self, code: wire.FaultCode, detail: str, insertion_id: str | None = None) -> wire.Fault:
         return wire.Fault(
             insertion_id=insertion_id or self.insertion_id or "none", code=code, detail=detail, fatal=False
         )

@@ -215,7 +215,7 @@ class Station:
 
     _ticked_ns = 0
 
-    def _on_camera_fault(self, finger: Finger, code: str, detail: str) -> None:
+    def _on_camera_fault(self, finger: Finger, code: wire.FaultCode, detail: str) -> None:
         self.hub.publish("camera_fault", {"finger": finger, "code": code, "detail": detail})
         self.post(lambda: self.manager.fault(code, detail))
 

@@ -66,7 +66,7 @@ def _decide(session: InsertionSession) -> None:
             command = make_controller(name, session.limits).decide(evidence, 1)
         except Refusal:
             continue  # fingers without contact may give no move
-        _serialise(wire.Fault(insertion_id=NAME, code=command.controller, detail=command.reason))
+        _serialise(wire.Fault(insertion_id=NAME, code="internal", detail=command.reason))
 
 
 @contextlib.contextmanager

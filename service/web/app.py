@@ -6,6 +6,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.routing import compile_path
 
 from service import __version__
 from service.contract import ContractError
@@ -13,13 +14,19 @@ from service.session.station import Station
 from service.web.access import Access
 from service.web.metrics import Metrics
 from service.web.middleware import Bodies, RequestLimits
-from service.web.routes import api, cameras, health, insertion, live, oip, recordings
+from service.web.page.status import Status
+from service.web.routes import api, cameras, health, insertion, live, oip, playback, recordings, status
+
+METHOD_NOT_ALLOWED = 405
 
 
 class Refused(BaseModel):
     """The answer to a refused request: one line with what was wrong and what was expected."""
 
     error: str
+
+
+REFUSAL = {"application/json": {"schema": Refused.model_json_schema()}}  # of every route, whatever it answers else
 
 
 def create_app(station: Station) -> FastAPI:
@@ -29,14 +36,16 @@ def create_app(station: Station) -> FastAPI:
         version=__version__,
         docs_url=None,  # its scripts would come from elsewhere
         redoc_url=None,
-        responses={"4XX": {"model": Refused, "description": "refused; the text says why"}},
+        responses={"4XX": {"description": "refused; the text says why", "content": REFUSAL}},
     )
     access = Access(station.settings)
     app.state.station, app.state.access, app.state.bodies = station, access, Bodies()
     app.include_router(health.router(station, Metrics(station)))
     app.include_router(insertion.router(station, access))
-    app.include_router(live.router(station, access))
-    for module in (api, cameras, oip, recordings):
+    told = Status(station)
+    app.include_router(live.router(station, access, told))
+    app.include_router(status.router(told, access))
+    for module in (api, cameras, oip, playback, recordings):
         app.include_router(module.router(station, access))
     app.mount("/dashboard", live.static_files())
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=station.settings.hosts, www_redirect=False)
@@ -53,7 +62,10 @@ def _refuse_in_one_form(app: FastAPI) -> None:
         return refusal(error)
 
     @app.exception_handler(HTTPException)
-    async def refused(_: Request, error: HTTPException) -> JSONResponse:
+    async def refused(request: Request, error: HTTPException) -> JSONResponse:
+        if error.status_code == METHOD_NOT_ALLOWED:
+            methods = ", ".join(sorted(allowed_methods(request)))
+            error.headers = {"Allow": methods} if methods else error.headers
         return refusal(error)
 
     @app.exception_handler(RequestValidationError)
@@ -61,6 +73,13 @@ def _refuse_in_one_form(app: FastAPI) -> None:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         return JSONResponse({"error": f"{where}: {first['msg']}"}, 422)
+
+
+def allowed_methods(request: Request) -> set[str]:
+    """The methods of a described path: the router alone names those of its first route."""
+    described: dict[str, dict[str, object]] = request.app.openapi()["paths"]
+    matching = [methods for path, methods in described.items() if compile_path(path)[0].match(request.scope["path"])]
+    return {method.upper() for methods in matching for method in methods}
 
 
 def refusal(error: ContractError | HTTPException) -> JSONResponse:

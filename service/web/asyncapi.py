@@ -111,7 +111,7 @@ def document(version: str) -> dict[str, Any]:
         "defaultContentType": "application/json",
         "servers": {"cell": {"host": "127.0.0.1:8000", "protocol": "ws", "description": "wss where TLS is set up"}},
         "channels": {
-            "insertion": _channel("/v1/insertions/ws", "One connection is one insertion.", [*client, *service]),
+            "insertion": _channel("/v1/insertion", "One connection is one insertion.", [*client, *service]),
             "push": _channel("/v1/cameras/{finger}/push", pushed, ["Frame"], parameters=FINGER),
             "frames": _channel("/v1/cameras/{finger}/frames", shown, ["Frame"], parameters=FINGER),
         },

@@ -28,6 +28,9 @@ DATATYPES: dict[str, Any] = {
 }
 _NAMES = {np.dtype(value): key for key, value in DATATYPES.items()}
 _ORT_NAMES = {"tensor(float)": "FP32", "tensor(uint8)": "UINT8", "tensor(int64)": "INT64", "tensor(double)": "FP64"}
+REQUEST_KEYS = {"id", "parameters", "inputs", "outputs"}
+INPUT_KEYS = {"name", "shape", "datatype", "parameters", "data"}
+OUTPUT_KEYS = {"name", "parameters"}
 MAX_ELEMENTS = 1 << 25
 MAX_JSON_BYTES = 6 << 20  # as objects of the interpreter, text takes thirty times its size
 
@@ -71,6 +74,7 @@ def parse_request(body: bytes | bytearray, header_length: str | None, model: Loa
         raise TensorError(f"request is no JSON: {error}") from error
     if not isinstance(request, dict) or not isinstance(request.get("inputs"), list):
         raise TensorError("request needs a list of inputs")
+    _only(request, "request", REQUEST_KEYS, {"binary_data_output"})
     known = metadata(model)
     inputs = _inputs(request["inputs"], memoryview(body)[split:], {entry["name"]: entry for entry in known["inputs"]})
     return InferRequest(_id(request), inputs, _wanted(request, [entry["name"] for entry in known["outputs"]]))
@@ -83,7 +87,17 @@ def _id(request: Mapping[str, Any]) -> str | None:
 
 def _parameters(entry: Any) -> Mapping[str, Any]:
     value = entry.get("parameters") if isinstance(entry, dict) else None
-    return value if isinstance(value, dict) else {}
+    if not (value is None or isinstance(value, dict)):
+        raise TensorError(f"parameters {value!r}, expected an object")
+    return value or {}
+
+
+def _only(entry: Mapping[str, Any], what: str, keys: set[str], parameters: set[str]) -> None:
+    """Raise TensorError by the name of what is not supported: ignored, it would look as if it had been done."""
+    for kind, given, known in (("", entry, keys), ("parameter ", _parameters(entry), parameters)):
+        for name in given:
+            if name not in known:
+                raise TensorError(f"{what}: {kind}{name} is not supported, expected {sorted(known)}")
 
 
 def _inputs(entries: list[Any], tail: memoryview, known: Mapping[str, Any]) -> dict[str, Array]:
@@ -93,6 +107,7 @@ def _inputs(entries: list[Any], tail: memoryview, known: Mapping[str, Any]) -> d
         name = entry.get("name") if isinstance(entry, dict) else None
         if not isinstance(name, str) or name not in known or name in inputs:
             raise TensorError(f"input {name!r}, expected each of {sorted(known)} once")
+        _only(entry, f"input {name}", INPUT_KEYS, {"binary_data_size"})
         size = _parameters(entry).get("binary_data_size")
         if size is not None and (not isinstance(size, int) or size < 0 or at + size > len(tail)):
             raise TensorError(f"input {name}: binary_data_size {size}, {len(tail) - at} bytes are left")
@@ -112,14 +127,23 @@ def _tensor(entry: Mapping[str, Any], data: memoryview | None, known: Mapping[st
     if data is not None:
         if len(data) != count * dtype.itemsize:
             raise TensorError(f"input {name} has {len(data)} bytes, expected {count * dtype.itemsize}")
-        return np.frombuffer(data, dtype).reshape(shape)
+        return _finite(f"input {name}", np.frombuffer(data, dtype).reshape(shape))
     try:
-        values = np.asarray(entry.get("data"), np.float64)
+        values: Array = np.asarray(entry.get("data"), np.float64)
         if dtype.kind in "iu" and not ((values >= np.iinfo(dtype).min) & (values <= np.iinfo(dtype).max)).all():
             raise TensorError(f"input {name} has values outside {known['datatype']}")
-        return values.astype(dtype).reshape(shape)
+        with np.errstate(over="ignore"):
+            values = values.astype(dtype).reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
         raise TensorError(f"input {name}: {error}") from error
+    return _finite(f"input {name}", values)
+
+
+def _finite(name: str, values: Array) -> Array:
+    """The same values; raises TensorError for null, NaN and infinity: no network was trained on them."""
+    if not np.isfinite(values).all():
+        raise TensorError(f"{name} has values that are not finite numbers")
+    return values
 
 
 def _shape(entry: Mapping[str, Any], known: Mapping[str, Any]) -> tuple[int, ...]:
@@ -146,6 +170,7 @@ def _wanted(request: Mapping[str, Any], names: list[str]) -> dict[str, bool]:
         name = entry.get("name") if isinstance(entry, dict) else None
         if name not in names:
             raise TensorError(f"output {name!r}, expected one of {names}")
+        _only(entry, f"output {name}", OUTPUT_KEYS, {"binary_data"})
         wanted[str(name)] = bool(_parameters(entry).get("binary_data", everything))
     return wanted
 
@@ -154,7 +179,7 @@ def encode_response(
     model_name: str, request: InferRequest, outputs: Mapping[str, Array]
 ) -> tuple[bytes, dict[str, str]]:
     """Body and headers of an infer response."""
-    values = {name: np.ascontiguousarray(outputs[name]) for name in request.binary}
+    values = {name: _finite(f"output {name}", np.ascontiguousarray(outputs[name])) for name in request.binary}
     tail = [values[name].tobytes() for name, binary in request.binary.items() if binary]
     head = _described_outputs(model_name, request, values)
     if not tail:
@@ -171,7 +196,7 @@ def _described_outputs(model_name: str, request: InferRequest, values: Mapping[s
         if request.binary[name]:
             entry["parameters"] = {"binary_data_size": array.nbytes}
         else:
-            entry["data"] = [value if np.isfinite(value) else None for value in array.ravel().tolist()]
+            entry["data"] = array.ravel().tolist()
         described.append(entry)
     answer: dict[str, Any] = {"model_name": model_name, "model_version": "1", "outputs": described}
     if request.id is not None:

@@ -7,12 +7,17 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
+from simulation.compile_cache import VARIABLE
+
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 _TAIL_LINES = 8
+KERNELS_N = 57  # files of the compiler; the estimate of the time left rests on it
+SAY_EVERY_S = 5.0
+QUIET_S = 8.0  # a start that compiles nothing takes less
 
 
 class ChildError(RuntimeError):
@@ -88,7 +93,7 @@ class Child:
         if self.code is not None:
             raise ChildError(f"{self.name} ended with exit code {self.code}:\n{self.tail()}", self.code)
 
-    def until(self, text: str, timeout_s: float) -> str:
+    def until(self, text: str, timeout_s: float, while_waiting: Callable[[], None] = lambda: None) -> str:
         """The first line of its log that contains ``text``; raise ChildError if it ends or is late."""
         deadline_s = time.monotonic() + timeout_s
         while time.monotonic() < deadline_s:
@@ -96,6 +101,7 @@ class Child:
                 if text in line and line.endswith("\n"):
                     return line.strip()
             self.check()
+            while_waiting()
             time.sleep(0.05)
         raise ChildError(f"{self.name} was not ready within {timeout_s:.0f} s:\n{self.tail()}", None)
 
@@ -128,3 +134,33 @@ def terminate_as_interrupt() -> None:
 
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, raise_interrupt)
+
+
+class Compiling:
+    """Counts what the compiler has put into its cache, and tells it every few seconds while it grows."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._folder = Path(os.environ[VARIABLE])
+        self._began_n = self._count()
+        self._began_s = self._said_s = time.monotonic()
+
+    def look(self) -> None:
+        """Called often while the cell starts."""
+        now_s = time.monotonic()
+        waited_s = now_s - self._began_s
+        if waited_s < QUIET_S or now_s - self._said_s < SAY_EVERY_S:
+            return
+        self._said_s = now_s
+        done_n = self._count()
+        made_n = done_n - self._began_n
+        if not made_n or done_n >= KERNELS_N:
+            self._say(f"  still starting, {waited_s:.0f} s")
+            return
+        left_s = waited_s * (KERNELS_N - done_n) / made_n
+        self._say(
+            f"  compiling the physics, once on a machine: {100 * done_n // KERNELS_N} %, about {left_s:.0f} s left"
+        )
+
+    def _count(self) -> int:
+        return sum(1 for _ in self._folder.rglob("*.nbi"))

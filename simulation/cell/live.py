@@ -23,6 +23,7 @@ import numpy as np
 from service.contract import FINGERS, Sensor
 from simulation.cell.admin import create_admin
 from simulation.cell.cameras import CameraFeed, Draw, failure
+from simulation.cell.config import client_config
 from simulation.cell.emulators.abb.cabinet import Cabinet
 from simulation.cell.emulators.abb.egm import EgmEmulator
 from simulation.cell.emulators.abb.frames import CellFrames
@@ -35,6 +36,7 @@ from simulation.cell.emulators.net import HOST, HttpServer, bind_tcp, bind_udp, 
 from simulation.cell.emulators.stopwatch import StopWatch
 from simulation.cell.emulators.wsg50 import Wsg50Emulator
 from simulation.cell.emulators.wsg50_gripper import Gripper
+from simulation.cell.film import Course
 from simulation.cell.options import CellOptions
 from simulation.cell.world import HeldPart, Mechanics, World
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM
@@ -48,7 +50,7 @@ class Plant(NamedTuple):
     """What stands behind the devices: physics, optics, and the numbers that a client needs."""
 
     mechanics: Mechanics
-    regrasp: Callable[[float], None]
+    regrasp: Callable[[float, int], Pose]  # grip force and number of the object; where the TCP is then
     draw: dict[str, Draw]
     start: Pose  # TCP at the approach pose
     part_width_mm: float
@@ -118,13 +120,15 @@ class LiveCell:
         held = options.gripper == "held"
         self.world = World(plant.mechanics, plant.regrasp, self._pose, sensor=plant.sensor, fps=plant.fps, held=held)
         self.world.on_unsolved = self._supervise
-        self.part = HeldPart(self.world, plant.part_width_mm, self._pose, at_start)
+        self.part = HeldPart(self.world, plant.part_width_mm, self._pose, at_start, fed=options.feed)
         self.gripper = Gripper(self.part, self.board, holding=held)
         self.wsg = Wsg50Emulator(self.gripper, self.board)
         self.cameras = {finger: CameraEmulator(finger, self.board, plant.dropped_share) for finger in FINGERS}
         readings = {"truth": self.truth, "glance": self.glance, "trace": self.way}
         self.admin = HttpServer(create_admin(readings, self.board), self.sockets.admin)
         self.feeds: list[CameraFeed] = []
+        self.course = Course(self.world, plant.fps)
+        self.world.on_exposure(self.course)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._started_s = time.monotonic()
 
@@ -212,6 +216,7 @@ class LiveCell:
             "expected_depth_mm": APPROACH_MM + INSERTION_MM,
             "creep_allowance_mm": CREEP_ALLOWANCE_MM,
             "approach": {"x_mm": x, "y_mm": y, "z_mm": z, "yaw_deg": self.plant.start.yaw_deg},
+            "home": {"x_mm": x, "y_mm": y, "z_mm": z + self.options.lift_mm, "yaw_deg": self.plant.start.yaw_deg},
             "fps": self.plant.fps,
         }
 
@@ -238,6 +243,9 @@ class LiveCell:
             "wsg": {f.name: getattr(self.wsg.counters, f.name) for f in fields(self.wsg.counters)},
             "course": {f.name: getattr(course, f.name) for f in fields(course)},
             "frames_sent_ns": {finger: list(camera.sent_ns) for finger, camera in self.cameras.items()},
+            "left_behind": [
+                {"inserted": bool(s.inserted), "shortfalls": list(s.shortfalls)} for s in self.world.left_behind
+            ],
             "camera_overruns": [feed.overruns for feed in self.feeds],
         }
         if state is not None:
@@ -269,8 +277,10 @@ async def serve(options: CellOptions, plant: Plant, sockets: Sockets) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     calibration = (options.out / "calibration.toml").resolve()
     plant.save_calibration(calibration)
+    facts = cell.description(calibration)
+    (options.out / "cell.toml").write_text(client_config(facts, "http://127.0.0.1:8000", None))
     partial = options.out / "cell.json.part"
-    partial.write_text(json.dumps(cell.description(calibration), indent=1) + "\n")
+    partial.write_text(json.dumps(facts, indent=1) + "\n")
     partial.replace(options.out / "cell.json")
     print(f"cell: ready, {options.object} at x {options.x_mm:+.1f} mm, yaw {options.theta_deg:+.1f} deg", flush=True)
     watch, end = asyncio.create_task(cell.watch()), asyncio.create_task(ended.wait())
@@ -281,4 +291,5 @@ async def serve(options: CellOptions, plant: Plant, sockets: Sockets) -> int:
     for task in (watch, end):
         task.cancel()
     await cell.stop()
+    cell.course.save(options.out / "course.npz", plant.gap_width_mm)
     return 1 if failed else 0

@@ -31,6 +31,10 @@ class CellOptions:
     """First-order lag of the arm behind the guide."""
     gripper: Literal["held", "open"] = "open"
     """The object stands in its fixture between the open fingers at the start, or is held already."""
+    feed: bool = False
+    """A new object stands in the fixture each time the arm is back there, and another box below the gap."""
+    world: str | None = None
+    """A world file (see docs/worlds.md); the project's own cell if left out."""
     fixed_blocks: bool = False
     """Blocks bolted down (as in data collection) instead of free."""
     lift_mm: float = 10.0

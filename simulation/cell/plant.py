@@ -1,6 +1,7 @@
 """The simulated plant behind the live cell: physics of one scene, optics of both fingers, their calibration."""
 
 import math
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from simulation.data.probe import QuasiStaticCell
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.scene.effects import dropped_share
 from simulation.scene.scene import Scene
-from simulation.scene.worlds import load_scene
+from simulation.scene.worlds import load_scene, load_world
 
 Image = NDArray[np.uint8]
 LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; a solve that polishes to 1e-7 N may miss a camera tick
@@ -25,9 +26,15 @@ LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; a solve that polishe
 
 def load(options: CellOptions) -> Scene:
     """The scene of the options, blocks free unless they are bolted down; raises SceneError."""
-    changes = {"blocks__free": not options.fixed_blocks, "numerics__residual_n": LIVE_RESIDUAL_N}
-    changes |= {"camera__fps": options.fps} if options.fps else {}
-    return load_scene(options.object, **changes)
+    changes: dict[str, object] = {
+        "blocks.free": not options.fixed_blocks,
+        "numerics.residual_n": LIVE_RESIDUAL_N,
+    }
+    changes |= {"camera.fps": options.fps} if options.fps else {}
+    scene = load_scene(options.object)
+    if options.world is not None:
+        scene = load_world(options.world).around(scene)
+    return scene.varied(changes)
 
 
 def _drawer(renderer: Renderer, seed: int) -> Draw:
@@ -42,12 +49,16 @@ def build(scene: Scene, options: CellOptions) -> Plant:
     _compile(scene, options)
     cell = QuasiStaticCell(scene, seed=options.seed)
     cell.regrasp(options.x_mm, options.theta_deg)
-    x, y, z, yaw = (float(value) for value in cell.pose)
     renderers = {finger: Renderer(Appearance.draw(scene, finger, options.seed)) for finger in FINGERS}
     calibration = Calibration(*(renderers[finger].calibration for finger in FINGERS))
 
-    def regrasp(_force_n: float) -> None:
-        cell.regrasp(options.x_mm, options.theta_deg)
+    def regrasp(_force_n: float, part_n: int) -> Pose:
+        x_mm, theta_deg = options.x_mm, options.theta_deg
+        if options.feed:
+            cell.reset_blocks()
+            x_mm, theta_deg = draw_start(scene, options.seed + part_n)
+        cell.regrasp(x_mm, theta_deg)
+        return _pose_of(cell)
 
     def save_calibration(path: Path) -> None:
         calibration.save(path)
@@ -56,7 +67,7 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         mechanics=cell,
         regrasp=regrasp,
         draw={finger: _drawer(renderers[finger], options.seed) for finger in FINGERS},
-        start=Pose((x, y, z), tool_down(math.degrees(yaw))),
+        start=_pose_of(cell),
         part_width_mm=scene.object.held_size_y_mm or scene.object.size_y_mm,
         gap_width_mm=scene.blocks.gap_mm,
         save_calibration=save_calibration,
@@ -64,6 +75,22 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         fps=scene.fps,
         dropped_share=dropped_share(scene),
     )
+
+
+def _pose_of(cell: QuasiStaticCell) -> Pose:
+    """Where the mechanics have the TCP."""
+    x, y, z, yaw = (float(value) for value in cell.pose)
+    return Pose((x, y, z), tool_down(math.degrees(yaw)))
+
+
+def draw_start(scene: Scene, seed: int) -> tuple[float, float]:
+    """A start error within the scene's ranges that collides; every scene has its own sequence."""
+    rng = np.random.default_rng([seed, zlib.crc32(scene.name.encode())])
+    while True:
+        x_mm = float(rng.uniform(-scene.x_range_mm, scene.x_range_mm))
+        theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))
+        if not scene.fits(x_mm, theta_deg):
+            return round(x_mm, 2), round(theta_deg, 2)
 
 
 def _compile(scene: Scene, options: CellOptions) -> None:

@@ -4,8 +4,8 @@ The cell plays robot, gripper and cameras on loopback; the service and the clien
 """
 
 import json
+import socket
 import time
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 from urllib.request import urlopen
 
-import numpy as np
-
 from service.contract.shipped import released_models
 from service.contract.token import TOKEN_FILE
 from simulation.cell import run_report
-from simulation.cell.children import Child
+from simulation.cell.children import Child, Compiling
+from simulation.cell.config import client_config
+from simulation.cell.emulators.net import HOST, free_port
+from simulation.cell.plant import draw_start
 from simulation.cell.run_report import Result
-from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene, training_objects
 
 CELL_READY_S = 300.0  # the first start on a machine compiles the physics
@@ -38,6 +38,8 @@ class RunOptions:
 
     object: str = "rectangle"
     """A name, a TOML file, or "all" for the training objects."""
+    world: str | None = None
+    """A world file: gel, grasp, blocks, cameras (see docs/worlds.md); the project's own cell if left out."""
     x_mm: float | None = None
     """Position error at the start; drawn from the seed if left out."""
     theta_deg: float | None = None
@@ -72,16 +74,6 @@ class Start:
     seed: int
 
 
-def draw_start(scene: Scene, seed: int) -> tuple[float, float]:
-    """A start error within the scene's ranges that collides; every scene has its own sequence."""
-    rng = np.random.default_rng([seed, zlib.crc32(scene.name.encode())])
-    while True:
-        x_mm = float(rng.uniform(-scene.x_range_mm, scene.x_range_mm))
-        theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))
-        if not scene.fits(x_mm, theta_deg):
-            return round(x_mm, 2), round(theta_deg, 2)
-
-
 def starts(options: RunOptions) -> list[Start]:
     """What is to be done; raises SceneError or RunError before anything starts."""
     if options.repeat < 1:
@@ -105,19 +97,30 @@ def _say(text: str) -> None:
     print(text, flush=True)
 
 
-def _start_cell(start: Start, options: RunOptions, folder: Path) -> Child:
+def start_cell(start: Start, options: RunOptions, folder: Path, *, fed: bool = False) -> Child:
+    """The cell as a process; ``fed``: a new object stands in the fixture each time the arm is back there."""
     arguments = [
         *("--object", start.object, "--x-mm", str(start.x_mm), "--theta-deg", str(start.theta_deg)),
         *("--seed", str(start.seed), "--egm-lag-ms", str(options.egm_lag_ms)),
         *("--out", str(folder / "cell")),
         *(("--fps", str(options.fps)) if options.fps else ()),
+        *(("--world", options.world) if options.world else ()),
+        *(("--feed",) if fed else ()),
     ]
     return Child("cell", "simulation", ["cell", *arguments], folder / "cell.log")
 
 
-def _start_service(facts: dict[str, Any], options: RunOptions, folder: Path) -> Child:
+def ready_cell(cell: Child, folder: Path) -> dict[str, Any]:
+    """What the cell says of itself once it is ready; tells how far the compiler is, where it has to compile."""
+    compiling = Compiling(_say)
+    cell.until("cell: ready", CELL_READY_S, compiling.look)
+    facts: dict[str, Any] = json.loads((folder / "cell" / "cell.json").read_text())
+    return facts
+
+
+def start_service(facts: dict[str, Any], options: RunOptions, folder: Path, port: int = 0) -> Child:
     arguments = [
-        *("--models", str(options.models), "--calibration", facts["calibration"], "--port", "0"),
+        *("--models", str(options.models), "--calibration", facts["calibration"], "--port", str(port)),
         *("--camera-left", facts["cameras"]["left"], "--camera-right", facts["cameras"]["right"]),
         *("--recordings", str(folder / "recordings"), "--state", str(folder / "state")),
         *("--controller", options.controller),
@@ -126,32 +129,13 @@ def _start_service(facts: dict[str, Any], options: RunOptions, folder: Path) -> 
     return Child("service", "service", ["run", *arguments], folder / "service.log")
 
 
-def _start_client(start: Start, facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
+def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
     approach, config = facts["approach"], folder / "client.toml"
-    robot = {
-        "egm": {"device": "abb_egm", "port": facts["egm_guide_port"]},
-        "socket": {"device": "abb_rapid", **facts["rapid"]},
-    }[options.link]
-    keys = {**robot, "rws.url": facts["rws_url"]}.items()
-    lines = ["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys)]
-    if options.link == "socket":  # REACTION_S and the controller's stop ramp
-        lines += ["[lease]", "stop_lag_s = 0.07"]
-    lines += ["[service]", f"token_file = {json.dumps(str((folder / 'state' / TOKEN_FILE).resolve()))}"]
-    lines += ["[task]", f"object = {json.dumps(start.object)}"]
-    config.write_text("\n".join(lines))
+    token = (folder / "state" / TOKEN_FILE).resolve()
+    config.write_text(client_config(facts, url, token, options.link))
     arguments = [
-        *(
-            "--live",
-            "--config",
-            str(config),
-            "--service",
-            url.replace("http://", "ws://").rstrip("/") + "/v1/insertion",
-        ),
-        *("--gripper", facts["gripper"]),
+        *("--live", "--config", str(config), "--log", str(folder / "episode.jsonl")),
         *(f"--x-mm={approach['x_mm']:.4f}", f"--theta-deg={approach['yaw_deg']:.4f}"),
-        *("--approach-z-mm", f"{approach['z_mm']:.4f}", "--gap-width-mm", f"{facts['gap_width_mm']:.3f}"),
-        *("--expected-depth-mm", f"{facts['expected_depth_mm']:.3f}", "--log", str(folder / "episode.jsonl")),
-        *("--creep-allowance-mm", f"{facts['creep_allowance_mm']:g}"),
     ]
     return Child("robot client", "robot_client", ["insert", *arguments], folder / "client.log")
 
@@ -168,7 +152,7 @@ class Loop(NamedTuple):
 
 @contextmanager
 def loop(
-    start: Start, options: RunOptions, folder: Path, through: Callable[[str], str] = lambda url: url
+    start: Start, options: RunOptions, folder: Path, through: Callable[[str], str] = lambda url: url, port: int = 0
 ) -> Iterator[Loop]:
     """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails.
 
@@ -176,12 +160,11 @@ def loop(
     """
     folder.mkdir(parents=True)
     with ExitStack() as children:
-        cell = children.enter_context(_start_cell(start, options, folder))
-        cell.until("cell: ready", CELL_READY_S)
-        facts = json.loads((folder / "cell" / "cell.json").read_text())
-        service = children.enter_context(_start_service(facts, options, folder))
+        cell = children.enter_context(start_cell(start, options, folder))
+        facts = ready_cell(cell, folder)
+        service = children.enter_context(start_service(facts, options, folder, port))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        client = children.enter_context(_start_client(start, facts, through(url), options, folder))
+        client = children.enter_context(_start_client(facts, through(url), options, folder))
         for child in (cell, service, client):
             child.go_first()
         yield Loop(cell, service, client, facts, folder / "episode.jsonl")
@@ -190,8 +173,10 @@ def loop(
 def insert(start: Start, options: RunOptions, folder: Path) -> Result:
     """One insertion from nothing running to nothing running; raises ChildError if a process fails."""
     _say(f"{start.object}: start error x {start.x_mm:+.2f} mm, yaw {start.theta_deg:+.2f} deg, seed {start.seed}")
-    _say("starting the simulated cell (the first time on a machine it compiles its physics: about a minute)")
-    with loop(start, options, folder) as running:
+    port = free_port(socket.SOCK_STREAM)
+    _say(f"page: http://{HOST}:{port}/ (from when the service runs, in some seconds)")
+    _say("starting the simulated cell")
+    with loop(start, options, folder, port=port) as running:
         watched = (running.cell, running.service)
         began, used = time.monotonic(), [child.cpu_s() for child in watched]
         for line in running.client.lines(watched, options.timeout_s):

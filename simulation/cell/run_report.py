@@ -103,7 +103,9 @@ def collect(
     )
 
 
-def screen(result: Result, recording: Path | None, drawn: Path | None, folder: Path) -> list[str]:
+def screen(
+    result: Result, recording: Path | None, drawn: Path | None, folder: Path, film: Path | None = None
+) -> list[str]:
     """The one-screen report."""
     word = "INSERTED" if result.inserted else "NOT INSERTED"
     count = f"{result.attempts} attempt{'' if result.attempts == 1 else 's'}"
@@ -139,6 +141,7 @@ def screen(result: Result, recording: Path | None, drawn: Path | None, folder: P
         lines.append(f"  CPU          cell {result.cores[0]:.2f} cores, service {result.cores[1]:.2f} cores")
     lines.append(f"  recording    {recording or 'none'}")
     lines.append(f"  picture      {drawn or 'none: no attempt was blocked'}")
+    lines.append(f"  film         {film or 'none'}")
     lines.append(f"  logs         {folder}")
     return lines
 

@@ -59,7 +59,7 @@ class World:
     def __init__(
         self,
         mechanics: Mechanics,
-        regrasp: Callable[[float], None],
+        regrasp: Callable[[float, int], Pose],
         pose: Callable[[], Pose],
         *,
         sensor: Sensor,
@@ -80,6 +80,9 @@ class World:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._last: tuple[float, float, float, float] | None = None
+        self._offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        self.part_n = 0
+        self.left_behind: list[CellState] = []
         self._gel: Gel = np.zeros((2, sensor.marker_rows, sensor.marker_columns, 3), np.float32)
 
     def on_exposure(self, sink: Callable[[Exposure], None]) -> None:
@@ -102,13 +105,21 @@ class World:
 
     # ---- what the gripper does --------------------------------------------------------------------------------
 
-    def grip(self, force_n: float) -> None:
-        """The fingers close on the object with this force (carried out at the next tick)."""
+    def grip(self, force_n: float, *, fed: bool = False) -> None:
+        """The fingers close on the object with this force (carried out at the next tick).
+
+        A fed object is another one each time: it is off by what the fixture left, which nobody is told.
+        """
 
         def do() -> None:
-            self._regrasp(force_n)
+            at = self._regrasp(force_n, self.part_n)
             self._last = None
             self.held = True
+            if fed:
+                here = self._pose()
+                x_mm, y_mm = (a - b for a, b in zip(at.position_mm[:2], here.position_mm[:2], strict=True))
+                self._offset = (x_mm, y_mm, at.yaw_deg - here.yaw_deg)
+            self.part_n += 1
 
         self._todo.put(do)
 
@@ -116,6 +127,8 @@ class World:
         """The fingers open: the object stays where it is, the gels are free."""
 
         def do() -> None:
+            if self.held and self.state is not None:
+                self.left_behind.append(self.state)
             self.held = False
 
         self._todo.put(do)
@@ -155,7 +168,8 @@ class World:
         if not self.held:
             self._gel = np.zeros_like(self._gel)
             return
-        where = (*pose.position_mm, pose.yaw_deg)
+        x_mm, y_mm, z_mm = pose.position_mm
+        where = (x_mm + self._offset[0], y_mm + self._offset[1], z_mm, pose.yaw_deg + self._offset[2])
         if self._last is not None and all(abs(a - b) < 1e-5 for a, b in zip(where, self._last, strict=True)):
             return
         self._last = where
@@ -191,11 +205,15 @@ class HeldPart:
     """The object between the fingers, as the gripper's mechanism sees it.
 
     Opening the fingers puts the object back into its fixture if the arm stands at ``home`` and leaves it where it is
-    otherwise: from then on there is nothing to grasp, until the arm has put it down at home again.
+    otherwise: from then on there is nothing to grasp, until the arm has put it down at home again. ``fed``: the fixture
+    gets another one as soon as the arm is back there.
     """
 
-    def __init__(self, world: World, size_mm: float, pose: Callable[[], Pose], home: Pose) -> None:
+    def __init__(
+        self, world: World, size_mm: float, pose: Callable[[], Pose], home: Pose, *, fed: bool = False
+    ) -> None:
         self._world = world
+        self._fed = fed
         self._size_mm = size_mm
         self._pose = pose
         self._home = home
@@ -203,18 +221,22 @@ class HeldPart:
 
     def width_mm(self) -> float | None:
         """The object's size along the fingers' axis while it is between them."""
+        self._there = self._there or (self._fed and self._is_home())
         return self._size_mm if self._there else None
 
     def gripped(self, force_n: float) -> None:
         """The fingers hold it."""
-        self._world.grip(force_n)
+        self._world.grip(force_n, fed=self._fed)
 
     def released(self) -> None:
         """The fingers opened, or it slipped out."""
+        self._there = self._is_home()
+        self._world.let_go()
+
+    def _is_home(self) -> bool:
         at, home = self._pose(), self._home
         near = all(abs(a - b) < 2.0 for a, b in zip(at.position_mm, home.position_mm, strict=True))
-        self._there = near and abs(at.yaw_deg - home.yaw_deg) < 2.0
-        self._world.let_go()
+        return near and abs(at.yaw_deg - home.yaw_deg) < 2.0
 
     def lost(self) -> bool:
         """The mechanics lost the grasp."""

@@ -6,6 +6,7 @@ import asyncio
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import tyro
@@ -13,13 +14,15 @@ import tyro
 from reporting.page import publish
 from reporting.statistics import mean
 from reporting.table import table
-from simulation.cell import run_report
+from simulation.cell import film, run_report
 from simulation.cell.children import ChildError, terminate_as_interrupt
+from simulation.cell.demo import DemoOptions, lines
 from simulation.cell.live import bind_all, serve
 from simulation.cell.options import CellOptions
 from simulation.cell.plant import build, load
 from simulation.cell.run import RunOptions, Start, insert, starts
 from simulation.cell.run_report import Result
+from simulation.scene.worlds import load_scene
 from simulation.studies.motion_bounds import report as bounds_report
 from simulation.studies.motion_bounds.campaign import BoundsOptions, measure
 
@@ -48,6 +51,20 @@ def run(arguments: list[str]) -> int:
         return 0 if all(result.inserted for result in results) else 1
 
     return exit_status("run", insert_all)
+
+
+def demo(arguments: list[str]) -> int:
+    """Insert one object after another until Ctrl-C, with the page; exit 1 if a process failed."""
+    options = tyro.cli(DemoOptions, args=arguments, prog="tactile-insertion demo", description=demo.__doc__)
+    (start,) = starts(replace(options, repeat=1))
+    folder = _folder(options, start)
+
+    def work() -> int:
+        for line in lines(options, folder):
+            print(line, flush=True)
+        return 0
+
+    return exit_status("demo", work)
 
 
 def motion_bounds(arguments: list[str]) -> int:
@@ -87,8 +104,9 @@ def _insert(start: Start, options: RunOptions) -> Result:
     result = insert(start, options, folder)
     recording = run_report.newest_recording(folder / "recordings")
     drawn = run_report.draw_last_attempt(recording, folder / "last_attempt.png", result) if recording else None
+    filmed = film.draw(folder / "cell" / "course.npz", folder / "insertion.gif", load_scene(start.object).sensor)
     (folder / "result.json").write_text(result.as_json() + "\n")
-    print("", *run_report.screen(result, recording, drawn, folder), "", sep="\n", flush=True)
+    print("", *run_report.screen(result, recording, drawn, folder, filmed), "", sep="\n", flush=True)
     return result
 
 

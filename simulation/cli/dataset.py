@@ -16,6 +16,7 @@ from service.contract import ContractError, Sensor
 from simulation.data import lerobot, mcap
 from simulation.data.collect import Plan, make_shard, scene_of, scene_sha256, shard_of
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, ShardEntry, Trial, slice_of
+from simulation.data.manifest import MANIFEST, read_manifest
 from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
@@ -23,6 +24,7 @@ from simulation.optics import attempt_picture
 from simulation.scene.worlds import training_objects
 
 DECISION_FRAMES = 8
+SHARD_TRIALS = 250
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,7 @@ class CollectOptions:
     out: Path = Path("data/probes")
     """Folder of the dataset; created if absent, continued if it holds the same collection."""
     trials_per_object: int = 7500
-    """Collisions to keep of each object; rounded up to whole shards."""
+    """Collisions to keep of each object; beyond one shard rounded up to whole shards."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = training_objects()
     """Scene names or TOML files; or `drawn` for worlds and objects drawn over all that cells are."""
     sensor: str = ""
@@ -41,8 +43,8 @@ class CollectOptions:
     """Same seed, same data, bit for bit, whatever the number of workers."""
     workers: int = 0
     """Processes; 0 means one a core."""
-    trials_per_shard: int = 250
-    """Collisions in a shard: what a kill can cost each worker."""
+    trials_per_shard: int | None = None
+    """Collisions in a shard, what a kill can cost each worker; the folder's own, or 250 and no more than are asked."""
     held_out_share: float = 0.12
     """Share of re-fixtures drawn from held-out ranges (the test split)."""
     slip_truth: bool = False
@@ -53,7 +55,10 @@ class CollectOptions:
 
 def asked_manifest(options: CollectOptions) -> Manifest:
     """What the finished collection would say of itself, without shards."""
-    if options.trials_per_object < 1 or options.trials_per_shard < 1:
+    per_shard = options.trials_per_shard
+    if per_shard is None:
+        per_shard = _shard_size(options)
+    if options.trials_per_object < 1 or per_shard < 1:
         raise DatasetError("--trials-per-object and --trials-per-shard must be at least 1")
     if options.workers < 0 or options.seed < 0 or not 0.0 <= options.held_out_share <= 1.0:
         given = f"{options.workers}, {options.seed} and {options.held_out_share}"
@@ -74,12 +79,19 @@ def asked_manifest(options: CollectOptions) -> Manifest:
         made_by="simulation collect",
         seed=options.seed,
         trials_per_object=options.trials_per_object,
-        trials_per_shard=options.trials_per_shard,
+        trials_per_shard=per_shard,
         held_out_share=options.held_out_share,
         scenes={name: scene_sha256(scene) for name, scene in scenes.items()},
         sensor=sensors.pop(),
         physics=sources_sha256("simulation.data.probe"),
     )
+
+
+def _shard_size(options: CollectOptions) -> int:
+    """That of the collection that is continued, or as many as a kill may cost, or all where fewer are asked."""
+    if (options.out / MANIFEST).exists():
+        return read_manifest(options.out).trials_per_shard
+    return min(SHARD_TRIALS, options.trials_per_object)
 
 
 def collect(arguments: list[str]) -> int:

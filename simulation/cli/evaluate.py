@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -79,6 +79,8 @@ class Options(PlayOptions):
     """TOML files of worlds, or folders of them; needs --json"""
     cell: Literal["own", "foreign"] = "own"
     """whose mechanics, with --json: the project's own, or finite elements that it was not built on (fields only)"""
+    told_reach: bool = False
+    """with --json: the client tells the gel's shear reach, with the error (15 %) of a cell that has measured it"""
     json: Path | None = None
     """file for the rows; results go beside it as they come. Without --worlds: the world that was trained for"""
     controllers: tuple[str, ...] = tuple(CONTROLLERS)
@@ -155,7 +157,9 @@ def _play_worlds(options: Options, path: Path, controller: str, objects: dict[st
     models = folder_of(options, controller)
     setup = json.dumps(campaign.fingerprint({controller: models}), sort_keys=True)
     made_by = hashlib.sha256(setup.encode()).hexdigest()[:16]
-    asked = {"controller": controller, "perception": options.perception}
+    asked: dict[str, Any] = {"controller": controller, "perception": options.perception}
+    if options.told_reach:
+        asked["told_reach"] = True
     if options.cell == "foreign":
         if options.perception != "fields":
             raise ValueError("--cell foreign: it has no pictures of its own yet; expected --perception fields")

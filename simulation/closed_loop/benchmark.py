@@ -61,7 +61,7 @@ def table(rows: Sequence[Row]) -> list[Row]:
             "world": world,
             "object": title_of(scene),
             **ends(mine := [row for row in rows if (row["condition"], row["scene"]) == (world, scene)]),
-            **_first_answers(mine),
+            **first_answers(mine),
             "worst_force_n": max(row["course"]["force_n"] for row in mine),
             "worst_block_mm": max(row["course"]["block_mm"] for row in mine),
             "reasons": dict(Counter(_cause(row["reason"]) for row in mine if row["reason"]).most_common()),
@@ -70,7 +70,7 @@ def table(rows: Sequence[Row]) -> list[Row]:
     ]
 
 
-def _first_answers(rows: Sequence[Row]) -> Row:
+def first_answers(rows: Sequence[Row]) -> Row:
     """Directions, absolute errors and coverage of the 90 % intervals of the first decisions; None without any."""
     right, off, covered = 0, [], []
     firsts = first_decisions(rows)

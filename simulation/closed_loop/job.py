@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
 from simulation.closed_loop.lockstep import Course
 from simulation.physics.quasistatic import QuasiStaticCell
+from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import Scene
 from simulation.scene.state import Cell
 from simulation.scene.worlds import load_scene
 
 Perception = Literal["pictures", "fields"]
+MEASURED = 0.15
+"""Standard deviation of the logarithm of a shear reach that a cell has measured by a press until slip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +28,7 @@ class Job:
     ``scene`` is an object by name or path. The start error is the one that the arm was told to stand at: it is the
     object's, too, unless the world misplaces the hand. ``condition`` names the world or disturbance; ``changes`` are
     its dotted keys of the scene, ``unstated`` those of its table `[world]`. ``dead``: what ails the left camera.
+    ``told_reach``: the client also tells the gel's shear reach, with the error of a cell that has measured it.
     ``fault``: the fields of a `simulation.closed_loop.true_fields.Fault`, for perception "fields" alone.
     Perception "fields" takes the markers from the simulated gel instead of from pictures. ``cell`` "foreign": the
     mechanics are those of finite elements.
@@ -40,10 +47,18 @@ class Job:
     dead: Literal["", "dark", "frozen"] = ""
     cell: Literal["", "foreign"] = ""
     fault: Mapping[str, Any] = field(default_factory=dict)
+    told_reach: bool = False
 
     def build_scene(self) -> Scene:
         """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""
         return load_scene(self.scene, blocks__free=True).varied(self.changes)
+
+    def measured_reach_mm(self, scene: Scene) -> float | None:
+        """What the client tells of the gel's shear reach; None where nobody measured it."""
+        if not self.told_reach:
+            return None
+        factor = math.exp(MEASURED * float(np.random.default_rng((self.seed, 2)).normal()))
+        return factor * shear_reach_pitches(scene) * scene.sensor.marker_pitch_mm
 
     def mechanics(self) -> Callable[[Scene, int], Cell]:
         """What makes the cell's mechanics of a scene and a seed. Raises ValueError for what it cannot show."""

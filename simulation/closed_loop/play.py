@@ -69,6 +69,7 @@ class Insertion:
         chooser: Chooser | None = None,
         perception: Perception = "pictures",
         fault: Fault | None = None,
+        reach_mm: float | None = None,
     ) -> None:
         self.cell = cell
         self.models = models
@@ -78,8 +79,9 @@ class Insertion:
         self.session = InsertionSession(models, left, right, controller_name=controller.service_controller)
         if not controller.uses_networks:
             self.session.submit = self._skip_networks
-        self.state = State(_plan(cell, self._pose(), FAR if chooser else ClientLimits()))
+        self.state = State(_plan(cell, self._pose(), FAR if chooser else ClientLimits(), reach_mm))
         self.trials: list[dict[str, Any]] = []
+        self.until: frozenset[Phase] = frozenset()  # phases in which to stop playing
         self.before = cell.state  # what it was when the descent began, hanging free
         self._events: deque[Event] = deque()
         self._standing = False
@@ -95,10 +97,10 @@ class Insertion:
         error = cell.state.object_error
         fingers = (self.session.left, self.session.right)
         gone = any(isinstance(finger, TrueFieldFinger) and finger.gone for finger in fingers)
-        in_gap = cell.state.inserted and not void and not gone
+        in_gap, claimed = cell.state.inserted and not void and not gone, self.state.phase is Phase.INSERTED
         return Outcome(
-            inserted=self.state.phase is Phase.INSERTED and in_gap,
-            claimed=self.state.phase is Phase.INSERTED,
+            inserted=claimed and in_gap,
+            claimed=claimed,
             attempts=self.state.attempt,
             reason=void or self.state.reason,
             void=bool(void),
@@ -114,7 +116,7 @@ class Insertion:
         scene = self.cell.scene
         longer = max(1.0, scene.fps / 30.0) * max(1.0, 10.0 / scene.speed_mm_s)
         for _ in range(round(longer * MAX_FRAMES)):
-            if self.state.done:
+            if self.state.done or self.state.phase in self.until:
                 break
             self._frame()
 
@@ -227,7 +229,7 @@ class Insertion:
         return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
 
 
-def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits) -> Plan:
+def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits, reach_mm: float | None) -> Plan:
     """What the client is told, which need not be so."""
     scene, told, ramps = cell.scene, cell.unstated, Ramps()
     top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
@@ -238,6 +240,8 @@ def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits) -> Plan:
         approach=approach,
         gap_width_mm=scene.blocks.gap_mm + told.told_gap_error_mm,
         grasp_height_mm=scene.grasp.height_mm + told.told_height_error_mm,
+        grip_n=scene.grasp.force_n,
+        shear_reach_mm=reach_mm,
         expected_depth_mm=scene.full_depth_mm,
         creep_allowance_mm=CREEP_ALLOWANCE_MM,
         limits=limits,
@@ -274,6 +278,7 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         chooser=chooser,
         perception=perception,
         fault=Fault(**job.fault) if job.fault else None,
+        reach_mm=job.measured_reach_mm(scene),
     )
 
 

@@ -17,9 +17,14 @@ from simulation.scene.scene import Scene, SceneError
 
 NAME = "drawn"
 """In place of an object's name."""
-PRESS_MM, FRAME_MM = 2.1, 0.15
-LAYER_SHARE = 0.2
-"""Of cells: a press of theirs costs ten of the bristle tier's. Worlds that are judged on have half of each."""
+PRESS_MM, FRAME_MM = 1.65, 0.15
+LAYER_SHARE = 0.08
+"""Of cells: a press of theirs costs several of the bristle tier's. Worlds that are judged on have half of each."""
+GRIDS = ((12, 12), (12, 12), (16, 16), (20, 21))
+"""Rows and columns of a pad's nodes, drawn alike: what a network learns must not be one grid's own pattern, and 12 x 12
+cost a third of 20 x 21. The layer tier has the first."""
+SETTLE_MM = 1e-4
+"""Coarser than a judge's, a tenth of what a tracker sees."""
 
 
 def base() -> Scene:
@@ -37,6 +42,10 @@ def draw_cell(rng: np.random.Generator) -> tuple[Scene, str]:
             scene = world.around(drawn.scene_of_tables(body, NAME))
         except SceneError:
             continue  # the drawn parts do not fit together
+        grid = int(rng.integers(len(GRIDS)))
+        rows, columns = GRIDS[grid if tables["gel"]["tier"] == "bristle" else 0]
+        numbers = {"gel.node_rows": rows, "gel.node_columns": columns, "numerics.settle_mm": SETTLE_MM}
+        scene = scene.varied(numbers)
         return scene, json.dumps(_flat({**tables, **body}), sort_keys=True)
 
 

@@ -35,15 +35,16 @@ def _in_processes(
 ) -> Iterator[Result]:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # one process a core; threads inside them would only fight
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _die_with_parent) as pool:
-        futures = [pool.submit(work, item) for item in items]
-        try:
-            yield from (future.result() for future in (futures if in_order else as_completed(futures)))
-        except BaseException:  # an interruption too: nobody waits for what is still being worked on
-            for process in list(pool._processes.values()):  # noqa: SLF001 (no public way to stop a busy worker)
-                process.terminate()
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _die_with_parent)
+    futures = [pool.submit(work, item) for item in items]
+    try:
+        yield from (future.result() for future in (futures if in_order else as_completed(futures)))
+    except BaseException:  # an interruption too: nobody waits for what is still being worked on
+        for process in list((pool._processes or {}).values()):  # noqa: SLF001 (no public way to stop a busy worker)
+            process.kill()
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
 
 
 def _die_with_parent() -> None:

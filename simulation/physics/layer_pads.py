@@ -27,7 +27,6 @@ from simulation.scene.scene import Scene
 Array = NDArray[np.float64]
 
 SOFTNESS = 1.25  # local over smallest stiffness of the layer; 2 is where Richardson's iteration stops contracting
-TOLERANCE_MM = 1e-6
 MAX_ROUNDS, DEPTH = 150, 8
 
 
@@ -79,7 +78,7 @@ class LayerPads:
 
     def __init__(self, scene: Scene, active: Active, kernel: Kernel | None, nodes: Records, constants: Records) -> None:
         gel, grasp = scene.gel, scene.grasp
-        self.rounds, self.unsettled = 0, False
+        self.rounds, self.unsettled, self._settle_mm = 0, False, scene.numerics.settle_mm
         self._relaxation = Relaxation(gel.relaxation_share, gel.relaxation_s) if active.relaxation else None
         bends = active.finger_compliance and grasp.finger_stiffness_n_per_mm > 0.0
         self._bend = 1.0 / grasp.finger_stiffness_n_per_mm if bends else 0.0  # mm/N
@@ -169,7 +168,7 @@ class LayerPads:
             if status != load_step.SETTLED:
                 return status
             surface, fresh = self._answer(self._tractions())
-            if float(np.abs(fresh - anchors).max()) <= TOLERANCE_MM:
+            if float(np.abs(fresh - anchors).max()) <= self._settle_mm:
                 self._anchors, self.surface = fresh, surface
                 return load_step.SETTLED
             anchors = mixing.next(anchors, fresh)

@@ -177,11 +177,12 @@ class Camera(Part):
 
 
 class Numerics(Part):
-    """What buys accuracy with time."""
+    """What buys accuracy with time. ``settle_mm``: where the nodes of a coupled pad no longer move between rounds."""
 
     load_step_mm: float = Field(default=0.17, ge=0.001, le=1.0)
     residual_n: float = Field(default=1e-7, ge=1e-12, le=1e-3)
     slip_share: float = Field(default=0.25, gt=0.0, le=1.0)
+    settle_mm: float = Field(default=1e-6, ge=1e-9, le=1e-2)
 
 
 class Effects(Part):

@@ -26,6 +26,8 @@ from simulation.cell.emulators.abb.frames import CellFrames
 from simulation.cell.emulators.abb.motion import Follower, MotionLimits, Pose, tool_down
 from simulation.cell.emulators.abb.rapid import RapidServers
 from simulation.cell.emulators.abb.rws import Gate, create_app
+from simulation.cell.emulators.abb.rws2 import create_app2
+from simulation.cell.emulators.abb.rws_format import Basic
 from simulation.cell.emulators.faults import FaultBoard
 from simulation.cell.emulators.net import HttpServer, bind_tcp, bind_udp, free_port, port_of
 from simulation.cell.emulators.wsg50 import Wsg50Emulator
@@ -74,6 +76,7 @@ class TruthfulService:
     mute: bool = False
     silent_heartbeat: bool = False
     sees: bool = True
+    offset: tuple = (0.0, 0.0)
     connection: object = None
     _attempt: int = 0
     _watching: bool = False
@@ -81,7 +84,7 @@ class TruthfulService:
     @property
     def error(self):
         pose = self.cabinet.arm.pose
-        return pose.position_mm[0], pose.yaw_deg
+        return pose.position_mm[0] + self.offset[0], pose.yaw_deg + self.offset[1]
 
     async def handle(self, connection):
         self.connection = connection
@@ -199,7 +202,8 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm"):
+async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", part=None, omnicore=None):
+    """``omnicore``: files of a certificate and its key, for a controller of RobotWare 7."""
     board = FaultBoard()
     start = Pose((5.0, 0.0, 40.0), tool_down(0.0))
     delays = Delays(motors_s=0.02, program_start_s=0.02, program_stop_s=0.05)
@@ -207,11 +211,15 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm"):
     frames = CellFrames()
     guide_port = free_port(socket.SOCK_DGRAM)
     egm = EgmEmulator(cabinet, frames, guide_port)
-    gate = Gate(board, "Default User", "robotics")
     rws_socket, wsg_socket = bind_tcp(0, "RWS"), bind_tcp(0, "gripper")
-    rws = HttpServer(create_app(cabinet, frames, gate), rws_socket)
+    if omnicore:
+        gate = Gate(board, "Default User", "robotics", Basic)
+        rws = HttpServer(create_app2(cabinet, frames, gate), rws_socket, omnicore)
+    else:
+        gate = Gate(board, "Default User", "robotics")
+        rws = HttpServer(create_app(cabinet, frames, gate), rws_socket)
     gate.abort = rws.abort
-    gripper = Gripper(Part(), board, holding=holding)
+    gripper = Gripper(part or Part(), board, holding=holding)
     wsg = Wsg50Emulator(gripper, board)
     service = TruthfulService(cabinet)
     wsg_port = port_of(wsg_socket)
@@ -228,7 +236,8 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm"):
         "abb_egm": {"port": guide_port, "bind": "127.0.0.1", "ready_timeout_s": 20.0, "max_age_s": 2.0},
         "abb_rapid": {"host": "127.0.0.1", "motion_port": rapid.motion_port, "guard_port": rapid.guard_port},
     }
-    rws_table = {"url": f"http://127.0.0.1:{rws.port}", "poll_s": 0.01, **dict.fromkeys(_RWS_TIMES, 20.0)}
+    scheme, trust = ("https", {"certificate": omnicore[0]}) if omnicore else ("http", {})
+    rws_table = {"url": f"{scheme}://127.0.0.1:{rws.port}", "poll_s": 0.01, **dict.fromkeys(_RWS_TIMES, 20.0), **trust}
     sections = {
         "robot": {"device": device, **own[device], "rws": rws_table},
         "service": {"url": f"ws://127.0.0.1:{service_port}", "connect_timeout_s": 20.0},

@@ -5,7 +5,8 @@ import asyncio
 import pytest
 
 from robot_client.ports import DriverError
-from robot_client.robots.abb_rws.client import RwsClient, RwsError
+from robot_client.robots.abb_rws.client import RwsClient
+from robot_client.robots.abb_rws.generation import RwsError
 from robot_client.settings import SettingsError, load_settings
 from service.contract import wire
 from service.web.routes.insertion import HELLO_TIMEOUT_S
@@ -57,7 +58,7 @@ CASES = {
     "rws late": (board(rws={"delay_ms": 3000.0}), MUTE_RWS, "Timeout"),
     "rws garbage": (board(rws={"garbage_next": 50}), {}, "answer without"),
     "rws refuses": (board(rws={"refuse_next": 50}), {}, "HTTP 503"),
-    "rws reset": (board(rws={"reset_next": 50}), {}, "GET /rw/panel/opmode"),
+    "rws reset": (board(rws={"reset_next": 50}), {}, "GET /rw"),
     "egm silent": (board(egm={"silent": True}), MUTE_EGM, "no datagram came"),
     "egm garbage": (board(egm={"garbage_next": 100000}), MUTE_EGM, "EGM not ready"),
     "gripper down": (None, {"gripper": {"port": 9}}, "cannot connect"),

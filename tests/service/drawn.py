@@ -46,6 +46,12 @@ def raw(finger: Finger, index: int, onset: int, slip_at: int) -> NDArray[np.uint
     return renderer(finger).raw(gel(shift, slip), index * 7 + (finger == "right"))
 
 
+@lru_cache
+def untouched(finger: Finger) -> NDArray[np.uint8]:
+    """A frame of a finger that nothing touches."""
+    return renderer(finger).raw(np.zeros((20, 21, 3), np.float32), 1)
+
+
 def pair(index: int, onset: int = 10, slip_at: int = 16, start_ns: int = 0, period_ns: int = PERIOD_NS) -> FramePair:
     """A pair of raw frames at its time."""
     stamp = start_ns + index * period_ns

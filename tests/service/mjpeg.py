@@ -18,12 +18,18 @@ VARIANTS = 3
 @lru_cache(maxsize=1000)
 def encoded(finger: Finger, index: int, variant: int, size: tuple[int, int] | None) -> bytes:
     """A frame as JPEG; a camera that repeats a frame bit for bit is taken for frozen, so the noise varies."""
-    pixels = drawn.raw(finger, index, 10, 16).copy()
+    pixels = (drawn.raw(finger, index, 10, 16) if index >= 0 else drawn.untouched(finger)).copy()
     noise = np.random.default_rng(variant).integers(0, 4, pixels.shape, np.uint8)
     cv2.add(pixels, noise, dst=pixels)
     if size:
         pixels = cv2.resize(pixels, size)
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+
+
+def black(shape: tuple[int, ...], sequence: int) -> bytes:
+    """A picture of a camera whose light is out, with its noise."""
+    pixels = np.random.default_rng(sequence).integers(0, 4, shape, np.uint8)
+    return cv2.imencode(".jpg", pixels)[1].tobytes()
 
 
 class FakeFinger:
@@ -34,6 +40,8 @@ class FakeFinger:
         self.probe_started: float | None = None
         self.connected = True
         self.size: tuple[int, int] | None = None
+        self.open = False  # nothing touches the gel
+        self.trouble = ""  # "stalled": nothing is sent, "frozen": the same picture again and again, "black"
         self.stop = threading.Event()
         for index in range(25):
             for variant in range(VARIANTS):
@@ -60,6 +68,8 @@ class FakeFinger:
         self.probe_started = started
 
     def index(self) -> int:
+        if self.open:
+            return -1
         if self.probe_started is None:
             return 0
         return max(0, min(int((time.monotonic() - self.probe_started) * self.rate_hz), 24))
@@ -77,13 +87,16 @@ class FakeFinger:
                 now = time.monotonic()
                 due = (int(now * self.rate_hz) + 1) / self.rate_hz
                 self.stop.wait(due - now)
-                self.part(handler, sequence)
-                sequence += 1
+                if self.trouble != "stalled":
+                    self.part(handler, sequence)
+                sequence += self.trouble != "frozen"
         except OSError:
             return
 
     def part(self, handler: BaseHTTPRequestHandler, sequence: int) -> None:
         jpeg = encoded(self.finger, self.index(), sequence % VARIANTS, self.size)
+        if self.trouble == "black":
+            jpeg = black(drawn.raw(self.finger, 0, 10, 16).shape, sequence)
         stamp = time.monotonic_ns()
         head = (
             f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n"

@@ -118,6 +118,59 @@ def depths(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs"))
     print(write_depths(run, out))
 
 
+def adapt(
+    recordings: Annotated[Path, tyro.conf.Positional],
+    start: Annotated[Path, tyro.conf.arg(name="from")],
+    out: Path = Path("runs/adapted"),
+    json: Path | None = None,
+    seed: int = 0,
+) -> int:
+    """Fit a released network to one cell; exit status 3 where the release stays, with what is missing.
+
+    It learns from probes of known error, and from insertions that went in. Stages from calibration alone to all
+    weights are judged on fixtures held out; one is accepted only if it is likelier and no count is worse.
+
+    Args:
+        recordings: folder of recordings of the cell, real or simulated.
+        start: released checkpoint.
+        out: folder of the new checkpoint.pt; `python -m export onnx` makes a model folder of it.
+        json: file for the verdict as data.
+        seed: of folds and batches.
+    """
+    import torch
+
+    from reporting.files import write_json
+    from training.adapt.adapt import adapt as fit
+    from training.adapt.adapt import report as verdict_of
+
+    torch.set_num_threads(1)
+    judged = fit(recordings, start, out, seed=seed)
+    print(judged.text())
+    if json is not None:
+        write_json(json, verdict_of(judged))
+    return 0 if judged.accepted else 3
+
+
+def expect(
+    checkpoint: Annotated[Path, tyro.conf.Positional], insertions: Annotated[tuple[Path, ...], tyro.conf.Positional]
+) -> None:
+    """Measure on insertions played how a blocked object creeps in the hand; the checkpoint's belief expects that then.
+
+    Args:
+        checkpoint: a ``checkpoint.pt`` written by ``train``; it is replaced.
+        insertions: logs (.insertions.jsonl) of `python -m simulation evaluate` with these networks.
+    """
+    from dataclasses import replace
+
+    from training.fit.checkpoint import Checkpoint
+    from training.fit.expectations import of_insertions
+
+    loaded = Checkpoint.load(checkpoint)
+    found = of_insertions(insertions, loaded.expectations)
+    replace(loaded, expectations=found).save(checkpoint)
+    print(found.model_dump_json(indent=1))
+
+
 def print_table(figures: dict[str, dict[str, float]]) -> None:
     """One line an object and split."""
     names = "trials accuracy chance ece wrong_side_x mae_x_mm mae_theta_deg rmse_x_mm rmse_theta_deg"
@@ -130,7 +183,7 @@ def print_table(figures: dict[str, dict[str, float]]) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; wrong input is one line on standard error and exit code 2."""
     try:
-        tyro.extras.subcommand_cli_from_dict(
+        status = tyro.extras.subcommand_cli_from_dict(
             {
                 "train": train,
                 "recipe": recipe,
@@ -139,6 +192,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "stress": stress,
                 "report": report,
                 "depths": depths,
+                "expect": expect,
+                "adapt": adapt,
             },
             args=arguments,
             prog="tactile-insertion",
@@ -146,4 +201,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         return 2
-    return 0
+    return int(status or 0)

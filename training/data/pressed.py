@@ -38,6 +38,7 @@ SCALE_ERROR, ROLL_DEG, LOST_SHARE = 0.03, 2.0, 0.03
 """Of a finger's camera: what its calibration may be wrong by, and markers that are not found."""
 CARRIED = 10
 """Of the markers' motions, the one that notices the onset, from the largest: as `carried_px` of the service does."""
+BEYOND = 1.1
 _TABLE = 2
 
 
@@ -46,8 +47,8 @@ class Pressed:
     """Views of collided trials; a training trial has several. All arrays share their first axis.
 
     ``error`` float32 [N, 2] (mm, deg); ``conditions`` float32 [N, 6] as told, see `CONDITIONS`; ``fields`` float16
-    [N, STEPS, 2, rows, columns, 2] (du_mm, dv_mm) of each step; ``length`` int64 [N], steps that there are; ``reach``
-    float32 [N], the true shear reach in mm, 0 where the dataset does not say.
+    [N, STEPS, 2, rows, columns, 2] (du_mm, dv_mm) of each step, NaN where nothing was seen; ``length`` int64 [N], steps
+    that there are; ``reach`` float32 [N], the true shear reach in mm, 0 where the dataset does not say.
     """
 
     error: NDArray[np.float32]
@@ -70,7 +71,9 @@ class Pressed:
 
     def batch(self, chosen: NDArray[np.int64], rng: np.random.Generator | None) -> Batch:
         """Decisions; with ``rng``, symmetries, cameras' scale, markers that are lost, and conditions left out."""
-        fields = np.concatenate([self.fields[chosen], np.ones_like(self.fields[chosen][..., :1])], -1, dtype=np.float32)
+        moved = self.fields[chosen].astype(np.float32)
+        seen = np.isfinite(moved).all(-1, keepdims=True)
+        fields = np.concatenate([np.where(seen, moved, 0.0), seen], -1, dtype=np.float32)
         error, conditions = self.error[chosen].copy(), self.conditions[chosen].copy()
         if rng is not None:
             _vary(fields, error, conditions, rng)
@@ -90,8 +93,8 @@ class Pressed:
         trained = {MARKER_PITCH: Span(low=0.75 * pitch, high=1.3 * pitch)}
         for name, values in zip(CONDITIONS, told.T, strict=True):
             known = values[values > 0]
-            if len(known):
-                trained[name] = Span(low=float(known.min()), high=float(known.max()))
+            if len(known):  # no draw is at an end of its range
+                trained[name] = Span(low=float(known.min()) / BEYOND, high=float(known.max()) * BEYOND)
         return Pressing(
             lattice=LATTICE,
             step_mm=STEP_MM,

@@ -11,7 +11,7 @@ from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
 from service.contract import ContractError, Sensor
-from service.contract.model_card import Pressing
+from service.contract.model_card import Expectations, Pressing
 from training.data.labels import CLASSES
 from training.metrics.figures import Scales
 from training.networks import build
@@ -38,6 +38,8 @@ class Checkpoint:
     """Of the data it was trained on."""
     pressing: Pressing | None = None
     """How it reads steps of depth, of networks that do."""
+    expectations: Expectations = field(default_factory=Expectations)
+    """Of attempts with it, for the belief."""
 
     def save(self, path: Path) -> None:
         """Write atomically."""
@@ -53,6 +55,7 @@ class Checkpoint:
             "run": self.run,
             "sensor": self.sensor.model_dump(),
             "pressing": self.pressing.model_dump() if self.pressing else None,
+            "expectations": self.expectations.model_dump(mode="json"),
         }
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".tmp")
@@ -72,6 +75,8 @@ class Checkpoint:
                 about["sensor"] = Sensor.model_validate(about["sensor"])
             if about.get("pressing"):
                 about["pressing"] = Pressing.model_validate(about["pressing"])
+            if "expectations" in about:
+                about["expectations"] = Expectations.model_validate_json(json.dumps(about["expectations"]))
             for name in ("scales", "joint_scales"):
                 about[name] = Scales(**about[name])
             return cls(weights=stored["weights"], **about)

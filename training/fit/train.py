@@ -17,6 +17,7 @@ from torch.nn import functional
 
 from reporting.machine import commit
 from service.contract import ContractError, Sensor
+from service.contract.model_card import Expectations
 from training.config import RunConfig, pin, refuse_another
 from training.data.batches import Batch, frame_pairs
 from training.data.dataset import SPLITS, Source, Trials
@@ -25,6 +26,7 @@ from training.data.pressed import Pressed
 from training.data.reading import Samples, decisions, epoch, load
 from training.fit import parallel
 from training.fit.checkpoint import Checkpoint
+from training.fit.expectations import of_errors
 from training.fit.loop import Stage, fit
 from training.fit.usual import learn_usual
 from training.metrics.figures import Predictions, Sample, Scales, by_split, figures
@@ -261,11 +263,11 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     pictures = len(trainer.trials.of("validation", rendered=True)) > 0
     scales, tables = _scored(trainer, trainer.predict, pictures=pictures)
     joint_scales, joint_tables = _scored(trainer, trainer.predict_density, pictures=pictures)
-    pressing = (
-        learn_usual(trainer.network, trainer.trials, trainer.some_steps)
-        if isinstance(trainer.trials, Pressed)
-        else None
-    )
+    pressing, expectations = None, Expectations()
+    if isinstance(trainer.trials, Pressed):
+        pressing = learn_usual(trainer.network, trainer.trials, trainer.some_steps)
+        errors = trainer.trials.error[trainer.trials.of("train")].astype(np.float64)
+        expectations = of_errors(errors, expectations)
     checkpoint = Checkpoint(
         name=trainer.config.name,
         network=trainer.config.network,
@@ -278,6 +280,7 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
         run=trainer.config.settings(),
         sensor=trainer.trials.sensor,
         pressing=pressing,
+        expectations=expectations,
     )
     if parallel.first():
         checkpoint.save(folder / "checkpoint.pt")

@@ -17,7 +17,7 @@ from training.networks.settings import NetworkConfig
 
 LATTICE = Lattice(rows=13, columns=13, pitch_mm=1.5)
 STEP_MM = 0.15
-STEPS = 13
+STEPS = 11
 """Trained on; how many of them a decision takes is stated in the card."""
 DECISION_STEPS = 8
 USUAL = (60.0, 60.0, 25.0, 0.8, 10.0, 0.2)

@@ -13,7 +13,7 @@ class Settings(DeviceSettings):
     """The width that it reports, in mm."""
 
     device: Literal["dry_run"] = "dry_run"
-    width_mm: float = 50.0
+    width_mm: float = 50.0  # while it holds
 
 
 @dataclass(slots=True)
@@ -34,6 +34,18 @@ class DryGripper(Gripper):
         """Held at once."""
         event = Grasped(at_s=time.monotonic(), width_mm=self.settings.width_mm)
         asyncio.get_running_loop().call_soon(lambda: self._post(event))
+
+    async def width_mm(self) -> float:
+        """As it is set."""
+        return self.settings.width_mm
+
+    async def release(self, width_mm: float) -> float:
+        """Open at once."""
+        return width_mm
+
+    async def finds_nothing(self) -> bool:
+        """What was let go of stayed where it is."""
+        return True
 
     async def close(self) -> None:
         """Nothing to release."""

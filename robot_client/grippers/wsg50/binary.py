@@ -105,10 +105,26 @@ class BinaryWsg50(Wsg50):
     async def _home(self, direction: HomingDirection) -> None:
         await self.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
 
-    async def _close_fingers(self) -> None:
-        settings = self.settings
+    async def _open_fingers(self, width_mm: float) -> None:
+        self._check_referenced()
+        low, high = self.limits["grasp_width_mm"]
+        if not low <= width_mm <= high:
+            raise GripperError(f"gripper: cannot open to {width_mm:g} mm, this gripper allows {low:g} .. {high:g}")
+        command = Command.RELEASE if self.held else Command.MOVE
+        kind = () if self.held else (codes.MoveFlag.STOP_ON_BLOCK,)
+        await self.request(command, *kind, width_mm, self.settings.grasp_speed_mm_s)
+        await self._read_state()
+
+    async def _read_state(self) -> None:
+        await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
+
+    def _check_referenced(self) -> None:
         if SystemState.REFERENCED not in self.system:
             raise GripperError(f"gripper: not homed; run {_HOME}")
+
+    async def _close_fingers(self) -> None:
+        settings = self.settings
+        self._check_referenced()
         for name, (low, high) in self.limits.items():  # out of range it may clamp or latch a fast stop
             value = getattr(settings, name)
             if not low <= value <= high:

@@ -19,6 +19,7 @@ from robot_client.ports import Check, DriverError, Finding, Gripper, HomingDirec
 from robot_client.silence import Silence
 
 _WIDTH_STEP_MM = 0.1  # a smaller change of the width is not reported
+_OPENED_MM = 1.0
 
 
 class GripperError(DriverError):
@@ -73,6 +74,27 @@ class Wsg50(Gripper):
         await self._home(direction)
         return await self.width_mm()
 
+    async def release(self, width_mm: float) -> float:
+        """Open to ``width_mm``; raises GripperError if the fingers stand elsewhere then, or still hold something."""
+        if fault := self._fault():
+            raise GripperError(f"gripper: {fault}; nothing is opened")
+        await self._open_fingers(width_mm)
+        reached_mm = await self.width_mm()
+        if not abs(reached_mm - width_mm) <= _OPENED_MM or self.held:
+            raise GripperError(f"gripper: width is {reached_mm:.1f} mm after opening, expected {width_mm:g} mm")
+        return reached_mm
+
+    async def finds_nothing(self) -> bool:
+        """Close as for a grasp: True if that ends without a part; raises GripperError for any other trouble."""
+        try:
+            await self._close_fingers()
+        except GripperError:
+            await self._read_state()
+            if self.state is GraspingState.NO_PART:
+                return True
+            raise
+        return False
+
     # ---- what a protocol adds to connect, close and acknowledge ---------------------------------------------------
 
     @abstractmethod
@@ -92,7 +114,15 @@ class Wsg50(Gripper):
         """Have the grasping state and the width sent periodically."""
 
     @abstractmethod
+    async def _read_state(self) -> None:
+        """Have the grasping state as it is now."""
+
+    @abstractmethod
     async def _home(self, direction: HomingDirection) -> None: ...
+
+    @abstractmethod
+    async def _open_fingers(self, width_mm: float) -> None:
+        """Open to a width, letting go of what is held, and wait until that is done; raises GripperError."""
 
     @abstractmethod
     async def _close_fingers(self) -> None:

@@ -120,10 +120,17 @@ class TextWsg50(Wsg50):
             raise GripperError("gripper: text mode knows one homing direction, the gripper's own; leave it out")
         await self.call("HOME")
 
+    async def _open_fingers(self, width_mm: float) -> None:
+        await self.call("MOVE", width_mm, self.settings.grasp_speed_mm_s)
+        await self._read_state()
+
     async def _close_fingers(self) -> None:
         settings = self.settings
         await self.call("GRIP", settings.force_limit_n, settings.grasp_width_mm, settings.grasp_speed_mm_s)
-        await asyncio.sleep(2.0 * settings.update_period_ms / 1000.0)  # the state after FIN, not the one before
+        await self._read_state()
+
+    async def _read_state(self) -> None:
+        await asyncio.sleep(2.0 * self.settings.update_period_ms / 1000.0)  # what is sent after FIN, not before
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
         with contextlib.suppress(OSError):

@@ -15,6 +15,7 @@ from robot_client.insertion.geometry import Pose
 from robot_client.robots.abb_egm import tactile_insertion_egm_pb2 as pb
 
 MAX_DATAGRAM_BYTES = 4096
+SAME_TURN_DEG = 0.05  # between Euler angles and a quaternion that say the same, rounded
 
 
 class EgmError(ValueError):
@@ -96,14 +97,25 @@ def _get_pose(source: pb.EgmPose, name: str) -> Pose:
     if not source.HasField("pos"):
         raise EgmError(f"{name} has no position")
     position = (source.pos.x, source.pos.y, source.pos.z)
-    if source.HasField("euler"):  # Euler wins if both are sent
-        angles = (source.euler.x, source.euler.y, source.euler.z)
-        _check_finite(name, angles)
-        return _checked(name, Pose(*position, *_euler_quaternion(*angles)))
-    if not source.HasField("orient"):
+    if not (source.HasField("orient") or source.HasField("euler")):
         raise EgmError(f"{name} has no orientation")
-    orient = source.orient
-    return _checked(name, Pose(*position, orient.u0, orient.u1, orient.u2, orient.u3))
+    told = (source.orient.u0, source.orient.u1, source.orient.u2, source.orient.u3)
+    if not source.HasField("euler"):
+        return _checked(name, Pose(*position, *told))
+    angles = (source.euler.x, source.euler.y, source.euler.z)
+    _check_finite(name, angles)
+    pose = _checked(name, Pose(*position, *_euler_quaternion(*angles)))
+    if source.HasField("orient"):
+        apart_deg = _apart_deg(pose.quaternion, _checked(name, Pose(*position, *told)).quaternion)
+        if not apart_deg <= SAME_TURN_DEG:
+            raise EgmError(f"{name} has Euler angles and a quaternion that differ by {apart_deg:.3f} deg")
+    return pose
+
+
+def _apart_deg(one: Iterable[float], other: Iterable[float]) -> float:
+    """The angle between two orientations, deg; a quaternion and its negative are the same."""
+    dot = abs(sum(a * b for a, b in zip(one, other, strict=True)))
+    return math.degrees(2.0 * math.acos(min(1.0, dot)))
 
 
 def encode_guidance(guidance: Guidance) -> bytes:

@@ -18,11 +18,12 @@ from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import Unwatched
 from robot_client.insertion.limits import LimitError, Limits, Motion
 from robot_client.insertion.motion import MotionGuide, Ramps
-from robot_client.ports import Arm, Check, DriverError, Finding, Post
+from robot_client.ports import Arm, Check, DriverError, Finding, Post, Signals
 from robot_client.robots.abb_egm import codec
 from robot_client.robots.abb_egm.settings import Settings
 from robot_client.robots.abb_egm.watch import EgmWatch, StreamFault
-from robot_client.robots.abb_rws.client import RwsClient, RwsError
+from robot_client.robots.abb_rws.client import RwsClient
+from robot_client.robots.abb_rws.generation import RwsError
 from robot_client.silence import Silence
 
 _DRAIN = 64
@@ -71,13 +72,11 @@ class EgmArm:
         except RwsError as error:
             raise DriverError(f"robot: {error}") from None
         except TimeoutError:
-            where = f"UDP port {self._socket.getsockname()[1]}"
             why = self._watch.not_ready or "no datagram came: check UCdevice address and port, and that EGM runs"
             if self._foreign and not self._watch.datagrams:
                 why = f"{self._foreign} datagrams came, none from {self.settings.robot_host} (robot.robot_host)"
-            raise DriverError(
-                f"robot: EGM not ready on {where} in {self.settings.ready_timeout_s:g} s: {why}"
-            ) from None
+            where = f"UDP port {self._socket.getsockname()[1]} in {self.settings.ready_timeout_s:g} s"
+            raise DriverError(f"robot: EGM not ready on {where}: {why}") from None
         assert self._guide is not None
         self._watchdog()
         return self._guide.target
@@ -136,6 +135,9 @@ class EgmArm:
             "worst_reply_us": round(self._worst_reply_us),
             "worst_hold_us": round(max(self._holds_us, default=0.0)),
         }
+
+    def signals(self) -> Signals | None:
+        return self.rws
 
     def checks(self) -> dict[str, Check]:
         """The controller's state, and the port that we listen on."""
@@ -284,7 +286,7 @@ def _listen(settings: Settings) -> socket.socket:
 
 
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
-    """The arm with RWS; unless the settings name a host, only the one that RWS names is given guidance."""
+    """The arm with RWS; only the robot's host, by default the one that RWS names, is given guidance."""
     if settings.robot_host is None:
         settings = settings.model_copy(update={"robot_host": _address_of(settings.rws.url)})
     return EgmArm(settings, limits, ramps, frame, RwsClient(settings.rws))

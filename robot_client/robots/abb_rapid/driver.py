@@ -17,7 +17,7 @@ from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import check_leased
 from robot_client.insertion.limits import LimitError, Limits, Motion, check_pose
 from robot_client.insertion.motion import Ramps
-from robot_client.ports import Arm, Check, DriverError, Finding, Post
+from robot_client.ports import Arm, Check, DriverError, Finding, Post, Signals
 from robot_client.robots.abb_rapid import codec
 from robot_client.robots.abb_rapid.codec import GuardState, MotionAnswer, TextParser
 from robot_client.robots.abb_rapid.settings import Settings
@@ -138,6 +138,10 @@ class SocketArm:
     def statistics(self) -> dict[str, Any]:
         """Answers of the guard."""
         return {"guard_answers": self._answers}
+
+    def signals(self) -> Signals | None:
+        """Those of the controller."""
+        return self.rws
 
     def checks(self) -> dict[str, Check]:
         """The controller's state; the sockets are only named, since connecting to them is the program's start."""

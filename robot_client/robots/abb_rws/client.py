@@ -1,22 +1,33 @@
-"""Robot Web Services 1.0 of an IRC5 (RobotWare 6): state, motors, program start, and the backup stop.
+"""Robot Web Services of an ABB controller, of either generation: state, motors, program start, and the backup stop.
 
-Digest access, one session (cookie ABBCX kept), every request bounded in time. A 204 for stop does not mean stopped:
-the execution state is polled until the controller reports it, and the answer names the last report.
+One session (its cookie is kept), every request bounded in time. An accepted stop does not mean stopped: the execution
+state is polled until the controller reports it, and the answer names the last report.
 """
 
 import asyncio
 import contextlib
+import ssl
 import time
 from collections.abc import Mapping
 from typing import Any
 
 import httpx
 
-from robot_client.ports import DriverError, Finding
+from robot_client.ports import Finding
+from robot_client.robots.abb_rws.generation import (
+    CHALLENGE,
+    Generation,
+    Order,
+    Resource,
+    RwsError,
+    credentials,
+)
+from robot_client.robots.abb_rws.rws1 import RWS1
+from robot_client.robots.abb_rws.rws2 import MEDIA, RWS2
 from robot_client.robots.abb_rws.settings import RwsSettings
 from service.contract.frames import Contract
 
-_JSON = {"json": "1"}
+GENERATIONS = (RWS1, RWS2)
 _START = {
     "regain": "continue",
     "execmode": "continue",
@@ -24,10 +35,6 @@ _START = {
     "stopatbp": "disabled",
     "alltaskbytsp": "true",
 }
-
-
-class RwsError(DriverError):
-    """The controller did not answer or refused; the text names request and reason."""
 
 
 class ControllerStatus(Contract):
@@ -45,26 +52,26 @@ class RwsClient:
     def __init__(self, settings: RwsSettings) -> None:
         self.settings = settings
         self.started = False
+        self._generation: Generation | None = None
+        self._auth: httpx.Auth | None = None
         self._client = httpx.AsyncClient(
-            base_url=settings.url,
-            auth=httpx.DigestAuth(settings.user, settings.password.get_secret_value()),
-            timeout=settings.request_timeout_s,
-            trust_env=False,
+            base_url=settings.url, timeout=settings.request_timeout_s, trust_env=False, verify=settings.trusted
         )
 
     async def close(self) -> None:
         """Give the session back (the controller has few) and close the connection."""
-        with contextlib.suppress(RwsError):  # a lost controller ends the session by itself
-            await self._request("GET", "/logout")
+        if self._generation is not None:
+            with contextlib.suppress(RwsError):  # a lost controller ends the session by itself
+                await self._request("GET", "/logout")
         await self._client.aclose()
 
     async def status(self) -> ControllerStatus:
         """Mode, state, execution and speed ratio; raises RwsError. Moves nothing."""
         return ControllerStatus(
-            operating_mode=await self._state("/rw/panel/opmode", "opmode"),
-            controller=await self._state("/rw/panel/ctrlstate", "ctrlstate"),
+            operating_mode=await self._state("opmode"),
+            controller=await self._state("ctrlstate"),
             execution=await self.execution(),
-            speed_ratio=await self._state("/rw/panel/speedratio", "speedratio"),
+            speed_ratio=await self._state("speedratio"),
         )
 
     async def findings(self) -> list[Finding]:
@@ -72,6 +79,7 @@ class RwsClient:
         status = await self.status()
         motors = status.controller == "motoron" or (status.controller == "motoroff" and self.settings.switch_motors_on)
         return [
+            Finding(True, (await self.generation()).name),
             Finding(status.operating_mode == "AUTO", f"operating mode {status.operating_mode} (expected AUTO)"),
             Finding(motors, f"controller {status.controller}"),
             Finding(status.execution == "stopped", f"RAPID {status.execution} (expected stopped)"),
@@ -80,7 +88,7 @@ class RwsClient:
 
     async def execution(self) -> str:
         """``running`` or ``stopped``."""
-        return await self._state("/rw/rapid/execution", "ctrlexecstate")
+        return await self._state("ctrlexecstate")
 
     async def start_program(self) -> None:
         """Motors on and RAPID running; raises RwsError if the controller is not fit for it or does not follow."""
@@ -90,13 +98,13 @@ class RwsClient:
         if status.controller != "motoron":
             if status.controller != "motoroff" or not self.settings.switch_motors_on:
                 raise RwsError(f"controller state is {status.controller}, expected motoron; release the stop by hand")
-            await self._post("/rw/panel/ctrlstate", "setctrlstate", {"ctrl-state": "motoron"})
-            await self._until("/rw/panel/ctrlstate", "ctrlstate", "motoron", self.settings.motors_timeout_s)
+            await self._order("motors", {"ctrl-state": "motoron"})
+            await self._until("ctrlstate", "motoron", self.settings.motors_timeout_s)
         if status.execution == "running":
             raise RwsError("the RAPID program runs already; stop it, so that guidance starts from a known state")
         self.started = True  # from here on the program is ours to stop, whatever the answer
-        await self._post("/rw/rapid/execution", "start", {**_START, "cycle": self.settings.cycle})
-        await self._until("/rw/rapid/execution", "ctrlexecstate", "running", self.settings.start_timeout_s)
+        await self._order("start", {**_START, "cycle": self.settings.cycle})
+        await self._until("ctrlexecstate", "running", self.settings.start_timeout_s)
 
     async def stop_program(self) -> str:
         """Ask for a stop and poll until the controller reports it; never raises, returns in words how it ended."""
@@ -105,7 +113,7 @@ class RwsClient:
         while time.monotonic() < deadline_s:
             try:
                 if not asked:
-                    await self._post("/rw/rapid/execution", "stop", {"stopmode": "stop"})
+                    await self._order("stop", {"stopmode": "stop"})
                     asked = True
                 last = await self.execution()
                 if last == "stopped":
@@ -115,45 +123,94 @@ class RwsClient:
             await asyncio.sleep(self.settings.poll_s)
         return f"STOP NOT CONFIRMED by the controller ({last}): use the stop button"
 
+    async def read_signal(self, name: str) -> bool:
+        """Whether a digital signal of the controller is on; raises RwsError."""
+        return float(await self._state("lvalue", name)) != 0.0
+
+    async def write_signal(self, name: str, *, on: bool) -> None:
+        """Switch a digital output of the controller, whose access level must allow it; raises RwsError."""
+        await self._order("signal", {"lvalue": "1" if on else "0"}, name)
+
     # ---- requests -------------------------------------------------------------------------------------------------
 
-    async def _until(self, path: str, key: str, wanted: str, timeout_s: float) -> None:
+    async def generation(self) -> Generation:
+        """Which generation the controller speaks, by how it refuses a request without a password; raises RwsError."""
+        if self._generation is None:
+            refusal = await self._exchange("GET", "/rw", headers={"Accept": f"{MEDIA}, */*"})
+            found = next((known for known in GENERATIONS if known.answered(refusal)), None)
+            if found is None:
+                known = " nor ".join(one.name for one in GENERATIONS)
+                said = f"HTTP {refusal.status_code}, {refusal.headers.get(CHALLENGE, 'no question for a password')}"
+                raise RwsError(f"{self.settings.url} is neither {known} ({said[:80]}); check robot.rws.url")
+            user, password = self.settings.user, self.settings.password.get_secret_value()
+            self._auth = credentials(refusal.headers[CHALLENGE], self.settings.url, user, password)
+            self._generation = found
+        return self._generation
+
+    async def _until(self, key: Resource, wanted: str, timeout_s: float) -> None:
         deadline_s = time.monotonic() + timeout_s
-        value = await self._state(path, key)
+        value = await self._state(key)
         while value != wanted:
             if time.monotonic() > deadline_s:
                 raise RwsError(f"{key} is {value} after {timeout_s:g} s, expected {wanted}")
             await asyncio.sleep(self.settings.poll_s)
-            value = await self._state(path, key)
+            value = await self._state(key)
 
-    async def _state(self, path: str, key: str) -> str:
+    async def _state(self, key: Resource, name: str = "") -> str:
+        generation = await self.generation()
+        path = generation.paths[key].format(name=name)
         answer = await self._request("GET", path)
         try:
-            return str(answer.json()["_embedded"]["_state"][0][key])
+            return str(generation.state(answer.json())[key])
         except (ValueError, KeyError, IndexError, TypeError):
             raise RwsError(f"GET {path}: answer without {key}: {answer.text[:80]!r}") from None
 
-    async def _post(self, path: str, action: str, form: Mapping[str, str]) -> None:
-        await self._request("POST", path, {"action": action}, form)
+    async def _order(self, order: Order, form: Mapping[str, str], name: str = "") -> None:
+        path, query = (await self.generation()).orders[order]
+        await self._request("POST", path.format(name=name), query, form)
 
     async def _request(
         self, method: str, path: str, query: Mapping[str, str] | None = None, form: Mapping[str, str] | None = None
     ) -> httpx.Response:
-        params = {**(query or {}), **_JSON}
-        try:
-            bounded = self._client.request(method, path, params=params, data=form)
-            # httpx bounds each network operation; this bounds the whole exchange, digest round included
-            answer = await asyncio.wait_for(bounded, 2.0 * self.settings.request_timeout_s)
-        except Exception as error:  # not HTTP errors alone: a challenge that httpx does not know is a KeyError
-            raise RwsError(f"{method} {path}: {type(error).__name__} {error}".rstrip()) from None
+        generation = await self.generation()
+        headers = {**generation.headers, **(generation.form if form else {})}
+        params = {**(query or {}), **generation.query}
+        answer = await self._exchange(method, path, headers=headers, params=params, data=form, auth=self._auth)
         if answer.is_success:
             return answer
-        raise RwsError(f"{method} {path}: HTTP {answer.status_code}{_reason(answer)}")
+        raise RwsError(f"{method} {path}: HTTP {answer.status_code}{_reason(generation, answer)}")
+
+    async def _exchange(self, method: str, path: str, **more: Any) -> httpx.Response:
+        try:
+            bounded = self._client.request(method, path, **more)
+            # httpx bounds each network operation; this bounds the whole exchange, digest round included
+            return await asyncio.wait_for(bounded, 2.0 * self.settings.request_timeout_s)
+        except Exception as error:  # not HTTP errors alone: a challenge that httpx does not know is a KeyError
+            text = f"{method} {path}: {type(error).__name__} {error}".rstrip()
+            raise RwsError(text + _advice(error, self.settings.url)) from None
 
 
-def _reason(answer: httpx.Response) -> str:
+def _advice(error: BaseException, url: str) -> str:
+    """What to do about a connection that cannot be made; nothing where that is not known."""
+    causes: list[BaseException] = []
+    cause: BaseException | None = error
+    while cause is not None and cause not in causes:
+        causes.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    if any(isinstance(one, ssl.SSLCertVerificationError) for one in causes):
+        return (
+            f"; {url} shows a certificate that is not trusted: set robot.rws.certificate to it, or robot.rws.ca to"
+            " its authority's, as a PEM file"
+        )
+    if any(isinstance(one, ssl.SSLError) for one in causes):
+        return f"; {url} speaks no TLS: a controller with RobotWare 6 (IRC5) is reached by http://"
+    if url.startswith("http:") and isinstance(error, httpx.ConnectError | httpx.RemoteProtocolError):
+        return "; a controller with RobotWare 7 (OmniCore) is reached by https://: see robot.rws.url"
+    return ""
+
+
+def _reason(generation: Generation, answer: httpx.Response) -> str:
     try:
-        status: dict[str, Any] = answer.json()["_embedded"]["status"]
-        return f": {status.get('msg', status.get('code'))}"
-    except (ValueError, KeyError, TypeError):
+        return f": {generation.reason(answer.json())}"
+    except (ValueError, KeyError, TypeError, AttributeError):
         return ""

@@ -1,5 +1,7 @@
 """Robot Web Services in the configuration: ``[robot.rws]``."""
 
+import ssl
+from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
 
@@ -12,11 +14,17 @@ VARIABLES: dict[str, tuple[str, ...]] = {"TACTILE_INSERTION_RWS_PASSWORD": ("rws
 
 
 class RwsSettings(Contract):
-    """Where the controller is and how long it may take. User and password are ABB's factory defaults."""
+    """Where the controller is and how long it may take. User and password are ABB's factory defaults.
+
+    A controller at https:// is trusted by its ``certificate`` (a PEM file: this one and no other, whatever name it
+    bears), by that of its authority (``ca``), or by the authorities that this machine knows.
+    """
 
     url: str = Field(default="http://192.168.125.1", pattern=r"^https?://[^/\s]+/?$")
     user: str = "Default User"
     password: SecretStr = SecretStr("robotics")
+    certificate: Path | None = None
+    ca: Path | None = None
     request_timeout_s: float = Field(default=1.0, gt=0)
     motors_timeout_s: float = Field(default=5.0, gt=0)
     start_timeout_s: float = Field(default=5.0, gt=0)
@@ -34,3 +42,22 @@ class RwsSettings(Contract):
         except (ValueError, httpx.InvalidURL) as error:
             raise ValueError(f"{url!r} is no address: {error}") from None
         return url
+
+    @field_validator("certificate", "ca")
+    @classmethod
+    def _readable(cls, path: Path | None) -> Path | None:
+        if path is not None:
+            try:
+                ssl.create_default_context(cafile=path)
+            except OSError as error:  # of which SSLError is one
+                raise ValueError(f"{path}: expected a certificate in PEM ({error.strerror or error})") from None
+        return path
+
+    @property
+    def trusted(self) -> ssl.SSLContext:
+        """Which certificates of the controller are believed."""
+        context = ssl.create_default_context(cafile=self.certificate or self.ca)
+        if self.certificate is not None:
+            context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # it need not be an authority's
+            context.check_hostname = False
+        return context

@@ -8,6 +8,8 @@ from fastapi import APIRouter, Query, Request
 
 from service import __version__
 from service.contract import FINGERS, ContractError, decode_frame
+from service.contract.frames import Contract
+from service.contract.wire import Estimate, ModelEntry
 from service.decision.evidence import DecisionRun
 from service.decision.network_input import network_frames
 from service.session.station import Station
@@ -26,9 +28,30 @@ GapWidth = Annotated[float, Query(gt=0, le=1000, allow_inf_nan=False)]
 GraspHeight = Annotated[float | None, Query(gt=0, le=500, allow_inf_nan=False)]
 
 
+class Models(Contract):
+    """The loaded models, in the order in which they were found."""
+
+    models: tuple[ModelEntry, ...]
+
+
+class Insertions(Contract):
+    """The insertion under way, if any, and how many were opened since the start."""
+
+    active: str | None
+    count: int
+
+
+class Decided(Contract):
+    """What the networks say of a recorded sequence: an estimate of the error, and no command."""
+
+    class_probabilities: dict[str, float]
+    estimate: Estimate
+    confidence: float
+
+
 def decide(
     station: Station, frames: np.ndarray[Any, np.dtype[np.uint8]], gap_width_mm: float, grasp_height_mm: float | None
-) -> dict[str, Any]:
+) -> Decided:
     """What the networks say of a recorded sequence uint8 [n, 2, H, W, 3]; the first pair is the reference."""
     card = station.models.card
     frames = frames[: card.frames_per_decision]
@@ -37,11 +60,11 @@ def decide(
     for pair in inputs:
         run.step(pair)
     evidence = run.evidence()
-    return {
-        "class_probabilities": evidence.class_probabilities(),
-        "estimate": evidence.estimate().model_dump(),
-        "confidence": evidence.confidence,
-    }
+    return Decided(
+        class_probabilities=evidence.class_probabilities(),
+        estimate=evidence.estimate(),
+        confidence=evidence.confidence,
+    )
 
 
 def router(station: Station, access: Access) -> APIRouter:
@@ -49,8 +72,8 @@ def router(station: Station, access: Access) -> APIRouter:
     watch, drive = [access.require("watch")], [access.require("drive")]
 
     @routes.get("/models", dependencies=watch)
-    async def models() -> dict[str, Any]:
-        return {"models": [entry.model_dump(mode="json") for entry in station.models.entries]}
+    async def models() -> Models:
+        return Models(models=station.models.entries)
 
     @routes.get("/asyncapi.json")
     async def websockets() -> dict[str, Any]:
@@ -58,14 +81,14 @@ def router(station: Station, access: Access) -> APIRouter:
         return asyncapi.document(__version__)
 
     @routes.get("/insertions", dependencies=watch)
-    async def insertions() -> dict[str, Any]:
+    async def insertions() -> Insertions:
         active = station.active
-        return {"active": active.session.insertion_id if active else None, "count": station.manager.opened_n}
+        return Insertions(active=active.session.insertion_id if active else None, count=station.manager.opened_n)
 
     @routes.post("/decisions", dependencies=drive, openapi_extra=BINARY_BODY)
     async def decisions(
         request: Request, gap_width_mm: GapWidth = 56.0, grasp_height_mm: GraspHeight = None
-    ) -> dict[str, Any]:
+    ) -> Decided:
         """Body: encoded frames one after the other (left, right, left, right, ...), rectified."""
         async with whole_body(request, MAX_BODY_BYTES) as body:
             frames = _pairs(body, station)

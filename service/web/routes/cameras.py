@@ -13,6 +13,8 @@ from fastapi.responses import StreamingResponse
 
 from service.cameras.capture import CameraFrame
 from service.contract import ContractError, Finger, decode_frame, encode_frame
+from service.contract.frames import Contract
+from service.contract.wire import CameraEntry
 from service.session.station import Station
 from service.web.access import Access
 from service.web.closing import GOING_AWAY, TRY_AGAIN_LATER, UNSUPPORTED, Ending, close, until_gone, until_one_ends
@@ -22,6 +24,12 @@ MAX_VIEWERS = 16
 _pictures = ThreadPoolExecutor(1, "pictures")  # encoding for viewers never delays deciding for the robot
 Form = Literal["raw", "jpeg"]
 MaxHz = Annotated[float, Query(gt=0, le=240, allow_inf_nan=False, description="at most so many frames a second")]
+
+
+class Cameras(Contract):
+    """Both fingers' cameras."""
+
+    cameras: tuple[CameraEntry, ...]
 
 
 class Mjpeg(StreamingResponse):
@@ -34,8 +42,8 @@ def router(station: Station, access: Access) -> APIRouter:
     encoded = Encoded()
 
     @routes.get("", dependencies=watch)
-    async def cameras() -> dict[str, Any]:
-        return {"cameras": [entry.model_dump(mode="json") for entry in station.camera_entries()]}
+    async def cameras() -> Cameras:
+        return Cameras(cameras=station.camera_entries())
 
     @routes.get("/{finger}/stream.mjpg", dependencies=watch, response_class=Mjpeg)
     async def stream(finger: Finger, max_hz: MaxHz = 10.0) -> Mjpeg:

@@ -3,8 +3,19 @@
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
+from service.contract import Finger
+from service.contract.frames import Contract
 from service.session.station import Station
 from service.web.metrics import Metrics
+
+
+class Readiness(Contract):
+    """Whether insertions can be driven and recorded, and if not, what is in the way."""
+
+    ready: bool
+    cameras: dict[Finger, str]
+    faults: dict[Finger, str]
+    recording: str
 
 
 def router(station: Station, metrics: Metrics) -> APIRouter:
@@ -17,7 +28,8 @@ def router(station: Station, metrics: Metrics) -> APIRouter:
 
     @routes.get(
         "/readyz",
-        responses={503: {"description": "the content says which camera, or what keeps recordings from being whole"}},
+        response_model=Readiness,
+        responses={503: {"model": Readiness, "description": "not ready; the content says why"}},
     )
     async def readyz() -> JSONResponse:
         cameras = {finger: camera.state for finger, camera in station.cameras.items()}

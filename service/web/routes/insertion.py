@@ -53,7 +53,7 @@ class Connection:
         except asyncio.QueueFull:
             self._overrun.set()
 
-    def fault(self, code: str, detail: str, *, fatal: bool) -> None:
+    def fault(self, code: wire.FaultCode, detail: str, *, fatal: bool) -> None:
         """Queue a fault of this connection."""
         self.send(wire.Fault(insertion_id=self.insertion_id, code=code, detail=detail, fatal=fatal))
 

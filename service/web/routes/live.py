@@ -8,8 +8,9 @@ from fastapi.staticfiles import StaticFiles
 
 from service.session.station import Station
 from service.web.access import Access
-from service.web.broadcast import Broadcast, Page
 from service.web.closing import Ending, Seats, close, until_gone, until_one_ends
+from service.web.page.broadcast import Broadcast, Page
+from service.web.page.status import Status
 
 FOLDER = Path(__file__).parent.parent / "dashboard"
 MAX_PAGES = 24
@@ -19,10 +20,10 @@ def static_files() -> StaticFiles:
     return StaticFiles(directory=FOLDER)
 
 
-def router(station: Station, access: Access) -> APIRouter:
+def router(station: Station, access: Access, status: Status) -> APIRouter:
     """Routes ``/`` (the page) and ``/v1/live`` (its events)."""
     routes = APIRouter(include_in_schema=False)
-    broadcast, seats = Broadcast(station), Seats(MAX_PAGES)
+    broadcast, seats = Broadcast(station, status), Seats(MAX_PAGES)
 
     @routes.get("/")
     async def page() -> FileResponse:

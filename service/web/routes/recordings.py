@@ -4,7 +4,6 @@ import asyncio
 import json
 import shutil
 import zipfile
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,11 +13,10 @@ from fastapi import APIRouter, HTTPException
 from fastapi import Path as InPath
 from fastapi.responses import FileResponse, Response
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel
 
-from service.contract.frames import first_error
 from service.contract.wire import MAX_ATTEMPTS
-from service.recordings.recovery import is_being_written
+from service.recordings.listing import Summary, list_recordings
 from service.recordings.writer import FINAL, NAME
 from service.session.station import Station
 from service.web.access import Access
@@ -31,45 +29,31 @@ class JPEG(Response):
     media_type = "image/jpeg"
 
 
-class Summary(BaseModel):
-    """What ``summary.json`` says of a finished insertion; newer ones may say more."""
+class Listed(Summary):
+    """A finished insertion with its folder's name, when it began (UTC), and which attempts were decided.
 
-    model_config = ConfigDict(extra="allow")
-    insertion_id: str
-    outcome: str
-    attempts: int
-    cause: str | None = None
-    object: str | None = None
+    ``intervals_held_n`` of ``intervals_n`` 90 % intervals held what turned out to be true.
+    """
 
-
-def list_recordings(root: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """Finished insertions, newest first, and why others that should be there are not."""
-    listed, problems = [], []
-    try:
-        folders = sorted((p for p in root.iterdir() if NAME.fullmatch(p.name)), reverse=True)
-    except OSError as error:
-        return [], [f"{root}: {error.strerror}"]
-    for folder in folders:
-        try:
-            listed.append(_entry(folder))
-        except FileNotFoundError:
-            if folder.is_dir() and not is_being_written(folder):
-                problems.append(f"{folder.name}: broken off; the next start of the service recovers what can be read")
-        except (OSError, ValueError) as error:
-            problems.append(f"{folder.name}: summary.json: {_reason(error)}")
-    return listed, problems
+    name: str
+    started: str
+    decided: list[int]
+    intervals_held_n: int
+    intervals_n: int
 
 
-def _entry(folder: Path) -> dict[str, Any]:
-    summary = Summary.model_validate_json((folder / "summary.json").read_bytes())
-    stamp = datetime.strptime(folder.name[:15], "%Y%m%dT%H%M%S")  # noqa: DTZ007 - shown as it is, UTC
-    decided = sorted(int(p.stem[-2:]) for p in folder.glob("attempt_[0-9][0-9].npz"))
-    facts = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}", "decided": decided}
-    return facts | summary.model_dump(mode="json")
+class Recordings(BaseModel):
+    """Finished insertions, newest first, and what keeps others from being listed."""
+
+    recordings: list[Listed]
+    problems: list[str]
 
 
-def _reason(error: Exception) -> str:
-    return first_error(error) if isinstance(error, ValidationError) else str(error)
+class Attempt(BaseModel):
+    """A decided attempt: how many frame pairs it rests on, and the `correction` or `no_decision` that was sent."""
+
+    frames_n: int
+    decision: dict[str, Any]
 
 
 def recording_folder(root: Path, name: str) -> Path:
@@ -108,7 +92,7 @@ def router(station: Station, access: Access) -> APIRouter:
     watch, admin = [access.require("watch")], [access.require("admin")]
     root = station.settings.recordings
 
-    @routes.get("", dependencies=watch)
+    @routes.get("", dependencies=watch, response_model=Recordings)
     async def recordings() -> dict[str, Any]:
         listed, problems = await asyncio.to_thread(list_recordings, root)
         return {"recordings": listed, "problems": problems}
@@ -125,7 +109,7 @@ def router(station: Station, access: Access) -> APIRouter:
         await asyncio.to_thread(shutil.rmtree, recording_folder(root, name))
         return {"removed": name}
 
-    @routes.get("/{name}/attempts/{number}", dependencies=watch)
+    @routes.get("/{name}/attempts/{number}", dependencies=watch, response_model=Attempt)
     async def attempt(name: str, number: Number) -> dict[str, Any]:
         return await asyncio.to_thread(attempt_facts, recording_folder(root, name), number)
 

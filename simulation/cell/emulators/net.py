@@ -60,10 +60,22 @@ class _QuietServer(uvicorn.Server):
 
 
 class HttpServer:
-    """An ASGI application served from the running event loop on a socket of :func:`bind_tcp`."""
+    """An ASGI application served from the running event loop on a socket of :func:`bind_tcp`.
 
-    def __init__(self, app: Any, sock: socket.socket) -> None:
-        config = uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off", server_header=False)
+    ``tls``: files of a certificate and its key.
+    """
+
+    def __init__(self, app: Any, sock: socket.socket, tls: tuple[str, str] | None = None) -> None:
+        certificate, key = tls or (None, None)
+        config = uvicorn.Config(
+            app,
+            log_level="warning",
+            access_log=False,
+            lifespan="off",
+            server_header=False,
+            ssl_certfile=certificate,
+            ssl_keyfile=key,
+        )
         config.timeout_graceful_shutdown = 1
         self.port = port_of(sock)
         self._sock = sock

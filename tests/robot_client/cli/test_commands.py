@@ -334,7 +334,7 @@ def test_a_services_text_cannot_command_the_operators_terminal(capsys):
     async def story():
         async with bench() as cell:
             detail = "\x1b[2J\x1b]0;owned\x07\rINSERTED after 1 attempt\nINSERTED\x9b1A\u202e"
-            fault = wire.Fault(insertion_id="any", code="\x1b[31mred", detail=detail)
+            fault = wire.Fault(insertion_id="any", code="internal", detail=detail)
             cell.service.on_message = lambda message: [fault] if message.type == "hello" else None
             plan = make_plan(cell.settings, 8.0, 6.0, "hostile", None)
             return await _insert(cell.settings, plan, live=True, log=None)

@@ -90,9 +90,11 @@ def make_event(kind, number, state, now):
         lambda: service(no_decision(attempt, "stale" if number % 9 else "non_finite", insertion_id), now),
         lambda: PartLost(at_s=now),
         lambda: Tick(at_s=now + (0.0 if number % 5 else 100.0)),
-        lambda: service(wire.Fault(insertion_id=insertion_id, code="c", detail="d"), now),
+        lambda: service(wire.Fault(insertion_id=insertion_id, code="internal", detail="d"), now),
         lambda: service(watching(attempt, now - number / 1000, insertion_id), now),
-        lambda: Failure(at_s=now, source=("arm", "gripper", "service", "operator")[number % 4], code="c", detail="d"),
+        lambda: Failure(
+            at_s=now, source=("arm", "gripper", "service", "operator")[number % 4], code="internal", detail="d"
+        ),
         lambda: Standstill(at_s=now, pose=here),
         lambda: service(wire.OpenLearnt(insertion_id=insertion_id), now),
     )

@@ -146,7 +146,7 @@ def test_a_correction_is_applied_once(repeat):
         correction(2),
         correction(1, insertion_id="other"),
         no_decision(1, "non_finite"),
-        wire.Fault(insertion_id=ID, code="x", detail="y", fatal=False),
+        wire.Fault(insertion_id=ID, code="internal", detail="y", fatal=False),
         wire.Finished(insertion_id=ID, outcome="failed", attempts=1),
     ],
 )

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.contract.wire import Limits
-from service.decision.belief import stated
+from service.decision.belief import USUAL, stated
 from service.decision.controllers import Belief, Heuristic, axis_command, make_controller
 from service.decision.evidence import Density, Evidence, Refusal
 from tests.service.decision.toy_loop import LIMITS, evidence, mean_trials
@@ -176,5 +176,5 @@ def test_a_belief_decides_within_2_ms_of_cpu() -> None:
 def test_an_estimate_no_surer_than_the_training_spread_says_nothing() -> None:
     vague = Evidence(CLASSES, np.full(9, 1 / 9), (6.0, -6.0), (9.5, 9.5))
     sharp = Evidence(CLASSES, np.full(9, 1 / 9), (6.0, -6.0), (1.0, 1.0))
-    assert min(stated(vague)) >= 50.0
-    assert stated(sharp) == pytest.approx((1.0, 1.0), rel=0.02)
+    assert min(stated(vague, USUAL.spread)) >= 50.0
+    assert stated(sharp, USUAL.spread) == pytest.approx((1.0, 1.0), rel=0.02)

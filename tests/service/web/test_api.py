@@ -16,7 +16,7 @@ WATCH, DRIVE, ADMIN = "a-token-for-watching", "a-token-for-driving", "a-token-fo
 
 def test_the_page_and_its_modules_are_served(live: LiveService) -> None:
     assert "Tactile insertion" in httpx.get(live.url("/")).text
-    for name in ("main.js", "draw.js", "past.js", "token.js", "style.css"):
+    for name in ("main.js", "felt.js", "place.js", "history.js", "player.js", "uplot/uPlot.iife.min.js", "style.css"):
         assert httpx.get(live.url(f"/dashboard/{name}")).status_code == 200
 
 
@@ -58,6 +58,35 @@ def test_models_and_cameras_are_told(live: LiveService) -> None:
     assert roles == ["direction", "magnitude"]
     assert len(httpx.get(live.url("/v1/cameras")).json()["cameras"]) == 2
     assert "/v1/decisions" in httpx.get(live.url("/openapi.json")).json()["paths"]
+
+
+def test_a_method_that_a_path_does_not_take_is_answered_by_those_it_takes(live: LiveService) -> None:
+    paths = httpx.get(live.url("/openapi.json")).json()["paths"]
+    assert len(paths) > 25
+    for path, operations in paths.items():
+        url = live.url(path.replace("{finger}", "left").replace("{number}", "1").replace("{index}", "0"))
+        answer = httpx.request("PATCH", url, headers=live.bearer)
+        assert answer.status_code == 405, path
+        assert set(answer.headers["allow"].split(", ")) == {method.upper() for method in operations}, path
+        assert answer.json() == {"error": "Method Not Allowed"}
+
+
+def test_every_answer_in_json_has_a_schema_but_what_is_made_for_the_page(live: LiveService) -> None:
+    described = httpx.get(live.url("/openapi.json")).json()
+    answers = {
+        (path, method): operation["responses"]
+        for path, operations in described["paths"].items()
+        for method, operation in operations.items()
+    }
+    assert [path for path, responses in answers.items() if "application/json" not in responses["4XX"]["content"]] == []
+    open_ones = {
+        path
+        for (path, _), responses in answers.items()
+        for content in responses["200"].get("content", {}).values()
+        if path.startswith("/v1") and content["schema"].get("additionalProperties") is True
+    }
+    pages_own = {"/v1/status", *(f"/v1/recordings/{{name}}/{what}" for what in ("timeline", "decide"))}
+    assert open_ones == {"/v1/asyncapi.json", "/v1/recordings/{name}/moments/{finger}/{at_ns}", *pages_own}
 
 
 def test_a_foreign_page_is_refused(live: LiveService) -> None:

@@ -205,6 +205,53 @@ def test_a_wrong_tensor_is_an_error_that_says_so(live: LiveService) -> None:
     assert "shape [1, 7], expected [-1, 6]" in answer.json()["error"]
 
 
+def state(**changes: object) -> dict[str, Any]:
+    """A request that is right but for its missing frames, which are read after the state."""
+    return {"inputs": [{"name": "state", "datatype": "FP32", "shape": [1, 6], "data": [0] * 6} | changes]}
+
+
+@pytest.mark.parametrize("value", [None, float("nan"), float("inf"), 1e39])
+def test_what_is_no_finite_number_is_refused_in_json(live: LiveService, value: float | None) -> None:
+    body = json.dumps(state(data=[value] * 6))
+    answer = httpx.post(live.url(f"/v2/models/{MODEL}/infer"), content=body, headers=live.bearer)
+    assert answer.status_code == 400
+    assert answer.json()["error"] == "input state has values that are not finite numbers"
+
+
+def test_what_is_no_finite_number_is_refused_in_binary(client) -> None:
+    asked = inputs(binary=True)
+    asked[2].set_data_from_numpy(np.full((1, 6), np.nan, np.float32), binary_data=True)
+    with pytest.raises(triton.InferenceServerException, match="not finite"):
+        client.infer(MODEL, asked)
+
+
+def test_a_stock_client_hears_which_parameter_is_not_supported(client) -> None:
+    with pytest.raises(triton.InferenceServerException, match="parameter sequence_id is not supported"):
+        client.infer(MODEL, inputs(binary=True), sequence_id=7, sequence_start=True)
+    with pytest.raises(triton.InferenceServerException, match="parameter priority is not supported"):
+        client.infer(MODEL, inputs(binary=True), priority=1)
+    with pytest.raises(triton.InferenceServerException, match="parameter timeout is not supported"):
+        client.infer(MODEL, inputs(binary=True), timeout=1000)
+    classified = [triton.InferRequestedOutput("logits", class_count=3)]
+    with pytest.raises(triton.InferenceServerException, match="parameter classification is not supported"):
+        client.infer(MODEL, inputs(binary=True), outputs=classified)
+
+
+@pytest.mark.parametrize(
+    ("body", "named"),
+    [
+        (state() | {"priority": 1}, "request: priority"),
+        (state() | {"parameters": {"sequence_end": True}}, "request: parameter sequence_end"),
+        (state(parameters={"shared_memory_region": "x"}), "input state: parameter shared_memory_region"),
+        (state(parameters=[1]), "parameters [1], expected an object"),
+    ],
+)
+def test_every_key_that_is_not_read_is_refused_by_name(live: LiveService, body: dict[str, Any], named: str) -> None:
+    answer = httpx.post(live.url(f"/v2/models/{MODEL}/infer"), json=body, headers=live.bearer)
+    assert answer.status_code == 400
+    assert named in answer.json()["error"]
+
+
 junk = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=8),
     lambda inner: (

@@ -1,9 +1,16 @@
 """What a world's keys do to the arm and the cameras of the cell in lock step."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from robot_client.insertion.events import Begin
+from service.contract.shipped import released_models
+from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import LockstepCell
+from simulation.closed_loop.play import models_of, stage
+from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.unstated import Unstated
 from simulation.scene.worlds import load_scene
 
@@ -68,3 +75,22 @@ def test_blocks_above_the_approach_are_run_into_and_not_jumped_into() -> None:
     hit = cell(unstated={"blocks_up_mm": 5.5})
     assert hit.state.in_contact
     assert 0.5 < np.linalg.norm(hit.state.wrench_n_nmm[:3]) < 60.0
+
+
+def told(job: Job) -> tuple[float | None, float | None]:
+    """Grip and shear reach that the service hears with `arm`."""
+    insertion = stage(job, models_of(released_models()))
+    insertion._post(Begin(at_s=0.0, pose=insertion._pose()))
+    while insertion.session.attempt is None:
+        insertion._frame()
+    heard = insertion.session.attempt.told()
+    return heard["grip_n"], heard["shear_reach_mm"]
+
+
+def test_a_cell_that_measured_its_reach_tells_it_a_little_wrong_and_another_tells_none() -> None:
+    job = Job("rectangle", 0, 8.0, 5.0, 1, "belief", "fields", changes={"grasp.force_n": 25.0})
+    assert told(job) == (25.0, None)
+    true_mm = shear_reach_pitches(job.build_scene()) * job.build_scene().sensor.marker_pitch_mm
+    _, reach_mm = told(replace(job, told_reach=True))
+    assert reach_mm != pytest.approx(true_mm, rel=1e-3)
+    assert reach_mm == pytest.approx(true_mm, rel=0.6)

@@ -201,3 +201,13 @@ def test_the_asked_size_is_rounded_up_to_whole_shards(tmp_path: Path) -> None:
     options = CollectOptions(out=tmp_path, trials_per_object=11, trials_per_shard=5, objects=("circle", "rectangle"))
     missing = asked_manifest(options).missing_shards()
     assert missing == [(name, n) for n in range(3) for name in ("circle", "rectangle")]
+
+
+def test_as_many_trials_as_are_asked_are_made_and_a_folder_keeps_its_shards(tmp_path):
+    few = asked_manifest(CollectOptions(out=tmp_path, trials_per_object=4, objects=("circle",)))
+    assert (few.trials_per_shard, len(few.missing_shards())) == (4, 1)
+    with DatasetWriter(tmp_path, few):
+        more = asked_manifest(CollectOptions(out=tmp_path, trials_per_object=600, objects=("circle",)))
+    assert more.trials_per_shard == 4
+    fresh = asked_manifest(CollectOptions(out=tmp_path / "new", trials_per_object=600, objects=("circle",)))
+    assert fresh.trials_per_shard == 250

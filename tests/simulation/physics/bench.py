@@ -63,11 +63,17 @@ def draw(gel, frame_seed, previous):
 
 
 def plant(physics: TwoLinePhysics, x_mm: float = 8.0, theta_deg: float = 6.0, fps: int = 30) -> Plant:
+    start = Pose((x_mm, 0.0, APPROACH_MM + GRASP_HEIGHT_MM), tool_down(theta_deg))
+
+    def regrasp(force_n, _part_n):
+        physics.grips.append(force_n)
+        return start
+
     return Plant(
         mechanics=physics,
-        regrasp=physics.grips.append,
+        regrasp=regrasp,
         draw={"left": draw, "right": draw},
-        start=Pose((x_mm, 0.0, APPROACH_MM + GRASP_HEIGHT_MM), tool_down(theta_deg)),
+        start=start,
         part_width_mm=80.0,
         gap_width_mm=56.0,
         save_calibration=lambda _path: None,

@@ -116,6 +116,14 @@ class Cabinet:
         self.arm.braking = True
         self._stop_due_s = self._now_s + self.delays.program_stop_s
 
+    def set_signal(self, name: str, value: str) -> None:
+        """Set a signal, all of which are digital; raises KeyError for an unknown one, ValueError for no bit."""
+        if name not in self.signals:
+            raise KeyError(name)
+        if value not in ("0", "1"):
+            raise ValueError(f"lvalue {value!r} of the digital signal {name}, expected 0 or 1")
+        self.signals[name] = float(value)
+
     # ---- what EGM reports -------------------------------------------------------------------------------------
 
     def guide(self, target: Pose) -> None:

@@ -17,13 +17,23 @@ from starlette.middleware.base import BaseHTTPMiddleware
 from simulation.cell.emulators.abb import rws_states
 from simulation.cell.emulators.abb.cabinet import Cabinet, RefusedError
 from simulation.cell.emulators.abb.frames import CellFrames
-from simulation.cell.emulators.abb.rws_format import JSON_TYPE, XHTML_TYPE, Digest, State, as_json, as_xhtml, error_body
+from simulation.cell.emulators.abb.rws_format import (
+    JSON_TYPE,
+    XHTML_TYPE,
+    Credentials,
+    Digest,
+    State,
+    as_json,
+    as_xhtml,
+    error_body,
+)
+from simulation.cell.emulators.abb.rws_more import add_more
 from simulation.cell.emulators.abb.rws_subscriptions import add_subscriptions
 from simulation.cell.emulators.faults import FaultBoard, take
 
 MAX_SESSIONS = 70
 _SESSION_IDLE_S = 300.0
-_NOT_FOUND, _BAD_ARGUMENT = -1073445859, -1073445865
+NOT_FOUND, BAD_ARGUMENT = -1073445859, -1073445865
 
 Next = Callable[[Request], Awaitable[Response]]
 
@@ -45,26 +55,26 @@ def _refusal(request: Request, status: int, code: int, text: str) -> Response:
     return Response(error_body(code, text, wants_json=wants_json), status, media_type=media)
 
 
-async def _fields(request: Request) -> list[tuple[str, str]]:
+async def fields(request: Request) -> list[tuple[str, str]]:
     return parse_qsl((await request.body())[:65536].decode("utf-8", "replace"), keep_blank_values=True)
 
 
 async def _form(request: Request) -> dict[str, str]:
-    return dict(await _fields(request))
+    return dict(await fields(request))
 
 
 class Gate:
     """What stands before every resource: faults, digest access, sessions."""
 
-    def __init__(self, board: FaultBoard, user: str, password: str) -> None:
+    def __init__(self, board: FaultBoard, user: str, password: str, credentials: Credentials = Digest) -> None:
         self._board = board
-        self._digest = Digest(user, password)
+        self._credentials = credentials(user, password)
         self._sessions: dict[str, float] = {}
         self.abort: Callable[[Any], None] = lambda _client: None
 
     def authorised(self, cookie: str | None, header: str | None, method: str) -> bool:
         """True for a live session's cookie or a right digest."""
-        return (cookie is not None and cookie in self._sessions) or self._digest.accepts(header, method)
+        return (cookie is not None and cookie in self._sessions) or self._credentials.accepts(header, method)
 
     def admits(self, socket: WebSocket) -> bool:
         """The same for a WebSocket."""
@@ -91,7 +101,7 @@ class Gate:
             return _refusal(request, 503, -1, "too many active connections")
         cookie = request.cookies.get("ABBCX")
         if not self.authorised(cookie, request.headers.get("authorization"), request.method):
-            return Response(status_code=401, headers={"WWW-Authenticate": self._digest.challenge()})
+            return Response(status_code=401, headers={"WWW-Authenticate": self._credentials.challenge()})
         session = self.session(cookie)
         if session is None:
             return _refusal(request, 503, -1, "too many sessions; keep the ABBCX cookie")
@@ -114,14 +124,15 @@ def create_app(cabinet: Cabinet, frames: CellFrames, gate: Gate) -> FastAPI:
     _add_symbols(app, cabinet)
     _add_motion_and_signals(app, cabinet, frames)
     _add_users_and_log(app, cabinet)
-    add_subscriptions(app, cabinet, _fields, gate.admits)
+    add_more(app, _answer)
+    add_subscriptions(app, cabinet, fields, gate.admits)
 
     async def refused(request: Request, error: Exception) -> Response:
-        code = error.code if isinstance(error, RefusedError) else _BAD_ARGUMENT
+        code = error.code if isinstance(error, RefusedError) else BAD_ARGUMENT
         return _refusal(request, 403 if isinstance(error, RefusedError) else 400, code, str(error))
 
     async def missing(request: Request, _error: Exception) -> Response:
-        return _refusal(request, 404, _NOT_FOUND, f"no resource {request.url.path}")
+        return _refusal(request, 404, NOT_FOUND, f"no resource {request.url.path}")
 
     app.add_exception_handler(ValueError, refused)
     app.add_exception_handler(RefusedError, refused)
@@ -148,25 +159,36 @@ def _add_panel(app: FastAPI, cabinet: Cabinet) -> None:
         return _answer(request, rws_states.panel(cabinet, what))
 
     @app.post("/rw/panel/ctrlstate")
-    async def motors(request: Request) -> Response:
+    async def switch(request: Request) -> Response:
         _expect(request, "setctrlstate")
-        wanted = (await _form(request)).get("ctrl-state")
-        if wanted not in ("motoron", "motoroff"):
-            raise ValueError(f"ctrl-state {wanted!r}, expected motoron or motoroff")
-        cabinet.request_motors(wanted == "motoron")
+        motors(cabinet, await _form(request))
         return _done()
 
     @app.post("/rw/panel/speedratio")
-    async def speed_ratio(request: Request) -> Response:
+    async def set_speed_ratio(request: Request) -> Response:
         _expect(request, "setspeedratio")
-        ratio = float((await _form(request)).get("speed-ratio", "nan"))
-        if not 0.0 <= ratio <= 100.0:
-            raise ValueError(f"speed-ratio {ratio}, expected 0 to 100")
-        cabinet.speed_ratio = int(ratio)
+        speed_ratio(cabinet, await _form(request))
         return _done()
 
 
-def _execute(cabinet: Cabinet, action: str, form: dict[str, str]) -> None:
+def motors(cabinet: Cabinet, form: dict[str, str]) -> None:
+    """Switch the motors as a form says; raises ValueError, or RefusedError where the controller does not."""
+    wanted = form.get("ctrl-state")
+    if wanted not in ("motoron", "motoroff"):
+        raise ValueError(f"ctrl-state {wanted!r}, expected motoron or motoroff")
+    cabinet.request_motors(wanted == "motoron")
+
+
+def speed_ratio(cabinet: Cabinet, form: dict[str, str]) -> None:
+    """Set the speed as a form says; raises ValueError."""
+    ratio = float(form.get("speed-ratio", "nan"))
+    if not 0.0 <= ratio <= 100.0:
+        raise ValueError(f"speed-ratio {ratio}, expected 0 to 100")
+    cabinet.speed_ratio = int(ratio)
+
+
+def execute(cabinet: Cabinet, action: str, form: dict[str, str]) -> None:
+    """Start, stop or resetpp; raises ValueError, or RefusedError where the controller does not."""
     if action == "start":
         if (cycle := form.get("cycle", "asis")) != "asis":
             cabinet.cycle = cycle
@@ -185,8 +207,8 @@ def _add_execution(app: FastAPI, cabinet: Cabinet) -> None:
         return _answer(request, rws_states.execution(cabinet))
 
     @app.post("/rw/rapid/execution")
-    async def execute(request: Request) -> Response:
-        _execute(cabinet, _expect(request, "start", "stop", "resetpp"), await _form(request))
+    async def order(request: Request) -> Response:
+        execute(cabinet, _expect(request, "start", "stop", "resetpp"), await _form(request))
         return _done()
 
     @app.get("/rw/rapid/tasks")
@@ -238,10 +260,7 @@ def _add_motion_and_signals(app: FastAPI, cabinet: Cabinet, frames: CellFrames) 
     @app.post("/rw/iosystem/signals/{path:path}")
     async def set_signal(request: Request, path: str) -> Response:
         _expect(request, "set")
-        name = path.rsplit("/", 1)[-1]
-        if name not in cabinet.signals:
-            raise KeyError(name)
-        cabinet.signals[name] = float((await _form(request))["lvalue"])
+        cabinet.set_signal(path.rsplit("/", 1)[-1], (await _form(request)).get("lvalue", ""))
         return _done()
 
 
@@ -254,14 +273,6 @@ def _add_users_and_log(app: FastAPI, cabinet: Cabinet) -> None:
     @app.get("/ctrl/{variable}")
     async def environment(request: Request, variable: str) -> Response:
         return _answer(request, [State("ctrl-env", variable, {"_value": f"/{variable.strip('$').lower()}"})])
-
-    @app.post("/users/rmmp")
-    async def remote() -> Response:
-        return Response(status_code=202)
-
-    @app.get("/users/rmmp/poll")
-    async def remote_poll(request: Request) -> Response:
-        return _answer(request, [State("user-rmmp-poll", "rmmp", {"status": "GRANTED"})])
 
     @app.post("/rw/mastership/{domain:path}")
     @app.post("/rw/mastership")

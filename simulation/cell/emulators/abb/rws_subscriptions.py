@@ -56,8 +56,9 @@ def watched(cabinet: Cabinet, path: str) -> Watched:
 class Subscriptions:
     """The open subscriptions of one controller."""
 
-    def __init__(self, cabinet: Cabinet) -> None:
+    def __init__(self, cabinet: Cabinet, protocol: str) -> None:
         self._cabinet = cabinet
+        self._protocol = protocol
         self._numbers = itertools.count(1)
         self._open: dict[int, list[Watched]] = {}
 
@@ -79,7 +80,7 @@ class Subscriptions:
         if resources is None:
             await socket.close(1008)
             return
-        await socket.accept(subprotocol=PROTOCOL)
+        await socket.accept(subprotocol=self._protocol)
         leaving = asyncio.create_task(socket.receive())
         try:
             await self._notify(socket, resources, leaving)
@@ -88,6 +89,10 @@ class Subscriptions:
         finally:
             leaving.cancel()
             self._open.pop(number, None)
+
+    def end(self, number: int) -> None:
+        """Forget a subscription; raise KeyError if there is none."""
+        del self._open[number]
 
     async def _notify(self, socket: WebSocket, resources: list[Watched], leaving: asyncio.Task[object]) -> None:
         sent = [resource.read() for resource in resources]
@@ -106,16 +111,23 @@ def add_subscriptions(
     cabinet: Cabinet,
     form: Callable[[Request], Awaitable[list[tuple[str, str]]]],
     admits: Callable[[WebSocket], bool],
+    protocol: str = PROTOCOL,
 ) -> None:
-    """Routes ``POST /subscription`` and ``ws /poll/N``."""
-    subscriptions = Subscriptions(cabinet)
+    """Routes ``POST /subscription``, ``DELETE /subscription/N`` and ``ws /poll/N``."""
+    subscriptions = Subscriptions(cabinet, protocol)
 
     @app.post("/subscription")
     async def subscribe(request: Request) -> Response:
         number = subscriptions.create(await form(request))
-        url = f"ws://{request.headers.get('host', '')}/poll/{number}"
+        scheme = "wss" if request.url.scheme == "https" else "ws"
+        url = f"{scheme}://{request.headers.get('host', '')}/poll/{number}"
         body = f'<html><body><div class="state"><a href="{url}" rel="self"></a></div></body></html>'
         return Response(body, 201, headers={"Location": url}, media_type="application/xhtml+xml")
+
+    @app.delete("/subscription/{number}")
+    async def unsubscribe(number: int) -> Response:
+        subscriptions.end(number)
+        return Response(status_code=200)
 
     @app.websocket("/poll/{number}")
     async def poll(socket: WebSocket, number: int) -> None:

@@ -87,6 +87,30 @@ def test_euler_angles_turn_about_z_then_the_new_y_then_the_new_x(angles):
     assert Rotation.from_quat([x, y, z, w]).as_matrix() == pytest.approx(expected, abs=1e-6)
 
 
+def both_turns(angles, quaternion):
+    message = pb.EgmSensor()
+    message.header.seqno = 1
+    pose = message.planned.cartesian
+    pose.pos.x, pose.pos.y, pose.pos.z = 1.0, 2.0, 3.0
+    pose.euler.x, pose.euler.y, pose.euler.z = angles
+    pose.orient.u0, pose.orient.u1, pose.orient.u2, pose.orient.u3 = quaternion
+    return codec.decode_guidance(message.SerializeToString()).pose
+
+
+@given(st.tuples(*[st.floats(-180, 180)] * 3), st.sampled_from([1.0, -1.0]))
+def test_euler_angles_and_a_quaternion_that_say_the_same_are_one_turn(angles, sign):
+    x, y, z, w = Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_quat()
+    assert both_turns(angles, [sign * u for u in (w, x, y, z)]).quaternion == pytest.approx(
+        codec._euler_quaternion(*angles), abs=1e-9
+    )
+
+
+@pytest.mark.parametrize("angles", [(0.2, 0.0, 0.0), (0.0, -5.0, 0.0), (0.0, 0.0, 90.0)])
+def test_euler_angles_and_a_quaternion_that_disagree_are_refused(angles):
+    with pytest.raises(EgmError, match=r"differ by"):
+        both_turns(angles, (1.0, 0.0, 0.0, 0.0))
+
+
 def test_oversized_datagrams_are_refused():
     with pytest.raises(EgmError, match="at most"):
         codec.decode_robot(b"\0" * 5000)

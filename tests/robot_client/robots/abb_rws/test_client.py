@@ -5,7 +5,9 @@ import asyncio
 import httpx
 import pytest
 
-from robot_client.robots.abb_rws.client import RwsClient, RwsError
+from robot_client.robots.abb_rws.client import RwsClient
+from robot_client.robots.abb_rws.generation import RwsError
+from robot_client.robots.abb_rws.rws1 import RWS1
 from robot_client.robots.abb_rws.settings import RwsSettings
 
 
@@ -17,8 +19,8 @@ def test_a_stop_that_cannot_even_be_asked_for_is_not_confirmed_in_words(challeng
     async def story():
         client = RwsClient(RwsSettings(stop_timeout_s=0.05, poll_s=0.01))
         await client._client.aclose()
-        transport, auth = httpx.MockTransport(answer), httpx.DigestAuth("user", "password")
-        client._client = httpx.AsyncClient(transport=transport, auth=auth, base_url="http://127.0.0.1")
+        client._generation, client._auth = RWS1, httpx.DigestAuth("user", "password")
+        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
         outcome = await client.stop_program()
         with pytest.raises(RwsError, match="GET /rw/panel/opmode"):
             await client.status()
@@ -41,6 +43,7 @@ def start_of(panel):
     async def story():
         client = RwsClient(RwsSettings(start_timeout_s=0.05, motors_timeout_s=0.05, poll_s=0.01))
         await client._client.aclose()
+        client._generation = RWS1
         client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
         try:
             await client.start_program()

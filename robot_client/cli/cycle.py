@@ -1,0 +1,114 @@
+"""`cycle`: parts one after the other, from the pick to the release; rehearses one part unless --live is typed."""
+
+import asyncio
+import contextlib
+import signal
+import sys
+from pathlib import Path
+
+from robot_client.cli.insert import live_ports, make_plan
+from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
+from robot_client.insertion.limits import check_pose
+from robot_client.insertion.state import State
+from robot_client.ports import DriverError
+from robot_client.session.cycle import Count, Cycle, CycleSettings, Pace
+from robot_client.session.handshake import Handshake
+from robot_client.session.recorder import Recorder
+from robot_client.session.report import Report
+from robot_client.session.runner import Runner
+from robot_client.settings import Settings, SettingsError
+
+
+def cycle(settings: Settings, *, live: bool, parts_n: int | None, log: Path | None) -> Outcome:
+    """Insert ``parts_n`` parts (None: until stopped); done if none was left undone. Raises DriverError."""
+    taught = settings.cycle
+    if taught is None:
+        raise SettingsError("cycle: the configuration lacks the table [cycle] with pick and open_mm")
+    poses = {"cycle.pick": taught.pick, "cycle.reject": taught.reject}
+    for name, pose in poses.items():
+        if pose is not None:
+            check_pose(settings.limits, pose, name)
+            check_pose(settings.limits, pose.at_height(pose.z_mm + taught.retreat_mm), f"above {name}")
+    show(warning(live=live, simulated=settings.simulated))
+    if not live:
+        return _rehearse(settings, taught)
+    return asyncio.run(_cycle(settings, taught, parts_n, log))
+
+
+def _rehearse(settings: Settings, taught: CycleSettings) -> Outcome:
+    """Say what would be done; `insert` without --live rehearses the insertion itself."""
+    rejected = f"carry it to {taught.reject.model_dump()}" if taught.reject else "hold with it in the hand"
+    steps = [
+        f"open to {taught.open_mm:g} mm and go to {taught.pick.model_dump()}",
+        f"close on the object, insert it {settings.task.expected_depth_mm:g} mm deep",
+        f"open to {taught.open_mm:g} mm, {taught.retreat_mm:g} mm straight up, close on nothing",
+        f"if it is not inserted: {rejected}",
+    ]
+    show("would, for each part:")
+    for step in steps:
+        show(f"  {step}")
+    return Outcome(True, {"live": False, "steps": steps})
+
+
+async def _cycle(settings: Settings, taught: CycleSettings, parts_n: int | None, log: Path | None) -> Outcome:
+    async def insert(number: int) -> State:
+        plan = make_plan(settings, 0.0, 0.0, None, None)
+        arm, gripper, service = live_ports(settings, plan)
+        report = Report(arm.position, lambda text: show(f"  {text}"))
+        written = log / f"{plan.insertion_id}.jsonl" if log else None
+        runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,))
+        state = await runner.run()
+        if not state.done or state.reason.startswith("operator:"):
+            raise DriverError(f"part {number}: interrupted, the arm holds")
+        return state
+
+    signals = settings.make_arm().signals() if taught.plc else None
+    if taught.plc and signals is None:
+        raise SettingsError("cycle.plc: this robot has no signals")
+    plc = Handshake(taught.plc, signals) if taught.plc and signals else None
+    stop_on_signals()
+    running = Cycle(
+        taught,
+        settings.make_arm,
+        settings.make_gripper,
+        insert,
+        settings.limits,
+        settings.ramps,
+        settings.timeouts.motion_s,
+        show,
+        plc=plc,
+    )
+    _take_orders(running.pace)
+    try:
+        await running.run(parts_n)
+    except (DriverError, ValueError) as error:
+        show(f"HOLD  {error}")
+        show(str(running.count))
+        return Outcome(False, _result(running.count) | {"reason": str(error)})
+    show(str(running.count))
+    return Outcome(True, _result(running.count))
+
+
+def _result(count: Count) -> dict[str, int | str]:
+    return {"inserted": count.inserted_n, "rejected": count.rejected_n}
+
+
+def _take_orders(pace: Pace) -> None:
+    """From the terminal: pause, resume, stop. From another program: SIGUSR1 pauses or goes on, SIGUSR2 stops."""
+    loop = asyncio.get_running_loop()
+
+    def read() -> None:
+        if line := sys.stdin.readline():
+            show(pace.order(line))
+        else:
+            loop.remove_reader(sys.stdin)
+
+    def toggle() -> None:
+        show(pace.order("resume" if pace.paused else "pause"))
+
+    if sys.stdin is not None and sys.stdin.isatty():
+        with contextlib.suppress(OSError, ValueError, PermissionError):
+            loop.add_reader(sys.stdin, read)
+            show("type pause, resume or stop (after this part) and Enter; Ctrl-C holds the arm at once")
+    loop.add_signal_handler(signal.SIGUSR1, toggle)
+    loop.add_signal_handler(signal.SIGUSR2, lambda: show(pace.order("stop")))

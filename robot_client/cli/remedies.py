@@ -1,0 +1,42 @@
+"""What to do about a finding. The first pattern that its text holds counts; device and software write these texts."""
+
+import re
+
+GENERAL = "Read the text on the left; docs/troubleshooting.md has more."
+REMEDIES: tuple[tuple[str, str], ...] = (
+    (r"processor cores", "Give this PC, container or service two cores of its own."),
+    (r"load \d", "Stop what else runs on this PC; frames come late on a busy one."),
+    (r"GB free", "Remove old recordings, or name another folder."),
+    (r"recordings may not", "Give the folder to the user of the service."),
+    (r"cannot read configuration", "Name an existing file with --config."),
+    (r"is not used|unknown|expected a number|extra", "Correct that key in the configuration."),
+    (r"allowed .*\.\.|ramps\.|allowed up to|limits allow", "Correct the pose, the ramp or the limit of that name."),
+    (r"cannot listen on UDP", "Another client runs, or set robot.port to the port of UCdevice."),
+    (r"HTTP 401|HTTP 403|Unauthorized|www-auth", "Set user and TACTILE_INSERTION_RWS_PASSWORD of the controller."),
+    (r"HTTP 503|too many sessions", "The controller has no session left: end other clients, or wait a minute."),
+    (r"signal .*HTTP 404", "Define the signal on the controller, or correct [cycle.plc]."),
+    (r"operating mode", "Turn the key switch to automatic."),
+    (r"emergencystop", "Release the emergency stop, then acknowledge it on the pendant."),
+    (r"guardstop|protective", "Close the guard or clear the protective stop."),
+    (r"sysfail", "Read the event log on the pendant and restart the controller."),
+    (r"controller (motoroff|init)", "Switch the motors on, or allow robot.rws.switch_motors_on."),
+    (r"RAPID running", "Stop the program on the pendant."),
+    (r"not homed", "Home the empty gripper: `tactile-insertion home --live`."),
+    (r"force limit|grasp_", "Set the value of that name in [gripper] to one that the gripper allows."),
+    (r"FAST_STOP|grasping state ERROR|fault", "Find the cause, then `tactile-insertion home --live --acknowledge`."),
+    (r"gripper: .*(no reply|sends no state)", "Check that [gripper] names the protocol that is switched on there."),
+    (r"gripper: .*closed the connection", "It takes one client at a time: end the other one; check host and port."),
+    (r"gripper: cannot connect", "Check [gripper] host and port, its power, and the cable."),
+    (r"camera (left|right)", "Check cable and power of that finger; covering the lens shows which it is."),
+    (r"no token|token_file", "Give the file that the service names at its start: service.token_file."),
+    (r"(Name or service|resolve|not known|getaddrinfo)", "That name is unknown here: give the address."),
+    (r"(GET|POST) /|ConnectError|ConnectTimeout", "Check robot.rws.url, the controller's network and the firewall."),
+    (r"forbidden|4403|HTTP 40[13]", "The token is another service's: give service.token_file of this one."),
+    (r"protocol", "Client and service are of different versions: update the older one."),
+    (r"service|ws://|connect|no answer", "Start the service (`tactile-insertion serve`), or correct service.url."),
+)
+
+
+def remedy_of(text: str) -> str:
+    """What to do about a finding with this text."""
+    return next((remedy for pattern, remedy in REMEDIES if re.search(pattern, text, re.IGNORECASE)), GENERAL)

@@ -1,0 +1,195 @@
+"""The whole cycle of a packing cell: pick, insert, let go in order, next; each part is an insertion like any other.
+
+Every step connects, does one thing and closes, so that each begins with the checks of its own start. Nothing is opened
+but where that is in order: with an empty hand, after an insertion that is claimed, or above the taught reject pose.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+
+from pydantic import Field
+
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import Limits
+from robot_client.insertion.motion import Ramps
+from robot_client.insertion.state import Phase, State
+from robot_client.ports import Arm, DriverError, Gripper
+from robot_client.session.handshake import Handshake, HandshakeSettings
+from robot_client.session.runner import to_the_end
+from robot_client.session.travel import Way, over_to, straight_up, travel
+from service.contract.frames import Contract
+
+PATIENCE_S = 0.1
+OPEN_MM = 1.0  # of the taught width
+# After these the object is held, nothing is broken, and the arm may carry it away; after all others it holds.
+REJECTED = ("client: attempts:", "service: no_decision:", "service: refused:")
+
+
+class CycleSettings(Contract):
+    """``[cycle]``: taught poses of the TCP and widths. ``reject`` None: hold with the object in the hand.
+
+    ``pick`` is where the fingers close on an object, from a fixture or from a hand. ``retreat_mm`` is straight up.
+    """
+
+    pick: WorkPose
+    open_mm: float = Field(gt=0, le=300)
+    retreat_mm: float = Field(default=40.0, gt=0, le=500)
+    reject: WorkPose | None = None
+    max_rejects_in_a_row: int = Field(default=2, ge=0, le=100)
+    plc: HandshakeSettings | None = None
+
+
+class CycleHeldError(DriverError):
+    """The cycle ended with the arm holding; the text says why."""
+
+
+@dataclass(slots=True)
+class Pace:
+    """What a person has asked for: pause, go on, stop after this part."""
+
+    paused: bool = False
+    ending: bool = False
+
+    def order(self, word: str) -> str:
+        """Take an order; returns the answer to it."""
+        match word.strip().lower():
+            case "p" | "pause":
+                self.paused = True
+                return "pausing after this part"
+            case "r" | "resume":
+                self.paused = False
+                return "going on"
+            case "s" | "stop":
+                self.ending = True
+                return "stopping after this part"
+        return "expected pause, resume or stop"
+
+
+@dataclass(slots=True)
+class Count:
+    """Parts so far."""
+
+    inserted_n: int = 0
+    rejected_n: int = 0
+    in_a_row_n: int = 0  # rejected
+
+    def __str__(self) -> str:
+        rejected = f", {self.rejected_n} rejected" if self.rejected_n else ""
+        return f"{self.inserted_n} inserted{rejected}"
+
+
+@dataclass(slots=True)
+class Cycle:
+    """Runs parts one after the other. ``insert`` does one insertion from wherever the arm stands."""
+
+    settings: CycleSettings
+    make_arm: Callable[[], Arm]
+    make_gripper: Callable[[], Gripper]
+    insert: Callable[[int], Awaitable[State]]
+    limits: Limits
+    ramps: Ramps
+    motion_s: float
+    show: Callable[[str], None]
+    pace: Pace = field(default_factory=Pace)
+    count: Count = field(default_factory=Count)
+    plc: Handshake | None = None
+
+    async def run(self, parts_n: int | None) -> Count:
+        """Until so many parts are inserted, or a person stops it; raises CycleHeldError, DriverError, LimitError."""
+        fault = True
+        try:
+            await self._begin()
+            while parts_n is None or self.count.inserted_n < parts_n:
+                if not await self._asked():
+                    break
+                await self._part()
+                if self.plc:
+                    await self.plc.done()
+            fault = False
+        except asyncio.CancelledError:
+            raise CycleHeldError("operator: interrupted between two steps, nothing moves") from None
+        finally:
+            if self.plc:
+                await to_the_end(self.plc.end(fault=fault))
+        return self.count
+
+    async def _begin(self) -> None:
+        if self.plc:
+            await self.plc.begin()
+        if not await self._with_gripper(self._is_empty):
+            raise CycleHeldError(
+                "gripper: holds something before the first part; take it out, or insert it with `insert`"
+            )
+
+    async def _asked(self) -> bool:
+        """Wait until the next part may begin; False if none is wanted any more."""
+        told = ""
+        while not self.pace.ending:
+            waits = "paused" if self.pace.paused else "waiting for the PLC" if self.plc else ""
+            if not self.pace.paused and (self.plc is None or await self.plc.asked()):
+                if self.plc:
+                    await self.plc.busy()
+                return True
+            if waits != told:
+                self.show(waits)
+                told = waits
+            await asyncio.sleep(PATIENCE_S)
+        return False
+
+    async def _part(self) -> None:
+        number = self.count.inserted_n + self.count.rejected_n + 1
+        self.show(f"part {number}: picking")
+        await self._open()
+        await self._go(over_to(self.settings.pick))
+        state = await self.insert(number)
+        if state.phase is not Phase.INSERTED:
+            await self._reject(number, state)
+            return
+        self.show(f"part {number}: letting go")
+        await self._open()
+        await self._go(straight_up(self.settings.retreat_mm))
+        await self._check_stayed(number)
+        self.count.inserted_n, self.count.in_a_row_n = self.count.inserted_n + 1, 0
+        self.show(f"part {number}: done after {state.attempt} attempt{'s' * (state.attempt != 1)}; {self.count}")
+
+    async def _check_stayed(self, number: int) -> None:
+        """An object that came along with the fingers is felt by closing them again."""
+        if not await self._with_gripper(lambda gripper: gripper.finds_nothing()):
+            raise CycleHeldError(f"part {number}: the object came along with the fingers; it is not in the gap")
+
+    async def _reject(self, number: int, state: State) -> None:
+        """Carry away what could not be inserted, if that is taught and in order; raises CycleHeldError otherwise."""
+        reject = self.settings.reject
+        if reject is None or not state.reason.startswith(REJECTED):
+            raise CycleHeldError(f"part {number}: {state.reason or 'not inserted'}")
+        if self.count.in_a_row_n >= self.settings.max_rejects_in_a_row:
+            raise CycleHeldError(f"part {number}: {self.count.in_a_row_n + 1} in a row; the last one: {state.reason}")
+        if await self._with_gripper(lambda gripper: gripper.finds_nothing()):
+            raise CycleHeldError(f"part {number}: not inserted, and no longer in the hand; {state.reason}")
+        self.show(f"part {number}: rejected ({state.reason})")
+        await self._go(lambda here: [*straight_up(self.settings.retreat_mm)(here)])
+        await self._go(over_to(reject))
+        await self._open()
+        await self._go(straight_up(self.settings.retreat_mm))
+        self.count.rejected_n, self.count.in_a_row_n = self.count.rejected_n + 1, self.count.in_a_row_n + 1
+
+    # ---- one thing at a time ----------------------------------------------------------------------------------------
+
+    async def _go(self, way: Way) -> None:
+        await travel(self.make_arm(), way, self.limits, self.ramps, self.motion_s, lambda _text: None)
+
+    async def _open(self) -> None:
+        await self._with_gripper(lambda gripper: gripper.release(self.settings.open_mm))
+
+    async def _is_empty(self, gripper: Gripper) -> bool:
+        """Fingers as far apart as taught hold nothing; of others only closing tells: a link that ended says no more."""
+        return await gripper.width_mm() >= self.settings.open_mm - OPEN_MM or await gripper.finds_nothing()
+
+    async def _with_gripper(self, work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
+        gripper = self.make_gripper()
+        try:
+            await gripper.connect()
+            return bool(await work(gripper))
+        finally:
+            await to_the_end(gripper.close())

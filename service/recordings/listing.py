@@ -1,0 +1,91 @@
+"""What lies in the folder of recordings: finished insertions, and why others that should be there are not."""
+
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from service.contract.frames import first_error
+from service.recordings.recovery import is_being_written
+from service.recordings.writer import NAME
+
+
+class Decided(BaseModel):
+    """One decided attempt. ``reach_pitch``: how far the gels were sheared when it stopped, in marker pitches."""
+
+    model_config = ConfigDict(extra="allow")
+    attempt: int
+    depth_mm: float | None = None
+    reach_pitch: float | None = None
+    correction: tuple[float, float] | None = None
+    interval_x_mm: tuple[float, float] | None = None
+    interval_theta_deg: tuple[float, float] | None = None
+
+
+class Summary(BaseModel):
+    """What ``summary.json`` says of a finished insertion; newer ones may say more, older ones say less."""
+
+    model_config = ConfigDict(extra="allow")
+    insertion_id: str
+    outcome: str
+    attempts: int
+    cause: str | None = None
+    object: str | None = None
+    seconds: float | None = None
+    decisions: list[Decided] = []
+
+    @property
+    def held_n(self) -> tuple[int, int]:
+        """How many 90 % intervals (of x, and of yaw) held the pose at which the object went in, and how many there are.
+
+        What an error was is known once the object is in: the corrections from then on, reversed, but for the clearance.
+        """
+        held = stated = 0
+        if self.outcome != "inserted":
+            return 0, 0
+        left_x = left_theta = 0.0
+        for decided in reversed(self.decisions):
+            if decided.correction is None:
+                continue
+            left_x, left_theta = left_x - decided.correction[0], left_theta - decided.correction[1]
+            sides = ((decided.interval_x_mm, left_x), (decided.interval_theta_deg, left_theta))
+            given = [(interval, truth) for interval, truth in sides if interval is not None]
+            stated += len(given)
+            held += sum(interval[0] <= truth <= interval[1] for interval, truth in given)
+        return held, stated
+
+
+def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[str, Any]], list[str]]:
+    """Finished insertions, newest first (the ``most_n`` newest), and why others that should be there are not."""
+    listed: list[dict[str, Any]] = []
+    problems: list[str] = []
+    try:
+        folders = sorted((p for p in root.iterdir() if NAME.fullmatch(p.name)), reverse=True)
+    except OSError as error:
+        return [], [f"{root}: {error.strerror}"]
+    for folder in folders:
+        if len(listed) == most_n:
+            break
+        try:
+            listed.append(_entry(folder))
+        except FileNotFoundError:
+            if folder.is_dir() and not is_being_written(folder):
+                problems.append(f"{folder.name}: broken off; the next start of the service recovers what can be read")
+        except (OSError, ValueError) as error:
+            problems.append(f"{folder.name}: summary.json: {_reason(error)}")
+    return listed, problems
+
+
+def _entry(folder: Path) -> dict[str, Any]:
+    summary = Summary.model_validate_json((folder / "summary.json").read_bytes())
+    stamp = datetime.strptime(folder.name[:15], "%Y%m%dT%H%M%S")  # noqa: DTZ007 - shown as it is, UTC
+    decided = sorted(int(p.stem[-2:]) for p in folder.glob("attempt_[0-9][0-9].npz"))
+    held_n, stated_n = summary.held_n
+    facts: dict[str, Any] = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}", "decided": decided}
+    facts |= {"intervals_held_n": held_n, "intervals_n": stated_n}
+    return facts | summary.model_dump(mode="json")
+
+
+def _reason(error: Exception) -> str:
+    return first_error(error) if isinstance(error, ValidationError) else str(error)

@@ -1,0 +1,6 @@
+// What every part of the page uses: elements, and the access token of its address passed on to all it asks for.
+const token = new URLSearchParams(location.search).get("token");
+
+export const at = (id) => document.getElementById(id);
+export const element = (kind, properties = {}, ...children) => { const made = Object.assign(document.createElement(kind), properties); made.append(...children); return made; };
+export const withToken = (path) => (token ? `${path}${path.includes("?") ? "&" : "?"}token=${encodeURIComponent(token)}` : path);

@@ -1,0 +1,60 @@
+// Insertions of the past: a table with filters, and how attempts, intervals and reach have gone.
+import { at, element, withToken } from "/dashboard/dom.js";
+import { chart } from "/dashboard/charts.js";
+import { play } from "/dashboard/player.js";
+
+const FILTERS = { object: "by-object", outcome: "by-outcome", cause: "by-cause" };
+const words = (text) => (text ?? "").replaceAll("_", " ");
+const RECENT = 20; // insertions of a moving mean
+let all = [];
+
+export async function listPast() {
+  if (at("history").hidden) return;
+  const answer = await fetch(withToken("/v1/recordings"));
+  if (!answer.ok) return;
+  const { recordings, problems } = await answer.json();
+  all = recordings;
+  at("problems").replaceChildren(...problems.map((textContent) => element("p", { className: "bad", textContent })));
+  for (const [key, id] of Object.entries(FILTERS)) options(at(id), [...new Set(all.map((one) => one[key] ?? ""))].sort());
+  show();
+}
+
+function options(select, values) {
+  const chosen = select.options.length ? select.value : "*";
+  select.replaceChildren(new Option("all", "*"), ...values.map((value) => new Option(words(value) || "none", value)));
+  select.value = values.includes(chosen) ? chosen : "*";
+  select.onchange = show;
+}
+
+function show() {
+  const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value));
+  const inserted = chosen.filter(({ outcome }) => outcome === "inserted");
+  at("count").textContent = chosen.length ? `${inserted.length} of ${chosen.length} inserted, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : "none";
+  at("past").replaceChildren(...chosen.slice(0, 500).map(row));
+  trend(chosen.slice(0, 500).reverse());
+}
+
+function row(one) {
+  const cell = (textContent, className = "") => element("td", { textContent, className });
+  const button = element("button", { type: "button", textContent: "Play", ariaLabel: `play back ${one.insertion_id}`, title: one.insertion_id, onclick: () => play(one) });
+  return element("tr", {}, cell(one.started.slice(5, 16)), cell(words(one.object) || "–"), cell(words(one.outcome), one.outcome === "inserted" ? "good" : one.outcome === "aborted" ? "" : "bad"), cell(words(one.cause)), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
+}
+
+const mean = (values) => (values.length ? values.reduce((sum, value) => sum + value, 0) / values.length : NaN);
+
+// Of the newest insertions up to each one.
+function moving(list, of) {
+  return list.map((_, i) => { const value = of(list.slice(Math.max(0, i + 1 - RECENT), i + 1)); return Number.isFinite(value) ? value : null; });
+}
+
+async function trend(list) {
+  const place = at("trend");
+  place.replaceChildren();
+  if (list.length < 2) { place.textContent = "A trend needs two insertions."; return; }
+  const x = list.map((_, i) => i + 1), key = "trend", height = Math.max(90, Math.floor((at("history").clientHeight - 260) / 3)) || 120;
+  const reach = (one) => mean((one.decisions ?? []).map((decision) => decision.reach_pitch).filter((value) => value > 0));
+  const sum = (part, name) => part.reduce((total, one) => total + (one[name] ?? 0), 0);
+  await chart(place, { title: `Attempts, and the mean of ${RECENT}`, unit: "", x, key, height, range: (_, __, most) => [0, Math.max(4, most + 1)], lines: [{ label: "one insertion", colour: "gel", values: list.map((one) => one.attempts), points: true }, { label: "mean", colour: "busy", values: moving(list, (part) => mean(part.map((one) => one.attempts))) }] });
+  await chart(place, { title: "Intervals of 90 % that held the pose at which it went in", unit: " %", x, key, height, range: [0, 105], lines: [{ label: "held", colour: "good", values: moving(list, (part) => (100 * sum(part, "intervals_held_n")) / sum(part, "intervals_n")) }] });
+  await chart(place, { title: "Reach: how far the gels were sheared at the stop, in marker pitches", unit: "", x, key, height, range: (_, __, most) => [0, Math.max(0.5, 1.1 * most)], lines: [{ label: "one insertion", colour: "gel", values: list.map((one) => { const value = reach(one); return Number.isFinite(value) ? value : null; }), points: true }, { label: "mean", colour: "busy", values: moving(list, (part) => mean(part.map(reach).filter(Number.isFinite))) }] });
+}

@@ -1,0 +1,91 @@
+// Playback of one insertion: what both fingers felt, and slip, push and depth, all at one moment of one time axis.
+import { at, withToken } from "/dashboard/dom.js";
+import { chart } from "/dashboard/charts.js";
+import { drawFelt } from "/dashboard/felt.js";
+
+let shown = null; // {base, moments, events, plots}
+let timer = null;
+let asked = 0;
+
+export async function play(one) {
+  const base = `/v1/recordings/${one.name}`;
+  at("player-title").textContent = `${one.started} UTC: ${one.object ?? "object"}, ${one.outcome.replaceAll("_", " ")} after ${one.attempts} attempt${one.attempts === 1 ? "" : "s"}`;
+  at("download").href = withToken(base);
+  at("answer").hidden = true;
+  at("curves").replaceChildren();
+  at("then").textContent = "Reading the recording";
+  at("player").showModal();
+  const answer = await fetch(withToken(`${base}/timeline`));
+  const told = await answer.json();
+  if (!answer.ok) { at("then").textContent = told.error; return; }
+  shown = { base, ...told, plots: [] };
+  at("scrub").max = Math.max(0, told.moments.length - 1);
+  await draw(told);
+  at("scrub").value = 0;
+  show();
+}
+
+// Curves of one chart may have times of their own: they are laid on the union of them.
+function aligned(curves) {
+  const x = [...new Set(curves.flatMap(([times]) => times))].sort((a, b) => a - b);
+  return [x, curves.map(([times, values]) => { const known = new Map(times.map((time, i) => [time, values[i]])); return x.map((time) => known.get(time) ?? null); })];
+}
+
+async function draw({ slip, push, depth, moments }) {
+  const place = at("curves"), end = Math.max(1, moments.at(-1)?.t ?? 1, depth[0].at(-1) ?? 1);
+  const common = { key: "player", height: Math.max(110, Math.round(innerHeight / 6.2)), axis: " s", onCursor: seek, scales: { range: () => [0, end] } };
+  const two = ([x, [left, right]]) => ({ x, lines: [{ label: "left", colour: "busy", values: left }, { label: "right", colour: "warn", values: right }] });
+  shown.plots = [
+    await chart(place, { ...common, ...two(aligned([slip.left, slip.right])), title: "Slip (1: the arm stops)", unit: "", range: [0, 1.5] }),
+    await chart(place, { ...common, ...two(aligned([push.left, push.right])), title: "Force: push that the gels carry, in marker pitches", unit: "" }),
+    await chart(place, { ...common, x: depth[0], lines: [{ label: "depth", colour: "good", values: depth[1] }], title: "Depth", unit: " mm" }),
+  ];
+}
+
+function seek(seconds) {
+  let best = 0;
+  shown.moments.forEach(({ t }, i) => { if (Math.abs(t - seconds) < Math.abs(shown.moments[best].t - seconds)) best = i; });
+  if (best !== Number(at("scrub").value)) { at("scrub").value = best; show(); }
+}
+
+async function show() {
+  const moment = shown?.moments[Number(at("scrub").value)];
+  if (!moment) { at("then").textContent = "No frame of this insertion was judged."; return; }
+  const said = shown.events.filter(({ t }) => t <= moment.t).at(-1)?.text ?? "";
+  at("then").textContent = `${moment.t.toFixed(2)} s  ${said}`;
+  at("scrub").setAttribute("aria-valuetext", at("then").textContent);
+  for (const plot of shown.plots) plot.setCursor({ left: plot.valToPos(moment.t, "x"), top: 0 }, false);
+  const mine = (asked += 1);
+  for (const finger of ["left", "right"]) {
+    const answer = await fetch(withToken(`${shown.base}/moments/${finger}/${moment[finger]}`));
+    if (mine !== asked || !answer.ok) return;
+    drawFelt(at(`${finger}-then`), at(`${finger}-then-state`), await answer.json());
+  }
+}
+
+function stop() {
+  clearInterval(timer);
+  timer = null;
+  at("play").textContent = "Play";
+}
+
+at("scrub").oninput = () => { stop(); show(); };
+at("close").onclick = () => at("player").close();
+at("player").onclose = () => { stop(); shown = null; };
+at("play").onclick = () => {
+  if (timer) { stop(); return; }
+  if (at("scrub").value === at("scrub").max) at("scrub").value = 0;
+  at("play").textContent = "Pause";
+  timer = setInterval(() => {
+    if (at("scrub").value === at("scrub").max) { stop(); return; }
+    at("scrub").value = Number(at("scrub").value) + 1;
+    show();
+  }, 100);
+};
+at("again").onclick = async () => {
+  at("answer").hidden = false;
+  at("answer").textContent = "Deciding again with the networks that are loaded now";
+  const answer = await fetch(withToken(`${shown.base}/decide`), { method: "POST" });
+  const told = await answer.json();
+  at("answer").textContent = answer.ok ? told.lines.join("\n") : told.error;
+};

@@ -1,0 +1,77 @@
+"""Alarms: each stays until a person has acknowledged it, also over a restart of the service."""
+
+import contextlib
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from service.recordings.writer import write_whole
+
+Level = Literal["stop", "warning"]
+KEPT_N = 50
+FILE = "alarms.json"
+
+
+@dataclass(slots=True)
+class Alarm:
+    """``key`` names what is wrong: while one of a key is not acknowledged, the same again only counts.
+
+    ``at_s`` is the wall clock of the last time; ``acknowledged_s`` None until a person has seen it. ``remedy`` is what
+    to do, ``insertion_id`` the insertion that it ended.
+    """
+
+    number: int
+    key: str
+    level: Level
+    title: str
+    detail: str = ""
+    remedy: str = ""
+    insertion_id: str | None = None
+    at_s: float = 0.0
+    times_n: int = 1
+    acknowledged_s: float | None = None
+
+
+class Alarms:
+    """The newest alarms, kept in a file. One thread at a time."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.all: list[Alarm] = []
+        with contextlib.suppress(OSError, ValueError, TypeError):  # a broken file must not keep a cell from starting
+            self.all = [Alarm(**entry) for entry in json.loads(path.read_text())]
+
+    @property
+    def open(self) -> list[Alarm]:
+        """Those that nobody has acknowledged, newest first."""
+        return [alarm for alarm in self.all if alarm.acknowledged_s is None]
+
+    def sound(self, key: str, level: Level, title: str, **facts: str | None) -> Alarm:
+        """Something is wrong."""
+        alarm = next((a for a in self.open if a.key == key), None)
+        if alarm is None:
+            number = 1 + max((a.number for a in self.all), default=0)
+            alarm = Alarm(number, key, level, title, times_n=0)
+        else:
+            self.all.remove(alarm)
+        for name, value in facts.items():
+            setattr(alarm, name, value)
+        alarm.at_s, alarm.times_n, alarm.title = time.time(), alarm.times_n + 1, title
+        self.all = [alarm, *self.all][:KEPT_N]
+        self._keep()
+        return alarm
+
+    def acknowledge(self, number: int) -> bool:
+        """A person has seen it; False if there is no such alarm."""
+        alarm = next((a for a in self.all if a.number == number), None)
+        if alarm is None:
+            return False
+        alarm.acknowledged_s = alarm.acknowledged_s or time.time()
+        self._keep()
+        return True
+
+    def _keep(self) -> None:
+        with contextlib.suppress(OSError):  # a full disk is an alarm of its own
+            write_whole(self._path, json.dumps([asdict(alarm) for alarm in self.all]))

@@ -1,0 +1,176 @@
+"""A recorded insertion played back: curves on one time axis, and what both fingers felt at any moment of it."""
+
+import json
+import tempfile
+from bisect import bisect_left
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import McapReader, make_reader
+from numpy.typing import NDArray
+
+from service.cameras.capture import decode_jpeg
+from service.contract import FINGERS, ContractError, Finger
+from service.contract.wire import parse_service
+from service.perception.rectification import Calibration, Rectifier
+from service.recordings.reader import RecordingError
+from service.recordings.schemas import CompressedImage, Markers, RawImage
+from service.recordings.writer import IMAGE
+from service.web.page.broadcast import kinds, shown
+from service.web.page.sentences import event
+
+PERIOD_NS = 50_000_000  # of the moments that can be looked at
+TOPICS = [*(f"/{finger}/markers" for finger in FINGERS), "/robot", "/messages"]
+
+
+class Curves:
+    """Collects the curves of a recording. Times are nanoseconds until they are told."""
+
+    def __init__(self) -> None:
+        self.slip: dict[str, list[tuple[int, float]]] = {finger: [] for finger in FINGERS}
+        self.push: dict[str, list[tuple[int, float]]] = {finger: [] for finger in FINGERS}
+        self.depth: list[tuple[int, float]] = []
+        self.events: list[tuple[int, str]] = []
+        self._rest: dict[str, float] = {}
+
+    def markers(self, finger: str, at_ns: int, data: bytes) -> None:
+        """Slip, and how far the gel is sheared upwards since the attempt began, in marker pitches."""
+        told = Markers.FromString(data)
+        moved = np.array(told.displacement_px, np.float32).reshape(-1, 2)
+        valid = np.frombuffer(told.valid, np.uint8) > 0
+        if not valid.any():
+            return
+        up = -float(moved[valid, 1].mean()) / _pitch(told)
+        self.slip[finger].append((at_ns, told.slip_score))
+        self.push[finger].append((at_ns, up - self._rest.setdefault(finger, up)))
+
+    def robot(self, at_ns: int, depth_mm: float | None) -> None:
+        if depth_mm is not None:
+            self.depth.append((at_ns, depth_mm))
+
+    def message(self, at_ns: int, sender: str, message: dict[str, Any]) -> None:
+        """A message of either side; the client's `arm` begins an attempt, whose gels are at rest."""
+        if sender == "client" and message["type"] == "arm":
+            self._rest.clear()
+        elif sender == "service" and (said := event(parse_service(json.dumps(message)))):
+            self.events.append((at_ns, said))
+
+    def told(self) -> dict[str, Any]:
+        """Seconds since the first of all points, and values; ``moments`` are the stamps of both fingers' frames."""
+        curves = [*self.slip.values(), *self.push.values(), self.depth]
+        start_ns = min([points[0][0] for points in curves if points] + [at for at, _ in self.events], default=0)
+
+        def of(points: list[tuple[int, float]]) -> list[list[float]]:
+            return [[round((at - start_ns) / 1e9, 3) for at, _ in points], [round(value, 4) for _, value in points]]
+
+        return {
+            "slip": {finger: of(points) for finger, points in self.slip.items()},
+            "push": {finger: of(points) for finger, points in self.push.items()},
+            "depth": of(self.depth),
+            "events": [{"t": round((at - start_ns) / 1e9, 3), "text": text} for at, text in self.events],
+            "moments": list(self._moments(start_ns)),
+        }
+
+    def _moments(self, start_ns: int) -> Iterator[dict[str, Any]]:
+        """At most one each ``PERIOD_NS``; stamps as text, because a browser's numbers are too short for them."""
+        left, right = ([at for at, _ in self.slip[finger]] for finger in FINGERS)
+        last_ns = -PERIOD_NS
+        for at in left if right else ():
+            if at - last_ns >= PERIOD_NS:
+                last_ns = at
+                other = right[min(bisect_left(right, at), len(right) - 1)]
+                yield {"t": round((at - start_ns) / 1e9, 3), "left": str(at), "right": str(other)}
+
+
+def timeline(path: Path) -> dict[str, Any]:
+    """The curves of a recording; raises RecordingError where it cannot be read."""
+    curves = Curves()
+    with path.open("rb") as stream:
+        for topic, at_ns, data in _messages(make_reader(stream), TOPICS):
+            match topic:
+                case "/robot":
+                    curves.robot(at_ns, _json(data)["depth_mm"])
+                case "/messages":
+                    content = _json(data)
+                    curves.message(at_ns, content["from"], content["message"])
+                case _:
+                    curves.markers(topic.split("/")[1], at_ns, data)
+    return curves.told()
+
+
+def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
+    """What a finger felt at a stamp of the timeline, as the page draws it; RecordingError if there is nothing."""
+    pixels, told = None, None
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        calibration = next((m.metadata["calibration"] for m in reader.iter_metadata() if m.name == "insertion"), "")
+        topics = [f"/{finger}/markers", *(f"/{finger}/{name}" for name in IMAGE.values())]
+        for topic, _, data in _messages(reader, topics, at_ns):
+            if topic.endswith("markers"):
+                told = Markers.FromString(data)
+            else:
+                pixels = _pixels(topic, data)
+    if told is None:
+        raise RecordingError(f"{path.parent.name} has no markers of the {finger} finger at {at_ns}")
+    if pixels is None:
+        pixels = np.zeros((320, 327, 3), np.uint8)  # left out for lack of room: the markers remain
+    elif calibration:
+        rectify = _rectifier(calibration, finger)
+        pixels = rectify.apply(pixels) if pixels.shape == rectify.camera.raw.shape else pixels
+    seen = np.frombuffer(told.valid, np.uint8)
+    arrows = {
+        "rest": [round(v, 1) for v in told.rest_px],
+        "moved": [round(v, 2) for v in told.displacement_px],
+        "kinds": kinds(seen, _flags(told.slipping, seen.size), _flags(told.sticking, seen.size)),
+        "pitch": _pitch(told),
+    }
+    return shown(finger, pixels, told.state, told.slip_score) | arrows
+
+
+def _messages(reader: McapReader, topics: list[str], at_ns: int | None = None) -> Iterator[tuple[str, int, bytes]]:
+    """(topic, log time, bytes) in order of time, of all times or of one."""
+    end_ns = None if at_ns is None else at_ns + 1
+    try:
+        for _, channel, message in reader.iter_messages(topics, at_ns, end_ns):
+            yield channel.topic, message.log_time, message.data
+    except (McapError, EOFError, OSError) as error:
+        raise RecordingError(f"the recording cannot be read: {error or type(error).__name__}") from error
+
+
+def _flags(recorded: bytes, count: int) -> NDArray[np.uint8]:
+    """One flag a marker; recordings of older versions have none."""
+    return np.frombuffer(recorded, np.uint8) if len(recorded) == count else np.zeros(count, np.uint8)
+
+
+def _pitch(told: Any) -> float:
+    """Distance of neighbouring markers at rest, px."""
+    rest = np.array(told.rest_px, np.float32).reshape(told.rows, told.cols, 2)
+    return float(np.median(rest[:, 1:, 0] - rest[:, :-1, 0]))
+
+
+def _pixels(topic: str, data: bytes) -> Any:
+    if topic.endswith(IMAGE[CompressedImage]):
+        return decode_jpeg(CompressedImage.FromString(data).data)
+    image = RawImage.FromString(data)
+    return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, 3)
+
+
+@lru_cache(maxsize=4)
+def _rectifier(calibration: str, finger: Finger) -> Rectifier:
+    """Of a calibration's text; raises RecordingError where it is none."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "calibration.toml"
+        path.write_text(calibration, encoding="utf-8")
+        try:
+            return Rectifier(Calibration.load(path).camera(finger))
+        except (ContractError, ValueError) as error:
+            raise RecordingError(f"the recording's calibration cannot be used: {error}") from error
+
+
+def _json(data: bytes) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(data)
+    return content

@@ -1,0 +1,69 @@
+"""What the page says, in plain words. Left, right and turns are those of the page's drawing, seen from above."""
+
+from collections.abc import Callable
+from typing import Any
+
+from service.contract import wire
+from service.contract.words.causes import what_of
+
+PHASES = {
+    "start": "The robot is connected",
+    "greeting": "The robot is connected",
+    "learning": "Looking at the open gels",
+    "grasping": "Closing the fingers",
+    "approaching": "Moving above the gap",
+    "arming": "Looking at the gels at rest",
+    "armed": "Ready to go down",
+    "descending": "Lowering the object into the gap",
+    "stopping": "Felt an edge, stopping",
+    "deciding": "Working out how far off it is",
+    "retracting": "Going up again",
+    "correcting": "Moving to the corrected place",
+    "no_decision": "Cannot trust what was felt, so it probes again",
+    "closing": "Down at full depth, checking that it is in",
+}
+SURE = ((0.9, "very sure"), (0.7, "fairly sure"), (0.45, "unsure"), (0.0, "guessing"))
+
+
+def sure(confidence: float) -> str:
+    """A confidence in words."""
+    return next(word for least, word in SURE if confidence >= least)
+
+
+def shift(dx_mm: float, dtheta_deg: float) -> str:
+    """A motion or an error: "4.2 mm left, 3.1 deg clockwise" (positive x is right, positive yaw anticlockwise)."""
+    parts = []
+    if abs(dx_mm) >= 0.05:
+        parts.append(f"{abs(dx_mm):.1f} mm {'right' if dx_mm > 0 else 'left'}")
+    if abs(dtheta_deg) >= 0.05:
+        parts.append(f"{abs(dtheta_deg):.1f}° {'anticlockwise' if dtheta_deg > 0 else 'clockwise'}")
+    return ", ".join(parts) or "nothing"
+
+
+def ended(outcome: str, cause: str | None, attempts_n: int, named: str = "") -> str:
+    """How an insertion ended."""
+    if outcome == "inserted":
+        what = named[:1].upper() + named[1:] if named else "Object"
+        return f"{what} inserted after {attempts_n} attempt{'s' * (attempts_n != 1)}"
+    if outcome == "aborted":
+        return "Stopped by a person"
+    return f"Holding: {what_of(cause)}"
+
+
+LINES: dict[type, Callable[[Any], str]] = {
+    wire.ServiceHello: lambda _: "robot connected",
+    wire.Armed: lambda m: f"attempt {m.attempt} begins",
+    wire.Enough: lambda m: f"pressed by {m.pressed_mm:.1f} mm, stopped",
+    wire.Slip: lambda m: f"{m.finger} finger felt slip, stopped",
+    wire.Correction: lambda m: f"moves {shift(m.dx_mm, m.dtheta_deg)}",
+    wire.NoDecision: lambda m: f"no decision: {m.detail}",
+    wire.Refused: lambda m: f"not started: {m.detail}",
+    wire.Finished: lambda m: ended(m.outcome, m.cause, m.attempts).lower(),
+    wire.Fault: lambda m: f"{m.code.replace('_', ' ')}: {m.detail}",
+}
+
+
+def event(message: Any) -> str:
+    """One line for the list of what happened; empty for what a person need not know."""
+    line = LINES.get(type(message))
+    return line(message) if line else ""

@@ -1,0 +1,219 @@
+"""The state of the cell as the page shows it: one snapshot that a page gets on connecting and after each change."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from service.contract import FINGERS, wire
+from service.contract.words.causes import CAUSES
+from service.observability.hub import Hub
+from service.recordings.listing import list_recordings
+from service.session.station import Station
+from service.web.page.alarms import FILE, Alarms
+from service.web.page.running import Running
+from service.web.page.sentences import PHASES, ended, event
+
+EVENTS_N = 30
+SHOWN_ALARMS_N = 20
+CAMERA_REMEDY = "Check cable and power of that finger. It comes back by itself."
+
+
+@dataclass(frozen=True, slots=True)
+class Last:
+    """How the last insertion ended; ``seconds`` it took, None where that was not recorded."""
+
+    insertion_id: str
+    outcome: str
+    cause: str | None
+    words: str
+    attempts: int
+    object: str
+    at_s: float | None
+    seconds: float | None = None
+
+
+class Status:
+    """Follows the hub's events from the start of the service, whether or not a page is open. Thread safe."""
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._alarms = Alarms(station.settings.recordings / FILE)
+        self._lock = threading.Lock()
+        self._running: Running | None = None
+        self._last = _newest(station)
+        self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
+        self.changes_n = 0
+        self._note_interrupted()
+        self._follow(station.hub)
+
+    def _follow(self, hub: Hub) -> None:
+        handlers: dict[str, Callable[[Any], None]] = {
+            "message": self._on_message,
+            "client": self._on_client,
+            "robot": self._on_robot,
+            "command": self._on_command,
+            "camera_fault": self._on_camera_fault,
+            "error": self._on_error,
+        }
+
+        def on_event(kind: str, content: Any) -> None:
+            if handler := handlers.get(kind):
+                with self._lock:
+                    handler(content)
+                    self.changes_n += 1
+
+        hub.subscribe(on_event)
+
+    def _note_interrupted(self) -> None:
+        """An insertion that a crash of the service cut off is an alarm, too: nobody saw how it ended."""
+        last = self._last
+        key = f"insertion {last.insertion_id}" if last else ""
+        if last and last.outcome == "interrupted" and not any(alarm.key == key for alarm in self._alarms.all):
+            detail, remedy = "The service ended during it.", "Look where the object is; start a new insertion."
+            named = last.insertion_id
+            self._alarms.sound(key, "stop", "An insertion broke off", detail=detail, remedy=remedy, insertion_id=named)
+
+    # ---- events -----------------------------------------------------------------------------------------------------
+
+    def _on_message(self, message: Any) -> None:
+        if isinstance(message, wire.ServiceHello) and not self._is_running(message.insertion_id):
+            self._running = Running(message.insertion_id)
+            self._events.clear()
+        if text := event(message):
+            self._events.append({"at_s": time.time(), "kind": message.type, "text": text})
+        if not self._is_running(message.insertion_id):
+            return
+        assert self._running is not None
+        if isinstance(message, wire.Finished):
+            self._on_finished(message, self._running)
+        else:
+            self._running.said(message)
+
+    def _is_running(self, insertion_id: str) -> bool:
+        return self._running is not None and self._running.insertion_id == insertion_id
+
+    def _on_client(self, message: Any) -> None:
+        if self._running is not None:
+            self._running.told(message)
+
+    def _on_robot(self, sample: wire.RobotSample) -> None:
+        if self._running is not None:
+            self._running.robot(sample)
+
+    def _on_command(self, command: Any) -> None:
+        if self._running is not None:
+            self._running.believes(command)
+
+    def _on_finished(self, message: wire.Finished, running: Running) -> None:
+        now_s = time.time()
+        cause = message.cause
+        words = ended(message.outcome, cause, message.attempts, running.object)
+        took_s = now_s - running.began_s
+        self._last = Last(
+            message.insertion_id, message.outcome, cause, words, message.attempts, running.object, now_s, took_s
+        )
+        self._running = None
+        if cause is not None and cause != "operator":
+            detail = "; ".join(doubt.detail for doubt in message.doubts) or running.problem
+            self._alarms.sound(
+                f"insertion {message.insertion_id}",
+                "stop",
+                words,
+                detail=detail,
+                remedy=CAUSES[cause].remedy,
+                insertion_id=message.insertion_id,
+            )
+
+    def _on_camera_fault(self, fault: dict[str, str]) -> None:
+        finger = fault["finger"]
+        title = f"{finger} camera {fault['code'].removeprefix('camera_')}"
+        self._alarms.sound(
+            f"camera {finger}", "warning", title.capitalize(), detail=fault["detail"], remedy=CAMERA_REMEDY
+        )
+
+    def _on_error(self, detail: str) -> None:
+        self._alarms.sound("service", "warning", "Fault of the service", detail=str(detail), remedy="Read its log.")
+
+    def acknowledge(self, number: int) -> bool:
+        """A person has seen an alarm; False if there is no such alarm."""
+        with self._lock:
+            self.changes_n += 1
+            return self._alarms.acknowledge(number)
+
+    # ---- snapshot ---------------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything the page needs to know, whenever it connects."""
+        health = self._health()
+        with self._lock:
+            if health["recording"] and not any(a.key == "recording" for a in self._alarms.all[:1]):
+                self._alarms.sound("recording", "warning", "Insertions are not recorded", detail=health["recording"])
+            alarms = [asdict(alarm) | {"active": self._is_active(alarm.key)} for alarm in self._alarms.all]
+            running, last = self._running, self._last
+            shown = running and asdict(running) | {
+                "attempts_max": wire.MAX_ATTEMPTS,
+                "words": PHASES.get(running.phase, running.phase),
+            }
+            return {
+                "now_s": time.time(),
+                "headline": self._headline(health),
+                "running": shown,
+                "last": asdict(last) if last else None,
+                "alarms": alarms[:SHOWN_ALARMS_N],
+                "open_alarms_n": len(self._alarms.open),
+                "events": list(self._events)[::-1],
+                "health": health,
+            }
+
+    def _headline(self, health: dict[str, Any]) -> dict[str, str]:
+        """The most important thing now: a stop that nobody has acknowledged, else what is going on."""
+        bad = [finger for finger in FINGERS if health["cameras"][finger]["state"] != "live"]
+        stop = next((alarm for alarm in self._alarms.open if alarm.level == "stop"), None)
+        if self._running is not None:
+            running = self._running
+            counted = f"Attempt {running.attempt} of {wire.MAX_ATTEMPTS}: " if running.attempt else ""
+            words = PHASES.get(running.phase, running.phase)
+            said = words[0].lower() + words[1:] if counted else words
+            level = "warning" if running.phase == "no_decision" or bad else "busy"
+            return {"level": level, "words": counted + said, "detail": running.problem}
+        if stop is not None:
+            return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy} {stop.detail}".strip()}
+        if bad:
+            words = f"No picture from the {' and the '.join(bad)} camera"
+            return {"level": "warning", "words": words, "detail": CAMERA_REMEDY}
+        if self._last is not None and self._last.at_s is not None and self._last.cause is None:
+            return {"level": "good", "words": self._last.words, "detail": "Ready for the next object."}
+        return {"level": "good", "words": "Ready for the next object", "detail": ""}
+
+    def _is_active(self, key: str) -> bool:
+        """Whether what an alarm is about still holds, as far as that can be seen."""
+        what, _, name = key.partition(" ")
+        if what == "camera":
+            return any(finger == name and self._station.cameras[finger].state != "live" for finger in FINGERS)
+        return what == "recording" and bool(self._station.recording_problem)
+
+    def _health(self) -> dict[str, Any]:
+        station = self._station
+        active = station.active
+        return {
+            "ready": station.ready,
+            "cameras": {f: station.cameras[f].entry.model_dump() for f in FINGERS},
+            "driver": active.session.insertion_id if active else None,
+            "recording": station.recording_problem,
+            "frames_dropped_n": station.counters.frames_dropped_n,
+            "insertions_n": station.manager.opened_n,
+        }
+
+
+def _newest(station: Station) -> Last | None:
+    """How the last insertion ended before this start of the service."""
+    listed, _ = list_recordings(station.settings.recordings, most_n=1)
+    if not listed:
+        return None
+    found = listed[0]
+    outcome, cause, attempts_n, named = (found[key] for key in ("outcome", "cause", "attempts", "object"))
+    words = ended(outcome, cause, attempts_n, named or "")
+    return Last(found["insertion_id"], outcome, cause, words, attempts_n, named or "", None, found["seconds"])

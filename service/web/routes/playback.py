@@ -1,0 +1,71 @@
+"""Looking at a finished insertion under /v1/recordings: its curves, its moments, and what it would decide today."""
+
+import asyncio
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter, HTTPException
+
+from service.contract import Finger
+from service.recordings.writer import FINAL
+from service.session.station import Station
+from service.web.access import Access
+from service.web.page.playback import moment, timeline
+from service.web.routes.recordings import recording_folder
+
+AGAIN_S = 120.0
+
+
+def router(station: Station, access: Access) -> APIRouter:
+    routes = APIRouter(prefix="/v1/recordings/{name}", tags=["recordings"], dependencies=[access.require("watch")])
+    deciding = asyncio.Lock()
+
+    def file_of(name: str) -> Path:
+        path = recording_folder(station.settings.recordings, name) / FINAL
+        if not path.is_file():
+            raise HTTPException(404, f"recording {name} has no {FINAL}")
+        return path
+
+    @routes.get("/timeline")
+    async def curves(name: str) -> dict[str, Any]:
+        """Slip, push and depth over time, what happened, and the moments that can be looked at."""
+        return await asyncio.to_thread(timeline, file_of(name))
+
+    @routes.get("/moments/{finger}/{at_ns}")
+    async def felt(name: str, finger: Finger, at_ns: int) -> dict[str, Any]:
+        """What a finger felt at a moment: its picture, its markers, which of them slip."""
+        return await asyncio.to_thread(moment, file_of(name), finger, at_ns)
+
+    @routes.post("/decide")
+    async def decide_again(name: str) -> dict[str, Any]:
+        """Decide the whole insertion again with the networks that are loaded now, in a process of its own."""
+        path = file_of(name)
+        if station.active is not None or deciding.locked():
+            raise HTTPException(409, "busy: an insertion is under way, or another one is being decided again")
+        async with deciding:
+            return await _replayed(path, station.settings.models)
+
+    return routes
+
+
+async def _replayed(path: Path, models: Path) -> dict[str, Any]:
+    """What `service replay` says of a recording; ``same`` None where it could not be decided again."""
+    command = (sys.executable, "-m", "service", "replay", str(path), "--models", str(models))
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(
+        *command, stdout=pipe, stderr=asyncio.subprocess.STDOUT, preexec_fn=_politely
+    )
+    try:
+        async with asyncio.timeout(AGAIN_S):
+            output, _ = await process.communicate()
+    except TimeoutError:
+        process.kill()
+        raise HTTPException(504, f"not decided again within {AGAIN_S:g} s") from None
+    same = {0: True, 1: False}.get(process.returncode if process.returncode is not None else -1)
+    return {"same": same, "lines": output.decode(errors="replace").splitlines()[-20:]}
+
+
+def _politely() -> None:
+    os.nice(10)

@@ -1,0 +1,42 @@
+"""The robot client's configuration for a simulated cell, as a person would write it for a real one."""
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+OPEN_MM, RETREAT_MM = 100.0, 40.0
+
+
+def client_config(
+    facts: dict[str, Any], service: str, token: Path | None, link: Literal["egm", "socket"] = "egm"
+) -> str:
+    """The text of a ``cell.toml``. ``facts`` are those of ``cell.json``; the fixture is where the arm starts.
+
+    ``service`` is the address of the service, ``token`` the file of its token; None: the client finds it by itself.
+    """
+    devices = {
+        "egm": {"device": "abb_egm", "port": facts["egm_guide_port"]},
+        "socket": {"device": "abb_rapid", **facts["rapid"]},
+    }
+    host, _, port = facts["gripper"].rpartition(":")
+    url = service.replace("http://", "ws://").rstrip("/") + "/v1/insertion"
+    tables: dict[str, dict[str, Any]] = {
+        "robot": {**devices[link], "rws.url": facts["rws_url"]},
+        "gripper": {"host": host, "port": int(port)},
+        "service": {"url": url, **({"token_file": str(token)} if token else {})},
+        "task": {
+            "object": Path(facts["object"]).stem,
+            "approach_z_mm": round(facts["approach"]["z_mm"], 4),
+            "gap_width_mm": round(facts["gap_width_mm"], 3),
+            "expected_depth_mm": round(facts["expected_depth_mm"], 3),
+            "creep_allowance_mm": facts["creep_allowance_mm"],
+        },
+        "cycle": {"open_mm": OPEN_MM, "retreat_mm": RETREAT_MM},
+        "cycle.pick": {key: round(float(value), 4) for key, value in facts["home"].items()},
+    }
+    if link == "socket":  # REACTION_S and the controller's stop ramp
+        tables["lease"] = {"stop_lag_s": 0.07}
+    lines = ["simulated = true"]
+    for name, keys in tables.items():
+        lines += ["", f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
+    return "\n".join(lines) + "\n"

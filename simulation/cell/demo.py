@@ -1,0 +1,73 @@
+"""A simulated cell at work: the cell, the service with its page and the robot client's cycle, until Ctrl-C."""
+
+import contextlib
+import socket
+import time
+import webbrowser
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.contract.token import TOKEN_FILE
+from simulation.cell.children import Child
+from simulation.cell.config import client_config
+from simulation.cell.emulators.net import HOST, BusyPortError, bind_tcp, free_port
+from simulation.cell.run import SERVICE_READY_S, RunOptions, Start, ready_cell, start_cell, start_service
+
+DAYS_S = 1e9
+
+
+@dataclass(frozen=True)
+class DemoOptions(RunOptions):
+    """Insert one object after another in the simulated cell, each with a start of its own, until Ctrl-C."""
+
+    port: int = 8000
+    """Of the page; any free one if it is taken."""
+    open: bool = False
+    """Open the page in the browser."""
+    parts: int | None = None
+    """Stop after so many inserted objects."""
+
+
+def lines(options: DemoOptions, folder: Path, log: Path | None = None) -> Iterator[str]:
+    """Run the demonstration and give what it says; raises ChildError if a process fails. Ends all on leaving."""
+    start = Start(options.object, 0.0, 0.0, options.seed)
+    folder.mkdir(parents=True)
+    with ExitStack() as children:
+        port = _port(options.port)
+        url = f"http://{HOST}:{port}/"
+        yield f"page: {url} (from when the service runs, in some seconds)"
+        yield "starting the simulated cell"
+        cell = children.enter_context(start_cell(start, options, folder, fed=True))
+        facts = ready_cell(cell, folder)
+        service = children.enter_context(start_service(facts, options, folder, port))
+        service.until("service ready at ", SERVICE_READY_S)
+        if options.open:
+            with contextlib.suppress(webbrowser.Error):
+                webbrowser.open(url)
+        config = folder / "client.toml"
+        config.write_text(client_config(facts, url, (folder / "state" / TOKEN_FILE).resolve(), options.link))
+        counted = ("--parts", str(options.parts)) if options.parts else ()
+        arguments = ["cycle", "--live", "--config", str(config), "--logs", str(log or folder / "episodes"), *counted]
+        client = children.enter_context(Child("robot client", "robot_client", arguments, folder / "client.log"))
+        for child in (cell, service, client):
+            child.go_first()
+        yield from client.lines((cell, service), DAYS_S)
+        if client.code not in {0, 1}:
+            client.check()
+        if client.code == 1:
+            yield "the cell holds; the page says why. Ctrl-C ends the demonstration"
+            while True:
+                cell.check()
+                service.check()
+                time.sleep(0.5)
+
+
+def _port(wanted: int) -> int:
+    """The port asked for, or any other where that is taken."""
+    try:
+        bind_tcp(wanted, "the page").close()
+    except BusyPortError:
+        return free_port(socket.SOCK_STREAM)
+    return wanted

@@ -1,0 +1,71 @@
+"""`python -m simulation commission`: cells that probe, adapt and learn from work, in lock step, resumable."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from service.contract.shipped import released_models
+from simulation.closed_loop.campaign import fingerprint
+from simulation.scene.worlds import World, files_in, load_objects, load_world
+from simulation.studies.commissioning import Cell, Plan, commission, write
+
+
+@dataclass(frozen=True)
+class Options:
+    """Play commissioning in each world: probes of known error, adapting, and working insertions with hindsight.
+
+    JSON gets a row a world: `released`, `after_50`, `after_150` (after all probes) and `after_work` are counted on the
+    same fresh insertions. What is played is kept beside it and not played again. All figures are simulated.
+    """
+
+    worlds: tuple[str, ...]
+    """TOML files of worlds, or folders of them"""
+    objects: tuple[str, ...]
+    """names, TOML files or folders of them"""
+    json: Path
+    """file for the rows; what is played comes beside it"""
+    cell: Literal["own", "foreign"] = "own"
+    """whose mechanics: the project's own, or finite elements that it was not built on"""
+    probes: int = 150
+    """probes of known error in each world"""
+    insertions: int = 50
+    """working insertions to learn from, and fresh ones that every version is counted on"""
+    seed: int = 0
+    """of starts, grasps and noise"""
+    models: Path = field(default_factory=released_models)
+    """folder with the networks to begin with"""
+    checkpoint: Path | None = None
+    """release that is adapted; beside the models unless given"""
+    workers: int = 0
+    """processes; 0 takes every core"""
+
+
+def main(arguments: list[str]) -> int:
+    """Play all worlds, write the rows as they come."""
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion commission")
+    if options.probes < 1 or options.insertions < 1:
+        raise ValueError(f"--probes {options.probes} --insertions {options.insertions}: expected at least 1 of each")
+    models = options.models
+    checkpoint = options.checkpoint or models / "checkpoint.pt"
+    if not checkpoint.exists():
+        raise ValueError(f"--checkpoint {checkpoint}: no such file; expected the release as `training` saved it")
+    plan = Plan(checkpoint, models, options.probes, options.insertions, options.workers)
+    made_by = hashlib.sha256(json.dumps(fingerprint({"belief": models}), sort_keys=True).encode()).hexdigest()[:12]
+    rows = []
+    for world in [load_world(file) for file in files_in(options.worlds)]:
+        rows.append(commission(_cell(options, world, made_by), plan))
+        write(rows, options.json)
+        print(json.dumps(rows[-1]))
+    return 0
+
+
+def _cell(options: Options, world: World, made_by: str) -> Cell:
+    objects = {name: world.around(scene) for name, scene in load_objects(options.objects).items()}
+    folder = options.json.with_suffix("") / made_by / world.name / f"seed-{options.seed}"
+    return Cell(world, objects, folder, options.seed, "" if options.cell == "own" else options.cell)

@@ -1,0 +1,84 @@
+"""`python -m simulation drawn-worlds`: the closed loop in worlds that nobody trained for, all variants, resumable."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from reporting.files import write_durably
+from simulation.cli.evaluate import PlayOptions
+from simulation.closed_loop import campaign
+from simulation.closed_loop.campaign import fingerprint
+from simulation.scene import drawn
+from simulation.studies import drawn_worlds
+from simulation.studies.drawn_worlds import Variant
+
+
+@dataclass(frozen=True)
+class Options(PlayOptions):
+    """Play the same starts in drawn worlds by every variant.
+
+    Variants: the release with a measured shear reach told, and with none told; the networks of OLDER and of
+    PAPER_MODELS where there are any.
+
+    Results go to OUT/insertions.jsonl as they come, the report to DOCS/drawn_worlds.md and .json. All are simulated.
+    """
+
+    out: Path = Path("runs/drawn_worlds")
+    docs: Path = Path("runs/drawn_worlds")
+    count: int = 300
+    """insertions a variant"""
+    perception: Literal["pictures", "fields"] = "fields"
+    drawn_n: int = 300
+    """how many worlds are drawn by Latin hypercube"""
+    layer_share: float = 0.5
+    """of the drawn worlds that are played in the finer tier, which costs many times as much"""
+    older: Path = Path("models")
+    """folder of an earlier release"""
+    paper_models: Path = Path("models/paper")
+    """folder of the paper's recipe"""
+    seed: int = 1
+
+
+def main(arguments: list[str]) -> int:
+    """Run, print the page, write the files."""
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion drawn-worlds")
+    options.check()
+    worlds = []
+    for number, tables in enumerate(drawn.draw_worlds(options.drawn_n, options.seed)):
+        tables["gel"]["tier"] = "layer" if number < options.layer_share * options.drawn_n else "bristle"
+        worlds.append(drawn.world(tables, f"drawn-{number:04d}"))
+    begun = drawn_worlds.starts(worlds, _objects(options), options.count, options.seed)
+    played = _variants(options)
+    setup = fingerprint({variant.title: variant.models for variant in played})
+    campaign.claim(options.out, setup)
+    todo = drawn_worlds.tasks(played, begun, options.seed, options.perception)
+    rows = campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers, ray=options.ray)
+    sys.stdout.write(drawn_worlds.write(rows, played, begun, setup, options.docs))
+    return 0
+
+
+def _variants(options: Options) -> list[Variant]:
+    found = [
+        Variant("release, reach told", options.models, "belief", told_reach=True),
+        Variant("release, reach not told", options.models, "belief", told_reach=False),
+    ]
+    if list(options.older.glob("*.step.onnx")) and options.older.resolve() != options.models.resolve():
+        found.append(Variant("release before", options.older, "belief", told_reach=False))
+    if list(options.paper_models.glob("*.step.onnx")):
+        found.append(Variant("the paper's recipe", options.paper_models, "paper", told_reach=False))
+    return found
+
+
+def _objects(options: Options) -> list[str]:
+    """Drawn objects as files in OUT: a job names its object by a file."""
+    folder = options.out / "objects"
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"object-{number:04d}.toml" for number in range(options.drawn_n)]
+    for path, tables in zip(paths, drawn.draw_objects(options.drawn_n, options.seed), strict=True):
+        write_durably(path, drawn.toml(tables, "drawn").encode())
+    return [str(path) for path in paths]

@@ -1,0 +1,186 @@
+"""The closed loop where nobody trained: worlds by Latin hypercube, drawn objects, every variant on the same starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reporting.page import page, publish
+from reporting.statistics import wilson
+from reporting.table import table
+from simulation.closed_loop.benchmark import first_answers
+from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.statistics import Row, ends
+from simulation.scene.rubber import shear_reach_pitches
+from simulation.scene.scene import SceneError
+from simulation.scene.worlds import World, load_scene
+
+NAME = "drawn_worlds"
+DECILES = 10
+_TRIES = 50
+
+
+class Variant(NamedTuple):
+    """What plays: a title, networks, a controller, and whether the client tells a measured shear reach."""
+
+    title: str
+    models: Path
+    controller: str
+    told_reach: bool
+
+
+class Start(NamedTuple):
+    """One insertion before anybody plays it."""
+
+    world: World
+    scene: str
+    x_mm: float
+    theta_deg: float
+    reach_pitches: float
+
+
+def starts(worlds: Sequence[World], objects: Sequence[str], count: int, seed: int) -> list[Start]:
+    """``count`` insertions, the worlds in turn, each with an object that can be held in it and a start, drawn."""
+    rng = np.random.default_rng((seed, 0xD2A))
+    return [_start(worlds[index % len(worlds)], objects, rng) for index in range(count)]
+
+
+def _start(world: World, objects: Sequence[str], rng: np.random.Generator) -> Start:
+    for _ in range(_TRIES):
+        name = objects[int(rng.integers(len(objects)))]
+        try:
+            scene = world.around(load_scene(name))
+        except SceneError:
+            continue  # this object cannot be held in this world
+        x, theta = rng.uniform(-1.0, 1.0, 2) * (scene.x_range_mm, scene.theta_range_deg)
+        return Start(world, name, float(x), float(theta), shear_reach_pitches(scene))
+    raise ValueError(f"world {world.name}: none of {_TRIES} objects drawn can be held in it")
+
+
+def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int, perception: str) -> list[Task]:
+    """Every start by every variant, one start after the other: a run cut short is still balanced."""
+    return [
+        Task(
+            variant.models,
+            {
+                "scene": start.scene,
+                "index": index,
+                "x_mm": start.x_mm,
+                "theta_deg": start.theta_deg,
+                "seed": seed * 1_000_000 + index,
+                "controller": variant.controller,
+                "perception": perception,
+                "condition": f"{start.world.name}: {variant.title}",
+                "changes": dict(start.world.changes),
+                "unstated": start.world.unstated.model_dump(mode="json", exclude_defaults=True),
+                "told_reach": variant.told_reach,
+            },
+        )
+        for index, start in enumerate(begun)
+        for variant in variants
+    ]
+
+
+def report_of(
+    rows: Sequence[Row], variants: Sequence[Variant], begun: Sequence[Start], setup: Mapping[str, Any]
+) -> Row:
+    """What the page is written from, as plain data."""
+    reach = np.array([start.reach_pitches for start in begun])
+    by_variant = {variant.title: rows[place :: len(variants)] for place, variant in enumerate(variants)}
+    first = next(iter(by_variant.values()))
+    return {
+        "simulated": True,
+        "setup": dict(setup),
+        "worlds": len({start.world.name for start in begun}),
+        "objects": len({start.scene for start in begun}),
+        "variants": [{"variant": title, **_figures(mine)} for title, mine in by_variant.items()],
+        "deciles": list(_deciles(first, reach)),
+        "tiers": [
+            {"tier": tier, **_figures([row for row in first if row["changes"]["gel.tier"] == tier])}
+            for tier in sorted({row["changes"]["gel.tier"] for row in first})
+        ],
+        "untrue": [_untrue(row) for row in first if row["claimed"] and not row["inserted"]],
+    }
+
+
+def _figures(rows: Sequence[Row]) -> Row:
+    return {**ends(rows), **first_answers(rows), "worst_force_n": max(row["course"]["force_n"] for row in rows)}
+
+
+def _deciles(rows: Sequence[Row], reach: Any) -> Iterator[Row]:
+    edges = np.quantile(reach, np.linspace(0.0, 1.0, DECILES + 1))
+    place = np.clip(np.searchsorted(edges, reach, side="right") - 1, 0, DECILES - 1)
+    for decile in range(DECILES):
+        mine = [row for row, where in zip(rows, place, strict=True) if where == decile]
+        if mine:
+            yield {"low": float(edges[decile]), "high": float(edges[decile + 1]), **_figures(mine)}
+
+
+def _untrue(row: Row) -> Row:
+    world = row["condition"].partition(":")[0]
+    return {"world": world, "object": Path(row["scene"]).stem, "attempts": row["attempts"], "error": row["final_error"]}
+
+
+def drawn_worlds_page(data: Row) -> str:
+    """The whole of docs/drawn_worlds.md from drawn_worlds.json."""
+    first = data["variants"][0]
+    wrong = wilson(first["claimed_wrongly"], first["insertions"])
+    done = wilson(first["inserted"], first["insertions"])
+    return page(
+        f"""
+        # Cells that nobody trained for, simulated
+
+        Written by `make drawn-worlds`: {data["worlds"]} worlds by Latin hypercube over what cells are
+        ([worlds](worlds.md)), {data["objects"]} drawn objects. Nothing here was trained or tuned on. All variants
+        begin from the same starts. Markers are true ones with the tracker's error; a failure counts as 16 trials.
+
+        **{first["claimed_wrongly"]} of {first["insertions"]} claims were not true: {wrong:.2%}** with the 95 % Wilson
+        interval, in the first variant. {done:.1%} were inserted.
+        """,
+        data.get("note", ""),
+        table(
+            data["variants"],
+            ("variant", "variant"),
+            ("claimed, not true", "claimed_wrongly", "d"),
+            ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
+            *_COLUMNS,
+            ("void", "void", "d"),
+        ),
+        "## By decile of the shear reach, first variant",
+        table(
+            data["deciles"],
+            ("reach, marker pitches", lambda row: f"{row['low']:.2f} .. {row['high']:.2f}"),
+            ("claimed, not true", "claimed_wrongly", "d"),
+            ("inserted", lambda row: f"{row['inserted']} of {row['insertions']}"),
+            *_COLUMNS,
+        ),
+        "## By tier of the simulated gel, first variant",
+        table(
+            data["tiers"],
+            ("tier", "tier"),
+            ("claimed, not true", "claimed_wrongly", "d"),
+            ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
+            *_COLUMNS,
+        ),
+    )
+
+
+_COLUMNS: tuple[Any, ...] = (
+    ("mean trials", "mean_trials", ".2f"),
+    ("refused", "refused", "d"),
+    ("direction", lambda row: wilson(row["direction_right"], row["direction_n"]), ".0%"),
+    ("MAE x mm", "mae_x_mm", ".2f"),
+    ("MAE yaw deg", "mae_theta_deg", ".2f"),
+    ("90 % holds x", "covered_x", ".0%"),
+    ("90 % holds yaw", "covered_theta", ".0%"),
+    ("largest force N", "worst_force_n", ".0f"),
+)
+
+
+def write(rows: Sequence[Row], variants: Sequence[Variant], begun: Sequence[Start], setup: Row, docs: Path) -> str:
+    """Write NAME.md and NAME.json into the folder; returns the text."""
+    data = report_of(rows, variants, begun, setup)
+    return publish(docs, NAME, drawn_worlds_page(data), data)

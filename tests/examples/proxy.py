@@ -1,0 +1,61 @@
+"""A TCP proxy in front of the service: a link that hangs without being closed, is cut, or says what nobody said."""
+
+import contextlib
+import socket
+import threading
+
+
+class Proxy:
+    """Passes bytes on both ways until it is told otherwise; one thread a direction of a connection."""
+
+    def __init__(self, port: int) -> None:
+        self._service_port = port
+        self._open = threading.Event()
+        self._open.set()
+        self._ended = False
+        self._sockets: list[socket.socket] = []
+        self._clients: list[socket.socket] = []
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listening.getsockname()[1]
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def hang(self) -> None:
+        """Half open: both sides believe in the connection, and nothing comes through any more."""
+        self._open.clear()
+
+    def cut(self) -> None:
+        for sock in self._sockets:
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)
+
+    def inject(self, text: str) -> None:
+        """Say something to the client in the name of the service."""
+        content = text.encode()
+        assert len(content) < 126
+        self._clients[-1].sendall(bytes((0x81, len(content))) + content)
+
+    def close(self) -> None:
+        self._ended = True
+        self._open.set()
+        self._listening.close()
+        self.cut()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listening.accept()
+                service = socket.create_connection(("127.0.0.1", self._service_port))
+                self._sockets += (client, service)
+                self._clients.append(client)
+                for source, sink in ((client, service), (service, client)):
+                    threading.Thread(target=self._pass_on, args=[source, sink], daemon=True).start()
+
+    def _pass_on(self, source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while content := source.recv(65536):
+                self._open.wait()
+                if self._ended:
+                    return
+                sink.sendall(content)
+            if self._open.is_set():
+                sink.shutdown(socket.SHUT_RDWR)

@@ -1,0 +1,301 @@
+"""The controller that docs/api.md teaches, against the real service as a process: it stops on every fault."""
+
+import importlib.util
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import httpx
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from tests.examples.proxy import Proxy
+from tests.examples.tiny_arm import TinyArm
+from tests.service import drawn
+from tests.service.mjpeg import FakeFinger
+from tests.service.process import ServiceProcess, service_process
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "cell_controller.py"
+spec = importlib.util.spec_from_file_location("cell_controller", EXAMPLE)
+controller = importlib.util.module_from_spec(spec)
+sys.modules["cell_controller"] = controller
+spec.loader.exec_module(controller)
+
+BOUND_MM = 1.5
+SLOW_MM_S = 2.0  # this machine is shared: a lease of 0.7 s outlasts its pauses, and the bound stays the same
+NUMBERS = iter(range(1000))
+
+
+class Cell:
+    """A service with two cameras, and one insertion of the example's in it."""
+
+    def __init__(self, service: ServiceProcess, fingers: tuple[FakeFinger, FakeFinger]) -> None:
+        self.service, self.fingers = service, fingers
+
+    def insert(self, arm: TinyArm, port: int | None = None, token: str | None = None, name: str | None = None) -> dict:
+        task = controller.Task(
+            name=name or f"box-{next(NUMBERS)}", gap_width_mm=56.0, depth_mm=4.0, speed_mm_s=SLOW_MM_S
+        )
+        self.open_hand(True)
+        arm.on_grasp = lambda: self.open_hand(False)
+        url = f"ws://127.0.0.1:{port or self.service.port}/v1/insertion"
+        return controller.insert(arm, self.service.token if token is None else token, task, url)
+
+    def open_hand(self, is_open: bool) -> None:
+        for finger in self.fingers:
+            finger.open = is_open
+
+    def touch(self) -> None:
+        for finger in self.fingers:
+            finger.probe(time.monotonic() - 0.6)  # it begins to move at once, and slips within a millimetre
+
+    def rest(self) -> None:
+        heal(self.fingers)
+        until_s = time.monotonic() + 20
+        while time.monotonic() < until_s:
+            ready = httpx.get(self.service.url("/readyz"), timeout=10).status_code == 200
+            idle = httpx.get(self.service.url("/v1/insertions"), timeout=10).json()["active"] is None
+            if ready and idle:
+                return
+            time.sleep(0.05)
+        raise AssertionError("the service is not at rest")
+
+    def outcome(self, name: str) -> tuple[str, str | None]:
+        """How the service's own record says that an insertion ended."""
+        until_s = time.monotonic() + 10
+        while time.monotonic() < until_s:
+            for path in self.service.recordings.glob(f"*{name}*/summary.json"):
+                summary = json.loads(path.read_text())
+                return summary["outcome"], summary["cause"]
+            time.sleep(0.05)
+        raise AssertionError(f"no record of {name}")
+
+
+def heal(fingers: tuple[FakeFinger, FakeFinger]) -> None:
+    for finger in fingers:
+        finger.probe_started, finger.trouble, finger.connected = None, "", True
+
+
+@pytest.fixture(scope="module")
+def fingers():
+    both = FakeFinger("left"), FakeFinger("right")
+    yield both
+    for finger in both:
+        finger.close()
+
+
+def started(folder: Path, models_folder: Path, fingers: tuple[FakeFinger, FakeFinger]):
+    calibration = folder / "calibration.toml"
+    drawn.calibration().save(calibration)
+    cameras = ("--camera-left", fingers[0].url, "--camera-right", fingers[1].url)
+    options = (*cameras, "--calibration", str(calibration), "--max-frame-age-ms", "500")
+    return service_process(models_folder, folder / "recordings", *options)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory, models_folder, fingers):
+    with started(tmp_path_factory.mktemp("cell"), models_folder, fingers) as service:
+        yield Cell(service, fingers)
+
+
+@pytest.fixture
+def cell(shared):
+    shared.rest()
+    return shared
+
+
+def stands(arm: TinyArm) -> None:
+    """The arm stands, went no further than the bound after the fault, and goes nowhere any more."""
+    assert arm.stopped
+    assert not arm.descending()
+    depth_mm = arm.depth_mm()
+    if arm.broken_mm is not None:
+        assert depth_mm - arm.broken_mm <= BOUND_MM
+    time.sleep(0.1)
+    assert arm.depth_mm() == depth_mm
+    assert not arm.moves
+
+
+def test_the_example_needs_nothing_of_ours():
+    names = "simulation", "training", "export", "service", "robot_client", "reporting", "tactile_insertion"
+    script = f"""
+import runpy, sys
+runpy.run_path({str(EXAMPLE)!r})
+print([m for m in sys.modules if m.split('.')[0] in {names!r}], 'websockets' in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-I", "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[] True"
+
+
+def test_it_stops_on_touch_corrects_once_and_inserts(cell):
+    arm = TinyArm(touch=cell.touch)
+    retract = arm.retract
+
+    def retract_and_rest():
+        retract()
+        for finger in cell.fingers:
+            finger.probe_started = None
+
+    arm.retract = retract_and_rest
+    finished = cell.insert(arm)
+    assert (finished["type"], finished["outcome"]) == ("finished", "inserted")
+    assert arm.grasped == 1
+    assert len(arm.moves) == finished["attempts"] - 1 >= 1
+    assert arm.depth_mm() == 4.0
+
+
+def camera(trouble):
+    def cause(cell, _):
+        cell.fingers[1].trouble = trouble
+
+    return cause
+
+
+def stop_service(cell, _):
+    os.kill(cell.service.process.pid, signal.SIGSTOP)
+    threading.Timer(3.0, os.kill, (cell.service.process.pid, signal.SIGCONT)).start()
+
+
+FAULTS = {
+    "service stopped": (stop_service, "unwatched"),
+    "camera stalled": (camera("stalled"), "unwatched|no_reference"),
+    "camera frozen": (camera("frozen"), "unwatched|no_reference"),
+    "camera black": (camera("black"), "unwatched|no_reference"),
+    "link half open": (lambda _, proxy: proxy.hang(), "unwatched"),
+    "link cut": (lambda _, proxy: proxy.cut(), "no close frame"),
+    "nonsense": (lambda _, proxy: proxy.inject("nonsense"), "Expecting value"),
+    "frame of tomorrow": (
+        lambda _, proxy: proxy.inject(
+            json.dumps({"type": "watching", "attempt": 1, "frame_captured_ns": time.monotonic_ns() + 86_400 * 10**9})
+        ),
+        "clocks contradict",
+    ),
+    "fatal fault": (
+        lambda _, proxy: proxy.inject('{"type": "fault", "code": "taken_over", "detail": "hold", "fatal": true}'),
+        "taken_over",
+    ),
+    "finished": (
+        lambda _, proxy: proxy.inject('{"type": "finished", "outcome": "failed", "cause": "service", "doubts": []}'),
+        "ended failed",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_in_mid_descent_stops_the_arm(cell, fault):
+    cause, expected = FAULTS[fault]
+    proxy = Proxy(cell.service.port)
+    arm = TinyArm(trouble=lambda: cause(cell, proxy))
+    try:
+        with pytest.raises(Exception) as raised:
+            cell.insert(arm, proxy.port)
+        stands(arm)
+        assert re.search(expected, f"{getattr(raised.value, 'cause', '')} {raised.value}")
+    finally:
+        proxy.close()
+
+
+def test_a_camera_that_is_lost_is_no_fatal_fault_and_no_licence_to_move(cell):
+    """The arm stops, the service decides nothing, the same spot is probed, and arming is refused while it is gone."""
+
+    def cut():
+        cell.fingers[0].connected = False
+
+    arm = TinyArm(trouble=cut)
+    with pytest.raises(controller.Held, match=r"refused|no_reference|camera|judged frame"):
+        cell.insert(arm)
+    stands(arm)
+
+
+def test_a_killed_service_stops_the_arm(tmp_path, models_folder, fingers):
+    heal(fingers)
+    with started(tmp_path, models_folder, fingers) as service:
+        arm, cell = TinyArm(trouble=service.kill), Cell(service, fingers)
+        with pytest.raises(Exception, match=r"close frame|reset|refused|judged"):
+            cell.insert(arm)
+        stands(arm)
+
+
+def test_another_client_that_takes_over_ends_the_descent(cell):
+    link = []
+
+    def take_over():
+        head = {"Authorization": f"Bearer {cell.service.token}"}
+        link.append(connect(cell.service.url("/v1/insertion", "ws"), additional_headers=head))
+        link[0].send(json.dumps({"type": "hello", "insertion_id": "shared", "client": "second"}))
+        link[0].recv(10)
+
+    arm = TinyArm(trouble=take_over)
+    with pytest.raises(controller.Held, match="taken_over"):
+        cell.insert(arm, name="shared")
+    stands(arm)
+    link[0].send(json.dumps({"type": "abort", "insertion_id": "shared", "cause": "operator", "reason": "done"}))
+    link[0].close()
+
+
+def test_nothing_moves_without_the_token(cell):
+    arm = TinyArm()
+    with pytest.raises(InvalidStatus):
+        cell.insert(arm, token="wrong")
+    with pytest.raises(controller.Held, match="forbidden"):
+        cell.insert(arm, token="")
+    assert not arm.grasped
+    assert arm.depth_mm() == 0.0
+
+
+def test_nothing_moves_in_an_attempt_that_is_refused(cell):
+    arm = TinyArm()
+    arm.widths_mm = [0.5]
+    with pytest.raises(controller.Held, match="implausible_width"):
+        cell.insert(arm)
+    stands(arm)
+    assert arm.depth_mm() == 0.0
+
+
+def test_an_arm_that_refuses_is_stopped_and_the_record_says_who_gave_up(cell):
+    arm = TinyArm()
+    arm.refuses = "motors are off"
+    with pytest.raises(RuntimeError, match="motors are off"):
+        cell.insert(arm, name="refusing")
+    stands(arm)
+    assert cell.outcome("refusing") == ("failed", "client")
+
+
+def test_an_operator_who_interrupts_stops_the_arm(cell):
+    arm = TinyArm()
+
+    def interrupted():
+        if arm.depth_mm() > 1.0:
+            raise KeyboardInterrupt
+        return True
+
+    arm.descending = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        cell.insert(arm, name="interrupted")
+    del arm.descending
+    stands(arm)
+    assert cell.outcome("interrupted") == ("aborted", "operator")
+
+
+def test_full_depth_without_the_object_is_not_taken_for_an_insertion(cell):
+    arm = TinyArm()
+    arm.widths_mm = [49.6, 40.0]
+    with pytest.raises(controller.Held, match="not_confirmed") as raised:
+        cell.insert(arm)
+    assert raised.value.cause == "not_confirmed"
+    assert not arm.retracted
+    stands(arm)
+
+
+@pytest.mark.parametrize("key", ["dx_mm", "dtheta_deg"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 15.01, -99.0])
+def test_a_correction_beyond_the_service_s_own_limits_moves_nothing(key, value):
+    with pytest.raises(controller.Held, match=key):
+        controller._bounded({key: value}, {"max_dx_mm": 15.0, "max_dtheta_deg": 15.0}, key)

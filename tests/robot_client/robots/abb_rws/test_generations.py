@@ -1,0 +1,167 @@
+"""Both generations of Robot Web Services, over real sockets and TLS: the controller is asked which it speaks."""
+
+import asyncio
+from pathlib import Path
+
+import httpx
+import pytest
+from pydantic import SecretStr, ValidationError
+
+from robot_client.insertion.state import Phase
+from robot_client.robots.abb_rws.client import RwsClient
+from robot_client.robots.abb_rws.generation import RwsError, credentials
+from robot_client.robots.abb_rws.rws1 import RWS1
+from robot_client.robots.abb_rws.rws2 import RWS2
+from robot_client.robots.abb_rws.settings import RwsSettings
+from simulation.cell.emulators.net import HttpServer, bind_tcp
+from tests.robot_client.live_cell import bench
+from tests.robot_client.robots.abb_rws.certificates import self_made
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory):
+    return self_made(tmp_path_factory.mktemp("omnicore"))
+
+
+@pytest.fixture(params=["1.0", "2.0"])
+def omnicore(request, certificate):
+    """None for a controller of RobotWare 6."""
+    return certificate if request.param == "2.0" else None
+
+
+def story_of(work, **options):
+    """Run ``work`` with the RWS client's settings and the cell."""
+
+    async def story():
+        async with bench(**options) as cell:
+            return await work(cell.settings.robot.rws, cell)
+
+    return asyncio.run(asyncio.wait_for(story(), 110.0))
+
+
+async def closed(client, call):
+    """What a call of the client returns; the client is closed."""
+    try:
+        return await call(client)
+    finally:
+        await client.close()
+
+
+def test_the_controller_is_asked_and_its_program_started_and_stopped(omnicore):
+    async def work(rws, cell):
+        async def call(client):
+            await client.start_program()
+            running = cell.cabinet.running
+            return await client.generation(), await client.status(), running, await client.stop_program()
+
+        return await closed(RwsClient(rws), call)
+
+    generation, status, running, stopped = story_of(work, omnicore=omnicore)
+    assert generation is (RWS2 if omnicore else RWS1)
+    assert (status.operating_mode, status.controller, status.execution, status.speed_ratio) == (
+        "AUTO",
+        "motoron",
+        "running",
+        "100",
+    )
+    assert running
+    assert stopped == "controller confirms: program stopped"
+
+
+def test_signals_are_read_and_switched_with_either_generation(omnicore):
+    async def work(rws, _cell):
+        async def call(client):
+            before = await client.read_signal("doSlipStop")
+            await client.write_signal("doSlipStop", on=True)
+            return before, await client.read_signal("doSlipStop")
+
+        return await closed(RwsClient(rws), call)
+
+    assert story_of(work, omnicore=omnicore) == (False, True)
+
+
+def error_of(changes, call=RwsClient.status, **options):
+    async def work(rws, cell):
+        settings = rws.model_copy(update=changes(rws))
+        with pytest.raises(RwsError) as refused:
+            await closed(RwsClient(settings), call)
+        return str(refused.value)
+
+    return story_of(work, **options)
+
+
+def test_a_certificate_that_is_not_trusted_is_one_line_that_says_what_to_do(certificate):
+    error = error_of(lambda _: {"certificate": None}, omnicore=certificate)
+    assert "certificate that is not trusted: set robot.rws.certificate" in error
+    assert "\n" not in error
+
+
+def test_another_controllers_certificate_is_not_believed(certificate, tmp_path):
+    other, _ = self_made(tmp_path, "somebody-else")
+    assert "is not trusted" in error_of(lambda _: {"certificate": Path(other)}, omnicore=certificate)
+
+
+def test_an_authoritys_certificate_is_believed_for_its_own_name_only(certificate):
+    """The pinned file as an authority: the name in it is not the one that the controller is called by."""
+    assert "is not trusted" in error_of(
+        lambda _: {"certificate": None, "ca": Path(certificate[0])}, omnicore=certificate
+    )
+
+
+def test_http_to_a_controller_of_robotware_7_says_https(certificate):
+    error = error_of(lambda rws: {"url": rws.url.replace("https", "http"), "certificate": None}, omnicore=certificate)
+    assert "RobotWare 7 (OmniCore) is reached by https://" in error
+
+
+def test_https_to_a_controller_of_robotware_6_says_http():
+    error = error_of(lambda rws: {"url": rws.url.replace("http", "https")})
+    assert "RobotWare 6 (IRC5) is reached by http://" in error
+
+
+def test_a_wrong_password_is_refused_by_either(omnicore):
+    assert "HTTP 401" in error_of(lambda _: {"password": SecretStr("wrong")}, omnicore=omnicore)
+
+
+def test_what_is_no_controller_is_named(tmp_path):
+    async def stranger(_scope, _receive, send):
+        await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"0")]})
+        await send({"type": "http.response.body", "body": b""})
+
+    async def story():
+        server = HttpServer(stranger, bind_tcp(0, "stranger"))
+        await server.start()
+        client = RwsClient(RwsSettings(url=f"http://127.0.0.1:{server.port}", request_timeout_s=20.0))
+        try:
+            with pytest.raises(RwsError, match=r"neither .*RobotWare 6.* nor .*RobotWare 7.*HTTP 200"):
+                await client.status()
+        finally:
+            await client.close()
+            await server.stop()
+
+    asyncio.run(story())
+
+
+def test_the_password_never_goes_out_readable():
+    with pytest.raises(RwsError, match=r"in the clear; set robot.rws.url to https://192.168.125.1"):
+        credentials('Basic realm="r"', "http://192.168.125.1", "user", "password")
+    assert isinstance(credentials('Basic realm="r"', "https://192.168.125.1", "user", "password"), httpx.BasicAuth)
+    assert isinstance(credentials('Digest realm="r"', "https://192.168.125.1", "user", "password"), httpx.DigestAuth)
+
+
+def test_a_certificate_that_cannot_be_read_is_refused_by_the_settings(tmp_path):
+    (tmp_path / "no.pem").write_text("no certificate")
+    with pytest.raises(ValidationError, match="expected a certificate in PEM"):
+        RwsSettings(certificate=tmp_path / "no.pem")
+    with pytest.raises(ValidationError, match="No such file"):
+        RwsSettings(ca=tmp_path / "none.pem")
+
+
+@pytest.mark.slow
+def test_an_insertion_runs_live_with_either_generation(omnicore):
+    async def work(_rws, cell):
+        state = await cell.insert()
+        return state, cell.cabinet.running
+
+    state, running = story_of(work, omnicore=omnicore)
+    assert state.phase is Phase.INSERTED, state.reason
+    assert not running

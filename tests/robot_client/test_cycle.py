@@ -1,0 +1,267 @@
+"""The whole cycle against emulated devices over real sockets: nothing is let go of where it must not be."""
+
+import asyncio
+import contextlib
+import random
+
+import pytest
+
+from robot_client.cli.insert import live_ports, make_plan
+from robot_client.insertion.geometry import WorkPose
+from robot_client.ports import DriverError
+from robot_client.session.cycle import Cycle, CycleHeldError, CycleSettings, Pace
+from robot_client.session.handshake import Handshake, HandshakeSettings
+from robot_client.session.recorder import Recorder
+from robot_client.session.runner import Runner
+from service.contract import wire
+from tests.robot_client.live_cell import bench
+
+PICK = WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=45.0, yaw_deg=0.0)
+REJECT = WorkPose(x_mm=25.0, y_mm=-5.0, z_mm=40.0, yaw_deg=0.0)
+OPEN_MM = 80.0
+SIGNALS = ("diTactileStart", "doTactileReady", "doTactileDone", "doTactileFault")
+QUICK = {
+    "ramps": {
+        "travel": {"speed_mm_s": 75.0, "acceleration_mm_s2": 500.0, "jerk_mm_s3": 8000.0},
+        "descend": {
+            "speed_mm_s": 4.0,
+            "acceleration_mm_s2": 100.0,
+            "jerk_mm_s3": 2000.0,
+        },  # a long lease on a busy machine
+    }
+}
+
+
+class Fixture:
+    """Objects 50 mm wide: a new one stands at the pick pose each time the arm is there with open fingers.
+
+    ``left`` is where each was let go of. Each is off by what it was drawn with, which only the service knows.
+    """
+
+    def __init__(self, seed=0):
+        self.random, self.held, self.left, self.sticky, self.cell = random.Random(seed), False, [], False, None
+
+    def width_mm(self):
+        if self.cell is None:
+            return None
+        at = self.cell.cabinet.arm.pose.position_mm
+        near = abs(at[0] - PICK.x_mm) < 2.0 and abs(at[2] - PICK.z_mm) < 2.0
+        return 50.0 if self.held or self.sticky or near else None
+
+    def gripped(self, _force_n):
+        if not self.held:
+            self.cell.service.offset = (self.random.uniform(-8, 8), self.random.uniform(-8, 8))
+        self.held = True
+
+    def released(self):
+        x, theta = self.cell.service.error
+        self.left.append((x, theta, self.cell.cabinet.arm.pose.position_mm))
+        self.held = False
+
+    def lost(self):
+        return False
+
+
+@contextlib.asynccontextmanager
+async def cell_with(seed=0, **overrides):
+    part = Fixture(seed)
+    async with bench(holding=False, overrides={**QUICK, **overrides}, part=part) as cell:
+        part.cell = cell
+        cell.cabinet.signals |= dict.fromkeys(SIGNALS, 0.0)
+        yield cell, part
+
+
+def cycle_of(cell, lines=None, **settings):
+    taught = CycleSettings(pick=PICK, open_mm=OPEN_MM, retreat_mm=30.0, **settings)
+    said = [] if lines is None else lines
+
+    async def insert(number):
+        plan = make_plan(cell.settings, 0.0, 0.0, f"part-{number}-{len(said)}", None)
+        runner = Runner(plan, *live_ports(cell.settings, plan), Recorder(None, plan))
+        return await runner.run()
+
+    plc = Handshake(taught.plc, cell.settings.make_arm().signals()) if taught.plc else None
+    given = cell.settings.limits, cell.settings.ramps, 20.0, said.append
+    return Cycle(taught, cell.settings.make_arm, cell.settings.make_gripper, insert, *given, plc=plc)
+
+
+def run(work, timeout_s=110.0):
+    return asyncio.run(asyncio.wait_for(work(), timeout_s))
+
+
+def is_in(left):
+    x, theta, at = left
+    return abs(x) <= 2.5 and abs(theta) <= 3.5 and at[2] <= 24.0
+
+
+def test_parts_are_picked_inserted_and_let_go_in_order():
+    async def work():
+        async with cell_with() as (cell, part):
+            lines = []
+            count = await cycle_of(cell, lines).run(2)
+            return count, part.left, lines, cell.trace, cell.gripper.width_mm
+
+    count, left, lines, trace, _ = run(work)
+    assert count.inserted_n == 2
+    assert [is_in(one) for one in left] == [True, True]
+    assert lines[-1].endswith("2 inserted")
+    last = [pose.position_mm for _, _, pose in trace][-400:]
+    low = min(at[2] for at in last)
+    column = [at for at in last if at[2] < low + 25.0]
+    assert max(abs(at[0] - column[0][0]) for at in column) < 0.2, "it retreats along the vertical"
+
+
+def test_an_object_that_comes_along_with_the_fingers_is_noticed():
+    async def work():
+        async with cell_with() as (cell, part):
+            running = cycle_of(cell)
+
+            part.released = lambda: setattr(part, "sticky", True)
+            with pytest.raises(CycleHeldError, match="came along with the fingers"):
+                await running.run(3)
+            return running.count.inserted_n
+
+    assert run(work) == 0
+
+
+def test_what_cannot_be_inserted_is_carried_to_the_reject_pose_and_too_many_hold():
+    async def work():
+        async with cell_with(limits={"max_attempts": 1}) as (cell, part):
+            cell.service.share = 0.0
+            running = cycle_of(cell, reject=REJECT, max_rejects_in_a_row=1)
+            with pytest.raises(CycleHeldError, match="2 in a row"):
+                await running.run(3)
+            return running.count, part.left, part.held
+
+    count, left, held = run(work)
+    assert (count.inserted_n, count.rejected_n) == (0, 1)
+    ((_, _, at),) = left
+    assert at[0] == pytest.approx(REJECT.x_mm, abs=1.0)
+    assert at[2] == pytest.approx(REJECT.z_mm, abs=1.0)
+    assert held, "the second one stays in the hand"
+
+
+def test_a_fault_during_an_insertion_holds_the_object():
+    async def work():
+        async with cell_with() as (cell, part):
+
+            def fault(message):
+                if isinstance(message, wire.Descending):
+                    cell.board.update({"robot": {"protective_stop": True}})
+
+            cell.service.on_message = fault
+            with pytest.raises(CycleHeldError, match="part 1: "):
+                await cycle_of(cell, reject=REJECT).run(1)
+            return part.held, part.left
+
+    held, left = run(work)
+    assert held
+    assert left == []
+
+
+def test_it_does_not_begin_with_something_in_the_hand():
+    async def work():
+        async with bench(holding=True) as cell:
+            with pytest.raises(CycleHeldError, match="holds something before the first part"):
+                await cycle_of(cell).run(1)
+            return cell.gripper.holding
+
+    assert run(work)
+
+
+def test_a_person_pauses_goes_on_and_stops_after_a_part():
+    async def work():
+        async with cell_with() as (cell, _):
+            lines = []
+            running = cycle_of(cell, lines)
+            running.pace.order("pause")
+            task = asyncio.create_task(running.run(None))
+            while "paused" not in lines:  # noqa: ASYNC110
+                await asyncio.sleep(0.05)
+            assert running.count.inserted_n == 0
+            running.pace.order("resume")
+            while "part 1: picking" not in lines:  # noqa: ASYNC110
+                await asyncio.sleep(0.05)
+            running.pace.order("stop")
+            return (await task).inserted_n
+
+    assert run(work) == 1
+    assert Pace().order("dance").startswith("expected pause")
+
+
+def test_a_plc_starts_each_part_and_is_told_when_it_is_done():
+    async def work():
+        async with cell_with() as (cell, _):
+            signals, seen = cell.cabinet.signals, []
+
+            async def plc():
+                for _ in range(2):
+                    for name, value in (("doTactileReady", 1.0), ("doTactileDone", 1.0)):
+                        while signals[name] != value:  # noqa: ASYNC110
+                            await asyncio.sleep(0.01)
+                        seen.append(name)
+                        signals["diTactileStart"] = 1.0 if name == "doTactileReady" else 0.0
+
+            task = asyncio.create_task(plc())
+            count = await cycle_of(cell, plc=HandshakeSettings()).run(2)
+            await task
+            return count.inserted_n, seen, dict(signals)
+
+    inserted_n, seen, signals = run(work)
+    assert inserted_n == 2
+    assert seen == ["doTactileReady", "doTactileDone"] * 2
+    assert [signals[name] for name in SIGNALS] == [0.0, 0.0, 0.0, 0.0]
+
+
+def test_a_plc_that_starts_before_anybody_is_ready_is_a_fault():
+    async def work():
+        async with cell_with() as (cell, _):
+            cell.cabinet.signals["diTactileStart"] = 1.0
+            with pytest.raises(DriverError, match="diTactileStart is on before"):
+                await cycle_of(cell, plc=HandshakeSettings()).run(1)
+            return cell.cabinet.signals["doTactileFault"]
+
+    assert run(work) == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_fifty_parts_in_a_row_with_faults_let_nothing_go_where_it_is_not_in():
+    """Every seventh part meets a fault; a person clears it, puts the part away, and starts the cycle again."""
+    faults = [
+        {"robot": {"protective_stop": True}},
+        {"gripper": {"part_lost": True}},
+        {"egm": {"silent": True}},
+        {"gripper": {"fast_stop": True}},
+        {"robot": {"motors_off": True}},
+    ]
+
+    async def work():
+        async with cell_with(seed=3) as (cell, part):
+            inserted_n = held_n = descents_n = 0
+
+            def fault(message):
+                nonlocal descents_n
+                if isinstance(message, wire.Descending) and message.attempt == 1:
+                    descents_n += 1
+                    if descents_n % 7 == 0:
+                        cell.board.update(faults[descents_n // 7 % len(faults)])
+
+            cell.service.on_message = fault
+            while inserted_n < 50:
+                running = cycle_of(cell)
+                try:
+                    await running.run(50 - inserted_n)
+                except DriverError:
+                    held_n += 1
+                    cell.board.clear()
+                    cell.gripper.acknowledge()
+                    cell.gripper.holding, part.held = False, False
+                inserted_n += running.count.inserted_n
+            return inserted_n, held_n, [one for one in part.left if one[2][2] < 30.0]
+
+    inserted_n, held_n, left_low = run(work, 1700.0)
+    assert inserted_n == 50
+    assert held_n >= 7
+    assert sum(is_in(one) for one in left_low) >= 50
+    assert [one for one in left_low if not is_in(one) and one[2][2] < 20.0] == []

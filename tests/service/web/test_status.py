@@ -1,0 +1,163 @@
+"""What the page is told: one snapshot, the same for who was there and for who comes later."""
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from service.contract import wire
+from service.contract.words.causes import CAUSES
+from service.decision.controllers import BeliefPicture, Command
+from service.recordings.listing import Summary
+from service.web.page.alarms import Alarms
+from service.web.page.running import Running
+from service.web.page.sentences import shift, sure
+from service.web.page.status import Status
+from tests.service.client import Driver
+from tests.service.conftest import LiveService
+
+
+def status(live: LiveService) -> dict[str, Any]:
+    return httpx.get(live.url("/v1/status")).json()
+
+
+def until(live: LiveService, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    deadline = time.monotonic() + 60
+    while not holds(told := status(live)):
+        assert time.monotonic() < deadline, told
+        time.sleep(0.05)
+    return told
+
+
+def first_status(live: LiveService) -> dict[str, Any]:
+    """What a page that connects now is shown first."""
+    with connect(live.url("/v1/live", "ws"), max_size=None) as page:
+        while True:
+            message = json.loads(page.recv(30))
+            if message["kind"] == "status":
+                return message["content"]
+
+
+def give_up(driver: Driver, cause: wire.Cause, reason: str) -> None:
+    driver.send(wire.Abort(insertion_id=driver.id, cause=cause, reason=reason))
+    driver.until("finished")
+    driver.close()
+
+
+def test_a_page_opened_in_mid_attempt_says_what_goes_on(live: LiveService) -> None:
+    driver = Driver(live, "middle")
+    driver.until("hello")
+    here = wire.ToolPose(x_mm=0.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0)
+    driver.send(wire.Episode(insertion_id="middle", object="white_box", start=here, approach=here))
+    moved = driver.attempt(1)
+    driver.rest()
+    driver.send(wire.Arm(insertion_id="middle", attempt=2, gap_width_mm=56.0, expected_depth_mm=25.0))
+    driver.until("armed")
+    driver.send(wire.Descending(insertion_id="middle", attempt=2))
+    until(live, lambda told: "lowering" in told["headline"]["words"])
+    told = first_status(live)
+    assert told["headline"]["words"] == "Attempt 2 of 15: lowering the object into the gap"
+    running = told["running"]
+    assert (running["object"], running["attempt"], running["gap_width_mm"]) == ("white box", 2, 56.0)
+    assert running["move"]["dx_mm"] == moved.dx_mm
+    where = (moved.estimate.dx_mm + moved.dx_mm, moved.estimate.dtheta_deg + moved.dtheta_deg)
+    assert running["pose"] == pytest.approx(where)
+    assert running["target"] is None
+    give_up(driver, "operator", "done")
+    assert until(live, lambda told: told["running"] is None)["last"]["words"] == "Stopped by a person"
+
+
+def test_a_failure_stays_until_a_person_has_seen_it_even_over_a_restart(live: LiveService) -> None:
+    driver = Driver(live, "lost")
+    driver.until("hello")
+    give_up(driver, "part_lost", "gripper: part_lost: width 3.1 mm")
+    told = until(live, lambda told: told["headline"]["level"] == "stop")
+    assert told["headline"]["words"] == f"Holding: {CAUSES['part_lost'].what}"
+    assert CAUSES["part_lost"].remedy in told["headline"]["detail"]
+    assert "width 3.1 mm" in told["headline"]["detail"]
+    after_restart = Status(live.station).snapshot()
+    assert after_restart["headline"] == told["headline"]
+    (alarm,) = [alarm for alarm in told["alarms"] if alarm["insertion_id"] == "lost"]
+    answer = httpx.post(live.url(f"/v1/alarms/{alarm['number']}/acknowledge"))
+    assert answer.json() == {"acknowledged": alarm["number"]}
+    told = status(live)
+    assert told["headline"]["level"] == "good"
+    assert next(a for a in told["alarms"] if a["number"] == alarm["number"])["acknowledged_s"]
+    assert httpx.post(live.url("/v1/alarms/999/acknowledge")).status_code == 404
+    elsewhere = {"Origin": "http://elsewhere.example"}
+    assert httpx.post(live.url("/v1/alarms/1/acknowledge"), headers=elsewhere).status_code == 403
+
+
+def test_the_same_alarm_counts_and_a_new_one_comes_first(tmp_path: Path) -> None:
+    alarms = Alarms(tmp_path / "alarms.json")
+    first = alarms.sound("camera left", "warning", "Left camera lost")
+    other = alarms.sound("service", "warning", "Fault of the service")
+    assert [alarm.number for alarm in alarms.open] == [other.number, first.number]
+    alarms.sound("camera left", "warning", "Left camera lost")
+    assert [(alarm.key, alarm.times_n) for alarm in alarms.open] == [("camera left", 2), ("service", 1)]
+    alarms.acknowledge(first.number)
+    again = Alarms(tmp_path / "alarms.json")
+    assert [alarm.key for alarm in again.open] == ["service"]
+    assert again.sound("camera left", "warning", "Left camera lost").number == 3
+    (tmp_path / "alarms.json").write_text("{")
+    assert Alarms(tmp_path / "alarms.json").all == []
+
+
+def test_ghosts_are_spread_as_the_belief_is() -> None:
+    x, theta = np.arange(-20, 20.5, 0.5), np.arange(-20, 20.5, 0.5)
+    share = np.exp(-0.5 * (((x - 5) / 2)[:, None] ** 2 + ((theta + 3) / 1)[None, :] ** 2))
+    picture = BeliefPicture(x, theta, share / share.sum(), 0.5)
+    running = Running("spread")
+    running.believes(Command(0.0, 0.0, "belief", "", picture))
+    mean, spread = np.mean(running.ghosts, axis=0), np.std(running.ghosts, axis=0)
+    assert mean == pytest.approx([5, -3], abs=0.5)
+    assert spread == pytest.approx([2, 1], abs=0.4)
+
+
+def test_moves_and_confidence_are_said_in_words() -> None:
+    assert shift(-4.23, 3.06) == "4.2 mm left, 3.1° anticlockwise"
+    assert shift(0.0, -3.06) == "3.1° clockwise"
+    assert shift(0.01, 0.0) == "nothing"
+    assert [sure(p) for p in (0.95, 0.75, 0.5, 0.1)] == ["very sure", "fairly sure", "unsure", "guessing"]
+
+
+def test_an_interval_is_judged_by_where_the_object_went_in() -> None:
+    first = {"attempt": 1, "correction": (-6.0, 2.0), "interval_x_mm": (7.0, 9.0), "interval_theta_deg": (-4.0, 0.0)}
+    second = {"attempt": 2, "correction": (-2.0, 0.0), "interval_x_mm": (3.0, 5.0)}
+    facts = {"insertion_id": "held", "attempts": 3, "decisions": [first, second]}
+    assert Summary.model_validate(facts | {"outcome": "inserted"}).held_n == (2, 3)  # 8 mm and -2 deg, but not 2 mm
+    assert Summary.model_validate(facts | {"outcome": "failed"}).held_n == (0, 0)
+
+
+def test_a_recorded_insertion_is_played_back_on_one_time_axis(live: LiveService) -> None:
+    driver = Driver(live, "played")
+    driver.until("hello")
+    decided = driver.attempt(1)
+    give_up(driver, "operator", "done")
+    deadline = time.monotonic() + 30
+    while not (found := list(live.recordings.glob("*_played/summary.json"))) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    base = f"/v1/recordings/{found[0].parent.name}"
+    told = httpx.get(live.url(f"{base}/timeline"), timeout=60).json()
+    assert max(told["slip"]["left"][1] + told["slip"]["right"][1]) >= 1
+    assert max(told["push"]["left"][1]) > 0.1
+    assert f"moves {shift(decided.dx_mm, decided.dtheta_deg)}" in [event["text"] for event in told["events"]]
+    times = [moment["t"] for moment in told["moments"]]
+    assert times == sorted(times)
+    last = told["moments"][-1]
+    felt = httpx.get(live.url(f"{base}/moments/left/{last['left']}"), timeout=60).json()
+    assert (felt["width"], felt["height"]) == (327, 320)
+    assert 2 in felt["kinds"]
+    assert len(felt["moved"]) == 2 * len(felt["kinds"])
+    assert httpx.get(live.url(f"{base}/moments/left/5")).status_code == 400
+    (listed,) = [r for r in httpx.get(live.url("/v1/recordings")).json()["recordings"] if r["insertion_id"] == "played"]
+    assert listed["decisions"][0]["correction"] == [decided.dx_mm, decided.dtheta_deg]
+    assert listed["seconds"] > 0
+    again = httpx.post(live.url(f"{base}/decide"), timeout=120).json()
+    assert again["same"] is True, again

@@ -1,0 +1,49 @@
+"""What an episode keeps is what training reads, and four probes show how a cell is wired."""
+
+import numpy as np
+import pytest
+
+from simulation.studies.episodes import named_mistakes
+
+
+def probe(x_mm, theta_deg, said, sigma=1.5):
+    """A row of a probe at a known error whose networks said ``said``."""
+    estimate = {
+        "dx_mm": said[0],
+        "dtheta_deg": said[1],
+        "sigma_x_mm": sigma,
+        "sigma_theta_deg": sigma,
+        "interval_x_mm": [said[0] - 2, said[0] + 2],
+        "interval_theta_deg": [said[1] - 2, said[1] + 2],
+    }
+    return {"x_mm": x_mm, "theta_deg": theta_deg, "trials": [{"decision": {"estimate": estimate}}]}
+
+
+SIDES = [(8.0, 0.0), (-8.0, 0.0), (0.0, 8.0), (0.0, -8.0)]
+
+
+def cell(sign_x, sign_theta, seed):
+    rng = np.random.default_rng(seed)
+    return [
+        probe(x, theta, (sign_x * x + rng.normal(0, 1.5), sign_theta * theta + rng.normal(0, 2.0)))
+        for x, theta in SIDES
+    ]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_good_cell_is_not_accused(seed):
+    assert named_mistakes(cell(1, 1, seed)) == []
+
+
+@pytest.mark.parametrize(
+    ("signs", "cause"), [((-1, 1), "x reach the arm reversed"), ((1, -1), "yaw reach"), ((-1, -1), "mirrored")]
+)
+def test_a_reversed_cell_is_named(signs, cause):
+    for seed in range(10):
+        assert cause in named_mistakes(cell(*signs, seed))[0]
+
+
+def test_probes_that_nobody_decided_name_nothing_and_a_refusal_names_its_cause():
+    assert named_mistakes([None, {"x_mm": 8.0, "theta_deg": 0.0, "trials": []}]) == []
+    refused = {"decision": {"reason": "contradictory", "detail": "one picture is mirrored"}}
+    assert named_mistakes([{"x_mm": 8.0, "theta_deg": 0.0, "trials": [refused]}]) == ["one picture is mirrored"]

@@ -1,0 +1,136 @@
+"""A cell that is off is learnt; noise never makes a surer network."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.contract import ContractError, Sensor
+from tests.training.conftest import tiny
+from tests.training.data.test_pressed import down
+from training.adapt.adapt import adapt, judge
+from training.data.episodes import read_episodes
+from training.fit.checkpoint import Checkpoint
+from training.fit.train import train
+from training.networks.pressing import LATTICE
+from training.networks.settings import NetworkConfig
+
+SMALL = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
+CONDITIONS = np.array([56, 30, 20, 0, 10, 0.3], np.float32)
+V, U = np.mgrid[-1 : 1 : LATTICE.rows * 1j, -1 : 1 : LATTICE.columns * 1j]
+
+
+def steps_of(x_mm, theta_deg, rng):
+    """Steps of a gel whose turn follows x and whose shear follows yaw."""
+    out = np.ones((8, 2, LATTICE.rows, LATTICE.columns, 3), np.float32)
+    for finger, side in ((0, 1.0), (1, -1.0)):
+        ramp = np.linspace(0.1, 0.8, 8)[:, None, None]
+        out[:, finger, ..., 0] = ramp * (-side * x_mm * V * 0.02)
+        out[:, finger, ..., 1] = ramp * (side * x_mm * U * 0.02 + 0.01 * theta_deg)
+    out[..., :2] += rng.normal(0, 0.002, out[..., :2].shape)
+    return out
+
+
+def recorded(root, count, off_mm=0.0, seed=0, *, told_right=True):
+    """Recordings of probes by a tool that is off by ``off_mm``; unless ``told_right``, of something else."""
+    rng = np.random.default_rng(seed)
+    for index in range(count):
+        x_mm, theta_deg = (float(value) for value in rng.uniform(-12, 12, 2))
+        seen = (x_mm - off_mm, theta_deg) if told_right else rng.uniform(-12, 12, 2)
+        keep(root / f"{index:04d}", [(steps_of(*seen, rng), {})], "probe", "failed", x_mm, theta_deg)
+    return root
+
+
+def keep(folder, attempts, purpose, outcome, x_mm, theta_deg):
+    folder.mkdir(parents=True)
+    for number, (steps, decision) in enumerate(attempts, 1):
+        path = folder / f"attempt_{number:02d}.npz"
+        np.savez(path, steps=steps, conditions=CONDITIONS, decision=np.array(json.dumps(decision)))
+    summary = {"purpose": purpose, "outcome": outcome, "approach": {"x_mm": x_mm, "yaw_deg": theta_deg}}
+    (folder / "summary.json").write_text(json.dumps(summary))
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory):
+    """A network trained on 250 attempts of another gel."""
+    folder = tmp_path_factory.mktemp("release")
+    config = tiny(folder, folder)
+    config = config.model_copy(
+        update={
+            "network": SMALL,
+            "trunk": config.trunk.model_copy(update={"epochs": 8, "learning_rate": 5e-3}),
+        }
+    )
+    checkpoint = train(config, down(250))
+    path = folder / "checkpoint.pt"
+    checkpoint.save(path)
+    return path
+
+
+def test_errors_are_those_told_of_probes_and_the_moves_that_were_left_of_insertions(tmp_path):
+    rng, blank = np.random.default_rng(0), {}
+    shown = [steps_of(1, 1, rng) for _ in range(3)]
+    keep(tmp_path / "a", [(shown[0], {"dx_mm": 9.0, "dtheta_deg": 0.0})], "probe", "failed", -7.0, 3.0)
+    moves = [{"dx_mm": -4.0, "dtheta_deg": 2.0}, {"dx_mm": -1.0, "dtheta_deg": 0.5}]
+    keep(tmp_path / "b", list(zip(shown, moves, strict=False)), "insert", "inserted", 5.5, -2.0)
+    keep(tmp_path / "c", [(shown[0], blank)], "insert", "failed", 5.5, -2.0)
+    read = read_episodes(tmp_path, Sensor.load())
+    assert read.error.tolist() == [[-7.0, 3.0], [5.0, -2.5], [1.0, -0.5]]
+    assert read.length.tolist() == [8, 8, 8]
+
+
+def test_an_unseen_point_counts_for_nothing(tmp_path):
+    steps = steps_of(5, 1, np.random.default_rng(0))
+    steps[:, 0, 3, 4] = (9.0, 9.0, 0.0)
+    keep(tmp_path / "a", [(steps, {})], "probe", "failed", 5.0, 1.0)
+    batch = read_episodes(tmp_path, Sensor.load()).batch(np.arange(1), None)
+    assert batch.fields[0, :8, 0, :, 3, 4].abs().max() == 0.0
+    assert batch.fields[0, :8, 1, 2].min() == 1.0
+
+
+@pytest.mark.parametrize(
+    "stages", [("calibration", "gain"), pytest.param(("calibration", "gain", "heads", "all"), marks=pytest.mark.slow)]
+)
+def test_a_tool_that_is_off_is_learnt(release, tmp_path, stages):
+    judged = adapt(recorded(tmp_path / "runs", 80, off_mm=6.0), release, tmp_path / "out", stages=stages)
+    assert judged.accepted, judged.text()
+    before, after = judged.figures["released"], judged.figures[judged.best]
+    assert after["mae_x_mm"] < 0.8 * before["mae_x_mm"]
+    assert after["coverage90_x"] > 0.8
+    made = Checkpoint.load(tmp_path / "out" / "checkpoint.pt")
+    assert made.run["adapted"]["stage"] == judged.best
+    assert made.weights_sha256() != Checkpoint.load(release).weights_sha256() or judged.best == "calibration"
+    fresh = read_episodes(recorded(tmp_path / "fresh", 40, off_mm=6.0, seed=1), made.sensor)
+    again = judge(made, fresh, (), 0).figures["released"]
+    assert again["mae_x_mm"] < 0.8 * judge(Checkpoint.load(release), fresh, (), 0).figures["released"]["mae_x_mm"]
+
+
+def test_probes_that_say_nothing_never_make_a_surer_network(release, tmp_path):
+    """Errors without any bearing on what was seen can at best teach the network how little it knows."""
+    samples = read_episodes(recorded(tmp_path, 60, told_right=False), Sensor.load())
+    judged = judge(Checkpoint.load(release), samples, ("calibration", "gain"), 0)
+    assert judged.figures[judged.best]["coverage90_x"] > judged.figures["released"]["coverage90_x"]
+    assert judged.figures[judged.best]["likelihood"] < judged.figures["released"]["likelihood"]
+
+
+def test_a_cell_that_is_as_released_keeps_the_release_or_a_likelier_one(release, tmp_path):
+    judged = adapt(recorded(tmp_path / "runs", 40, seed=3), release, tmp_path / "out", stages=("calibration", "gain"))
+    if not judged.accepted:
+        assert judged.objections
+        assert not (tmp_path / "out").exists()
+
+
+def test_too_few_probes_leave_the_release_and_none_are_an_error(release, tmp_path):
+    few = adapt(recorded(tmp_path / "few", 7), release, tmp_path / "out")
+    assert not few.accepted
+    assert "probe more" in few.text()
+    with pytest.raises(ContractError, match="expected"):
+        adapt(recorded(tmp_path / "none", 0), release, tmp_path / "out")
+
+
+def test_a_network_of_frames_is_refused(release, tmp_path):
+    other = replace(Checkpoint.load(release), pressing=None)
+    other.save(tmp_path / "frames.pt")
+    with pytest.raises(ContractError, match="reads steps of depth"):
+        adapt(recorded(tmp_path / "runs", 30), tmp_path / "frames.pt", tmp_path / "out")

@@ -1,0 +1,67 @@
+"""What the belief expects is what was planted in logs of insertions, and what the data held."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from service.contract import ContractError
+from service.contract.model_card import Expectations
+from service.decision.belief import BeliefGrid
+from training.fit.expectations import of_errors, of_insertions
+
+USUAL = Expectations()
+
+
+def log_of(path, far_mm, near_mm, per_mm, rng, count=400):
+    """Insertions of two attempts whose object crept outwards as told, a few of them far more."""
+    with path.open("w") as file:
+        for _ in range(count):
+            height_mm, x_mm = float(rng.uniform(30, 90)), float(rng.uniform(-14, 14))
+            move = float(rng.uniform(-5, 5))
+            crept = near_mm + per_mm * (height_mm - 30) if abs(x_mm) < USUAL.near_mm else far_mm
+            crept += float(rng.normal(0, 0.2)) + (8.0 if rng.random() < 0.05 else 0.0)
+            trials = [
+                {"error_before": [x_mm, 1.0], "decision": {"dx_mm": move, "dtheta_deg": -0.5}},
+                {"error_before": [x_mm + move + np.sign(x_mm) * crept, 0.5], "decision": {}},
+            ]
+            file.write(json.dumps({"changes": {"grasp.height_mm": height_mm}, "trials": trials}) + "\n")
+    return path
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 0.03), st.integers(0, 2**20))
+def test_planted_creep_is_found(tmp_path_factory, far_mm, near_mm, per_mm, seed):
+    path = log_of(tmp_path_factory.mktemp("log") / "log.jsonl", far_mm, near_mm, per_mm, np.random.default_rng(seed))
+    found = of_insertions([path], USUAL)
+    assert found.creep_mm == pytest.approx(far_mm, abs=0.1)
+    assert found.creep_near_mm == pytest.approx(near_mm, abs=0.15)
+    assert found.creep_near_mm_per_mm == pytest.approx(per_mm, abs=0.004)
+    assert 0.1 <= found.creep_spread_mm < 0.4
+
+
+def test_too_few_attempts_and_a_foreign_file_are_refused(tmp_path):
+    with pytest.raises(ContractError, match="expected at least"):
+        of_insertions([log_of(tmp_path / "few.jsonl", 0.3, 0.3, 0.0, np.random.default_rng(0), count=5)], USUAL)
+    (tmp_path / "other.jsonl").write_text("no json\n")
+    with pytest.raises(ContractError, match=r"\.insertions\.jsonl of an evaluation"):
+        of_insertions([tmp_path / "other.jsonl"], USUAL)
+
+
+def test_prior_and_spread_follow_the_data():
+    found = of_errors(np.random.default_rng(0).uniform(-10, 10, (4000, 2)), USUAL)
+    assert found.edge == pytest.approx((12, 12), abs=0.1)
+    assert found.spread == pytest.approx((10 / 3**0.5,) * 2, rel=0.05)
+    assert found.creep_mm == USUAL.creep_mm
+
+
+def test_a_belief_moves_as_far_as_its_card_says():
+    still, creeping = (BeliefGrid(45.0, Expectations(creep_mm=far, creep_near_mm=far)) for far in (0.0, 2.0))
+    for grid in (still, creeping):
+        grid.layers[:, :60] = 0.0  # the error is beyond 8 mm
+        grid.layers /= grid.layers.sum()
+        grid.creep()
+    (still_mm, _), (creeping_mm, _) = (grid.moments()[0] for grid in (still, creeping))
+    assert creeping_mm - still_mm == pytest.approx(2.0, abs=0.1)

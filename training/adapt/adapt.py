@@ -1,0 +1,170 @@
+"""The stage that suits a cell, judged on fixtures that it was not fitted to, and whether it may replace the release."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import JsonValue
+
+from reporting.table import table
+from service.contract import ContractError
+from training.adapt.stages import FOLDS, STAGES, StageName, calibrated, fit_stage, held_out
+from training.data.episodes import read_episodes
+from training.data.labels import class_of
+from training.data.pressed import Pressed
+from training.fit.checkpoint import Checkpoint
+from training.metrics.figures import Z90, Predictions, figures, probabilities
+
+FEWEST = 20
+DRAWS = 2000
+LIKELIER_THAN = 0.05
+COVERAGE_SLACK = 0.02
+Figures = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Every stage on held-out fixtures, the best of them, and what keeps it from replacing the release."""
+
+    figures: dict[StageName, Figures]
+    best: StageName
+    objections: tuple[str, ...]
+    samples_n: int
+    fixtures_n: int
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the best stage may replace the release."""
+        return self.best != "released" and not self.objections
+
+    def text(self) -> str:
+        """The table and the verdict, for a terminal."""
+        rows = [{"stage": stage, **row} for stage, row in self.figures.items()]
+        columns = (
+            ("stage", "stage"),
+            ("nll", "likelihood", ".3f"),
+            ("direction", "accuracy", ".1%"),
+            ("MAE x mm", "mae_x_mm", ".2f"),
+            ("MAE yaw deg", "mae_theta_deg", ".2f"),
+            ("90 % holds x", "coverage90_x", ".0%"),
+            ("90 % holds yaw", "coverage90_theta", ".0%"),
+        )
+        verdict = f"accepted: {self.best}" if self.accepted else f"the release stays: {'; '.join(self.objections)}"
+        held = f"{self.samples_n} attempts of {self.fixtures_n} fixtures, every figure on fixtures held out"
+        return f"{table(rows, *columns).text()}\n{held}\n{verdict}"
+
+
+def adapt(recordings: Path, start: Path, out: Path, *, stages: Iterable[StageName] = STAGES, seed: int = 0) -> Judged:
+    """Fit the released checkpoint ``start`` to ``recordings``; write ``out/checkpoint.pt`` if it is accepted.
+
+    Raises ContractError where there is nothing to learn from, or the checkpoint reads no depth.
+    """
+    release = Checkpoint.load(start)
+    if release.pressing is None:
+        raise ContractError(f"{start} holds a {release.network.kind} network, expected one that reads steps of depth")
+    samples = read_episodes(recordings, release.sensor)
+    judged = judge(release, samples, tuple(stages), seed)
+    if judged.accepted:
+        _fitted(judged, release, samples, seed).save(out / "checkpoint.pt")
+    return judged
+
+
+def judge(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], seed: int) -> Judged:
+    """Cross-validate all stages over fixtures; the best has the least loss, and every count is compared in pairs."""
+    fixtures_n = len(np.unique(samples.groups))
+    if len(samples) < FEWEST or fixtures_n < FOLDS:
+        few = f"{len(samples)} attempts of {fixtures_n} fixtures, expected at least {FEWEST} of {FOLDS}: probe more"
+        return Judged({}, "released", (few,), len(samples), fixtures_n)
+    said = {stage: held_out(stage, release, samples, seed)[0] for stage in dict.fromkeys(("released", *stages))}
+    fair = {stage: _fair(stage, release, one, samples.groups) for stage, one in said.items()}
+    losses = {stage: _losses(one) for stage, one in fair.items()}
+    best = min(fair, key=lambda stage: float(losses[stage].mean()))
+    objections: tuple[str, ...] = ("no stage is likelier than the release",)
+    if best != "released":
+        objections = tuple(_objections(fair["released"], fair[best], samples.groups, seed))
+    described = {stage: {**figures(one), "likelihood": float(losses[stage].mean())} for stage, one in fair.items()}
+    return Judged(described, best, objections, len(samples), fixtures_n)
+
+
+def _fair(stage: StageName, release: Checkpoint, said: Predictions, groups: NDArray[np.str_]) -> Predictions:
+    """Calibrated predictions, each half of the fixtures by the other: none by a fit that it was part of."""
+    if stage == "released":
+        return said.rescaled(release.scales)
+    half = np.isin(groups, np.unique(groups)[::2])
+    one, other = said.take(half), said.take(~half)
+    parts = one.rescaled(calibrated(release.scales, other)), other.rescaled(calibrated(release.scales, one))
+    back = np.argsort(np.concatenate([np.flatnonzero(half), np.flatnonzero(~half)]))
+    joined = {name: np.concatenate([getattr(part, name) for part in parts])[back] for name in Predictions.__slots__}
+    return Predictions(**joined)
+
+
+def _fitted(judged: Judged, release: Checkpoint, samples: Pressed, seed: int) -> Checkpoint:
+    """The release after the accepted stage on all samples, calibrated on what was said of held-out ones."""
+    pair, joint = held_out(judged.best, release, samples, seed)
+    network = fit_stage(judged.best, release, samples, np.arange(len(samples)), seed)
+    lineage: dict[str, JsonValue] = {
+        "from": release.weights_sha256(),
+        "attempts": samples.sha256,
+        "attempts_n": judged.samples_n,
+        "fixtures_n": judged.fixtures_n,
+        "stage": judged.best,
+        "before": dict(judged.figures["released"]),
+        "after": dict(judged.figures[judged.best]),
+    }
+    return replace(
+        release,
+        name=f"{release.name}-adapted",
+        weights={name: value.detach().clone() for name, value in network.state_dict().items()},
+        scales=calibrated(release.scales, pair),
+        joint_scales=calibrated(release.joint_scales, joint),
+        run={**release.run, "adapted": lineage},
+    )
+
+
+def _losses(said: Predictions) -> NDArray[np.float64]:
+    """[N]: negative log likelihood of class and error."""
+    labels = class_of(said.truth.astype(np.float32))
+    p = probabilities(said.logits, 1.0)[np.arange(len(labels)), labels]
+    z = (said.error - said.truth) / np.exp(said.log_sigma)
+    return np.asarray(-np.log(np.maximum(p, 1e-12)) + (0.5 * z**2 + said.log_sigma).mean(1), np.float64)
+
+
+def _objections(before: Predictions, after: Predictions, groups: NDArray[np.str_], seed: int) -> Iterable[str]:
+    """What speaks against a replacement, each by a paired bootstrap over fixtures."""
+    fixtures = np.unique(groups, return_inverse=True)[1]
+    counts: dict[str, Callable[[Predictions], NDArray[np.float64]]] = {
+        "direction": lambda said: (said.logits.argmax(1) != class_of(said.truth.astype(np.float32))).astype(np.float64),
+        "error in x": lambda said: np.abs(said.error - said.truth)[:, 0],
+        "error in yaw": lambda said: np.abs(said.error - said.truth)[:, 1],
+    }
+    gained = _means(_losses(before) - _losses(after), fixtures, seed)
+    if np.quantile(gained, LIKELIER_THAN) <= 0.0:
+        yield f"likelier by {gained.mean():.3f}, which may be chance (5 % quantile {np.quantile(gained, 0.05):.3f})"
+    for name, count in counts.items():
+        lost = _means(count(after) - count(before), fixtures, seed)
+        if np.quantile(lost, LIKELIER_THAN) > 0.0:
+            yield f"{name} is worse by {lost.mean():.3f}"
+    for axis, name in enumerate(("x", "yaw")):
+        was, now = (_coverage(said, axis) for said in (before, after))
+        if abs(now - 0.9) > abs(was - 0.9) + COVERAGE_SLACK:
+            yield f"the 90 % interval of {name} holds {now:.0%} of errors, {was:.0%} before"
+
+
+def _coverage(said: Predictions, axis: int) -> float:
+    off = np.abs(said.error - said.truth)[:, axis]
+    return float((off <= Z90 * np.exp(said.log_sigma[:, axis])).mean())
+
+
+def _means(values: NDArray[np.float64], fixtures: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
+    """Means of bootstrap draws of whole fixtures [DRAWS]."""
+    count = np.bincount(fixtures)
+    total = np.bincount(fixtures, values)
+    drawn = np.random.default_rng(seed).integers(0, len(count), (DRAWS, len(count)))
+    return np.asarray(total[drawn].sum(1) / count[drawn].sum(1), np.float64)
+
+
+def report(judged: Judged) -> dict[str, object]:
+    """The verdict as plain data."""
+    return {**asdict(judged), "accepted": judged.accepted}

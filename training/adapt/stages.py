@@ -1,0 +1,134 @@
+"""What may change when a network is fitted to a cell, from a few numbers to all weights; each is calibrated anew.
+
+Few probes say little: every stage is pulled to the release, the scales as by so many further samples, the weights by
+their squared distance (L2-SP, Li et al. 2018).
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from training.config import DataConfig, RunConfig, StageConfig
+from training.data.labels import CLASSES
+from training.data.pressed import Pressed
+from training.fit.checkpoint import Checkpoint
+from training.fit.train import Trainer
+from training.metrics.figures import Predictions, Scales
+from training.metrics.joint import Densities
+from training.networks.decider import ERROR_SCALE, Decider
+
+Rows = NDArray[np.int64]
+StageName = Literal["released", "calibration", "gain", "heads", "all"]
+STAGES: tuple[StageName, ...] = ("released", "calibration", "gain", "heads", "all")
+PULL_N, SCALES_PULL_N = 20, 5
+"""Samples that the release counts for, against those of the cell: in gains and weights, and in the few scales."""
+FOLDS = 5
+BATCH = 32
+_OF_DENSITIES = ("log_density", "truth", "objects")
+
+
+def trainer_of(network: Decider, samples: Pressed) -> Trainer:
+    """What computes losses and predictions of a network on samples."""
+    config = RunConfig(name="adapt", data=DataConfig(path="-"), trunk=StageConfig(epochs=0))
+    return Trainer(config, samples, network, torch.ones(len(CLASSES)), torch.zeros(2, 3))
+
+
+def held_out(stage: StageName, release: Checkpoint, samples: Pressed, seed: int) -> tuple[Predictions, Densities]:
+    """What a stage says of each sample, fitted without its fixture; not calibrated."""
+    parts, densities, order = [], [], []
+    for held in _folds(samples, seed):
+        others = np.setdiff1d(np.arange(len(samples)), held)
+        trainer = trainer_of(fit_stage(stage, release, samples, others, seed), samples)
+        parts.append(trainer.predict(held, pictures=False))
+        densities.append(trainer.predict_density(held, pictures=False))
+        order.append(held)
+    back = np.argsort(np.concatenate(order))
+    pair = {name: np.concatenate([getattr(one, name) for one in parts])[back] for name in Predictions.__slots__}
+    joint = {name: np.concatenate([getattr(one, name) for one in densities])[back] for name in _OF_DENSITIES}
+    return Predictions(**pair), Densities(**joint)
+
+
+def _folds(samples: Pressed, seed: int) -> list[Rows]:
+    """Rows of each fold; a fixture is never torn apart."""
+    names = np.unique(samples.groups)
+    np.random.default_rng(seed).shuffle(names)
+    return [np.flatnonzero(np.isin(samples.groups, part)) for part in np.array_split(names, FOLDS)]
+
+
+def calibrated(scales: Scales, sample: Predictions | Densities) -> Scales:
+    """Scales that fit what was said of held-out samples, pulled to those of the release."""
+    found, share = sample.calibration(), _share(len(sample.truth), SCALES_PULL_N)
+    return Scales(
+        *(
+            float(getattr(scales, name) ** (1.0 - share) * getattr(found, name) ** share)
+            for name in ("temperature", "sigma_x", "sigma_theta")
+        )
+    )
+
+
+def _share(count: int, pull_n: int = PULL_N) -> float:
+    return count / (count + pull_n)
+
+
+def fit_stage(stage: StageName, release: Checkpoint, samples: Pressed, rows: Rows, seed: int) -> Decider:
+    """The release after one stage on the chosen samples, before it is calibrated."""
+    network: Decider = release.build()
+    changes: dict[StageName, Callable[[], None]] = {
+        "gain": lambda: _scale_errors(network, samples, rows),
+        "heads": lambda: _tune(network, samples, rows, _heads(network), 2e-3, seed),
+        "all": lambda: _tune(network, samples, rows, [*network.trunk.parameters(), *_heads(network)], 1e-3, seed),
+    }
+    if stage in changes:
+        changes[stage]()
+    return network.eval()
+
+
+def _heads(network: Decider) -> list[nn.Parameter]:
+    heads = (network.direction, network.magnitude, network.density)
+    return [parameter for head in heads for parameter in head.parameters()]
+
+
+def _scale_errors(network: Decider, samples: Pressed, rows: Rows) -> None:
+    """Multiply what the heads say of the error by the gain that fits, and add the offset; pulled to 1 and 0."""
+    said = trainer_of(network, samples).predict(rows, pictures=False)
+    share = _share(len(rows))
+    with torch.no_grad():
+        for axis in range(2):
+            x, y = said.error[:, axis], said.truth[:, axis]
+            gain = 1.0 + share * (float(np.cov(x, y)[0, 1] / max(np.var(x, ddof=1), 1e-6)) - 1.0)
+            offset = share * float(np.mean(y - gain * x))
+            network.magnitude.weight[axis] *= gain
+            network.magnitude.bias[axis] = network.magnitude.bias[axis] * gain + offset / ERROR_SCALE
+            parts = slice(1 + axis, None, 5)  # means of the mixture's components
+            network.density.parts.weight[parts] *= gain
+            network.density.parts.bias[parts] = network.density.parts.bias[parts] * gain + offset / ERROR_SCALE
+
+
+def _tune(
+    network: Decider, samples: Pressed, rows: Rows, parameters: list[nn.Parameter], rate: float, seed: int
+) -> None:
+    """A few epochs with symmetries and disturbances; ``parameters`` are pulled to where they were."""
+    torch.manual_seed(seed)
+    rng, trainer = np.random.default_rng(seed), trainer_of(network, samples)
+    start = [parameter.detach().clone() for parameter in parameters]
+    epochs = max(6, min(20, 3000 // len(rows)))
+    optimiser = torch.optim.Adam(parameters, lr=rate)
+    total = epochs * -(-len(rows) // BATCH)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=total, pct_start=0.1)
+    network.train()
+    for _ in range(epochs):
+        order = rng.permutation(rows)
+        for begin in range(0, len(order), BATCH):
+            batch = samples.batch(order[begin : begin + BATCH], rng)
+            pull = sum((now - was).square().sum() for now, was in zip(parameters, start, strict=True))
+            loss = trainer.trunk_loss(batch) + PULL_N / len(rows) * pull
+            optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(parameters, 1.0)
+            optimiser.step()
+            schedule.step()
+    network.eval()

@@ -1,0 +1,102 @@
+"""Recordings of a cell as training data: what the networks were shown of each attempt, and the error it had.
+
+The error is known in two ways. A probe (``purpose`` of the episode) begins at a known error. Of an insertion that went
+in, every earlier attempt was off by the moves that followed it, to within what fits the gap.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import ContractError, Sensor
+from training.data.dataset import SPLITS
+from training.data.pressed import Pressed
+from training.networks.pressing import LATTICE, STEPS
+
+PER_FIXTURE = 5
+"""Recordings in a row that count as one fixture: what a cross-validation must not tear apart."""
+
+
+class Attempt(NamedTuple):
+    """One attempt with its error (mm, deg); fields as in `Pressed`."""
+
+    error: tuple[float, float]
+    steps: NDArray[np.float32]
+    conditions: NDArray[np.float32]
+    fixture: int
+
+
+def read_episodes(root: Path, sensor: Sensor) -> Pressed:
+    """All attempts below ``root`` whose error is known, in order of time, as training samples.
+
+    Raises ContractError where there is none, or where an attempt was shown on another lattice.
+    """
+    folders = sorted(path.parent for path in root.glob("*/summary.json"))
+    attempts = [attempt for number, folder in enumerate(folders) for attempt in _attempts(folder, number)]
+    if not attempts:
+        raise ContractError(
+            f"{root}: {len(folders)} recordings and no attempt whose error is known; expected probes or insertions that"
+            " went in after a correction, decided by networks that read depth"
+        )
+    return pressed_of(attempts, sensor)
+
+
+def pressed_of(attempts: list[Attempt], sensor: Sensor) -> Pressed:
+    """Attempts as samples, all of the training split; a marker that was not seen is NaN."""
+    count = len(attempts)
+    fields = np.zeros((count, STEPS, 2, LATTICE.rows, LATTICE.columns, 2), np.float16)
+    for row, attempt in zip(fields, attempts, strict=True):
+        if attempt.steps.shape[1:] != (2, LATTICE.rows, LATTICE.columns, 3):
+            raise ContractError(f"an attempt holds steps {list(attempt.steps.shape)}, expected {LATTICE}")
+        kept = attempt.steps[:STEPS]
+        row[: len(kept)] = np.where(kept[..., 2:] > 0, kept[..., :2], np.nan)
+    names = np.array([f"fixture-{attempt.fixture:05d}" for attempt in attempts])
+    digest = hashlib.sha256(fields.tobytes() + names.tobytes())
+    conditions = np.array([attempt.conditions for attempt in attempts], np.float32)
+    return Pressed(
+        error=np.array([attempt.error for attempt in attempts], np.float32),
+        conditions=conditions,
+        split=np.full(count, SPLITS.index("train")),
+        objects=np.full(count, "cell"),
+        groups=names,
+        fields=fields,
+        length=np.array([min(len(attempt.steps), STEPS) for attempt in attempts], np.int64),
+        reach=conditions[:, 3],
+        sha256=digest.hexdigest(),
+        sensor=sensor,
+    )
+
+
+def _attempts(folder: Path, number: int) -> Iterator[Attempt]:
+    try:
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        shown = [_shown(path) for path in sorted(folder.glob("attempt_*.npz"))]
+    except (OSError, ValueError, KeyError) as error:
+        raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
+    for off, (seen, _) in zip(_errors(summary, [moves for _, moves in shown]), shown, strict=False):
+        if off is not None and seen is not None:
+            yield Attempt(off, *seen, number // PER_FIXTURE)
+
+
+def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[float, float]]:
+    """What the networks were shown of an attempt, None if they read no depth, and the move that followed."""
+    with np.load(path) as stored:
+        decision = json.loads(str(stored["decision"]))
+        moves = float(decision.get("dx_mm", 0.0)), float(decision.get("dtheta_deg", 0.0))
+        return ((stored["steps"], stored["conditions"]) if "steps" in stored.files else None), moves
+
+
+def _errors(summary: dict[str, Any], moves: list[tuple[float, float]]) -> list[tuple[float, float] | None]:
+    """The error of each attempt, None where nothing tells it."""
+    if summary.get("purpose") == "probe":
+        approach = summary["approach"]
+        return [(float(approach["x_mm"]), float(approach["yaw_deg"])), *[None] * (len(moves) - 1)]
+    if summary.get("outcome") != "inserted":
+        return [None] * len(moves)
+    left = -np.cumsum(np.array(moves, np.float64).reshape(-1, 2)[::-1], 0)[::-1]
+    return [(float(x), float(theta)) for x, theta in left]

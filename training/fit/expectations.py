@@ -1,0 +1,97 @@
+"""What a belief may expect of attempts: errors as in the training data, creep as in insertions that were played.
+
+A blocked object is left turned in the hand, its bottom outwards. How far is the difference between where it was before
+an attempt, the move made, and where it was before the next.
+"""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.contract import ContractError
+from service.contract.model_card import Expectations
+
+Floats = NDArray[np.float64]
+MISPLACED = (2.0, 2.0)
+"""How far a cell's frames may be off, mm and deg: a start may lie as much beyond those collected."""
+FEWEST = 50
+LEVER_FROM_MM, LEVER_USUAL_MM = 30.0, 45.0
+LEAST_SPREAD_MM, LEAST_SPREAD_DEG = 0.1, 0.1
+_STILL_MM = 0.3  # nearer than this the side of an error means nothing
+
+
+def of_errors(error: Floats, given: Expectations) -> Expectations:
+    """``given`` with prior and spread of training errors [N, 2] (mm, deg)."""
+    edge = np.quantile(np.abs(error), 0.999, axis=0) + MISPLACED
+    spread = error.std(0)
+    return given.model_copy(update={"edge": tuple(map(float, edge)), "spread": tuple(map(float, spread))})
+
+
+def of_insertions(paths: Iterable[Path], given: Expectations) -> Expectations:
+    """``given`` with the creep of attempts played; ContractError where there are too few.
+
+    Each path is a log of `python -m simulation evaluate`. Medians and median deviations count: what a few attempts
+    that slipped far did is no creep.
+    """
+    steps = np.array([step for path in paths for row in _rows(path) for step in _steps(row)], np.float64)
+    if len(steps) < FEWEST:
+        raise ContractError(f"{len(steps)} pairs of attempts in these logs, expected at least {FEWEST}")
+    before_mm, gone_mm, turned_deg, lever_mm = steps.T
+    outwards = np.sign(before_mm) * gone_mm
+    near = np.abs(before_mm) < given.near_mm
+    far_mm, far_spread = _middle(outwards[~near], LEAST_SPREAD_MM)
+    near_mm, per_mm = _line(lever_mm[near], outwards[near])
+    _, near_spread = _middle(outwards[near] - near_mm - per_mm * lever_mm[near], LEAST_SPREAD_MM)
+    _, theta_spread = _middle(turned_deg, LEAST_SPREAD_DEG)
+    found = {
+        "creep_mm": far_mm,
+        "creep_near_mm": near_mm,
+        "creep_near_mm_per_mm": per_mm,
+        "creep_spread_mm": far_spread,
+        "creep_near_more_mm": max(0.0, near_spread - far_spread),
+        "creep_theta_deg": theta_spread,
+    }
+    return Expectations.model_validate(given.model_dump() | found)
+
+
+def _rows(path: Path) -> Iterator[Mapping[str, Any]]:
+    try:
+        with path.open() as lines:
+            yield from (json.loads(line) for line in lines)
+    except (OSError, ValueError) as error:
+        raise ContractError(f"{path}: expected the .insertions.jsonl of an evaluation: {error}") from error
+
+
+def _steps(row: Mapping[str, Any]) -> Iterator[tuple[float, float, float, float]]:
+    """Error in x before an attempt, how far it crept in x (mm) and yaw (deg), and how high it is held above 30 mm."""
+    height_mm = row["changes"].get("grasp.height_mm", LEVER_USUAL_MM)
+    for one, following in zip(row["trials"], row["trials"][1:], strict=False):
+        (x_mm, yaw_deg), (next_x, next_yaw), move = one["error_before"], following["error_before"], one["decision"]
+        if "dx_mm" in move and abs(x_mm) > _STILL_MM:
+            crept = next_x - x_mm - move["dx_mm"], next_yaw - yaw_deg - move["dtheta_deg"]
+            yield x_mm, *crept, max(0.0, height_mm - LEVER_FROM_MM)
+
+
+def _middle(values: Floats, least: float) -> tuple[float, float]:
+    """Median, and a standard deviation from the median deviation."""
+    if not len(values):
+        return 0.0, least
+    middle = float(np.median(values))
+    return middle, max(least, 1.4826 * float(np.median(np.abs(values - middle))))
+
+
+def _line(x: Floats, y: Floats) -> tuple[float, float]:
+    """Offset and slope of a line through points, far ones counting less (Huber's weights, ten rounds)."""
+    offset, slope = _middle(y, LEAST_SPREAD_MM)[0], 0.0
+    if len(x) < FEWEST // 2 or float(np.ptp(x)) == 0.0:
+        return offset, slope
+    for _ in range(10):
+        off = y - offset - slope * x
+        weight = np.minimum(1.0, 1.5 * _middle(off, LEAST_SPREAD_MM)[1] / np.maximum(np.abs(off), 1e-9))
+        design = np.column_stack([np.ones_like(x), x]) * np.sqrt(weight)[:, None]
+        offset, slope = (float(value) for value in np.linalg.lstsq(design, y * np.sqrt(weight), rcond=None)[0])
+    return offset, slope
