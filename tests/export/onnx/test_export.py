@@ -45,10 +45,12 @@ def test_files_are_of_a_form_that_runtimes_of_years_can_read(models):
 STEPS = 50
 
 
-def test_the_released_networks_weigh_less_than_15_mb():
+def test_the_released_networks_weigh_little():
+    """All that were released stay; those that read depth are what a cell loads."""
     files = list((Path(__file__).parents[3] / "models").rglob("*.onnx"))
-    assert len(files) == 10
-    assert sum(file.stat().st_size for file in files) < 15e6
+    assert len(files) == 12
+    assert sum(file.stat().st_size for file in files) < 18e6
+    assert sum(file.stat().st_size for file in files if "pressing" in file.parts) < 3e6
 
 
 def test_released_models_verify(models):
