@@ -34,8 +34,11 @@ def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
 def network_frames(card: ModelCard, frames: NDArray[np.uint8]) -> NDArray[Any]:
     """Recorded rectified frames uint8 [n, 2, H, W, 3] as the card's graph reads them: [n, 2, *card.input_shape].
 
-    Raises Refusal if the grid found is not the card's.
+    Raises Refusal if the grid found is not the card's, or the card's graph reads depth, which frames alone do not tell.
     """
+    if card.pressing is not None:
+        detail = "these networks read steps of depth, which need stamps and the arm's speed: expected a whole insertion"
+        raise Refusal("out_of_distribution", detail)
     if card.markers is None:
         return frames
     try:

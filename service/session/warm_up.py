@@ -39,6 +39,8 @@ def _attempt(insertion: Insertion, frames: Sequence[TactileFrame]) -> None:
     insertion.message(wire.ClientHello(insertion_id=NAME, client=NAME))
     insertion.message(wire.Arm(insertion_id=NAME, attempt=1, gap_width_mm=50.0, expected_depth_mm=25.0))
     for index in range(STILL_N + needed):
+        if index == STILL_N:
+            insertion.message(wire.Descending(insertion_id=NAME, attempt=1, speed_mm_s=10.0))
         if index == STILL_N + needed - 1:
             insertion.message(wire.Stopped(insertion_id=NAME, attempt=1, depth_mm=5.0, outcome="blocked"))
         left, right = (_moved(frame, index) for frame in sorted(frames, key=lambda frame: frame.finger))
@@ -56,7 +58,7 @@ def _moved(frame: TactileFrame, index: int) -> TactileFrame:
 def _decide(session: InsertionSession) -> None:
     """Networks and controllers on a still gel."""
     card = session.models.card
-    still = np.zeros((2, *card.input_shape), np.uint8 if card.markers is None else np.float32)
+    still = np.zeros((2, *card.input_shape), card.input_dtype)
     run = DecisionRun(session.models, still, gap_width_mm=50.0)
     for _ in range(card.frames_per_decision):
         run.step(still)
