@@ -21,8 +21,9 @@ from robot_client.grippers.wsg50.codec import (
     decode_request,
     encode_reply,
 )
-from robot_client.grippers.wsg50.codes import Command, Status
+from robot_client.grippers.wsg50.codes import Command, MoveFlag, Status
 from simulation.cell.emulators.faults import FaultBoard, take
+from simulation.cell.emulators.wsg50_answers import answer
 from simulation.cell.emulators.wsg50_gripper import ACCELERATION_MM_S2, FORCE_N, SPEED_MM_S, STROKE_MM, Gripper
 
 TICK_S = 0.005
@@ -144,6 +145,9 @@ class _Connection(asyncio.Protocol):
     def _handle(self, frame: Frame) -> None:
         counters = self._emulator.counters
         counters.requests += 1
+        if (more := answer(frame, self._emulator.gripper)) is not None:
+            self._send(more)
+            return
         try:
             request = decode_request(frame)
             status, values = self._execute(request)
@@ -187,17 +191,17 @@ class _Connection(asyncio.Protocol):
             if flags & _RELATIVE:
                 self._emulator.counters.relative_moves += 1
                 width += gripper.width_mm
-            return gripper.move(command, width, speed, finish)
+            return gripper.move(command, width, speed, finish, clamps=not flags & MoveFlag.STOP_ON_BLOCK)
         return gripper.move(command, float(values[0]), float(values[1]), finish)
 
     def _settings(self, command: Command, values: tuple[Value, ...]) -> tuple[Status, tuple[Value, ...]]:
         gripper = self._emulator.gripper
         if command is Command.SET_ACCELERATION:
-            return self._set("acceleration_mm_s2", float(values[0]), ACCELERATION_MM_S2), ()
+            gripper.acceleration_mm_s2 = _clamped(float(values[0]), ACCELERATION_MM_S2)
         if command is Command.SET_FORCE_LIMIT:
-            return self._set("force_limit_n", float(values[0]), FORCE_N), ()
+            gripper.force_limit_n = _clamped(float(values[0]), FORCE_N)
         if command is Command.SET_SOFT_LIMITS:
-            gripper.soft_limits_mm = (float(values[0]), float(values[1]))
+            return gripper.limit(float(values[0]), float(values[1])), ()
         if command is Command.CLEAR_SOFT_LIMITS:
             gripper.soft_limits_mm = None
         answers: dict[Command, tuple[Value, ...]] = {
@@ -209,12 +213,6 @@ class _Connection(asyncio.Protocol):
             Command.LOOP: values,
         }
         return Status.SUCCESS, answers.get(command, ())
-
-    def _set(self, name: str, value: float, limits: tuple[float, float]) -> Status:
-        if not limits[0] <= value <= limits[1]:
-            return Status.RANGE_ERROR
-        setattr(self._emulator.gripper, name, value)
-        return Status.SUCCESS
 
     def _query(self, command: Command, flags: int, period_ms: int) -> tuple[Value, ...]:
         if flags & 1:
@@ -256,3 +254,8 @@ class _Connection(asyncio.Protocol):
     def _write(self, message: bytes) -> None:
         if self._transport is not None and not self._transport.is_closing():
             self._transport.write(message)
+
+
+def _clamped(value: float, limits: tuple[float, float]) -> float:
+    """Settings beyond a limit are taken as the limit (comment in the vendor's own C library, as NALT ships it)."""
+    return min(max(value, limits[0]), limits[1])

@@ -44,6 +44,7 @@ class _Motion:
     target_mm: float
     speed_mm_s: float
     finish: Finish
+    clamps: bool = True
 
 
 class Gripper:
@@ -66,6 +67,8 @@ class Gripper:
         self.force_limit_n = 40.0
         self.force_n = self.force_limit_n if self.holding else 0.0
         self.soft_limits_mm: tuple[float, float] | None = None
+        self.grasps_n = self.empty_n = self.lost_n = 0
+        self.tag = b""
         self._motion: _Motion | None = None
         self._squeeze_s: float | None = None
 
@@ -82,8 +85,10 @@ class Gripper:
         target = 0.0 if direction == 2 else STROKE_MM
         return self._go(_Motion(Command.HOMING, target, 50.0, finish))
 
-    def move(self, command: Command, width_mm: float, speed_mm_s: float, finish: Finish) -> Status:
-        """MOVE, GRASP or RELEASE towards a width."""
+    def move(
+        self, command: Command, width_mm: float, speed_mm_s: float, finish: Finish, *, clamps: bool = True
+    ) -> Status:
+        """MOVE, GRASP or RELEASE towards a width; ``clamps``: a MOVE that meets a part goes on pressing it."""
         denied = self._denied()
         if denied is Status.SUCCESS and not (self.referenced and not self._board.faults.gripper.not_homed):
             denied = Status.NOT_INITIALIZED
@@ -94,7 +99,14 @@ class Gripper:
         states = {Command.GRASP: GraspingState.GRASPING, Command.RELEASE: GraspingState.RELEASING}
         self.state = states.get(command, GraspingState.POSITIONING)
         target = max(0.0, width_mm - CLAMPING_TRAVEL_MM) if command is Command.GRASP else width_mm
-        return self._go(_Motion(command, target, speed_mm_s, finish))
+        return self._go(_Motion(command, target, speed_mm_s, finish, clamps))
+
+    def limit(self, minus_mm: float, plus_mm: float) -> Status:
+        """Set the soft limits, if they are within the stroke and in order."""
+        if not 0.0 <= minus_mm < plus_mm <= STROKE_MM:
+            return Status.RANGE_ERROR
+        self.soft_limits_mm = (minus_mm, plus_mm)
+        return Status.SUCCESS
 
     def stop(self) -> Status:
         """End a motion (its command is aborted) and the part's monitoring; a held part stays held."""
@@ -128,7 +140,9 @@ class Gripper:
             SystemState.BLOCKED_MINUS: self.blocked or self.holding,
             SystemState.AXIS_STOPPED: self.stopped,
             SystemState.TARGET_POS_REACHED: self.reached,
-            SystemState.FORCE_CONTROL_MODE: self.holding,
+            SystemState.SOFT_LIMIT_MINUS: self.width_mm <= (self.soft_limits_mm or (-1.0, 0.0))[0],
+            SystemState.SOFT_LIMIT_PLUS: self.width_mm >= (self.soft_limits_mm or (0.0, 2 * STROKE_MM))[1],
+            SystemState.FORCE_CONTROL_MODE: self.holding or self.force_n > 0.0,
             SystemState.FAST_STOP: self.fast_stopped,
             SystemState.TEMP_WARNING: faults.temperature_warning,
         }
@@ -163,6 +177,8 @@ class Gripper:
 
     def _go(self, motion: _Motion) -> Status:
         self.stopped = self.reached = self.blocked = False
+        self.force_n = self.force_n if self.holding else 0.0
+        self.grasps_n += motion.command is Command.GRASP
         self._motion = motion
         return Status.CMD_PENDING
 
@@ -180,6 +196,7 @@ class Gripper:
 
     def _lose_part(self) -> None:
         self.holding, self.force_n = False, 0.0
+        self.lost_n += 1
         self._part.released()
         if self.state is GraspingState.HOLDING:
             self.state = GraspingState.PART_LOST
@@ -208,7 +225,8 @@ class Gripper:
         self.blocked = True
         if motion.command is Command.GRASP:
             self._squeeze_s = 0.0
-        else:
+        else:  # the vendor's flag: clamp on block is the default, stop on block takes the force away
+            self.force_n = self.force_limit_n if motion.clamps else 0.0
             self._end(Status.AXIS_BLOCKED, GraspingState.IDLE)
 
     def _squeeze(self, elapsed_s: float) -> None:
@@ -221,6 +239,7 @@ class Gripper:
 
     def _arrive(self, motion: _Motion) -> None:
         if motion.command is Command.GRASP:
+            self.empty_n += 1
             self._end(Status.CMD_FAILED, GraspingState.NO_PART)
             return
         if motion.command is Command.HOMING:

@@ -27,6 +27,7 @@ from simulation.cell.emulators.abb.rws_format import (
     as_xhtml,
     error_body,
 )
+from simulation.cell.emulators.abb.rws_more import add_more
 from simulation.cell.emulators.abb.rws_subscriptions import add_subscriptions
 from simulation.cell.emulators.faults import FaultBoard, take
 
@@ -123,6 +124,7 @@ def create_app(cabinet: Cabinet, frames: CellFrames, gate: Gate) -> FastAPI:
     _add_symbols(app, cabinet)
     _add_motion_and_signals(app, cabinet, frames)
     _add_users_and_log(app, cabinet)
+    add_more(app, _answer)
     add_subscriptions(app, cabinet, fields, gate.admits)
 
     async def refused(request: Request, error: Exception) -> Response:
@@ -271,14 +273,6 @@ def _add_users_and_log(app: FastAPI, cabinet: Cabinet) -> None:
     @app.get("/ctrl/{variable}")
     async def environment(request: Request, variable: str) -> Response:
         return _answer(request, [State("ctrl-env", variable, {"_value": f"/{variable.strip('$').lower()}"})])
-
-    @app.post("/users/rmmp")
-    async def remote() -> Response:
-        return Response(status_code=202)
-
-    @app.get("/users/rmmp/poll")
-    async def remote_poll(request: Request) -> Response:
-        return _answer(request, [State("user-rmmp-poll", "rmmp", {"status": "GRANTED"})])
 
     @app.post("/rw/mastership/{domain:path}")
     @app.post("/rw/mastership")

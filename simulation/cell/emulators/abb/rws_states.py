@@ -8,8 +8,8 @@ from simulation.cell.emulators.abb.rws_format import State
 
 TASK = "T_ROB1"
 SYSTEM = [
-    State("sys-system", "system", {"major": "6", "minor": "13", "rwversion": "6.13.00.00", "name": "TactileCell"}),
-    State("sys-options", "options", {"option": "689-1 Externally Guided Motion (EGM)"}),
+    State("sys-system-li", "system", {"major": "6", "minor": "13", "rwversion": "6.13.00.00", "name": "TactileCell"}),
+    State("sys-option-li", "0", {"option": "689-1 Externally Guided Motion (EGM)"}),
 ]
 _JOINTS = tuple(f"rax_{k}" for k in range(1, 7))
 _NO_AXES = "abcdef"

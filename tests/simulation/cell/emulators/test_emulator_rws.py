@@ -140,6 +140,64 @@ def test_what_does_not_exist_answers_404(rws, path):
     assert "_embedded" in answer.json()
 
 
+@pytest.mark.parametrize("value", ["14.285", "2", "-1", "nan", ""])
+def test_a_digital_signal_takes_bits_only(rws, value):
+    assert post(rws, "/rw/iosystem/signals/doSlipStop", "set", lvalue=value).status_code == 400
+
+
+def test_system_modules_and_configuration_are_told_in_the_references_words(rws):
+    rows = rws.get("/rw/system").json()["_embedded"]["_state"]
+    assert [row["_type"] for row in rows] == ["sys-system-li", "sys-option-li"]
+    modules = rws.get("/rw/rapid/modules", params={"json": "1", "task": "T_ROB1"}).json()["_embedded"]["_state"]
+    assert {row["_type"] for row in modules} == {"rap-module-info-li"}
+    assert rws.get("/rw/rapid/modules").status_code == 400
+    robots = rws.get("/rw/cfg/moc/robot/instances").json()["_embedded"]["_state"]
+    assert robots[0]["_type"] == "cfg-dt-instance-li"
+    assert robots[0]["name"] == "ROB_1"
+    assert rws.get("/rw/cfg/none/robot/instances").status_code == 404
+
+
+def test_files_are_kept_listed_and_deleted(rws):
+    assert rws.put("/fileservice/$home/a.mod", content=b"MODULE a").status_code == 201
+    assert rws.put("/fileservice/$home/a.mod", content=b"MODULE b").status_code == 200
+    assert rws.get("/fileservice/$home/a.mod").content == b"MODULE b"
+    assert field(rws, "/fileservice/$home", "_title") == "a.mod"
+    assert rws.put("/fileservice/$home/large", content=bytes(2 << 20)).status_code == 400
+    assert rws.delete("/fileservice/$home/a.mod").status_code == 204
+    assert rws.delete("/fileservice/$home/a.mod").status_code == 404
+
+
+def test_a_subscription_can_be_given_back(rws):
+    made = rws.post("/subscription", data={"resources": "1", "1": "/rw/panel/opmode"})
+    number = made.headers["location"].rsplit("/", 1)[1]
+    assert rws.delete(f"/subscription/{number}").status_code == 200
+    assert rws.delete(f"/subscription/{number}").status_code == 404
+
+
+def test_the_stock_rws_client_uses_users_and_files(cell):
+    """Its methods but for message queues (option 616-1) and ``poll_rmmp``, which asks for an address of two hosts."""
+    script = (
+        "import sys; from abb_robot_client.rws import *\n"
+        "r = RWS(sys.argv[1]); r._do_post('users/rmmp', {'privilege': 'modify'})\n"
+        "r.upload_file('$home/x.txt', b'hello'); assert r.read_file('$home/x.txt') == b'hello'\n"
+        "assert r.list_files('$home') == ['x.txt']; r.delete_file('$home/x.txt')\n"
+        "assert r.get_ramdisk_path(); assert r.get_digital_io('diObjectFixed') == 1\n"
+        "r.set_digital_io('doSlipStop', 1); assert r.get_digital_io('doSlipStop') == 1\n"
+        "r.set_digital_io('doSlipStop', 0)\n"
+        "r.set_speedratio(50); assert r.get_speedratio() == 50; r.set_speedratio(100)\n"
+        "r.activate_task('T_ROB1'); r.deactivate_task('T_ROB1'); r.resetpp()\n"
+        "assert r.get_jointtarget().robax.size == 6; assert r.get_robtarget().trans.size == 3\n"
+        "r.read_event_log(); r.get_execution_state(); r.logout(); print('all done')\n"
+    )
+    cell.call(cell.cell.board.clear)
+    cell.call(cell.cell.cabinet.request_stop)
+    cell.wait(lambda: not cell.cell.cabinet.running)
+    done = subprocess.run(
+        [sys.executable, "-c", script, cell.told["rws_url"]], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert "all done" in done.stdout, done.stderr
+
+
 def test_faults_refuse_delay_reset_and_garble(cell, rws):
     cell.faults(rws={"refuse_next": 1})
     assert rws.get("/rw/panel/opmode").status_code == 503

@@ -106,6 +106,71 @@ def test_what_exceeds_the_reported_limits_is_refused(gripper, width, speed):
     assert gripper.ask(Command.MOVE, 0, width, speed).status is Status.RANGE_ERROR
 
 
+def test_a_move_that_meets_the_part_clamps_it_unless_it_was_told_to_stop(gripper):
+    assert gripper.do(Command.MOVE, 0, 60.0, 200.0) is Status.AXIS_BLOCKED
+    assert gripper.ask(Command.FORCE, 0, 0).values[0] > 0.0
+    assert SystemState.FORCE_CONTROL_MODE in bits(gripper)
+    gripper.do(Command.RELEASE, 100.0, 400.0)
+    assert gripper.do(Command.MOVE, 2, 60.0, 200.0) is Status.AXIS_BLOCKED
+    assert gripper.ask(Command.FORCE, 0, 0).values[0] == 0.0
+
+
+@pytest.mark.parametrize("limits", [(80.0, 20.0), (50.0, 50.0), (-1.0, 50.0), (10.0, 111.0)])
+def test_soft_limits_out_of_order_or_beyond_the_stroke_are_refused(gripper, limits):
+    assert gripper.ask(Command.SET_SOFT_LIMITS, *limits).status is Status.RANGE_ERROR
+    assert gripper.ask(Command.GET_SOFT_LIMITS).values == (0.0, 110.0)
+
+
+def test_soft_limits_bound_the_moves_until_they_are_cleared(gripper):
+    assert gripper.ask(Command.SET_SOFT_LIMITS, 85.0, 105.0).status is Status.SUCCESS
+    assert gripper.ask(Command.MOVE, 0, 84.0, 100.0).status is Status.RANGE_ERROR
+    assert gripper.do(Command.MOVE, 0, 105.0, 400.0) is Status.SUCCESS
+    assert SystemState.SOFT_LIMIT_PLUS in bits(gripper)
+    assert gripper.ask(Command.CLEAR_SOFT_LIMITS).status is Status.SUCCESS
+    assert not bits(gripper) & (SystemState.SOFT_LIMIT_PLUS | SystemState.SOFT_LIMIT_MINUS)
+
+
+@pytest.mark.parametrize(("asked", "taken"), [(1000.0, 80.0), (1.0, 5.0), (33.0, 33.0)])
+def test_a_force_beyond_its_range_is_taken_as_the_nearest(gripper, asked, taken):
+    assert gripper.ask(Command.SET_FORCE_LIMIT, asked).status is Status.SUCCESS
+    assert gripper.ask(Command.GET_FORCE_LIMIT).values == (taken,)
+    gripper.ask(Command.SET_FORCE_LIMIT, 40.0)
+
+
+def raw(gripper, command, payload=b""):
+    """Status and parameters of a command that our codec does not know."""
+    gripper.sock.sendall(encode_frame(command, payload))
+    data = gripper.sock.recv(200)
+    length = struct.unpack("<H", data[4:6])[0]
+    assert (data[:3], data[3]) == (b"\xaa" * 3, command)
+    return Status(struct.unpack("<H", data[6:8])[0]), data[8 : 6 + length]
+
+
+@pytest.mark.parametrize(
+    ("command", "payload", "status"),
+    [
+        (0x37, b"\0", Status.NOT_AVAILABLE),
+        (0x38, b"", Status.NOT_AVAILABLE),
+        (0x38, b"x", Status.NO_PARAM_EXPECTED),
+        (0x42, b"", Status.NOT_ENOUGH_PARAMS),
+        *((command, b"\0", Status.NOT_AVAILABLE) for command in range(0x60, 0x64)),
+        (0x60, b"\7", Status.INDEX_OUT_OF_BOUNDS),
+        (0x52, b"x" * 65, Status.RANGE_ERROR),
+    ],
+)
+def test_what_foreign_drivers_ask_is_answered_by_name(gripper, command, payload, status):
+    assert raw(gripper, command, payload)[0] is status
+
+
+def test_temperature_tag_and_statistics_are_told(gripper):
+    assert raw(gripper, 0x46, bytes(3)) == (Status.SUCCESS, struct.pack("<h", 365))
+    assert raw(gripper, 0x52, b"left of two") == (Status.SUCCESS, b"")
+    assert raw(gripper, 0x51) == (Status.SUCCESS, b"left of two")
+    raw(gripper, 0x42, b"\1")
+    gripper.do(Command.GRASP, 80.0, 200.0)
+    assert raw(gripper, 0x42, b"\0") == (Status.SUCCESS, struct.pack("<IHH", 1, 0, 0))
+
+
 def test_nothing_moves_before_homing(cell, gripper):
     cell.faults(gripper={"not_homed": True})
     assert gripper.ask(Command.GRASP, 80.0, 50.0).status is Status.NOT_INITIALIZED

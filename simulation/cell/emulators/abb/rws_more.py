@@ -1,0 +1,120 @@
+"""What foreign clients of Robot Web Services 1.0 ask for beyond this cell's own: users, files, modules, configuration.
+
+Each route cites its page of ABB's reference (3HAC050973-001, by its name there). Files live in memory.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from fastapi import FastAPI, Request, Response
+
+from simulation.cell.emulators.abb import rws_states
+from simulation.cell.emulators.abb.rws_format import XHTML_TYPE, State
+
+Answer = Callable[[Request, list[State]], Response]
+MAX_FILE_BYTES, MAX_FILES = 1 << 20, 64
+NO_SUCH_REQUEST = -1073445870  # user_rmmp_poll_page
+MODULES = {"TactileEgm": "ProgMod", "BASE": "SysMod"}
+ROBOT = {"name": "ROB_1", "use_robot_type": "ROB1_1600_1.45_6", "use_joint_0": "rob1_1"}
+CFG = {"moc": {"ROBOT": [ROBOT]}, "sys": {"CAB_TASKS": [{"Name": rws_states.TASK, "Type": "NORMAL"}]}}
+
+
+@dataclass(slots=True)
+class Disk:
+    """The controller's files, by their path."""
+
+    files: dict[str, bytes] = field(default_factory=dict)
+
+    def put(self, path: str, content: bytes) -> bool:
+        """Keep a file; True if it is new. Raises ValueError beyond what the emulator has room for."""
+        new = path not in self.files
+        if len(content) > MAX_FILE_BYTES or (new and len(self.files) >= MAX_FILES):
+            raise ValueError(f"{path} of {len(content)} bytes: at most {MAX_FILES} files of {MAX_FILE_BYTES} bytes")
+        self.files[path] = content
+        return new
+
+    def listed(self, folder: str) -> list[State]:
+        """What lies in a folder; raises KeyError where nothing does."""
+        inside = {p: c for p, c in self.files.items() if p.rpartition("/")[0].lower() == folder.lower()}
+        if not inside and folder.lower() not in {"$home", "$temp", ""}:
+            raise KeyError(folder)
+        return [State("fs-file", p.rpartition("/")[2], {"fs-size": len(c)}) for p, c in inside.items()]
+
+
+def add_more(app: FastAPI, answer: Answer) -> None:
+    """Add the routes; errors are answered by the app's handlers of KeyError (404) and ValueError (400)."""
+    _add_users(app, answer)
+    _add_files(app, answer)
+    _add_modules(app, answer)
+    _add_configuration(app, answer)
+
+
+def _add_users(app: FastAPI, answer: Answer) -> None:
+    asked: list[str] = []
+
+    @app.get("/users")  # user_page: the users who are logged in
+    async def users(request: Request) -> Response:
+        return answer(request, [State("user-li", "Default User", {"alias": "", "application": "", "locale": "remote"})])
+
+    @app.post("/users")  # user_register_page: 201 with the user's resource
+    async def register() -> Response:
+        return Response(status_code=201, headers={"Location": "/users/1"}, media_type=XHTML_TYPE)
+
+    @app.get("/users/rmmp")  # user_rmmp_resource_page
+    async def granted(request: Request) -> Response:
+        privilege = "modify" if asked else "none"
+        return answer(request, [State("user-rmmp", "state", {"userid": "0", "privilege": privilege})])
+
+    @app.post("/users/rmmp")  # user_rmmp_request_page: 202 accepted, with the media of the answer
+    async def ask(request: Request) -> Response:
+        asked[:] = [] if request.query_params.get("action") == "cancel" else ["modify"]
+        return Response(status_code=202, media_type=XHTML_TYPE)
+
+    @app.get("/users/rmmp/poll")  # user_rmmp_poll_page: without a request there is none to poll
+    async def poll(request: Request) -> Response:
+        fields = {"status": "GRANTED"} if asked else {"code": NO_SUCH_REQUEST, "status": "NO SUCH REQUEST"}
+        return answer(request, [State("user-rmmp-poll", "state", fields)])
+
+
+def _add_files(app: FastAPI, answer: Answer) -> None:
+    disk = Disk()
+
+    @app.get("/fileservice/{path:path}")  # fs_file_get_page, fs_directory_get_page
+    async def read(request: Request, path: str) -> Response:
+        if path in disk.files:
+            return Response(disk.files[path], media_type="application/octet-stream")
+        return answer(request, disk.listed(path.rstrip("/")))
+
+    @app.put("/fileservice/{path:path}")  # fs_file_upload_page: 201 for a new file, 200 for one replaced
+    async def write(request: Request, path: str) -> Response:
+        return Response(status_code=201 if disk.put(path, await request.body()) else 200, media_type=XHTML_TYPE)
+
+    @app.delete("/fileservice/{path:path}")  # fs_file_actions_page: fs-delete
+    async def delete(path: str) -> Response:
+        del disk.files[path]
+        return Response(status_code=204)
+
+
+def _add_modules(app: FastAPI, answer: Answer) -> None:
+    @app.get("/rw/rapid/modules")  # rapid_modules_get_page; the task is required
+    async def modules(request: Request) -> Response:
+        if request.query_params.get("task") != rws_states.TASK:
+            raise ValueError(f"task {request.query_params.get('task')!r}, expected {rws_states.TASK}")
+        return answer(request, [State("rap-module-info-li", n, {"name": n, "type": t}) for n, t in MODULES.items()])
+
+
+def _add_configuration(app: FastAPI, answer: Answer) -> None:
+    """Reading only: what is configured here is the simulator's, and not to be changed over this door."""
+
+    @app.get("/rw/cfg")  # cfg_page
+    async def domains(request: Request) -> Response:
+        return answer(request, [State("cfg-domain-li", name) for name in CFG])
+
+    @app.get("/rw/cfg/{domain}")  # cfg_domain_page
+    async def types(request: Request, domain: str) -> Response:
+        return answer(request, [State("cfg-dt-li", name) for name in CFG[domain.lower()]])
+
+    @app.get("/rw/cfg/{domain}/{kind}/instances")  # cfg_domain_type_instances
+    async def instances(request: Request, domain: str, kind: str) -> Response:
+        found = CFG[domain.lower()][kind.upper()]
+        return answer(request, [State("cfg-dt-instance-li", next(iter(fields.values())), fields) for fields in found])
