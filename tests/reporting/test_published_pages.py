@@ -13,6 +13,7 @@ PAGES = {
     "closed_loop": "simulation.closed_loop.report:closed_loop_page",
     "hard_cases": "tests.hard_cases.__main__:hard_cases_page",
     "motion_bounds": "simulation.studies.motion_bounds.report:bounds_page",
+    "drawn_worlds": "simulation.studies.drawn_worlds:drawn_worlds_page",
     "robustness": "simulation.closed_loop.robustness:robustness_page",
     "serving": "tests.benchmarks.serving_report:serving_page",
     "slip_report": "simulation.studies.slip.report:slip_page",
