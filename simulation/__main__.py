@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "view": ("dataset:view", "trials of a dataset as pictures"),
     "export-dataset": ("dataset:export_dataset", "trials as a LeRobot v3.0 dataset or as MCAP files"),
     "slip-report": ("slip:slip_report", "how well slip is detected, and the cost: table, JSON, plot"),
+    "grasps": ("slip:real_grasps", "recorded grasps of real objects, judged: table run by run"),
     "stop-report": ("slip:stop_report", "how soon the arm stops for slip, through the whole live loop: table"),
     "motion-bounds": ("cell:motion_bounds", "how far the arm goes on after nobody looks: live faults, table, JSON"),
     "hard-probes": ("physics:hard_probes", "10,000 random hard contacts: solved, lost or refused by name"),

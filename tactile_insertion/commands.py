@@ -59,6 +59,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "theory": Command("simulation", "theory", "errors beside closed-form contact mechanics"),
         "hard-probes": Command("simulation", "hard-probes", "10,000 random extreme contacts"),
         "slip-report": Command("simulation", "slip-report", "how well slip is detected, and the cost"),
+        "grasps": Command("simulation", "grasps", "recorded grasps of real objects, judged"),
         "stop-report": Command("simulation", "stop-report", "how soon the arm stops for slip"),
     },
 }

@@ -11,13 +11,13 @@ from service.tools.judge import judged, runs_of
 def main(arguments: Sequence[str]) -> int:
     """Judge every run and write the rows; raises JudgeError in one line."""
     options = _parse(arguments)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
     rows = []
     for folder in runs_of(options.folder):
         rows.append(row := judged(folder))
         phases = ", ".join(f"{name} {row[f'{name}_frame']}" for name in ("contact", "hold", "slip", "lost"))
         print(f"{row['run']:<32} {row['frames_n']:>4} frames: {phases}; {row['ms_a_frame']:.1f} ms a frame")
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     print(f"wrote {options.out}")
     return 0
 

@@ -55,6 +55,7 @@ FaultCode = Literal[
     "camera_size",
     "stale_frames",
     "open_gel",
+    "part_lost",
     "protocol",
     "watch_only",
     "internal",

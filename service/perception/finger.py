@@ -10,9 +10,9 @@ from service.contract import ContractError, Finger, FrameSpec, TactileFrame
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.observation import Observation
 from service.perception.rectification import CameraCalibration, Rectifier
-from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector, SlipState, untouched
 from service.perception.slip.onset import OnsetDetector
+from service.perception.slip.open_gel import OpenGel, shrunk
 
 _PRESSED = 2.0  # times what an untouched gel may show; from there on an object is certainly held
 
@@ -30,7 +30,7 @@ class TactileFinger:
         self._tracker = MarkerTracker()
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
-        self._free = FreeGel()
+        self._open = OpenGel()
         self._rearm = False
         self._held = False
         self._stopped = False
@@ -43,7 +43,7 @@ class TactileFinger:
         """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing."""
         image, _ = self._rectified(frame)
         try:
-            self._free.learn(MarkerTracker().update(image, frame.captured_ns))
+            self._open.learn(MarkerTracker().update(image, frame.captured_ns), shrunk(image))
         except ValueError as error:
             return str(error)
         return ""
@@ -54,8 +54,8 @@ class TactileFinger:
         rectified = time.perf_counter()
         field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
-        bulge = self._free.bulge(field)
-        marked = self._free.mark(field)
+        bulge = self._open.bulge(field)
+        marked = self._open.mark(field)
         if self._rearm:
             slip = self._slip.rearm(field)
             self._onset.rearm(field)
@@ -66,13 +66,15 @@ class TactileFinger:
             slip = self._slip.update(marked if self._held else field)
             onset = self._onset.update(field)
         slip = self._with_contact(slip, empty=untouched(marked))
+        touch = self._open.touch(field, shrunk(image))
         cost_ms = {
             "rectify": rectify_ms,
             "markers": (tracked - rectified) * 1e3,
             "slip": (time.perf_counter() - tracked) * 1e3,
         }
         onset_ns = None if onset is None else onset.captured_ns
-        return Observation(self.finger, frame.seq, frame.captured_ns, image, field, slip, onset_ns, cost_ms, bulge)
+        stamps = frame.seq, frame.captured_ns
+        return Observation(self.finger, *stamps, image, field, slip, onset_ns, cost_ms, bulge, touch)
 
     def _with_contact(self, slip: SlipState, *, empty: bool) -> SlipState:
         """The state, or "no_contact" where nothing touches the gel; the first state that stops the arm always passes.

@@ -19,6 +19,7 @@ class Observation:
     rearm; ``onset_ns`` the capture stamp of the first frame that shows the object's motion, once that is certain;
     ``cost_ms`` the time of rectification, tracking and slip detection. ``bulge``: how far the markers are from where
     they lie in an untouched gel, in shares of what such a gel may show; below 1 nothing touches it, None: unknown.
+    ``touch``: the same of the whole picture, where one of the open gel was learnt; what phases of a grasp follow.
     """
 
     finger: Finger
@@ -30,6 +31,7 @@ class Observation:
     onset_ns: int | None
     cost_ms: dict[str, float]
     bulge: float | None = None
+    touch: float | None = None
 
     @property
     def judged(self) -> bool:

@@ -3,7 +3,9 @@
 from dataclasses import dataclass, field
 
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
+from service.decision.attempt import Attempt
 from service.perception.observation import FingerWatch, Observation, PairObservation, belongs
+from service.perception.slip.phases import Grasp
 
 
 @dataclass(slots=True)
@@ -14,6 +16,8 @@ class Fingers:
     right: FingerWatch
     _seen: dict[Finger, Observation] = field(default_factory=dict)
     _newest_ns: dict[Finger, int] = field(default_factory=dict)
+    grasp: Grasp = field(default_factory=lambda: Grasp(len(FINGERS)))
+    _grasped_in: int = 0
 
     def watch(self, finger: Finger) -> FingerWatch:
         """The perception of one finger."""
@@ -37,6 +41,19 @@ class Fingers:
     def both(self) -> PairObservation:
         """What both fingers showed last."""
         return PairObservation(self._seen["left"], self._seen["right"])
+
+    def emptied(self, attempt: Attempt) -> str:
+        """Why the hand counts as empty since the attempt was armed, said once; or nothing.
+
+        At full depth it is the claim that asks whether the object is still held.
+        """
+        if attempt.generation != self._grasped_in:  # arming has shown that something is held
+            self._grasped_in, self.grasp = attempt.generation, Grasp(len(FINGERS), "hold")
+        seen, before = self.both().fingers, self.grasp.whole.phase
+        phase = self.grasp.update([finger.touch for finger in seen], [finger.slip.slip for finger in seen])
+        if phase != "lost" or before == "lost" or attempt.outcome == "inserted":
+            return ""
+        return "both gels are empty: the object has left the hand"
 
     def age_ms(self, now_ns: int) -> float | None:
         """Age of the newest frame; None until both fingers have shown one."""

@@ -205,6 +205,8 @@ class InsertionSession:
         if attempt.stage is Stage.ARMING:
             answer = attempt.take_reference(both)
             return [*replies, answer] if answer else replies
+        if why := self._fingers.emptied(attempt):
+            return [*replies, self._fault("part_lost", why)]
         attempt.take_in(both)
         if attempt.outcome == "inserted":
             return replies + self._conclude(now_ns)
@@ -273,9 +275,7 @@ class InsertionSession:
     def _decided(self, attempt: Attempt, decision: Decision) -> Replies:
         attempt.stage, attempt.decision = Stage.DECIDED, decision
         self.on_attempt(attempt)
-        if attempt.arm.attempt >= wire.MAX_ATTEMPTS:
-            return [decision, *self._finish("attempts")]
-        return [decision]
+        return [decision, *(self._finish("attempts") if attempt.arm.attempt >= wire.MAX_ATTEMPTS else [])]
 
     def _end(self, attempt: Attempt, cause: wire.Cause | None = None, doubts: Doubts = ()) -> Replies:
         attempt.stage = Stage.DECIDED

@@ -13,7 +13,7 @@ from reporting.page import publish
 from simulation.cli.cell import exit_status
 from simulation.data.progress import progress
 from simulation.studies import stop_latency
-from simulation.studies.slip import detection, real, report, trackers
+from simulation.studies.slip import detection, grasps, real, report, trackers
 
 NAME = "slip_report"
 
@@ -57,6 +57,27 @@ def slip_report(arguments: list[str]) -> int:
             data["trackers"] = trackers.compare(options.tradeoff, options.seed, options.fps, show)
     report.draw(data["trackers"], options.out / f"{NAME}.png")
     print(publish(options.out, NAME, report.slip_page(data), data))
+    return 0
+
+
+@dataclass(frozen=True)
+class GraspOptions:
+    """Compare rows of `service judge` with labels set by eye; write real_grasps.md and .json."""
+
+    rows: Path = Path("runs/judge.json")
+    """rows of all recordings"""
+    labels: Path = Path("tests/service/tools/real_slips.json")
+    """what is seen in each"""
+    out: Path = Path("docs")
+    """folder of the page"""
+
+
+def real_grasps(arguments: list[str]) -> int:
+    """Write the page on real grasps and print it."""
+    options = tyro.cli(GraspOptions, args=arguments, prog="tactile-insertion grasps")
+    rows = read_json(options.rows, "python -m service judge FOLDER")
+    data = grasps.figures(rows, read_json(options.labels, "a file of labels"))
+    print(publish(options.out, "real_grasps", grasps.grasps_page(data), data))
     return 0
 
 

@@ -18,9 +18,9 @@ from service.contract import FINGERS, Finger, TactileFrame
 from service.perception.markers.field import MarkerField, empty_field, field_from_gel
 from service.perception.observation import Observation
 from service.perception.rectification import Rectifier
-from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.onset import OnsetDetector
+from service.perception.slip.open_gel import OpenGel
 from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
 
 # RMS per axis at 2 grey levels of camera noise, and what each grey level more adds (docs/slip_report.md).
@@ -73,7 +73,7 @@ class TrueFieldFinger:
         self._rectifier = Rectifier(cell.calibration(self._index))
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
-        self._free = FreeGel()
+        self._open = OpenGel()
         self._rearm = False
         noise = cell.scene.camera.noise_grey
         self._error_px = max(0.02, TRACKING_PX + TRACKING_PX_PER_GREY * (noise - 2.0))
@@ -90,7 +90,7 @@ class TrueFieldFinger:
 
     def learn_open(self, frame: TactileFrame) -> str:
         """Take the gel at rest for what nothing touches."""
-        self._free.learn(self._tracked(np.zeros_like(self._cell.state.gel[self._index]), frame, 8))
+        self._open.learn(self._tracked(np.zeros_like(self._cell.state.gel[self._index]), frame, 8))
         return ""
 
     def observe(self, frame: TactileFrame) -> Observation:
@@ -105,8 +105,8 @@ class TrueFieldFinger:
             slip, onset = self._slip.update(field), self._onset.update(field)
         picture = cast("NDArray[np.uint8]", LatePicture(self._cell.picture_later(self._index), self._rectifier))
         onset_ns = None if onset is None else onset.captured_ns
-        bulge = self._free.bulge(field)
-        return Observation(self._finger, frame.seq, frame.captured_ns, picture, field, slip, onset_ns, {}, bulge)
+        bulge, stamps = self._open.bulge(field), (frame.seq, frame.captured_ns)
+        return Observation(self._finger, *stamps, picture, field, slip, onset_ns, {}, bulge, self._open.touch(field))
 
     def _field(self, frame: TactileFrame) -> MarkerField:
         """What is found in a frame: the cell's gel, or what a fault has made of it."""

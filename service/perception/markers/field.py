@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.contract import MarkerSpec, Sensor
 
-TrackStatus = Literal["tracking", "partial", "lost", "duplicate", "no_grid"]
+TrackStatus = Literal["tracking", "partial", "ambiguous", "lost", "duplicate", "no_grid"]
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
 
@@ -26,7 +26,8 @@ class MarkerField:
     ``displacement_px`` float32 [rows, cols, 2] how far it has moved since. Both are finite everywhere: where ``valid``
     [rows, cols] is False the displacement is interpolated from the neighbours and is no evidence. ``contact``
     [rows, cols] says which nodes touch the object, None where that is not known. ``status`` "no_grid" comes with
-    empty arrays. ``captured_ns`` is the frame's monotonic stamp.
+    empty arrays, "ambiguous" comes from a jump that may be one of a whole pitch. ``captured_ns`` is the frame's
+    monotonic stamp.
     """
 
     rest_px: FloatArray

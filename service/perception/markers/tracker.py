@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +12,10 @@ from service.perception.markers.field import BoolArray, FloatArray, MarkerField,
 from service.perception.markers.lattice import Lattice, find_lattice
 from service.perception.markers.matching import Match, View, match, reindex
 
+_AROUND = [np.array([col, row], np.float32) for col in (-1, 0, 1) for row in (-1, 0, 1) if col or row]
+_JUMP = 0.35  # pitch between two frames from which on the true way could be a whole one less, backwards
+_AS_WELL = 0.5  # misfit a node; a border row without spots costs more
+_SAME_GREY = 0.15  # mean distance of two frames below which the second is the first again, however it was coded
 _CALM = 1.2  # misfit a node above the running level at which the grid is matched again by topology
 _WHOLE = 0.8  # diameter; a marker nearer to the image's border than this is cut
 _NEARER = 0.1  # diameter; and was carried there if it rests further inside by more than this
@@ -72,7 +77,7 @@ class MarkerTracker:
         self._check(image)
         if self._last_ns is not None and captured_ns <= self._last_ns:
             return self._repeat(captured_ns, f"stamp {captured_ns} is not after {self._last_ns}")
-        if self._last_image is not None and np.array_equal(image[::7], self._last_image[::7]):
+        if self._last_image is not None and float(cv2.absdiff(image[::7], self._last_image[::7]).mean()) < _SAME_GREY:
             return self._repeat(captured_ns, "the frame repeats the one before")
         self._last_image = image
         if self._lattice is None and not self._start(image):
@@ -114,6 +119,11 @@ class MarkerTracker:
         share = best.valid.sum() / max(1, min(int(visible.sum()), best.valid.size))
         if share < self.settings.lost_share or not visible.any():
             return self._lost(captured_ns, f"{best.valid.sum()} of {best.valid.size} markers matched")
+        rival = self._rival(best, spots.xy_px, view)
+        if rival is not None:
+            self._xy = rival.xy_px
+            self._last_ns = captured_ns
+            return self._stale(captured_ns, "ambiguous", "the grid jumped by what may be a whole pitch")
         self._remember(best, spots, captured_ns)
         status: TrackStatus = "tracking" if share >= self.settings.partial_share else "partial"
         valid = self._measured(best, spots, view)
@@ -122,6 +132,21 @@ class MarkerTracker:
         )
         self._last_field = field
         return field
+
+    def _rival(self, best: Match, points: FloatArray, view: View) -> Match | None:
+        """After a jump, a placement whole steps nearer to where the markers rest that explains the frame as well."""
+        assert self._lattice is not None
+        rest, pitch = self._lattice.xy_px, self._lattice.pitch_px
+        if not best.valid.any() or _typical(best.xy_px - self._xy, best.valid) < _JUMP * pitch:
+            return None
+        home = _typical(best.xy_px - rest, best.valid)
+        rivals = []
+        for steps in _AROUND:
+            place = match(best.xy_px - steps @ self._lattice.basis_px, rest, points, pitch, view, self._xy)
+            nearer = place.valid.any() and _typical(place.xy_px - rest, place.valid) < home - 0.3 * pitch
+            if nearer and place.misfit < best.misfit + _AS_WELL:
+                rivals.append(place)
+        return min(rivals, key=lambda place: place.misfit, default=None)
 
     def _measured(self, best: Match, spots: Candidates, view: View) -> BoolArray:
         """Which markers [rows, cols] have a reliable position: followed, not carried to the image's border, and round.
@@ -182,3 +207,8 @@ class MarkerTracker:
             return empty_field(captured_ns, "no_grid", reason)
         valid = last.valid if status == "duplicate" else np.zeros_like(last.valid)
         return replace(last, valid=valid, captured_ns=captured_ns, status=status, reason=reason)
+
+
+def _typical(step: FloatArray, valid: BoolArray) -> float:
+    """Length in px of the median step [rows, cols, 2] of the valid nodes."""
+    return float(np.linalg.norm(np.median(step[valid], axis=0)))

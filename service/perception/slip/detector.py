@@ -234,7 +234,7 @@ class SlipDetector:
 
 
 def untouched(field: MarkerField) -> bool:
-    """True where it is known that nothing touches the gel, by the simulator's pressure or by `contact.FreeGel`."""
+    """True where it is known that nothing touches the gel, by the simulator's pressure or by `open_gel.OpenGel`."""
     return field.usable and field.contact is not None and not field.contact.any()
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.perception.markers.field import MarkerField
-from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector, SlipSettings, SlipState, untouched
+from service.perception.slip.open_gel import OpenGel
 from service.perception.slip.rigid import carried_px
 
 
@@ -42,7 +42,7 @@ class GraspWatch:
     """
 
     def __init__(self, slip: SlipSettings | None = None, settings: GraspSettings | None = None) -> None:
-        self.free = FreeGel()
+        self.free = OpenGel()
         self.detector = SlipDetector(slip or watch_settings(WATCH_SLIP_PITCH))
         self.settings = settings or GraspSettings()
         self._anchor: MarkerField | None = None

@@ -1,97 +1,159 @@
-"""Whether a gel is touched, told by comparison with the same gel open: its markers and the light between them.
+"""Whether anything touches a gel, told from the same gel open: the light on it, and where its markers are.
 
-A pressed gel carries its markers along and changes colour where its surface tilts. Either alone fails: a thin or light
-object moves no marker, a flat one shades little. Marker by marker and cell by cell, the worst few decide, so that a
-touch at the gel's edge is a touch, and a speck of dirt is none.
+A pressed gel changes colour where its surface tilts, and carries its markers along. The picture is compared with that
+of the open gel after both were shrunk and one factor has taken up the exposure. A pixel counts as changed only beyond
+what its neighbours in the open picture span: a marker that came home a little beside its place changes nothing.
+
+Without a picture of the open gel the markers alone tell: an open gel's lie where they did, or, if no frame of it was
+learnt, where they were printed, on a sensor whose rectified image shows a regular grid. A sensor whose lens bends its
+grid is then never called open, and slip is detected as if something were held.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from service.perception.markers.field import MarkerField
+from service.perception.slip.rigid import Float64
 
-Float64 = NDArray[np.float64]
-_SPOT = 0.35  # pitch; side of the square whose mean colour stands for a cell between four markers
-_DARKEST = 8.0  # grey levels; below, a cell's colour says nothing
-_LEAST_CELLS = 9
+Picture = NDArray[np.float32]
+_KEPT = 0.95  # share of the markers that count: the worst few may be worn, broken or mistaken
+_SHRINK = 4  # image px a side of what becomes one; a quarter of a millimetre on the sensors at hand
+_AROUND = np.ones((3, 3), np.uint8)
+_SLID = 0.5  # pitch; markers further off than this, all of them, were taken for their neighbours
 _EXPOSED = 1.3  # times the open gel's light; beyond, the camera is still finding its exposure
 
 
 @dataclass(frozen=True, slots=True)
 class OpenGelSettings:
-    """A gel is touched from these on: markers ``bulge_pitch`` off (RMS), or ``shade_grey`` levels in some cells.
+    """A gel is touched from these on.
 
-    Both hold for the mean over the ``worst`` share of markers or cells, but for ``broken`` of the markers.
+    ``shade_grey``: grey levels by which all but the most changed ``shade_area`` of the picture have changed at most.
+    ``home_pitch``: RMS distance of the markers from a learnt frame, in shares of the pitch (real gels come home to
+    0.016, a flat object held with 2 N moves them by 0.02). ``print_pitch``: from a regular grid of unknown place, size
+    and turn, which a press from 8 N on leaves. ``worn_pitch``: where a picture is known as well, for which real
+    markers need not have come home. ``valid_share``: of the markers, below which they tell nothing.
     """
 
-    bulge_pitch: float = 0.045
-    shade_grey: float = 5.0
-    worst: float = 0.15
-    broken: float = 0.05
+    shade_grey: float = 4.5
+    shade_area: float = 0.02
+    home_pitch: float = 0.018
+    print_pitch: float = 0.012
+    worn_pitch: float = 0.06
+    valid_share: float = 0.6
 
 
 class OpenGel:
-    """How far one finger's picture is from that of its open gel, learnt before the grasp."""
+    """One finger's open gel: learnt before the grasp, or guessed from the regularity of its print."""
 
     def __init__(self, settings: OpenGelSettings | None = None) -> None:
         self.settings = settings or OpenGelSettings()
-        self._field: MarkerField | None = None
-        self._colours: Float64 = np.zeros((0, 0, 3))
+        self._home: MarkerField | None = None
+        self._spanned: Spanned | None = None
 
-    @property
-    def known(self) -> bool:
-        """True once the open gel was learnt."""
-        return self._field is not None
+    def learn(self, field: MarkerField, picture: Picture | None = None) -> None:
+        """Take ``field``, and the :func:`shrunk` picture that it was found in, for those of the open gel.
 
-    def learn(self, image: NDArray[np.uint8], field: MarkerField) -> None:
-        """Take this frame, uint8 [h, w, 3], for the open gel. Raises ValueError if it shows no markers."""
+        Raises ValueError if the field shows no markers.
+        """
+        if not field.valid.any():
+            raise ValueError(f"an untouched gel cannot be learnt from a frame without markers: {field.reason}")
+        self._home = field
+        self._spanned = None if picture is None else spanned(picture)
+
+    def mark(self, field: MarkerField) -> MarkerField:
+        """The field with an empty contact if its markers show an open gel, else as it is (its contact is not known)."""
+        if field.contact is not None:
+            return field
+        bulge = self.bulge(field)
+        if bulge is None or bulge >= 1:
+            return field
+        return replace(field, contact=np.zeros_like(field.valid))
+
+    def touch(self, field: MarkerField, picture: Picture | None = None) -> float | None:
+        """How strongly the gel is touched, touched from 1 on; None where that cannot be told."""
+        bulge = self.bulge(field)
+        if picture is None or self._spanned is None:
+            return bulge
+        shade = self.shade(picture)
+        away_pitch = 0.0 if bulge is None else bulge * self.settings.home_pitch
+        if shade is None or away_pitch > _SLID:
+            return shade
+        return max(shade, away_pitch / self.settings.worn_pitch)
+
+    def shade(self, picture: Picture) -> float | None:
+        """How much a :func:`shrunk` picture differs from the open gel's, touched from 1 on; None: unlearnt, unlike."""
+        if self._spanned is None or self._spanned.picture.shape != picture.shape:
+            return None
+        changed = changed_grey(picture, self._spanned, self.settings.shade_area)
+        return None if changed is None else changed / self.settings.shade_grey
+
+    def bulge(self, field: MarkerField) -> float | None:
+        """How far the markers are from their places, RMS, in shares of what an untouched gel may show; None: unseen."""
         if not field.usable:
-            raise ValueError(f"an open gel cannot be learnt from a frame without markers: {field.reason}")
-        self.learn_colours(cell_colours(image, field), field)
-
-    def learn_colours(self, colours: Float64, field: MarkerField) -> None:
-        """As :meth:`learn`, from the :func:`cell_colours` of a usable frame."""
-        self._field, self._colours = field, colours
-
-    def touch(self, image: NDArray[np.uint8], field: MarkerField) -> float | None:
-        """How strongly the gel is touched, touched from 1 on; None where the frame or the open gel is not known."""
-        return None if not self.known or not field.usable else self.compare(cell_colours(image, field), field)
-
-    def compare(self, colours: Float64, field: MarkerField) -> float | None:
-        """As :meth:`touch`, from the :func:`cell_colours` of a frame."""
-        home = self._field
-        if home is None or field.valid.shape != home.valid.shape:
             return None
-        may = field.valid & home.valid
-        lit = self._colours.min(-1) > _DARKEST
-        if may.sum() < _LEAST_CELLS or lit.sum() < _LEAST_CELLS:
+        may = field.valid
+        home = self._home
+        if home is not None:
+            if home.valid.shape != may.shape:
+                return None
+            may = may & home.valid
+        if may.sum() < max(12, self.settings.valid_share * may.size):
             return None
-        off = (field.rest_px + field.displacement_px - home.rest_px - home.displacement_px)[may]
-        far = np.sort(np.linalg.norm(off, axis=-1))[: max(1, int((1 - self.settings.broken) * may.sum()))]
-        bulge = _worst(far, self.settings.worst) / field.pitch_px
-        # Exposure changes all cells alike: its factor is the median over cells and colours.
-        gain = float(np.median(colours[lit] / self._colours[lit]))
-        if not 1 / _EXPOSED < gain < _EXPOSED:
-            return None
-        shade = _worst(np.sort(np.abs(colours / gain - self._colours)[lit].max(-1)), self.settings.worst)
-        return max(bulge / self.settings.bulge_pitch, shade / self.settings.shade_grey)
+        now = (field.rest_px + field.displacement_px)[may].astype(np.float64)
+        if home is None:
+            off, limit = _off_print(np.argwhere(may).astype(np.float64), now), self.settings.print_pitch
+        else:
+            off, limit = now - (home.rest_px + home.displacement_px)[may], self.settings.home_pitch
+        return _spread(off) / (limit * field.pitch_px)
 
 
-def cell_colours(image: NDArray[np.uint8], field: MarkerField) -> Float64:
-    """Mean colour [rows - 1, columns - 1, 3] midway between each four markers, where they are now; 0 .. 255."""
-    places = (field.rest_px + field.displacement_px).astype(np.float64)
-    middle = (places[:-1, :-1] + places[1:, :-1] + places[:-1, 1:] + places[1:, 1:]) / 4
-    side = max(3, round(_SPOT * field.pitch_px) | 1)
-    height, width = image.shape[:2]
-    column = np.clip(np.rint(middle[..., 0]), 0, width - 1).astype(np.intp)
-    row = np.clip(np.rint(middle[..., 1]), 0, height - 1).astype(np.intp)
-    picture = image if image.ndim == 3 else np.repeat(image[..., None], 3, -1)
-    return np.asarray(cv2.blur(picture, (side, side))[row, column], np.float64)
+def shrunk(image: NDArray[np.uint8]) -> Picture:
+    """The image uint8 [h, w, 3] or [h, w] as float32 [h / 4, w / 4, channels]: means of squares, so without noise."""
+    size = (image.shape[1] // _SHRINK, image.shape[0] // _SHRINK)
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    return np.asarray(small.reshape(*small.shape[:2], -1), np.float32)
 
 
-def _worst(ranked: Float64, share: float) -> float:
-    """Mean of the largest ``share`` of ranked values, at least three."""
-    return float(ranked[-max(3, int(share * ranked.size)) :].mean())
+class Spanned(NamedTuple):
+    """A :func:`shrunk` picture, and the least and most that it shows around each pixel."""
+
+    picture: Picture
+    low: Picture
+    high: Picture
+
+
+def spanned(picture: Picture) -> Spanned:
+    """The picture with what it spans."""
+    low, high = (np.asarray(grow(picture, _AROUND), np.float32) for grow in (cv2.erode, cv2.dilate))
+    return Spanned(picture, low.reshape(picture.shape), high.reshape(picture.shape))
+
+
+def changed_grey(picture: Picture, than: Spanned, area: float) -> float | None:
+    """Grey levels by which ``picture`` leaves what ``than`` spans around each pixel, but for the worst ``area``.
+
+    None where the light differs by too much to compare.
+    """
+    gain = np.median(picture[::4, ::4] / np.maximum(than.picture[::4, ::4], 1.0))
+    if not 1 / _EXPOSED < gain < _EXPOSED:
+        return None
+    lit = picture * np.float32(1 / gain)
+    beyond = np.maximum(lit - than.high, than.low - lit).max(-1).ravel()
+    rank = min(beyond.size - 1, int((1 - area) * beyond.size))
+    return max(0.0, float(np.partition(beyond, rank)[rank]))
+
+
+def _off_print(cells: Float64, points: Float64) -> Float64:
+    """How far points [n, 2] lie from the regular grid that fits them best, px; ``cells`` [n, 2]: row and column."""
+    terms = np.column_stack([cells, np.ones(len(cells))])
+    fit, _, _, _ = np.linalg.lstsq(terms, points, rcond=None)
+    return np.asarray(points - terms @ fit)
+
+
+def _spread(off: Float64) -> float:
+    """RMS length of the deviations [n, 2], but for the worst few."""
+    squared = np.sort(np.square(off).sum(-1))
+    return float(np.sqrt(squared[: max(1, int(_KEPT * len(squared)))].mean()))

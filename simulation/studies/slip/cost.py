@@ -9,9 +9,9 @@ import numpy as np
 from service.contract import FINGERS
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import Rectifier
-from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.onset import OnsetDetector
+from service.perception.slip.open_gel import OpenGel
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.studies.slip.trials import draw_trials
 
@@ -23,7 +23,7 @@ def cost_ms(trials: int, seed: int, fps: int) -> dict[str, float]:
         for finger, name in enumerate(FINGERS):
             renderer = Renderer(Appearance.draw(trial.scene, name, trial.seed))
             rectifier = Rectifier(renderer.calibration)
-            tracker, free, slip, onset = MarkerTracker(), FreeGel(), SlipDetector(), OnsetDetector()
+            tracker, free, slip, onset = MarkerTracker(), OpenGel(), SlipDetector(), OnsetDetector()
             for k, gel in enumerate(trial.gel):
                 raw = renderer.raw(gel[finger], trial.seed + k)
                 begun = time.process_time()

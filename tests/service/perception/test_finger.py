@@ -60,3 +60,32 @@ def test_an_empty_hand_is_not_armed(tmp_path) -> None:
         "nothing_held",
         "both gels look as they do when nothing touches them",
     )
+
+
+def test_an_emptied_hand_stops_the_arm_within_three_frames(tmp_path) -> None:
+    models = load_models(tiny_models.write_models(tmp_path / "m"))
+    renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
+    calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
+    cell = QuasiStaticCell(load_scene("circle"), 1)
+    cell.regrasp(3.0, 2.0)
+    held = cell.look().gel.astype(np.float32)
+    session = make_session(models, calibration)
+    said: dict[int, list[str]] = {}
+    session.handle(wire.ClientHello(insertion_id="drop", client="test"), 0)
+    session.handle(wire.LearnOpen(insertion_id="drop"), 0)
+    for index in range(9):
+        stamp_ns = index * drawn.PERIOD_NS
+        gels = held if 1 <= index < 5 else np.stack([FREE, FREE])
+        frames = (
+            TactileFrame(finger, index, stamp_ns, renderers[finger].raw(gel, index))
+            for finger, gel in zip(("left", "right"), gels, strict=True)
+        )
+        answers = session.on_pair(drawn.FramePair(*frames), stamp_ns)
+        said[index] = [getattr(answer, "code", answer.type) for answer in answers]
+        if index == 0:
+            session.handle(wire.Arm(insertion_id="drop", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 1)
+        if index == 1:
+            session.handle(wire.Descending(insertion_id="drop", attempt=1, speed_mm_s=10.0), stamp_ns)
+    assert said[1] == ["armed"]
+    assert not any("part_lost" in said[index] for index in range(5))
+    assert [index for index in range(9) if "part_lost" in said[index]] == [6], "within three frames, and said once"

@@ -12,7 +12,7 @@ from tests.service.perception.synthetic import draw, grid
 
 KEYS = {
     "run", "frames_n", "contact_frame", "hold_frame", "slip_frame", "lost_frame", "fingers", "largest_score",
-    "ambiguous_n", "refused_n", "ms_a_frame",
+    "open_frame", "ambiguous_n", "refused_n", "ms_a_frame",
 }  # fmt: skip
 
 

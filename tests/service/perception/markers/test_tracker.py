@@ -211,3 +211,22 @@ def test_a_frame_of_another_size_or_type_is_refused():
         tracker.update(np.zeros((100, 100, 3), np.uint8), 1)
     with pytest.raises(ValueError, match="expected uint8"):
         tracker.update(np.zeros((320, 327, 3), np.float32), 1)  # type: ignore[arg-type]
+
+
+def test_a_jump_that_may_be_a_whole_pitch_is_said_to_be_ambiguous_and_forgotten():
+    """A grid that fills the picture has no border: one step more or less looks the same."""
+    rng = np.random.default_rng(4)
+    step = np.array([15.0, 0.0])
+    wide = grid(jitter=0.0)
+    wide = np.concatenate(
+        [wide[:, :1] - 2 * step, wide[:, :1] - step, wide, wide[:, -1:] + step, wide[:, -1:] + 2 * step], 1
+    )
+    tracker, way = MarkerTracker(), [0, 0.3, 0.55, 0.9, 0.3, 0.0, 0.0]
+    fields = [tracker.update(draw(wide + shift * step, rng), k * FRAME_NS) for k, shift in enumerate(way)]
+    unsure = [seen for seen in fields if seen.status == "ambiguous"]
+    assert unsure
+    assert not any(seen.usable or seen.valid.any() for seen in unsure)
+    for seen, shift in zip(fields[5:], way[5:], strict=True):
+        assert seen.usable
+        moved = np.median(seen.displacement_px[seen.valid], 0) / 15
+        assert abs(moved - [shift, 0]).max() < 0.1, "the grid has not slid by a step"

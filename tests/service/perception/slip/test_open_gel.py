@@ -7,9 +7,9 @@ import pytest
 
 from service.perception.markers.field import empty_field
 from service.perception.markers.tracker import MarkerTracker
-from service.perception.slip.contact import FreeGel
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.grasp import GraspWatch
+from service.perception.slip.open_gel import OpenGel
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene, object_names
@@ -37,14 +37,14 @@ def test_a_simulated_finger_knows_from_its_picture_whether_it_holds_something(na
     cell.regrasp(3.0, 2.0)
     renderer = Renderer(Appearance.draw(scene, "left", 5))
     held, free = (seen(renderer, [gel])[0] for gel in (cell.look().gel[0], FREE))
-    assert FreeGel().mark(held) is held
-    marked = FreeGel().mark(free)
+    assert OpenGel().mark(held) is held
+    marked = OpenGel().mark(free)
     assert marked.contact is not None
     assert not marked.contact.any()
     detector = SlipDetector()
     assert detector.rearm(marked).state == "no_contact"
     assert not detector.armed
-    assert detector.rearm(FreeGel().mark(held)).state == "hold"
+    assert detector.rearm(OpenGel().mark(held)).state == "hold"
 
 
 def test_a_gel_printed_unevenly_is_free_only_against_a_frame_that_shows_it_free():
@@ -54,7 +54,7 @@ def test_a_gel_printed_unevenly_is_free_only_against_a_frame_that_shows_it_free(
     fields = [
         tracker.update(draw(p, rng), k * FRAME_NS) for k, p in enumerate([rest, rest, bulged(rest, 1.5), rest + 0.05])
     ]
-    free = FreeGel()
+    free = OpenGel()
     assert all(free.mark(field) is field for field in fields), "what is not known is left open"
     free.learn(fields[0])
     assert [free.mark(field).contact is not None for field in fields] == [True, True, False, True]
@@ -65,9 +65,9 @@ def test_a_gel_printed_unevenly_is_free_only_against_a_frame_that_shows_it_free(
 def test_half_a_picture_says_nothing():
     rng = np.random.default_rng(2)
     field = MarkerTracker().update(draw(grid(jitter=0.0), rng), 0)
-    assert FreeGel().mark(field).contact is not None
-    assert FreeGel().mark(replace(field, valid=field.valid & (np.arange(21) < 9))).contact is None
-    assert FreeGel().mark(replace(field, status="lost")).contact is None
+    assert OpenGel().mark(field).contact is not None
+    assert OpenGel().mark(replace(field, valid=field.valid & (np.arange(21) < 9))).contact is None
+    assert OpenGel().mark(replace(field, status="lost")).contact is None
 
 
 def test_a_watch_goes_from_no_contact_over_grasping_to_hold_and_back():
