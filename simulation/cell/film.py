@@ -101,7 +101,7 @@ def _side(place: NDArray[Any], gap_mm: float) -> Image:
         cv2.rectangle(picture, at(min(inner, outer), 0.0), at(max(inner, outer), -40.0), BLOCK, -1)
     half = gap_mm / 2 - 2.0
     cv2.rectangle(picture, at(x_mm - half, bottom_mm + 40.0), at(x_mm + half, bottom_mm), OBJECT, 2, cv2.LINE_AA)
-    return _said(picture, f"x {x_mm:+.1f} mm, yaw {theta_deg:+.1f} deg, {max(0.0, -bottom_mm):.1f} deep")
+    return _said(picture, f"x {x_mm:+.1f} mm, yaw {theta_deg:+.1f} deg, {max(0.0, -bottom_mm):.1f} mm deep")
 
 
 def _said(picture: Image, text: str) -> Image:

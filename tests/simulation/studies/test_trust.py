@@ -30,7 +30,7 @@ def test_without_a_fault_it_is_claimed_and_true(models):
 @pytest.mark.parametrize(
     ("fault", "says"),
     [
-        ({"kind": "dropped"}, "not_confirmed"),
+        ({"kind": "dropped"}, "part_lost"),
         ({"kind": "dropped", "depth_mm": -1.0}, "nothing_held"),
         ({"kind": "frozen"}, "unwatched"),
         ({"kind": "frozen", "fingers": ("right",)}, "unwatched"),
