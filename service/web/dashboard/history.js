@@ -29,7 +29,7 @@ function options(select, values) {
 function show() {
   const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value));
   const inserted = chosen.filter(({ outcome }) => outcome === "inserted");
-  at("count").textContent = chosen.length ? `${inserted.length} of ${chosen.length} inserted, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : "none";
+  at("count").textContent = chosen.length ? `${inserted.length} of ${chosen.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : "none";
   at("past").replaceChildren(...chosen.slice(0, 500).map(row));
   trend(chosen.slice(0, 500).reverse());
 }
