@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 RUN_VENV ?= .venv-run
+READERS_VENV ?= .venv-readers
+OLD_RUNTIME_VENV ?= .venv-old-runtime
 OPS_VENV ?= .venv-ops
 PEERS_VENV ?= .venv-peers
 DOCS_VENV ?= .venv-docs
@@ -15,7 +17,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving bench-hostile soak collect train pressing export evaluate robustness trust drawn-worlds requirements docs clean
+.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving peers bench-hostile soak collect train pressing export evaluate robustness trust drawn-worlds requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -44,6 +46,16 @@ $(VENV)/bench: $(VENV)/ready requirements/bench.txt
 $(PEERS_VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(PEERS_VENV)
 	$(PEERS_VENV)/bin/pip install -q '.[bench-serving]' || echo "the peers cannot be installed here; their rows will say so" >&2
+	@touch $@
+
+$(READERS_VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(READERS_VENV)
+	$(READERS_VENV)/bin/pip install -q 'rerun-sdk>=0.41' 'foxglove-sdk>=0.30'
+	@touch $@
+
+$(OLD_RUNTIME_VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(OLD_RUNTIME_VENV)
+	$(OLD_RUNTIME_VENV)/bin/pip install -q 'onnxruntime==1.17.3' 'numpy<2'
 	@touch $@
 
 $(DOCS_VENV)/ready: requirements/docs.txt
@@ -153,6 +165,10 @@ bench: $(VENV)/bench ## what a decision of each released network costs on this m
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
 
+peers: $(VENV)/ready $(READERS_VENV)/ready $(OLD_RUNTIME_VENV)/ready ## foreign software against this one, a row a package: docs/peers.md, .json
+	PEERS_PYTHON=$(CURDIR)/$(READERS_VENV)/bin/python OLD_RUNTIME_PYTHON=$(CURDIR)/$(OLD_RUNTIME_VENV)/bin/python \
+	  $(BIN)/python -m tests.peers
+
 bench-hostile: $(VENV)/ready ## what floods of pages, inference, bodies and connections cost the robot: docs/hostile_load.json
 	$(BIN)/python -m tests.benchmarks.hostile --models $(MODELS)
 
@@ -221,4 +237,4 @@ requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
 clean: ## remove what the commands above made, but no data and no runs
-	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(READERS_VENV) $(OLD_RUNTIME_VENV) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -108,7 +108,8 @@ class Service:
         if clock := message.get("clock"):
             self._ahead_ns.append(clock["sent_ns"] - clock["service_ns"])
         if message["type"] == "fault" and (message["fatal"] or message["code"] not in CAMERA_FAULTS):
-            raise Held("service", f"{message['code']}: {message['detail']}")
+            cause = "part_lost" if message["code"] == "part_lost" else "service"
+            raise Held(cause, f"{message['code']}: {message['detail']}")
         if message["type"] == "finished" and message["outcome"] != "inserted":
             doubts = "; ".join(doubt["detail"] for doubt in message["doubts"])
             raise Held(message["cause"] or "service", f"the insertion ended {message['outcome']}: {doubts}")
