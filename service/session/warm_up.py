@@ -39,8 +39,6 @@ def _attempt(insertion: Insertion, frames: Sequence[TactileFrame]) -> None:
     insertion.message(wire.ClientHello(insertion_id=NAME, client=NAME))
     insertion.message(wire.Arm(insertion_id=NAME, attempt=1, gap_width_mm=50.0, expected_depth_mm=25.0))
     for index in range(STILL_N + needed):
-        if index == STILL_N:
-            insertion.message(wire.Descending(insertion_id=NAME, attempt=1, speed_mm_s=10.0))
         if index == STILL_N + needed - 1:
             insertion.message(wire.Stopped(insertion_id=NAME, attempt=1, depth_mm=5.0, outcome="blocked"))
         left, right = (_moved(frame, index) for frame in sorted(frames, key=lambda frame: frame.finger))
