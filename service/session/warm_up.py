@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.cameras.capture import CameraFrame, now_ns
 from service.contract import FramePair, TactileFrame, wire
@@ -56,7 +57,7 @@ def _moved(frame: TactileFrame, index: int) -> TactileFrame:
 def _decide(session: InsertionSession) -> None:
     """Networks and controllers on a still gel."""
     card = session.models.card
-    still = np.zeros((2, *card.input_shape), card.input_dtype)
+    still: NDArray[Any] = np.zeros((2, *card.input_shape), card.input_dtype)
     run = DecisionRun(session.models, still, gap_width_mm=50.0)
     for _ in range(card.frames_per_decision):
         run.step(still)
