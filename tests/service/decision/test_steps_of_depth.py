@@ -38,7 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
             "tiny", SMALL, weights, Scales(), Scales(), {}, "0" * 64, "abc", pressing=Pressing.model_validate(card)
         ).save(folder / "c.pt")
         export_checkpoint(folder / "c.pt", folder, ("pair.step",))
-        return load_models(folder / "pair")
+        return load_models(folder)
 
     return make
 

@@ -10,15 +10,16 @@ import httpx
 import pytest
 from websockets.sync.client import connect
 
-from service.contract.shipped import released_models
 from tests.benchmarks.hostile import INFER, MOST_MB, NO_CAMERAS, bodies, greeted_s, head, idle, most_mb
 from tests.service.process import ServiceProcess, service_process
+
+MODELS = Path(__file__).parents[3] / "models"
 
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
     recordings = tmp_path_factory.mktemp("hostile") / "recordings"
-    with service_process(released_models(), recordings, *NO_CAMERAS) as running:
+    with service_process(MODELS, recordings, *NO_CAMERAS) as running:
         yield running
 
 

@@ -122,7 +122,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(probes, run_file, tmp_path,
     size = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
     weights = build(size, len(CLASSES), Sensor.load()).state_dict()
     Checkpoint("sound", size, weights, Scales(), Scales(), {}, "0" * 64, "none").save(sound)
-    words = ("train", run_file) if run is main else ("onnx", sound, "--out", taken)
+    words = ("train", run_file) if run is main else ("onnx", sound, "--out", taken, "--force")
     assert str(taken) in refusal(monkeypatch, capsys, run, *words)
 
 
@@ -140,7 +140,7 @@ def test_a_checkpoint_of_another_architecture_is_not_exported(foreign, tmp_path,
     released = tmp_path / "models" / "direction.step.onnx"
     released.parent.mkdir()
     released.write_bytes(b"the released one")
-    line = refusal(monkeypatch, capsys, export_main, "onnx", foreign, "--out", released.parent)
+    line = refusal(monkeypatch, capsys, export_main, "onnx", foreign, "--out", released.parent, "--force")
     assert "foreign holds another architecture than markers" in line
     assert contents(released.parent) == {released: b"the released one"}
 
