@@ -111,6 +111,7 @@ def test_parts_are_picked_inserted_and_let_go_in_order():
     assert max(abs(at[0] - column[0][0]) for at in column) < 0.2, "it retreats along the vertical"
 
 
+@pytest.mark.slow
 def test_an_object_that_comes_along_with_the_fingers_is_noticed():
     async def work():
         async with cell_with() as (cell, part):
@@ -169,6 +170,7 @@ def test_it_does_not_begin_with_something_in_the_hand():
     assert run(work)
 
 
+@pytest.mark.slow
 def test_a_person_pauses_goes_on_and_stops_after_a_part():
     async def work():
         async with cell_with() as (cell, _):
@@ -189,6 +191,7 @@ def test_a_person_pauses_goes_on_and_stops_after_a_part():
     assert Pace().order("dance").startswith("expected pause")
 
 
+@pytest.mark.slow
 def test_a_plc_starts_each_part_and_is_told_when_it_is_done():
     async def work():
         async with cell_with() as (cell, _):
