@@ -131,14 +131,15 @@ def drawn_worlds_page(data: Row) -> str:
     done = wilson(first["inserted"], first["insertions"])
     return page(
         f"""
-        # Cells that nobody trained for, simulated
+        # Drawn cells, simulated
 
         Written by `make drawn-worlds`: {data["worlds"]} worlds by Latin hypercube over what cells are
-        ([worlds](worlds.md)), {data["objects"]} drawn objects. Nothing here was trained or tuned on. All variants
+        ([worlds](worlds.md)), {data["objects"]} drawn objects: other draws of the ranges that the networks were trained
+        on. All variants
         begin from the same starts. Markers are true ones with the tracker's error; a failure counts as 16 trials.
 
-        **{first["claimed_wrongly"]} of {first["insertions"]} claims were not true: {wrong:.2%}** with the 95 % Wilson
-        interval, in the first variant. {done:.1%} were inserted.
+        **{first["claimed_wrongly"]} of {first["insertions"]} insertions ended in a claim that was not true: {wrong:.2%}**
+        with the 95 % Wilson interval, in the first variant. {done:.1%} were inserted.
         """,
         data.get("note", ""),
         table(

@@ -49,7 +49,7 @@ def test_gelsight_mini_markers_are_found_in_every_clip():
         tracker = MarkerTracker()
         fields = [tracker.update(frame, k * 125_000_000) for k, frame in enumerate(read_video(clip)[:60])]
         assert min(tracker.grid_shape) >= 5
-        assert {field.status for field in fields} <= {"tracking", "duplicate"}  # a still gel, coded, repeats itself
+        assert all(field.status == "tracking" for field in fields)
         assert np.mean([field.valid.mean() for field in fields]) > 0.8
 
 
