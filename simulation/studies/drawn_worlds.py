@@ -138,8 +138,8 @@ def drawn_worlds_page(data: Row) -> str:
         on. All variants
         begin from the same starts. Markers are true ones with the tracker's error; a failure counts as 16 trials.
 
-        **{first["claimed_wrongly"]} of {first["insertions"]} insertions ended in a claim that was not true: {wrong:.2%}**
-        with the 95 % Wilson interval, in the first variant. {done:.1%} were inserted.
+        **{first["claimed_wrongly"]} of {first["insertions"]} insertions ended in a claim that was not true:
+        {wrong:.2%}** with the 95 % Wilson interval, in the first variant. {done:.1%} were inserted.
         """,
         data.get("note", ""),
         table(
