@@ -15,7 +15,9 @@ from service.perception.markers.matching import Match, View, match, reindex
 _AROUND = [np.array([col, row], np.float32) for col in (-1, 0, 1) for row in (-1, 0, 1) if col or row]
 _JUMP = 0.35  # pitch between two frames from which on the true way could be a whole one less, backwards
 _AS_WELL = 0.5  # misfit a node; a border row without spots costs more
-_SAME_GREY = 0.005  # mean distance below which a frame repeats the one before; of still real gels few come nearer than 0.02
+_SAME_GREY = (
+    0.005  # mean distance below which a frame repeats the one before; of still real gels few come nearer than 0.02
+)
 _CALM = 1.2  # misfit a node above the running level at which the grid is matched again by topology
 _WHOLE = 0.8  # diameter; a marker nearer to the image's border than this is cut
 _NEARER = 0.1  # diameter; and was carried there if it rests further inside by more than this
