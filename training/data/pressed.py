@@ -38,7 +38,6 @@ SCALE_ERROR, ROLL_DEG, LOST_SHARE = 0.03, 2.0, 0.03
 """Of a finger's camera: what its calibration may be wrong by, and markers that are not found."""
 CARRIED = 10
 """Of the markers' motions, the one that notices the onset, from the largest: as `carried_px` of the service does."""
-BEYOND = 1.1
 _TABLE = 2
 
 
@@ -93,8 +92,8 @@ class Pressed:
         trained = {MARKER_PITCH: Span(low=0.75 * pitch, high=1.3 * pitch)}
         for name, values in zip(CONDITIONS, told.T, strict=True):
             known = values[values > 0]
-            if len(known):  # no draw is at an end of its range
-                trained[name] = Span(low=float(known.min()) / BEYOND, high=float(known.max()) * BEYOND)
+            if len(known):
+                trained[name] = Span(low=float(known.min()), high=float(known.max()))
         return Pressing(
             lattice=LATTICE,
             step_mm=STEP_MM,
