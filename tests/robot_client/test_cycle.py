@@ -22,7 +22,7 @@ OPEN_MM = 80.0
 SIGNALS = ("diTactileStart", "doTactileReady", "doTactileDone", "doTactileFault")
 QUICK = {
     "ramps": {
-        "travel": {"speed_mm_s": 75.0, "acceleration_mm_s2": 500.0, "jerk_mm_s3": 8000.0},
+        "travel": {"speed_mm_s": 75.0, "acceleration_mm_s2": 300.0, "jerk_mm_s3": 5000.0},
         "descend": {
             "speed_mm_s": 4.0,
             "acceleration_mm_s2": 100.0,
