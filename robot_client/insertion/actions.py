@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from robot_client.insertion.events import Command, Hold, Move, Renew, Send, Source
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import PAUSE_S
 from robot_client.insertion.limits import Motion, check_pose
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
@@ -126,8 +127,8 @@ def watched(state: State, captured_ns: int, at_s: float) -> State:
 
 
 def renew(state: State, captured_ns: int, at_s: float) -> Result:
-    """Go on for a judged frame; a lease that has ended is not renewed, however young the frame is."""
-    if at_s >= state.until_s:
+    """Go on for a judged frame; a lease that ended too long ago is not renewed, however young the frame is."""
+    if at_s >= state.until_s + PAUSE_S:
         return unwatched(state, at_s)
     newer = watched(state, captured_ns, at_s)
     return newer, () if newer is state else (Renew(until_s=newer.until_s),)
