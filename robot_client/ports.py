@@ -70,8 +70,9 @@ class Arm(Protocol):
 
         ``legs`` of a descent that changes its speed; an arm that cannot refuses it.
 
-        A descent goes on only before ``until_s`` (``time.monotonic``); then the driver itself holds, latched, and
-        reports a failure ``unwatched``, even if nothing else of the client runs any more.
+        A descent goes on only before ``until_s`` (``time.monotonic``); then the driver itself lets the arm stand, even
+        if nothing else of the client runs any more. Without :meth:`renew` within ``PAUSE_S`` it holds, latched, and
+        reports a failure ``unwatched``. A driver that cannot stand and go on does so at once.
         """
 
     def renew(self, until_s: float) -> None:

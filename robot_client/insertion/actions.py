@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from robot_client.insertion.events import Command, Hold, Move, Renew, Send, Source
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import PAUSE_S
 from robot_client.insertion.limits import Leg, Motion, check_pose
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
@@ -146,10 +147,12 @@ def watched(state: State, captured_ns: int, at_s: float) -> State:
 
 
 def renew(state: State, captured_ns: int, at_s: float) -> Result:
-    """Go on for a judged frame; a lease that has ended is not renewed, however young the frame is."""
-    if at_s >= state.until_s:
+    """Go on for a judged frame; a lease that ended too long ago is not renewed, however young the frame is."""
+    if at_s >= state.until_s + PAUSE_S:
         return unwatched(state, at_s)
-    newer = watched(state, captured_ns, at_s)
+    newer, stood_s = watched(state, captured_ns, at_s), max(0.0, at_s - state.until_s)
+    if stood_s and newer is not state:  # what lies ahead comes as much later
+        newer = replace(newer, speeds=tuple((due_s + stood_s, speed) for due_s, speed in state.speeds))
     return newer, () if newer is state else (Renew(until_s=newer.until_s),)
 
 

@@ -39,7 +39,7 @@ from robot_client.insertion.events import (
     Width,
 )
 from robot_client.insertion.grip import grasp, on_gripper
-from robot_client.insertion.lease import ClockMap
+from robot_client.insertion.lease import PAUSE_S, ClockMap
 from robot_client.insertion.limits import LimitError, check_correction, check_pose
 from robot_client.insertion.motion import check_ramps
 from robot_client.insertion.state import Phase, Plan, State, Timeouts
@@ -77,7 +77,7 @@ def _on_failure(state: State, event: Failure) -> Result:
 
 
 def _on_tick(state: State, event: Tick) -> Result:
-    if state.phase is Phase.DESCENDING and event.at_s >= state.until_s:
+    if state.phase is Phase.DESCENDING and event.at_s >= state.until_s + PAUSE_S:
         return unwatched(state, event.at_s)
     if state.phase is Phase.DESCENDING and state.speeds and event.at_s >= state.speeds[0][0]:
         return tell_speed(state)

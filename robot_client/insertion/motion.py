@@ -5,7 +5,7 @@ import math
 from typing import Literal, get_args
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.lease import Unwatched, check_leased
+from robot_client.insertion.lease import PAUSE_S, Unwatched, check_leased
 from robot_client.insertion.limits import Leg, LimitError, Limits, Motion, StepGuard, check_pose
 from robot_client.insertion.profile import LegsProfile, Profile, plan_legs, plan_profile
 from service.contract.frames import Contract
@@ -92,6 +92,8 @@ class MotionGuide:
         self._start = self._end = start
         self._profile: Profile | LegsProfile | None = None
         self._until_s: float | None = None
+        self.pauses_n = 0
+        self._paused_s: float | None = None
         self._walked_s = 0.0
         self._rate = 1.0
         self._waiting: Settled | None = None
@@ -122,7 +124,7 @@ class MotionGuide:
         self._start, self._end, self._motion = self.target, end, motion
         self._profile = profile
         self._walked_s, self._rate, self._until_s = 0.0, 1.0, until_s
-        self._waiting, self._still = "arrived", None
+        self._waiting, self._still, self._paused_s = "arrived", None, None
 
     def renew(self, until_s: float) -> None:
         """The descent under way may walk until then."""
@@ -139,14 +141,16 @@ class MotionGuide:
     def advance(self, elapsed_s: float, now_s: float) -> WorkPose:
         """Target after ``elapsed_s``; raises LimitError (target unchanged) if it may not be sent.
 
-        Unwatched is raised once the lease of a descent is over at ``now_s`` (``time.monotonic``).
+        The target stands while the lease of a descent is over at ``now_s`` (``time.monotonic``); Unwatched is raised
+        once it has been for PAUSE_S.
 
         Over a gap of more than MISSED_CYCLES the target takes their way at most, then gains speed on a ramp.
         """
         if self._profile is None or elapsed_s <= 0.0:
             return self.target
         if self._until_s is not None and now_s >= self._until_s:
-            raise Unwatched(f"no frame was judged in time: the lease ended {(now_s - self._until_s) * 1e3:.0f} ms ago")
+            return self._pause(self._until_s, now_s)
+        self._paused_s = None
         if elapsed_s > (MISSED_CYCLES + 0.5) * CYCLE_S:
             self._rate = min(self._rate, MISSED_CYCLES * CYCLE_S / elapsed_s)
             self._walked_s += elapsed_s * self._rate
@@ -159,6 +163,17 @@ class MotionGuide:
         self.target = self._guard.check(target, elapsed_s, self._motion)
         if self._walked_s >= self._profile.duration_s:
             self._profile = None
+        return self.target
+
+    def _pause(self, since_s: float, now_s: float) -> WorkPose:
+        """Stand; renewals that come too late to walk on do not make the pause longer."""
+        if self._paused_s is None:
+            self._paused_s, self._rate = since_s, 0.0
+            self.pauses_n += 1
+        if now_s - self._paused_s >= PAUSE_S:
+            ago_ms = (now_s - self._paused_s) * 1e3
+            raise Unwatched(f"no frame was judged in time: the lease ended {ago_ms:.0f} ms ago")
+        self._guard.rest()
         return self.target
 
     def observe(self, measured: WorkPose, now_s: float) -> Settled | None:

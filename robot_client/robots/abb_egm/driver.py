@@ -26,8 +26,6 @@ from robot_client.robots.abb_rws.client import RwsClient
 from robot_client.robots.abb_rws.generation import RwsError
 from robot_client.silence import Silence
 
-_DRAIN = 64
-
 
 @dataclass(slots=True)
 class EgmArm:
@@ -131,6 +129,7 @@ class EgmArm:
         """Counts of the stream and the worst times in microseconds from datagram to answer and from hold to wire."""
         return {
             **self._watch.statistics(),
+            "pauses": 0 if self._guide is None else self._guide.pauses_n,
             "foreign_datagrams": self._foreign,
             "worst_reply_us": round(self._worst_reply_us),
             "worst_hold_us": round(max(self._holds_us, default=0.0)),
@@ -157,7 +156,7 @@ class EgmArm:
         newest: bytes | None = None
         assert self._socket is not None
         with contextlib.suppress(BlockingIOError, ConnectionError):
-            for _ in range(_DRAIN):
+            for _ in range(64):  # one that sends without end must not keep the loop
                 datagram, address = self._socket.recvfrom(codec.MAX_DATAGRAM_BYTES + 1)
                 if self._is_robot(address):
                     newest = datagram

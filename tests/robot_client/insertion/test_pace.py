@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.insertion.events import Move, Send, Standstill, Tick
+from robot_client.insertion.lease import PAUSE_S
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramp, Ramps
@@ -94,7 +95,7 @@ def test_the_lease_of_a_fast_descent_keeps_both_ways_in_mm():
     assert 10.0 * (lasts_s + lag_s) <= FAST.lease.travel_mm
     state, (renewed,) = step(state, service(watching(1, 0.03), 0.04))
     assert renewed.until_s == pytest.approx(0.03 + lasts_s, abs=1e-4)
-    state, _ = step(state, Tick(at_s=0.03 + lasts_s + 0.001))
+    state, _ = step(state, Tick(at_s=0.03 + lasts_s + PAUSE_S + 0.001))
     assert state.phase is Phase.FAILED
 
 
@@ -122,6 +123,13 @@ def test_the_service_is_told_each_speed_when_its_leg_begins():
         speeds += [c.message.speed_mm_s for c in sent if isinstance(c, Send)]
     assert speeds[0] > 10.0
     assert speeds[1:] == [10.0, 25.0]
+
+
+def test_after_a_pause_in_the_descent_the_next_speed_is_told_as_much_later():
+    state, _ = told(FAST)
+    due_s = state.speeds[0][0]
+    state, _ = step(state, service(watching(1, 0.19), 0.2))
+    assert state.speeds[0][0] == pytest.approx(due_s + 0.2 - FAST.lasts_s(fast=True), abs=1e-3)
 
 
 def blocked(plan, z_mm):
