@@ -3,6 +3,8 @@
 greeting -> learning -> grasping -> approaching -> arming -> descending -> stopping -> closing -> inserted
                                           ^                        |
                                       correcting <- retracting <- deciding        any phase -> failed
+                                                        |
+                                                      probed (a probe ends above the gap)
 
 The same machine drives the live cell, the dry run, the lock-step simulation and the replay of an episode log.
 Once ``inserted`` or ``failed`` no event makes it order anything.
@@ -12,18 +14,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from robot_client.insertion.actions import (
-    Result,
-    arm,
-    descend,
-    fail,
-    go,
-    hold,
-    renew,
-    retract,
-    send,
-    unwatched,
-)
+from robot_client.insertion.actions import Result, arm, descend, fail, go, hold, lift, probed, renew, retract, send
+from robot_client.insertion.actions import unwatched as nobody_looks
 from robot_client.insertion.events import (
     Arrived,
     Begin,
@@ -38,7 +30,7 @@ from robot_client.insertion.events import (
     Width,
 )
 from robot_client.insertion.grip import grasp, on_gripper
-from robot_client.insertion.lease import PAUSE_S, ClockMap
+from robot_client.insertion.lease import ClockMap
 from robot_client.insertion.limits import LimitError, check_correction, check_pose
 from robot_client.insertion.motion import check_ramps
 from robot_client.insertion.state import Phase, Plan, State, Timeouts
@@ -76,8 +68,8 @@ def _on_failure(state: State, event: Failure) -> Result:
 
 
 def _on_tick(state: State, event: Tick) -> Result:
-    if state.phase is Phase.DESCENDING and event.at_s >= state.until_s + PAUSE_S:
-        return unwatched(state, event.at_s)
+    if state.phase is Phase.DESCENDING and event.at_s >= state.until_s + state.plan.pause_s:
+        return nobody_looks(state, event.at_s)
     if event.at_s < state.deadline_s:
         return state, ()
     source: Source = "arm" if state.phase in _MOVING else "service"
@@ -155,12 +147,16 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     if outcome == "blocked" and state.attempt >= plan.limits.max_attempts:
         state, commands = fail(state, "client", "attempts", f"not inserted after {state.attempt} attempts")
         return state, (stopped, *commands)
+    if plan.purpose == "probe" and outcome == "inserted":  # nothing was felt, so there is nothing to report
+        return lift(state, event.at_s)
     phase = Phase.CLOSING if outcome == "inserted" else Phase.DECIDING
     wait_s = plan.timeouts.closing_s if outcome == "inserted" else plan.timeouts.deciding_s
     return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (stopped,)
 
 
 def _on_retracted(state: State, event: Arrived) -> Result:
+    if state.plan.purpose == "probe":
+        return probed(state)
     state = replace(state, armed=state.path[0])  # the vertical of the next attempt
     return go(state, Phase.CORRECTING, state.path, "travel", event.at_s)
 
@@ -275,6 +271,8 @@ def _on_attempt_message(state: State, message: wire.AttemptMessage, at_s: float)
 
 def _on_correction(state: State, message: wire.Correction, at_s: float) -> Result:
     """Applied once: the phase leaves DECIDING with it, so a repeated correction finds nothing to do."""
+    if state.plan.purpose == "probe":
+        return lift(state, at_s)
     try:
         age_s = at_s - state.stopped_s
         check_correction(state.plan.limits, message.attempt, message.dx_mm, message.dtheta_deg, age_s)
@@ -285,6 +283,8 @@ def _on_correction(state: State, message: wire.Correction, at_s: float) -> Resul
 
 def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
     """Probe the same spot again, the one motion that is no guess; not for ever, and never in a cell that is wrong."""
+    if state.plan.purpose == "probe":
+        return lift(state, at_s)
     count = state.no_decisions + 1
     if message.reason in {"non_finite", "contradictory"} or count > state.plan.max_no_decisions:
         code = "contradictory" if message.reason == "contradictory" else "no_decision"
