@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import Unwatched
-from robot_client.insertion.limits import LimitError, Limits, Motion
+from robot_client.insertion.limits import Leg, LimitError, Limits, Motion
 from robot_client.insertion.motion import MotionGuide, Ramps
 from robot_client.ports import Arm, Check, DriverError, Finding, Post, Signals
 from robot_client.robots.abb_egm import codec
@@ -79,11 +79,11 @@ class EgmArm:
         self._watchdog()
         return self._guide.target
 
-    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Begin a move; raises LimitError if it is not allowed or the arm is latched."""
         if self._failed or self._guide is None:
             raise LimitError(f"the arm takes no motion: {self._failed or 'not started'}")
-        self._guide.move(target, motion, until_s)
+        self._guide.move(target, motion, until_s, legs)
 
     def renew(self, until_s: float) -> None:
         """The descent under way may go on until then: checked before each of the 250 targets a second."""
