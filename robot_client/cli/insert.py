@@ -27,6 +27,7 @@ def make_plan(
     return Plan(
         insertion_id=insertion_id or f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}",
         approach=approach,
+        clearance_mm=task.approach_clearance_mm,
         gap_width_mm=task.gap_width_mm,
         grasp_height_mm=task.grasp_height_mm,
         grip_n=task.grip_n,
@@ -41,6 +42,7 @@ def make_plan(
         ramps=settings.ramps,
         timeouts=settings.timeouts,
         lease=settings.lease,
+        pace=settings.pace,
     )
 
 

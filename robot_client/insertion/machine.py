@@ -22,6 +22,7 @@ from robot_client.insertion.actions import (
     renew,
     retract,
     send,
+    tell_speed,
     unwatched,
 )
 from robot_client.insertion.events import (
@@ -38,7 +39,7 @@ from robot_client.insertion.events import (
     Width,
 )
 from robot_client.insertion.grip import grasp, on_gripper
-from robot_client.insertion.lease import ClockMap
+from robot_client.insertion.lease import PAUSE_S, ClockMap
 from robot_client.insertion.limits import LimitError, check_correction, check_pose
 from robot_client.insertion.motion import check_ramps
 from robot_client.insertion.state import Phase, Plan, State, Timeouts
@@ -76,8 +77,10 @@ def _on_failure(state: State, event: Failure) -> Result:
 
 
 def _on_tick(state: State, event: Tick) -> Result:
-    if state.phase is Phase.DESCENDING and event.at_s >= state.until_s:
+    if state.phase is Phase.DESCENDING and event.at_s >= state.until_s + PAUSE_S:
         return unwatched(state, event.at_s)
+    if state.phase is Phase.DESCENDING and state.speeds and event.at_s >= state.speeds[0][0]:
+        return tell_speed(state)
     if event.at_s < state.deadline_s:
         return state, ()
     source: Source = "arm" if state.phase in _MOVING else "service"
@@ -104,6 +107,9 @@ def _on_begin(state: State, event: Begin) -> Result:
             check_pose(plan.limits, target, "plan")
         check_ramps(plan.limits, plan.ramps)
         plan.lease.check(plan.ramps.descend.speed_mm_s)
+        plan.pace.check(plan.limits, plan.ramps.descend.speed_mm_s)
+        if plan.pace.fast_mm_s is not None:
+            plan.fast_lease.check(plan.pace.fast_mm_s)
     except LimitError as error:
         return fail(state, "limits", "plan", str(error))
     hello = wire.ClientHello(
@@ -161,7 +167,8 @@ def _on_standstill(state: State, event: Standstill) -> Result:
 
 
 def _on_retracted(state: State, event: Arrived) -> Result:
-    state = replace(state, armed=state.path[0])  # the vertical of the next attempt
+    assert state.armed is not None
+    state = replace(state, armed=state.path[0].at_height(state.armed.z_mm))  # the vertical of the next attempt
     return go(state, Phase.CORRECTING, state.path, "travel", event.at_s)
 
 
@@ -218,7 +225,7 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
             state.plan.lease.check_rate(state.plan.ramps.descend.speed_mm_s, camera)
     except LimitError as error:
         return fail(state, "limits", "camera_rate", str(error))
-    state, _ = _on_clock(state, message.clock, at_s)
+    state, _ = _on_clock(replace(state, fast=state.plan.bears_fast(message.cameras)), message.clock, at_s)
     if state.held:  # the gels are under load: only a print that is regular by itself can say that they are touched
         return grasp(state, at_s)
     deadline_s = at_s + state.plan.timeouts.arming_s

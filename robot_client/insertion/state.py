@@ -1,6 +1,7 @@
 """What an insertion has to do (Plan) and what it remembers (State)."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -8,8 +9,9 @@ from pydantic import Field
 
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import ClockMap, Lease
-from robot_client.insertion.limits import Limits, Positive
+from robot_client.insertion.limits import LimitError, Limits, Positive
 from robot_client.insertion.motion import Ramps
+from robot_client.insertion.pace import Pace, Tops
 from service.contract import wire
 from service.contract.frames import Contract
 
@@ -52,11 +54,13 @@ class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
     ``creep_allowance_mm``: how much deeper than ``expected_depth_mm`` the TCP may go where earlier attempts pushed the
-    object up in the hand, so that its bottom gets as deep as it should. 0: never deeper.
+    object up in the hand, so that its bottom gets as deep as it should. 0: never deeper. ``clearance_mm``: the object's
+    bottom above the blocks' tops at the approach, as far as that is known.
     """
 
     insertion_id: wire.InsertionId
     approach: WorkPose
+    clearance_mm: Positive = 5.0
     gap_width_mm: float = Field(gt=0, le=1000)  # these five have the bounds of the message `arm`
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
     grip_n: float | None = Field(default=None, gt=0, le=1000)
@@ -72,6 +76,36 @@ class Plan(Contract):
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
     lease: Lease = Lease()
+    pace: Pace = Pace()
+
+    @property
+    def tops(self) -> Tops:
+        """Where the TCP should be when the object touches the blocks' tops."""
+        height_mm = self.approach.z_mm - self.clearance_mm
+        return Tops(height_mm, height_mm)
+
+    def lasts_s(self, *, fast: bool) -> float:
+        """How old the newest judged frame may grow in a descent; both leases hold in one that has fast legs."""
+        lasts_s = self.lease.lasts_s(self.ramps.descend.speed_mm_s)
+        if not fast or self.pace.fast_mm_s is None:
+            return lasts_s
+        return min(lasts_s, self.fast_lease.lasts_s(self.pace.fast_mm_s))
+
+    def bears_fast(self, cameras: Iterable[wire.CameraEntry]) -> bool:
+        """Whether the cameras give frames enough for the fast legs; else a descent is slow all the way."""
+        if self.pace.fast_mm_s is None:
+            return False
+        try:
+            for camera in cameras:
+                self.fast_lease.check_rate(self.pace.fast_mm_s, camera)
+        except LimitError:
+            return False
+        return True
+
+    @property
+    def fast_lease(self) -> Lease:
+        """The lease of the fast legs."""
+        return self.lease.model_copy(update={"travel_mm": self.pace.fast_travel_mm})
 
     @property
     def deepest(self) -> WorkPose:
@@ -87,6 +121,8 @@ class State:
     one did: the object stood on the blocks at both, so it has been pushed up in the hand by about that much.
     ``held``: the gripper held something when the insertion began. ``width_mm``: how far apart its fingers are, as far
     as it tells. ``watched_s``: the earliest that the newest judged frame can have been captured, on our clock.
+    ``tops``: where the blocks' tops are by the plan and by the attempts up to now. ``fast``: the cameras' rate bears
+    the fast legs. ``speed_mm_s`` of the descent under way, ``speeds``: when (``at_s``) it goes on at which, mm/s.
     """
 
     plan: Plan
@@ -106,11 +142,15 @@ class State:
     creep_mm: float = 0.0
     clock: ClockMap | None = None
     watched_s: float = -math.inf
+    tops: Tops | None = None
+    fast: bool = False
+    speeds: tuple[tuple[float, float], ...] = ()
+    speed_mm_s: float = 0.0
 
     @property
     def until_s(self) -> float:
         """When the target of a descent must stand still unless a newer frame is judged."""
-        return self.watched_s + self.plan.lease.lasts_s(self.plan.ramps.descend.speed_mm_s)
+        return self.watched_s + self.plan.lasts_s(fast=self.fast)
 
     @property
     def done(self) -> bool:

@@ -1,13 +1,14 @@
 """The motion lease: the arm goes on for frames that were judged, and for nothing else."""
 
 import math
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.insertion.events import Hold, Move, Renew, Tick
-from robot_client.insertion.lease import ClockMap, Lease, Unwatched
+from robot_client.insertion.lease import PAUSE_S, ClockMap, Lease, Unwatched
 from robot_client.insertion.limits import LimitError, Limits
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
@@ -47,7 +48,7 @@ def test_without_a_judged_frame_the_descent_ends_whatever_else_the_service_says(
     for now_s in (0.03, 0.06, 0.09):
         state, commands = step(state, service(beat, now_s))
         assert (state.phase, commands) == (Phase.DESCENDING, ())
-    state, commands = step(state, Tick(at_s=LASTS_S + 0.001))
+    state, commands = step(state, Tick(at_s=LASTS_S + PAUSE_S + 0.001))
     assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
     assert commands[1].message.cause == "unwatched"
 
@@ -64,9 +65,9 @@ def test_a_stamp_from_the_future_renews_nothing():
     assert step(state, service(watching(1, 7.0), 0.05)) == (state, ())
 
 
-def test_a_lease_that_has_ended_is_not_renewed_by_a_fresh_frame():
+def test_a_lease_that_ended_long_ago_is_not_renewed_by_a_fresh_frame():
     state, _ = descending()
-    late_s = LASTS_S + 0.2
+    late_s = LASTS_S + PAUSE_S + 0.01
     state, commands = step(state, service(watching(1, late_s - 0.01), late_s))
     assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
 
@@ -133,17 +134,51 @@ def test_cameras_too_slow_for_the_descent_are_refused_by_name(rate_hz, descends)
         PLAN.lease.check_rate(slower - 0.05, camera)
 
 
-def test_the_last_layer_lets_the_target_stand_when_the_lease_ends_even_if_nobody_tells_it():
+def descend_until(until_s):
+    """A guide whose lease has just ended in mid-descent, and the time that it is."""
     guide = MotionGuide(Limits(), Ramps(), APPROACH)
-    guide.move(APPROACH.at_height(15.0), "descend", until_s=0.2)
-    cycles = round(0.2 / CYCLE_S)
-    reached = [guide.advance(CYCLE_S, n * CYCLE_S) for n in range(1, cycles)][-1]
-    now_s = cycles * CYCLE_S
+    guide.move(APPROACH.at_height(15.0), "descend", until_s=until_s)
+    cycles = round(until_s / CYCLE_S)
+    for n in range(1, cycles):
+        guide.advance(CYCLE_S, n * CYCLE_S)
+    return guide, cycles * CYCLE_S
+
+
+def test_the_last_layer_lets_the_target_stand_when_the_lease_ends_even_if_nobody_tells_it():
+    guide, now_s = descend_until(0.2)
+    reached = guide.target
+    while now_s < 0.2 + PAUSE_S - CYCLE_S / 2:
+        assert guide.advance(CYCLE_S, now_s) == reached
+        now_s += CYCLE_S
     with pytest.raises(Unwatched):
-        guide.advance(CYCLE_S, now_s)
+        guide.advance(CYCLE_S, now_s + CYCLE_S)
     assert guide.target == reached
-    guide.renew(0.3)
-    assert guide.advance(CYCLE_S, now_s).z_mm < reached.z_mm
+
+
+def test_a_frame_that_is_judged_during_the_pause_lets_the_target_walk_on_from_rest():
+    guide, now_s = descend_until(0.2)
+    reached = guide.target
+    guide.advance(CYCLE_S, now_s)
+    guide.renew(now_s + 0.1)
+    steps = [reached.z_mm]
+    for _ in range(20):
+        now_s += CYCLE_S
+        steps.append(guide.advance(CYCLE_S, now_s).z_mm)
+    ways = [high - low for high, low in pairwise(steps)]
+    assert 0.0 < ways[0] < 0.1 * ways[-1], "from rest, on a ramp"
+    assert guide.pauses_n == 1
+
+
+def test_frames_that_are_always_judged_too_late_do_not_keep_a_pause_going():
+    guide, now_s = descend_until(0.2)
+
+    def blink():
+        for n in range(round(2.0 * PAUSE_S / CYCLE_S)):
+            guide.advance(CYCLE_S, now_s + n * CYCLE_S)
+            guide.renew(now_s + (n - 0.5) * CYCLE_S)
+
+    with pytest.raises(Unwatched):
+        blink()
 
 
 @pytest.mark.parametrize(("motion", "until_s"), [("descend", None), ("travel", 9.0)])
