@@ -7,6 +7,7 @@ from pathlib import Path
 
 from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import PAUSE_S
 from robot_client.insertion.state import Phase, Plan
 from robot_client.ports import Arm, DecisionService, Gripper
 from robot_client.session.recorder import Recorder
@@ -42,6 +43,7 @@ def make_plan(
         ramps=settings.ramps,
         timeouts=settings.timeouts,
         lease=settings.lease,
+        pause_s=PAUSE_S if settings.robot.pauses else 0.0,
         pace=settings.pace,
     )
 

@@ -12,7 +12,7 @@ from service.contract.frames import Contract
 
 CYCLE_S = 0.004
 MISSED_CYCLES = 3
-_RESUME_S = 0.05  # after a gap the motion resumes with this ramp, or a longer one where the limits ask for it
+_RESUME_S = 0.05  # after a gap the motion resumes on a ramp as short as this, and no steeper than its own
 _SETTLE_MM = 0.03
 _SETTLE_DEG = 0.03
 _STILL_MM = 0.015  # within a window this small for _SETTLE_S: standing still
@@ -129,11 +129,11 @@ class MotionGuide:
         self._waiting, self._still, self._paused_s = "arrived", None, None
 
     def _resumes_in_s(self, fastest_mm_s: float) -> float:
-        """How long the move under way takes to gain its speed again, so that this and its own ramp keep the limits."""
+        """How long the move takes to gain its speed again: as its own ramp does, and with it within the limits."""
         ramp = self.ramps.of(self._motion)
         most = min(self.limits.max_acceleration_mm_s2, self.limits.max_turn_acceleration_deg_s2)
         spare = max(most - ramp.acceleration_mm_s2, 0.01 * most)
-        return max(_RESUME_S, max(ramp.speed_mm_s, fastest_mm_s) / spare)
+        return max(_RESUME_S, max(ramp.speed_mm_s, fastest_mm_s) / min(spare, ramp.acceleration_mm_s2))
 
     def renew(self, until_s: float) -> None:
         """The descent under way may walk until then."""

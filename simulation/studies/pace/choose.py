@@ -26,7 +26,7 @@ class Wanted(NamedTuple):
             (self.success - point["inserted"] / count) / max(1.0 - self.success, 0.01),
             point["force_n"]["95"] / self.force_n - 1.0,
         )
-        return sum(max(0.0, share) for share in shares)
+        return float(sum(max(0.0, share) for share in shares))
 
 
 def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:

@@ -113,7 +113,7 @@ def with_care(point: Point, world: World) -> Tables:
     """The point's tables, no faster than cameras and stop of a world allow; see `drawn.fastest_mm_s`."""
     late_s = 1e-3 * world.changes.get("camera.latency_ms", 0.0) + world.unstated.stop_lag_s
     top_mm_s = fastest_mm_s(point.fps, late_s)
-    tables = json.loads(json.dumps(point.client))
+    tables: dict[str, Any] = json.loads(json.dumps(point.client))
     descend, pace = tables["ramps"]["descend"], tables["pace"]
     descend["speed_mm_s"] = min(descend["speed_mm_s"], top_mm_s)
     if "fast_mm_s" in pace:
