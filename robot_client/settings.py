@@ -67,7 +67,7 @@ class Settings(Contract):
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
     lease: Lease = Lease()
-    pace: Pace = Pace(lift_mm=3.0)  # of the plan's own default None: episodes of before go up to the approach
+    pace: Pace = Pace()
     task: Task = Task()
     cycle: CycleSettings | None = None
     simulated: bool = False  # the devices are those of a simulated cell: no warning that a robot moves

@@ -44,6 +44,7 @@ def client(
     clearance_mm: float = 3.0,
     lift_mm: float | None = None,
     fast_mm_s: float | None = None,
+    air_mm_s: float = 60.0,
 ) -> Tables:
     """Tables of a client; ``brisk``: harder ramps.
 
@@ -54,23 +55,25 @@ def client(
         "task": {"approach_clearance_mm": clearance_mm},
         "pace": {key: value for key, value in pace.items() if value is not None},
         "ramps": {
-            "travel": ramp(60.0, 1400.0, 60000.0) if brisk else ramp(40.0, 300.0, 5000.0),
+            "travel": ramp(air_mm_s, 1400.0, 60000.0) if brisk else ramp(40.0, 300.0, 5000.0),
             "retract": ramp(50.0, 1400.0, 60000.0) if brisk else ramp(25.0, 200.0, 4000.0),
             "descend": ramp(probing_mm_s, 1000.0, 30000.0) if brisk else ramp(probing_mm_s, 100.0, 2000.0),
         },
     }
-    if fast_mm_s is not None:
-        tables["limits"] = {"max_descent_speed_mm_s": fast_mm_s}
+    if fast_mm_s is not None:  # the yaw of a move in the air keeps the same profile, in deg
+        tables["limits"] = {"max_descent_speed_mm_s": fast_mm_s, "max_turn_deg_s": max(60.0, air_mm_s)}
     return tables
 
 
 POINTS = (
     Point(TODAY, client(brisk=False, clearance_mm=5.0)),
+    Point("as shipped: brisk, from 5 mm", client(clearance_mm=5.0)),
     Point("brisk", client()),
     Point("brisk, probes at 13.5 mm/s", client(13.5)),
     Point("brisk, fast, 60 Hz", client(fast_mm_s=25.0), 60.0),
     Point("brisk, fast, 60 Hz, probes at 15 mm/s", client(15.0, fast_mm_s=25.0), 60.0),
     Point("the same from 5 mm, then 3 mm up", client(15.0, clearance_mm=5.0, lift_mm=3.0, fast_mm_s=25.0), 60.0),
+    Point("the same, 80 mm/s in the air", client(15.0, fast_mm_s=25.0, air_mm_s=80.0), 60.0),
     Point("the same, joint density", client(15.0, fast_mm_s=25.0), 60.0, "joint"),
     Point("the same, heuristic", client(15.0, fast_mm_s=25.0), 60.0, "heuristic"),
     Point("first version, networks of eight frames", client(brisk=False, clearance_mm=5.0), folder=".."),

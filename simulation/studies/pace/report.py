@@ -167,7 +167,7 @@ def _draw_parts(panel: Any, points: Sequence[Row]) -> None:
         )
         panel.barh(places, width, left=left, color=colour, height=0.7)
         row = int(np.flatnonzero(width > 0.0)[0])
-        panel.text(left[row] + width[row] / 2, row if row else -0.55, name, ha="center", va="center", fontsize=7)
+        panel.text(left[row] + width[row] / 2, row or -0.55, name, ha="center", va="center", fontsize=7)
         left += width
     panel.set_yticks(places, [f"{number + 1} {point['name']}" for number, point in enumerate(points)], fontsize=7)
     panel.invert_yaxis()
@@ -229,11 +229,11 @@ def _choices(data: Row) -> str:
     return f"""
     ## What ships, and why
 
-    **Ramps**: *brisk*, since in free air nothing is bought by going slowly; it is the gentlest of those on the front.
-    **Probing speed**: 10 mm/s, because at 30 frames a second a faster stop is a later one, and pushes harder.
-    **Lift**: 3 mm above the blocks' tops, which makes an approach of 5 mm as quick as one of 3. **Fast legs and 15
-    mm/s**: off, because they need cameras of 38 frames a second or more; at 60 they are on the front. `choose` writes
-    them:
+    **Ramps**: *brisk*, since nothing is touched in free air. **Probing speed**: 10 mm/s, because at 30 frames a second
+    a faster stop is a later one, and pushes harder. **Approach**: 5 mm above the blocks; 3 mm are quicker and on the
+    front, but how well the object's height is known is the cell's own matter. An attempt goes up to the approach: with
+    `lift_mm = 3.0` an approach of 5 mm is as quick as one of 3. **Fast legs and 15 mm/s**: off, because they need
+    cameras of 38 frames a second or more and EGM. `choose` writes them:
 
     <!-- not executed: writes pace.toml -->
     ```sh

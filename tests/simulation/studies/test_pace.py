@@ -91,12 +91,12 @@ def test_settings_that_were_chosen_are_a_configuration_of_the_client_and_lower_t
 def test_seconds_in_lock_step_add_up_and_a_fast_client_inserts_sooner():
     models = models_of(released_models())
     play = {}
-    for chosen in (POINTS[0], POINTS[4]):
+    for chosen in (POINTS[0], POINTS[5]):
         job = Job(
             "circle", 0, 0.1, 0.1, 5, "belief", "fields", changes={"camera.fps": chosen.fps}, client=chosen.client
         )
         play[chosen.name] = insert(job, models)
-    first, fast = play[TODAY], play[POINTS[4].name]
+    first, fast = play[TODAY], play[POINTS[5].name]
     assert first["inserted"]
     assert fast["inserted"]
     assert first["attempts"] == fast["attempts"] == 1
