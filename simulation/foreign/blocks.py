@@ -94,7 +94,7 @@ class Bodies:
     def arrive(self, grip: Grip) -> None:
         """The step came to rest: keep what friction has stretched."""
         contacts, _ = self._contacts(grip)
-        press, drag = self._forces(contacts, grip)
+        press, drag = self._forces(contacts, self._slid(contacts, grip))
         self.stretch[:] = 0.0
         self.stretch[contacts.slots] = -drag / (TANGENTIAL_SHARE * contacts.stiffness)[:, None]
         self.touching = bool((press[contacts.slots < 2 * self._slots] > 0.0).any())
@@ -124,8 +124,10 @@ class Bodies:
         corners, axis = self._seen_from(b, grip), self.block_turn[b].T @ self.pose(grip)[0][:, 2]
         find = against_wall if self.beside[b] else on_top
         found, frame = find(corners, axis, self._props), self.block_turn[b]
-        near: list[Any] = [part[found.gaps < NEAR_MM] for part in found]
-        found = Contacts(*near)
+        close = found.gaps < NEAR_MM
+        if not close.all():
+            near: list[Any] = [part[close] for part in found]
+            found = Contacts(*near)
         return found._replace(
             points=found.points @ frame.T + self.block_place[b],
             normals=found.normals @ frame.T,
@@ -146,36 +148,35 @@ class Bodies:
         """How far the first body's material has slid on the second's since the step began, [m, 3], mm, with stretch."""
         points, slots = contacts.points, contacts.slots
         turn, place = self.pose(grip)
-        ours = (points - place) @ turn @ self._start[0].T + self._start[1]
-        theirs = points.copy()
-        for b in range(2):
-            mine, based = slots // self._slots == b, (slots - 2 * self._slots) // 4 == b
-            back = (points - self.block_place[b]) @ self.block_turn[b] @ self._block_start[0][b].T + self._block_start[
-                1
-            ][b]
-            theirs[mine], ours[based] = back[mine], back[based]
-        slid = theirs - ours + self._old[slots]
-        return np.asarray(slid - np.einsum("ij,ij->i", slid, contacts.normals)[:, None] * contacts.normals)
+        ours = (points - place) @ (self._start[0] @ turn.T).T + self._start[1]
+        theirs = points
+        if self.free:
+            theirs = points.copy()
+            for b in range(2):
+                mine, based = slots // self._slots == b, (slots - 2 * self._slots) // 4 == b
+                back = self.block_turn[b] @ self._block_start[0][b].T
+                moved = (points - self.block_place[b]) @ back + self._block_start[1][b]
+                theirs[mine], ours[based] = moved[mine], moved[based]
+        slid, normals = theirs - ours + self._old[slots], contacts.normals
+        return np.asarray(slid - (slid * normals).sum(axis=1)[:, None] * normals)
 
-    def _forces(self, contacts: Contacts, grip: Grip) -> tuple[Array, Array]:
+    def _forces(self, contacts: Contacts, slid: Array) -> tuple[Array, Array]:
         """Normal forces [m] and friction [m, 3] on the first bodies, N."""
         press = np.maximum(-contacts.gaps, 0.0) * contacts.stiffness
-        drag = -(TANGENTIAL_SHARE * contacts.stiffness)[:, None] * self._slid(contacts, grip)
-        size = np.linalg.norm(drag, axis=1)
+        drag = -(TANGENTIAL_SHARE * contacts.stiffness)[:, None] * slid
+        size = np.sqrt((drag * drag).sum(axis=1))
         return press, drag * np.minimum(1.0, contacts.friction * press / np.maximum(size, 1e-300))[:, None]
 
-    def _slopes(self, contacts: Contacts, grip: Grip, *, careful: bool) -> Array:
+    def _slopes(self, contacts: Contacts, press: Array, slid: Array, *, careful: bool) -> Array:
         """How each contact's force on its first body changes with relative motion there, [m, 3, 3]."""
-        press = np.maximum(-contacts.gaps, 0.0) * contacts.stiffness
         across = TANGENTIAL_SHARE * contacts.stiffness
-        slid, normals = self._slid(contacts, grip), contacts.normals
-        size = np.linalg.norm(slid, axis=1)
-        bound = contacts.friction * press
+        normals, size = contacts.normals, np.sqrt((slid * slid).sum(axis=1))
+        bound, most = contacts.friction * press, np.maximum(size, 1e-300)
         slips = across * size > bound
-        ahead = slid / np.maximum(size, 1e-300)[:, None] * (not careful)
+        ahead = slid / most[:, None] * (not careful)
         flat = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         stick = across[:, None, None] * flat
-        slide = (bound / np.maximum(size, 1e-300))[:, None, None] * (flat - ahead[:, :, None] * ahead[:, None, :])
+        slide = (bound / most)[:, None, None] * (flat - ahead[:, :, None] * ahead[:, None, :])
         down = (contacts.stiffness * (press > 0.0))[:, None, None] * normals[:, None, :]
         follow = (contacts.friction * slips)[:, None] * ahead
         return np.asarray(-(normals - follow)[:, :, None] * down - np.where(slips[:, None, None], slide, stick))
@@ -185,7 +186,7 @@ class Bodies:
         out = np.zeros((len(bodies), 3, self.count))
         of_object = bodies < 2
         local = (contacts.points[of_object] - self.hand.place) @ self.hand.turn
-        out[of_object, :, :6] = np.einsum("ij,mjk->mik", self.hand.turn, lines_of(local))
+        out[of_object, :, :6] = self.hand.turn @ lines_of(local)
         for b in range(2) if self.free else ():
             at = slice(6 + 6 * b, 12 + 6 * b)
             for body, sign in ((b, -1.0), (2 + b, 1.0)):
@@ -195,34 +196,36 @@ class Bodies:
 
     # ---- the drive --------------------------------------------------------------------------------------------------
 
-    def push(self, grip: Grip, *, careful: bool = False) -> Push:
+    def push(self, grip: Grip) -> Push:
         """Contacts and weights; careful: what slides is as stiff along its slide as across it."""
         contacts, bodies = self._contacts(grip)
-        press, drag = self._forces(contacts, grip)
-        forces = press[:, None] * contacts.normals + drag
-        follow = self._follow(contacts, bodies)
-        total = self._weights(grip) + np.einsum("mik,mi->k", follow, forces)
-        slopes = np.einsum("mij,mjl->mil", self._slopes(contacts, grip, careful=careful), follow)
-        slopes[:, :, 3:6] -= (contacts.turns * press)[:, None, None] * cross_matrix(contacts.normals) @ self.hand.turn
-        slope = np.einsum("mik,mil->kl", follow, slopes)
-        arms = np.einsum(
-            "mij,mjk,mkl->il",
-            -cross_matrix(forces[bodies < 2]),
-            contacts.travel[bodies < 2],
-            follow[bodies < 2],
-            optimize=True,
-        )
-        slope[3:6] += self.hand.turn.T @ arms
-        return Push(total, slope)
+        slid = self._slid(contacts, grip)
+        press, drag = self._forces(contacts, slid)
+        forces, follow = press[:, None] * contacts.normals + drag, self._follow(contacts, bodies)
+        flat = follow.reshape(3 * len(bodies), self.count)
+
+        def slope(careful: bool) -> Array:
+            slopes = self._slopes(contacts, press, slid, careful=careful) @ follow
+            slopes[:, :, 3:6] -= (contacts.turns * press)[:, None, None] * cross_matrix(contacts.normals) @ hand
+            out: Array = flat.T @ slopes.reshape(flat.shape)
+            ours = bodies < 2
+            arms = (cross_matrix(forces[ours]) @ contacts.travel[ours] @ follow[ours]).sum(axis=0)
+            out[3:6] -= hand.T @ arms
+            return out
+
+        hand = self.hand.turn
+        return Push(self._weights(grip) + flat.T @ forces.ravel(), slope)
 
     def _weights(self, grip: Grip) -> Array:
         out = np.zeros(self.count)
         out[2] = -self.weight_n
-        out[3:6] = np.cross(grip.place + grip.turn @ self._centre, out[:3])
+        x, y, _ = grip.place + grip.turn @ self._centre
+        out[3], out[4] = -y * self.weight_n, x * self.weight_n
         for b in range(2) if self.free else ():
-            at, down = 6 + 6 * b, np.array([0.0, 0.0, -self._block_weight_n])
-            out[at : at + 3] = down
-            out[at + 3 : at + 6] = np.cross(self.block_turn[b] @ (np.array([0.5, 0.0, -0.5]) * self._size), down)
+            at = 6 + 6 * b
+            x, y, _ = self.block_turn[b] @ (np.array([0.5, 0.0, -0.5]) * self._size)
+            out[at + 2] = -self._block_weight_n
+            out[at + 3], out[at + 4] = -y * self._block_weight_n, x * self._block_weight_n
         return out
 
     def lines(self, _grip: Grip, points: Array) -> Array:

@@ -149,3 +149,23 @@ def test_a_grip_that_squeezes_the_gel_through_is_refused_by_name():
 def test_numbers_that_are_none_are_refused():
     with pytest.raises(ValueError, match="finite"):
         held().move_to(0.0, 0.0, math.nan, 0.0)
+
+
+def test_open_nodes_feel_nothing_and_the_rest_is_as_stiff_as_the_whole():
+    cell = held()
+    pads, opened = cell.pads, np.zeros(cell.pads.count, np.bool_)
+    opened[:7] = True
+    part = pads.let_go(0, opened)
+    moved = np.zeros((pads.count, 3))
+    moved[part.closed] = np.random.default_rng(0).normal(size=(len(part.closed), 3))
+    moved[part.open_] = (part.follow @ moved[part.closed].ravel()).reshape(-1, 3)
+    forces = (pads.stiffness[0] @ moved.ravel()).reshape(-1, 3)
+    assert np.abs(forces[part.open_]).max() < 1e-9
+    assert forces[part.closed].ravel() == pytest.approx(part.stiffness @ moved[part.closed].ravel(), abs=1e-9)
+
+
+def test_a_pad_never_lets_go_of_all_its_nodes_at_once():
+    """A steep tilt in a slippery grip once left nothing to solve for while the fingers closed."""
+    scene = load_scene("white_box", gel__friction=2.0, gel__poisson_ratio=0.48, gel__margin_mm=[1.0, 1.0])
+    cell = ForeignCell(scene, 1)
+    assert cell.regrasp(3.0, -14.0).residual_n <= TOLERANCE_N
