@@ -76,7 +76,7 @@ class Outcome:
     """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
 
     ``inserted`` is a claim that is true, ``claimed`` what the client believes, ``in_gap`` the ground truth whether
-    claimed or not; ``void``: the physics came to its end.
+    claimed or not, ``shortfalls`` what speaks against it; ``void``: the physics came to its end.
     """
 
     inserted: bool
@@ -89,6 +89,7 @@ class Outcome:
     course: Course
     trials: list[dict[str, Any]] = field(default_factory=list)
     in_gap: bool = False
+    shortfalls: tuple[str, ...] = ()
 
     @classmethod
     def never_held(cls, job: Job, reason: str) -> Outcome:

@@ -176,7 +176,7 @@ class Pads:
         closed = np.where(size > limit, SLIP, STICK)
         closed = np.where(pressing < 0.0, OPEN, closed)
         touching = np.where(planes.gap(grip.on) < 0.0, SLIP, OPEN)
-        status = self._kept(np.where(grip.status == OPEN, touching, closed).astype(np.int8), grip.status, pressing)
+        status = np.where(grip.status == OPEN, touching, closed).astype(np.int8)
         ahead = trial / size[:, None]
         amiss = (
             np.maximum(np.abs(forces).max(axis=1), -self.rho * planes.gap(grip.on)),
@@ -185,16 +185,6 @@ class Pads:
         )
         worst = float(np.choose(grip.status, amiss).max())
         return Judged(forces, normal, tangents, pressing, drag, trial, limit, ahead, status, worst)
-
-    def _kept(self, status: NDArray[np.int8], before: NDArray[np.int8], pressing: Array) -> NDArray[np.int8]:
-        """No pad lets go at once, which would leave nothing to solve for: of its closed nodes half stay at first."""
-        for pad in range(2):
-            part = slice(pad * self.count, (pad + 1) * self.count)
-            closed = before[part] != OPEN
-            if closed.any() and (status[part] == OPEN).all():
-                stay = closed & (pressing[part] >= np.median(pressing[part][closed]))
-                status[part][stay] = before[part][stay]
-        return status
 
     def let_go(self, pad: int, opened: NDArray[np.bool_]) -> Closed:
         """A pad with some of its nodes open [n / 2]; kept for the few sets that a step comes back to."""

@@ -153,7 +153,7 @@ def _deck(mesh: Mesh, rubber: Rubber, side: int, path: Sequence[Array]) -> Itera
     yield "*BOUNDARY\nBACK, 1, 3, 0."
     for number, corners in enumerate(path[1:], 2):
         yield "*STEP, INC=400" + (", NLGEOM" if rubber.large else "")
-        yield "*STATIC\n0.5, 1., 1e-4, 1.\n*BOUNDARY"
+        yield "*STATIC\n1., 1., 1e-4, 1.\n*BOUNDARY"
         for node, moved in zip(plate, corners - path[0], strict=True):
             yield from (f"{node}, {axis}, {axis}, {value:.12g}" for axis, value in enumerate(moved, 1))
         if number == len(path):

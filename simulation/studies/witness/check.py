@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.foreign.cell import ForeignCell, pad_of
+from simulation.foreign.cell import CLOSING_STEPS, ForeignCell, pad_of
 from simulation.foreign.elements import Pad
 from simulation.foreign.newton import Drive
 from simulation.foreign.pads import OPEN, SLIP, Grip
@@ -124,11 +124,11 @@ def compared(probe: Probe, *, large: bool = False, cells: tuple[int, int, int] =
 
 
 def _way(cell: RecordedCell, side: int) -> list[Array]:
-    """The plate's corners by load step in the frame of the pad at side, from clear of it on."""
-    crest = cell.held.crest_mm
+    """The plate's corners by every second load step in the frame of the pad at side, from clear of it on."""
+    crest, closed = cell.held.crest_mm, CLOSING_STEPS - 1
+    kept = [*cell.path[:closed:3], *cell.path[closed : closed + 2], *cell.path[: closed + 1 : -2][::-1]]
     way = [
-        calculix.plate_at(grip.turn, grip.place - [0.0, 0.5 * side * grip.opening, 0.0], crest, side)
-        for grip in cell.path
+        calculix.plate_at(grip.turn, grip.place - [0.0, 0.5 * side * grip.opening, 0.0], crest, side) for grip in kept
     ]
     face = way[0][CORNER_ROWS[side]]
     into = float((side * face[:, 1]).max())

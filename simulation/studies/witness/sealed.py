@@ -119,7 +119,7 @@ def _figures(by_cell: Mapping[str, Sequence[Row]], families: Sequence[str]) -> I
 
 def _compact(row: Row, each: Opened) -> Row:
     body = load_scene(row["scene"]).object
-    kept = ("attempts", "inserted", "claimed", "in_gap", "void", "grasp_kept", "reason")
+    kept = ("attempts", "inserted", "claimed", "in_gap", "void", "grasp_kept", "reason", "shortfalls")
     return {
         "world": each.start.world.name,
         "object": f"{body.shape} {body.size_x_mm:.0f} x {body.size_y_mm:.0f} mm, {body.mass_kg:g} kg",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import Any
 
@@ -11,6 +12,7 @@ from reporting.table import table
 from simulation.studies.witness.sealed import WITNESS
 
 Row = dict[str, Any]
+NUMBER = r"-?\d+\.\d"
 LEAST_INSERTED, MOST_TRIALS, LEAST_COVERED = 0.95, 3.2, 0.80
 
 
@@ -107,7 +109,7 @@ def _verdict(whole: Row) -> str:
 def _cause(row: Row) -> str:
     """In one line why an insertion failed."""
     if row["claimed"]:
-        return "claimed, but not in the gap"
+        return f"claimed, but {re.sub(NUMBER, 'x', row['shortfalls'][0]) if row['shortfalls'] else 'not held'}"
     if row["void"] or row["reason"]:
         return ": ".join(str(row["reason"]).split(": ")[:2])[:90]
     return "trials used up" if row["grasp_kept"] else "the object left the grasp"

@@ -164,8 +164,7 @@ def test_open_nodes_feel_nothing_and_the_rest_is_as_stiff_as_the_whole():
     assert forces[part.closed].ravel() == pytest.approx(part.stiffness @ moved[part.closed].ravel(), abs=1e-9)
 
 
-def test_a_pad_never_lets_go_of_all_its_nodes_at_once():
-    """A steep tilt in a slippery grip once left nothing to solve for while the fingers closed."""
-    scene = load_scene("white_box", gel__friction=2.0, gel__poisson_ratio=0.48, gel__margin_mm=[1.0, 1.0])
-    cell = ForeignCell(scene, 1)
-    assert cell.regrasp(3.0, -14.0).residual_n <= TOLERANCE_N
+def test_rounds_settle_what_goes_round_in_circles():
+    """A slanted object between grippy pads: limits that follow the pressures lead back and forth, held ones do not."""
+    cell = ForeignCell(load_scene("white_box", gel__friction=2.0), 6, COARSE)
+    assert cell.look().residual_n <= TOLERANCE_N

@@ -47,13 +47,13 @@ def test_the_page_begins_with_what_is_missed_and_lists_every_failure(release):
     begun = sealed.opened("seal", OBJECTS, 5)
     cells = (sealed.WITNESS, "bristle")
     rows = [row_of(task.job) for task in sealed.tasks("seal", release, begun, cells)]
-    rows[3] |= {"inserted": False}
+    rows[3] |= {"inserted": False, "shortfalls": ("it is tilted by 2.5 deg, below 2 counts",)}
     rows[4] |= {"inserted": False, "claimed": False, "reason": "service: contradictory"}
     data = sealed.report_of(rows, begun, cells, {"seal": "seal", "counter": 1, "count": 5})
     assert [row["insertions"] for row in data["figures"]] == [15, 5, 5, 5] * 2
     text = foreign_world_page(data)
     assert text.index("**Missed:** 1 of 15 insertions ended in a claim that was not true") < text.index("Reached")
-    assert "claimed, but not in the gap" in text
+    assert "claimed, but it is tilted by x deg, below 2 counts" in text
     assert "service: contradictory" in text
 
 
@@ -61,4 +61,4 @@ def row_of(job):
     """What playing a job could give."""
     course = {"force_n": 12.0, "block_mm": 0.1}
     ended = {"inserted": True, "claimed": True, "in_gap": True, "void": False, "grasp_kept": True, "attempts": 1}
-    return {**job, **ended, "reason": "", "final_error": [0.0, 0.0], "trials": [], "course": course}
+    return {**job, **ended, "reason": "", "shortfalls": (), "final_error": [0.0, 0.0], "trials": [], "course": course}
