@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 from robot_client.insertion.events import Event
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.limits import Motion
+from robot_client.insertion.limits import Leg, Motion
 from service.contract.frames import Contract
 from service.contract.wire import ClientMessage
 
@@ -23,10 +23,12 @@ class DriverError(ValueError):
 class DeviceSettings(Contract):
     """The table of a device in the configuration; ``device`` names its line in :mod:`robot_client.devices`.
 
-    ``variables``: environment variables that stand in for keys of the table, each with the way to its key.
+    ``variables``: environment variables that stand in for keys of the table, each with the way to its key. ``pauses``,
+    of an arm: its driver can let a descent stand and go on (:meth:`Arm.move`).
     """
 
     variables: ClassVar[dict[str, tuple[str, ...]]] = {}
+    pauses: ClassVar[bool] = False
     device: str
 
     @property
@@ -65,11 +67,14 @@ class Arm(Protocol):
     async def start(self, post: Post) -> WorkPose:
         """Connect, start guidance, and return where the TCP stands; raises DriverError."""
 
-    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Begin a straight move; Arrived follows. Raises LimitError if it is not allowed.
 
-        A descent goes on only before ``until_s`` (``time.monotonic``); then the driver itself holds, latched, and
-        reports a failure ``unwatched``, even if nothing else of the client runs any more.
+        ``legs`` of a descent that changes its speed; an arm that cannot refuses it.
+
+        A descent goes on only before ``until_s`` (``time.monotonic``); then the driver itself lets the arm stand, even
+        if nothing else of the client runs any more. Without :meth:`renew` within ``PAUSE_S`` it holds, latched, and
+        reports a failure ``unwatched``; at once where the arm cannot stand and go on (:attr:`DeviceSettings.pauses`).
         """
 
     def renew(self, until_s: float) -> None:

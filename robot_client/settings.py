@@ -14,6 +14,7 @@ from robot_client.insertion.geometry import CellFrame
 from robot_client.insertion.lease import Lease
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
+from robot_client.insertion.pace import Pace
 from robot_client.insertion.state import Timeouts
 from robot_client.ports import Arm, DeviceSettings, Gripper
 from robot_client.session.cycle import CycleSettings
@@ -66,6 +67,7 @@ class Settings(Contract):
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
     lease: Lease = Lease()
+    pace: Pace = Pace()
     task: Task = Task()
     cycle: CycleSettings | None = None
     simulated: bool = False  # the devices are those of a simulated cell: no warning that a robot moves

@@ -24,6 +24,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "doctor": Command("robot_client", "doctor", "name what is wrong with a cell, and the remedy"),
         "check": Command("robot_client", "check", "read every device and move nothing"),
         "home": Command("robot_client", "home", "reference the empty gripper"),
+        "commission": Command("robot_client", "commission", "probe a new cell: wiring, and data to learn from"),
         "jog": Command("robot_client", "jog", "move the tool to a pose: up, over, down"),
         "insert": Command("robot_client", "insert", "insert the held object (rehearses without --live)"),
         "cycle": Command("robot_client", "cycle", "pick, insert, let go, part after part"),
@@ -42,6 +43,7 @@ GROUPS: dict[str, dict[str, Command]] = {
     },
     "train and export networks": {
         "train": Command("training", "train", "train the networks of a configuration"),
+        "adapt": Command("training", "adapt", "fit the release to a cell's own recordings"),
         "recipe": Command("training", "recipe", "train the paper's own recipe, the baseline"),
         "share-backbone": Command("training", "share-backbone", "put the recipe's networks behind one AlexNet"),
         "checkpoint": Command("training", "show", "print the figures that a checkpoint carries"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import PAUSE_S
 from robot_client.insertion.state import Phase, Plan
 from robot_client.ports import Arm, DecisionService, Gripper
 from robot_client.session.recorder import Recorder
@@ -27,6 +28,7 @@ def make_plan(
     return Plan(
         insertion_id=insertion_id or f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}",
         approach=approach,
+        clearance_mm=task.approach_clearance_mm,
         gap_width_mm=task.gap_width_mm,
         grasp_height_mm=task.grasp_height_mm,
         grip_n=task.grip_n,
@@ -41,6 +43,8 @@ def make_plan(
         ramps=settings.ramps,
         timeouts=settings.timeouts,
         lease=settings.lease,
+        pause_s=PAUSE_S if settings.robot.pauses else 0.0,
+        pace=settings.pace,
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from robot_client.cli.check import check
+from robot_client.cli.commission import commission
 from robot_client.cli.cycle import cycle
 from robot_client.cli.doctor import doctor
 from robot_client.cli.home import home
@@ -71,6 +72,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     cycling.add_argument("--parts", type=int, metavar="N", help="stop after so many inserted parts (default: never)")
     cycling.add_argument("--logs", type=Path, metavar="DIR", help="folder for episode logs (default runs/robot)")
+    first = add(
+        "commission", "probe from known errors: is the cell wired right, and what does it feel?", _connection, _mode
+    )
+    first.add_argument("--probes", type=int, default=150, metavar="N", help="to learn from, after four for the signs")
+    first.add_argument("--seed", type=int, default=0, help="of the known errors of a new record (default 0)")
+    first.add_argument("--out", type=Path, default=Path("runs") / "commissioning", help="folder of the record")
     examining = add(
         "doctor", "name what is wrong with PC, network, controller, gripper, cameras, and its remedy", _connection
     )
@@ -149,6 +156,10 @@ def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
     if args.command == "jog":
         target = WorkPose(x_mm=args.x_mm, y_mm=args.y_mm, z_mm=args.z_mm, yaw_deg=args.theta_deg)
         return jog(settings, target, live=args.live)
+    if args.command == "commission":
+        if args.probes < 0:
+            raise ValueError(f"--probes {args.probes}: expected 0 or more")
+        return commission(settings, live=args.live, probes_n=args.probes, seed=args.seed, out=args.out)
     if args.command == "cycle":
         if args.parts is not None and args.parts < 1:
             raise ValueError(f"--parts {args.parts}: expected 1 or more")

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from robot_client.insertion.events import Command, Hold, Move, Renew, Send, Source
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.limits import Motion, check_pose
+from robot_client.insertion.limits import Leg, Motion, check_pose
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
 
@@ -57,7 +57,13 @@ def fail(state: State, source: Source, code: str, detail: str) -> Result:
 
 
 def go(
-    state: State, phase: Phase, path: tuple[WorkPose, ...], motion: Motion, at_s: float, until_s: float | None = None
+    state: State,
+    phase: Phase,
+    path: tuple[WorkPose, ...],
+    motion: Motion,
+    at_s: float,
+    until_s: float | None = None,
+    legs: tuple[Leg, ...] = (),
 ) -> Result:
     """Send the arm along ``path``, one straight line at a time, if every corner of it is allowed."""
     plan = state.plan
@@ -70,7 +76,7 @@ def go(
         return fail(state, "limits", "target", str(error))
     deadline_s = at_s + 3.0 * duration_s + plan.timeouts.motion_s
     state = replace(state, phase=phase, path=path[1:], deadline_s=deadline_s)
-    return state, (Move(target=path[0], motion=motion, until_s=until_s),)
+    return state, (Move(target=path[0], motion=motion, until_s=until_s, legs=legs),)
 
 
 def approach(state: State, at_s: float) -> Result:
@@ -106,14 +112,28 @@ def descend(state: State, captured_ns: int, at_s: float) -> Result:
     if at_s >= state.until_s:
         return state, ()
     assert state.armed is not None
-    plan = state.plan
+    assert state.pose is not None
+    plan, start_mm = state.plan, state.pose.z_mm
     bottom = state.armed.at_height(state.armed.z_mm - state.bottom_mm)
-    state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s, state.until_s)
+    probing_mm_s, tops = plan.ramps.descend.speed_mm_s, state.tops or plan.tops
+    legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, tops) if state.fast else ()
+    state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s, state.until_s, legs)
     if state.done:
         return state, commands
-    speed_mm_s = plan.ramps.descend.speed_mm_s
-    message = wire.Descending(insertion_id=plan.insertion_id, attempt=state.attempt, speed_mm_s=speed_mm_s)
-    return state, (send(message), *commands)
+    speeds = plan.ramps.in_legs(start_mm, legs).speeds() if legs else [(0.0, probing_mm_s)]
+    state, told = tell_speed(replace(state, speeds=tuple((at_s + after_s, speed) for after_s, speed in speeds)))
+    return state, (*told, *commands)
+
+
+def tell_speed(state: State) -> Result:
+    """Tell the speed that is due: networks that read depth need to know it."""
+    assert state.armed is not None
+    (_, speed_mm_s), *later = state.speeds
+    start_mm = 0.0 if state.pose is None else max(0.0, round(state.armed.z_mm - state.pose.z_mm, 2))
+    message = wire.Descending(
+        insertion_id=state.plan.insertion_id, attempt=state.attempt, speed_mm_s=speed_mm_s, start_mm=start_mm
+    )
+    return replace(state, speed_mm_s=speed_mm_s, speeds=tuple(later)), (send(message),)
 
 
 def watched(state: State, captured_ns: int, at_s: float) -> State:
@@ -126,10 +146,12 @@ def watched(state: State, captured_ns: int, at_s: float) -> State:
 
 
 def renew(state: State, captured_ns: int, at_s: float) -> Result:
-    """Go on for a judged frame; a lease that has ended is not renewed, however young the frame is."""
-    if at_s >= state.until_s:
+    """Go on for a judged frame; a lease that ended too long ago is not renewed, however young the frame is."""
+    if at_s >= state.until_s + state.plan.pause_s:
         return unwatched(state, at_s)
-    newer = watched(state, captured_ns, at_s)
+    newer, stood_s = watched(state, captured_ns, at_s), max(0.0, at_s - state.until_s)
+    if stood_s and newer is not state:  # what lies ahead comes as much later
+        newer = replace(newer, speeds=tuple((due_s + stood_s, speed) for due_s, speed in state.speeds))
     return newer, () if newer is state else (Renew(until_s=newer.until_s),)
 
 
@@ -147,8 +169,24 @@ def hold(state: State, reason: str, at_s: float) -> Result:
     return replace(state, phase=Phase.STOPPING, path=(), deadline_s=deadline_s), (Hold(reason=reason),)
 
 
+def lift(state: State, at_s: float) -> Result:
+    """End a probe: straight up, where nothing more is asked for."""
+    assert state.armed is not None
+    return go(state, Phase.RETRACTING, (state.armed,), "retract", at_s)
+
+
+def probed(state: State) -> Result:
+    """The probe is done and the arm stands above the gap."""
+    abort = wire.Abort(insertion_id=state.plan.insertion_id, cause="probed", reason="a probe, done")
+    return replace(state, phase=Phase.PROBED, deadline_s=math.inf), (send(abort),)
+
+
 def retract(state: State, dx_mm: float, dtheta_deg: float, at_s: float) -> Result:
     """Up along the recorded vertical, then by the correction in the air."""
     assert state.armed is not None
-    path = (state.armed, state.armed.corrected(dx_mm, dtheta_deg))
+    assert state.pose is not None
+    plan, stop_mm = state.plan, state.pose.z_mm
+    tops = (state.tops or plan.tops).with_stop(stop_mm)
+    up = state.armed.at_height(plan.pace.up_to_mm(state.armed.z_mm, plan.tops, tops, stop_mm))
+    path, state = (up, up.corrected(dx_mm, dtheta_deg)), replace(state, tops=tops)
     return go(state, Phase.RETRACTING, path, "retract", at_s)

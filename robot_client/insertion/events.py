@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.limits import Motion
+from robot_client.insertion.limits import Leg, Motion
 from service.contract.frames import Contract
 from service.contract.wire import ClientMessage, ServiceMessage
 
@@ -99,12 +99,14 @@ class Move(Contract):
     """Go to ``target`` in a straight line; the driver answers with Arrived.
 
     ``until_s``: the lease of a descent, after which the driver itself must let the target stand (None: no lease).
+    ``legs`` of a descent that is not at the probing speed all the way, from top to bottom.
     """
 
     kind: Literal["move"] = "move"
     target: WorkPose
     motion: Motion
     until_s: float | None = None
+    legs: tuple[Leg, ...] = ()
 
 
 class Renew(Contract):

@@ -2,6 +2,9 @@
 
 The bound is a way, not a time: from the capture of the newest judged frame to standstill the arm may go ``travel_mm``.
 What the arm needs to stop is part of it, and so is what is not known of the service's clock.
+
+At the end of a lease the target stands. A frame that is judged soon after lets it walk on: an eye that blinks costs
+time, not the insertion. Nobody who looks for ``PAUSE_S`` ends the attempt.
 """
 
 from dataclasses import dataclass
@@ -12,6 +15,7 @@ from service.contract.frames import Contract
 
 SLOW_MM, FAST_S = 1.5, 0.1  # the largest travel that may be asked for: 1.5 mm, from 15 mm/s on what 0.1 s are
 FRAMES_N, JUDGING_S = 1.5, 0.02  # a lease outlasts so many frame periods, and this much for transport and judging
+PAUSE_S = 0.25  # the target of a descent stands this long without a lease before the arm holds for good
 _DRIFT = 2e-4  # two quartz clocks may drift apart this fast
 _ROUNDING_S = 1e-6
 

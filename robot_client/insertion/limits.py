@@ -11,6 +11,8 @@ from service.contract.frames import Contract
 from service.contract.wire import MAX_ATTEMPTS
 
 Motion = Literal["travel", "descend", "retract"]
+Leg = tuple[float, float]
+"""A leg of a descent: the height at which it ends, mm, and its speed, mm/s."""
 Positive = Annotated[float, Field(gt=0)]
 
 

@@ -1,17 +1,18 @@
 """From a commanded move to the next target, 250 times a second; shared by every arm driver. No I/O, no clock."""
 
+import itertools
 import math
 from typing import Literal, get_args
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.lease import Unwatched, check_leased
-from robot_client.insertion.limits import LimitError, Limits, Motion, StepGuard, check_pose
-from robot_client.insertion.profile import Profile, plan_profile
+from robot_client.insertion.lease import PAUSE_S, Unwatched, check_leased
+from robot_client.insertion.limits import Leg, LimitError, Limits, Motion, StepGuard, check_pose
+from robot_client.insertion.profile import LegsProfile, Profile, plan_legs, plan_profile
 from service.contract.frames import Contract
 
 CYCLE_S = 0.004
 MISSED_CYCLES = 3
-_RESUME_S = 0.05  # after a gap the motion resumes with this ramp
+_RESUME_S = 0.05  # after a gap the motion resumes on a ramp as short as this, and no steeper than its own
 _SETTLE_MM = 0.03
 _SETTLE_DEG = 0.03
 _STILL_MM = 0.015  # within a window this small for _SETTLE_S: standing still
@@ -50,6 +51,13 @@ class Ramps(Contract):
         length = max(start.distance_mm(end), start.turn_deg(end))
         return plan_profile(length, ramp.speed_mm_s, ramp.acceleration_mm_s2, ramp.jerk_mm_s3)
 
+    def in_legs(self, start_mm: float, legs: tuple[Leg, ...]) -> LegsProfile:
+        """Profile of a descent from a height; raises ValueError for legs that do not lead down."""
+        heights = (start_mm, *(height_mm for height_mm, _ in legs))
+        ways = [upper - lower for upper, lower in itertools.pairwise(heights)]
+        speeds = [speed_mm_s for _, speed_mm_s in legs]
+        return plan_legs(list(zip(ways, speeds, strict=True)), self.descend.acceleration_mm_s2, self.descend.jerk_mm_s3)
+
 
 def check_ramps(limits: Limits, ramps: Ramps) -> None:
     """Raise LimitError for a ramp that the limits would break off in mid-motion, at full speed."""
@@ -63,6 +71,15 @@ def check_ramps(limits: Limits, ramps: Ramps) -> None:
                 raise LimitError(f"ramps.{motion}.{name} = {value:g}, the limits allow above 0 and up to {bound:g}")
 
 
+def check_legs(limits: Limits, motion: Motion, end: WorkPose, legs: tuple[Leg, ...]) -> None:
+    """Raise LimitError for legs that are too fast, end elsewhere, or belong to no descent."""
+    if not legs:
+        return
+    top = limits.max_descent_speed_mm_s
+    if motion != "descend" or legs[-1][0] != end.z_mm or not all(0.0 < speed <= top for _, speed in legs):
+        raise LimitError(f"{motion} to z_mm = {end.z_mm:g} in legs {legs}: expected a descent, up to {top:g} mm/s")
+
+
 class MotionGuide:
     """Holds the target, walks it along the commanded line and reports when the arm has settled on it."""
 
@@ -73,8 +90,10 @@ class MotionGuide:
         self._guard = StepGuard(limits, start)
         self._motion: Motion = "travel"
         self._start = self._end = start
-        self._profile: Profile | None = None
+        self._profile: Profile | LegsProfile | None = None
         self._until_s: float | None = None
+        self.pauses_n = 0
+        self._paused_s: float | None = None
         self._walked_s = 0.0
         self._rate = 1.0
         self._waiting: Settled | None = None
@@ -91,18 +110,21 @@ class MotionGuide:
         """Kind of the move under way or of the last one."""
         return self._motion
 
-    def move(self, end: WorkPose, motion: Motion, until_s: float | None = None) -> None:
+    def move(self, end: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Begin a straight move to ``end``; raises LimitError and changes nothing if the end is not allowed.
 
-        A descent walks only before ``until_s``, on the clock that :meth:`advance` is told, and has to have one.
+        A descent walks only before ``until_s``, on the clock that :meth:`advance` is told, and has to have one. With
+        ``legs`` it is that fast on each of them.
         """
         check_leased(motion, until_s)
         check_pose(self.limits, end)
+        check_legs(self.limits, motion, end, legs)
+        profile = self.ramps.in_legs(self.target.z_mm, legs) if legs else self.ramps.profile(self.target, end, motion)
         self._guard.rest()
         self._start, self._end, self._motion = self.target, end, motion
-        self._profile = self.ramps.profile(self.target, end, motion)
+        self._profile = profile
         self._walked_s, self._rate, self._until_s = 0.0, 1.0, until_s
-        self._waiting, self._still = "arrived", None
+        self._waiting, self._still, self._paused_s = "arrived", None, None
 
     def renew(self, until_s: float) -> None:
         """The descent under way may walk until then."""
@@ -119,26 +141,41 @@ class MotionGuide:
     def advance(self, elapsed_s: float, now_s: float) -> WorkPose:
         """Target after ``elapsed_s``; raises LimitError (target unchanged) if it may not be sent.
 
-        Unwatched is raised once the lease of a descent is over at ``now_s`` (``time.monotonic``).
+        The target stands while the lease of a descent is over at ``now_s`` (``time.monotonic``); Unwatched is raised
+        once it has been for PAUSE_S.
 
         Over a gap of more than MISSED_CYCLES the target takes their way at most, then gains speed on a ramp.
         """
         if self._profile is None or elapsed_s <= 0.0:
             return self.target
         if self._until_s is not None and now_s >= self._until_s:
-            raise Unwatched(f"no frame was judged in time: the lease ended {(now_s - self._until_s) * 1e3:.0f} ms ago")
+            return self._pause(self._until_s, now_s)
+        self._paused_s = None
         if elapsed_s > (MISSED_CYCLES + 0.5) * CYCLE_S:
             self._rate = min(self._rate, MISSED_CYCLES * CYCLE_S / elapsed_s)
             self._walked_s += elapsed_s * self._rate
         else:
             # The speed grows during the step, not after it: else a long step before a short one is a jolt.
-            before, self._rate = self._rate, min(1.0, self._rate + elapsed_s / _RESUME_S)
+            ramp = self.ramps.of(self._motion)
+            gain = elapsed_s * min(1.0 / _RESUME_S, ramp.acceleration_mm_s2 / ramp.speed_mm_s)
+            before, self._rate = self._rate, min(1.0, self._rate + gain)
             self._walked_s += elapsed_s * (before + self._rate) / 2.0
         share = self._profile.position(self._walked_s) / self._profile.length if self._profile.length > 0 else 1.0
         target = self._end if share >= 1.0 else self._start.towards(self._end, share)
         self.target = self._guard.check(target, elapsed_s, self._motion)
         if self._walked_s >= self._profile.duration_s:
             self._profile = None
+        return self.target
+
+    def _pause(self, since_s: float, now_s: float) -> WorkPose:
+        """Stand; renewals that come too late to walk on do not make the pause longer."""
+        if self._paused_s is None:
+            self._paused_s, self._rate = since_s, 0.0
+            self.pauses_n += 1
+        if now_s - self._paused_s >= PAUSE_S:
+            ago_ms = (now_s - self._paused_s) * 1e3
+            raise Unwatched(f"no frame was judged in time: the lease ended {ago_ms:.0f} ms ago")
+        self._guard.rest()
         return self.target
 
     def observe(self, measured: WorkPose, now_s: float) -> Settled | None:

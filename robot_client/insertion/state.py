@@ -1,15 +1,18 @@
 """What an insertion has to do (Plan) and what it remembers (State)."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Literal
 
 from pydantic import Field
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.lease import ClockMap, Lease
-from robot_client.insertion.limits import Limits, Positive
-from robot_client.insertion.motion import Ramps
+from robot_client.insertion.lease import PAUSE_S, ClockMap, Lease
+from robot_client.insertion.limits import LimitError, Limits, Positive, check_pose
+from robot_client.insertion.motion import Ramps, check_ramps
+from robot_client.insertion.pace import Pace, Tops
 from service.contract import wire
 from service.contract.frames import Contract
 
@@ -30,10 +33,11 @@ class Phase(StrEnum):
     CORRECTING = "correcting"
     CLOSING = "closing"
     INSERTED = "inserted"
+    PROBED = "probed"
     FAILED = "failed"
 
 
-TERMINAL = frozenset({Phase.INSERTED, Phase.FAILED})
+TERMINAL = frozenset({Phase.INSERTED, Phase.PROBED, Phase.FAILED})
 
 
 class Timeouts(Contract):
@@ -51,12 +55,17 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
+    ``pause_s``: how long a descent whose lease has ended may be taken up again; 0 where the arm cannot stand and go on.
+    A probe ends above the gap again after its first decision, whatever that is: it moves by no correction.
+
     ``creep_allowance_mm``: how much deeper than ``expected_depth_mm`` the TCP may go where earlier attempts pushed the
-    object up in the hand, so that its bottom gets as deep as it should. 0: never deeper.
+    object up in the hand, so that its bottom gets as deep as it should. 0: never deeper. ``clearance_mm``: the object's
+    bottom above the blocks' tops at the approach, as far as that is known.
     """
 
     insertion_id: wire.InsertionId
     approach: WorkPose
+    clearance_mm: Positive = 5.0
     gap_width_mm: float = Field(gt=0, le=1000)  # these five have the bounds of the message `arm`
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
     grip_n: float | None = Field(default=None, gt=0, le=1000)
@@ -65,6 +74,7 @@ class Plan(Contract):
     depth_tolerance_mm: float = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
+    purpose: Literal["insert", "probe"] = "insert"
     client: str = "tactile-insertion robot client"
     object: str = Field(default="", max_length=128)
     controller: wire.ControllerName | None = None
@@ -72,6 +82,47 @@ class Plan(Contract):
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
     lease: Lease = Lease()
+    pause_s: float = Field(default=0.0, ge=0.0, le=PAUSE_S)
+    pace: Pace = Pace()
+
+    def check(self) -> None:
+        """Raise LimitError for a pose, a ramp, a speed or a lease that is not allowed."""
+        for target in (self.approach, self.deepest):
+            check_pose(self.limits, target, "plan")
+        check_ramps(self.limits, self.ramps)
+        self.lease.check(self.ramps.descend.speed_mm_s)
+        self.pace.check(self.limits, self.ramps.descend.speed_mm_s)
+        if self.pace.fast_mm_s is not None:
+            self.fast_lease.check(self.pace.fast_mm_s)
+
+    @property
+    def tops(self) -> Tops:
+        """Where the TCP should be when the object touches the blocks' tops."""
+        height_mm = self.approach.z_mm - self.clearance_mm
+        return Tops(height_mm, height_mm)
+
+    def lasts_s(self, *, fast: bool) -> float:
+        """How old the newest judged frame may grow in a descent; both leases hold in one that has fast legs."""
+        lasts_s = self.lease.lasts_s(self.ramps.descend.speed_mm_s)
+        if not fast or self.pace.fast_mm_s is None:
+            return lasts_s
+        return min(lasts_s, self.fast_lease.lasts_s(self.pace.fast_mm_s))
+
+    def bears_fast(self, cameras: Iterable[wire.CameraEntry]) -> bool:
+        """Whether the cameras give frames enough for the fast legs; else a descent is slow all the way."""
+        if self.pace.fast_mm_s is None:
+            return False
+        try:
+            for camera in cameras:
+                self.fast_lease.check_rate(self.pace.fast_mm_s, camera)
+        except LimitError:
+            return False
+        return True
+
+    @property
+    def fast_lease(self) -> Lease:
+        """The lease of the fast legs."""
+        return self.lease.model_copy(update={"travel_mm": self.pace.fast_travel_mm})
 
     @property
     def deepest(self) -> WorkPose:
@@ -87,6 +138,8 @@ class State:
     one did: the object stood on the blocks at both, so it has been pushed up in the hand by about that much.
     ``held``: the gripper held something when the insertion began. ``width_mm``: how far apart its fingers are, as far
     as it tells. ``watched_s``: the earliest that the newest judged frame can have been captured, on our clock.
+    ``tops``: where the blocks' tops are by the plan and by the attempts up to now. ``fast``: the cameras' rate bears
+    the fast legs. ``speed_mm_s`` of the descent under way, ``speeds``: when (``at_s``) it goes on at which, mm/s.
     """
 
     plan: Plan
@@ -106,11 +159,15 @@ class State:
     creep_mm: float = 0.0
     clock: ClockMap | None = None
     watched_s: float = -math.inf
+    tops: Tops | None = None
+    fast: bool = False
+    speeds: tuple[tuple[float, float], ...] = ()
+    speed_mm_s: float = 0.0
 
     @property
     def until_s(self) -> float:
         """When the target of a descent must stand still unless a newer frame is judged."""
-        return self.watched_s + self.plan.lease.lasts_s(self.plan.ramps.descend.speed_mm_s)
+        return self.watched_s + self.plan.lasts_s(fast=self.fast)
 
     @property
     def done(self) -> bool:

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from robot_client.insertion.events import Event, FromService, Grasped, Standstill
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.seconds import Seconds
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
 from service.contract.frames import Contract
@@ -37,6 +38,7 @@ class Report:
 
     def __init__(self, position: Callable[[], WorkPose | None], show: Callable[[str], None]) -> None:
         self.rows: list[AttemptRow] = []
+        self.seconds = Seconds()
         self._position = position
         self._show = show
         self._phase = Phase.START
@@ -45,6 +47,7 @@ class Report:
     def on_event(self, state: State, event: Event) -> None:
         """Note what the event adds and print it."""
         entered, self._phase = state.phase is not self._phase, state.phase
+        self.seconds.on_event(state, event)
         if isinstance(event, FromService):
             self._on_message(state, event.message, event.at_s)
         elif isinstance(event, Grasped):
@@ -104,8 +107,9 @@ class Report:
         self.rows[-1] = self.rows[-1].model_copy(update=values)
 
     def summary(self) -> dict[str, Any]:
-        """The rows, for the episode log."""
-        return {"rows": [row.model_dump(mode="json") for row in self.rows]}
+        """The rows and where the time went, for the episode log."""
+        rows = [row.model_dump(mode="json") for row in self.rows]
+        return {"rows": rows, "seconds": {name: round(spent, 3) for name, spent in self.seconds.spent.items()}}
 
     def final(self, state: State, farewell: str, link: dict[str, Any]) -> list[str]:
         """One screen: outcome, attempts, overtravel, link."""
@@ -122,6 +126,9 @@ class Report:
         if waits:
             median_ms = waits[len(waits) // 2]
             lines.append(f"  decisions   median {median_ms:.0f} ms after standstill, worst {waits[-1]:.0f} ms")
+        if self.rows:
+            parts = ", ".join(f"{name} {spent:.1f}" for name, spent in self.seconds.spent.items() if spent >= 0.05)
+            lines.append(f"  seconds     {self.seconds.total_s:.1f} since the approach began: {parts}")
         if link:
             lines.append("  arm link    " + ", ".join(f"{key} {value}" for key, value in link.items()))
         lines.append(f"  robot       {farewell}")

@@ -114,7 +114,8 @@ class Runner:
                 case Hold():
                     self.arm.hold(command.reason, stop=command.stop)
                 case Move():
-                    self.arm.move(command.target, command.motion, command.until_s)
+                    legs = (command.legs,) if command.legs else ()  # an arm with one speed need not know them
+                    self.arm.move(command.target, command.motion, command.until_s, *legs)
                 case Renew():
                     self.arm.renew(command.until_s)
                 case Grasp():

@@ -110,18 +110,18 @@ class Arm(_Message):
 
 
 class Descending(_Message):
-    """The guarded descent has begun, at this speed; networks that read depth need to know it."""
+    """A guarded descent begins at ``start_mm`` below the armed pose, or goes on, at the speed told from now on."""
 
     type: Literal["descending"] = "descending"
     attempt: Attempt
     speed_mm_s: float | None = Field(default=None, gt=0, le=1000)
+    start_mm: float = Field(default=0.0, ge=0, le=1000)
 
 
 class Stopped(_Message):
     """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion.
 
-    ``inserted`` means that full depth was reached. `finished` reports whether that is confirmed to be an insertion.
-    ``gripper_width_mm``: how far apart the fingers are now; None if the gripper does not tell.
+    ``inserted``: full depth was reached; `finished` reports whether that is confirmed. ``gripper_width_mm``: now.
     """
 
     type: Literal["stopped"] = "stopped"

@@ -12,7 +12,8 @@ MAX_SAMPLES = 64
 Outcome = Literal["blocked", "inserted", "dropped", "stopped"]
 ControllerName = Literal["heuristic", "belief"]
 Cause = Literal[
-    "operator",  # a person's wish, and the only cause that is no failure
+    "operator",  # a person's wish
+    "probed",  # a probe did what it was asked to; this and a person's wish are no failures
     "attempts",  # as many as allowed, and still blocked
     "unwatched",  # the newest judged frame grew older than the lease
     "part_lost",

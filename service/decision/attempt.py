@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 
 from service.contract import FINGERS, Finger, ModelCard, TactileFrame
 from service.contract.model_card import CONDITIONS
-from service.contract.wire import Arm, Armed, Correction, NoDecision, Outcome, RefusalReason, Refused, Watching
+from service.contract.wire import (
+    Arm,
+    Armed,
+    Correction,
+    Descending,
+    NoDecision,
+    Outcome,
+    RefusalReason,
+    Refused,
+    Watching,
+)
 from service.decision.arming import implausible_width, nothing_held
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.network_input import Descent
@@ -72,6 +82,7 @@ class Attempt:
     descent: Descent | None = None
     steps: list[NDArray[np.float32]] = field(default_factory=list)
     speed_mm_s: float | None = None
+    start_mm: float = 0.0
     fed: bool = False
     watched_ns: int = 0
     _judged_ns: dict[Finger, int] = field(default_factory=dict)
@@ -187,6 +198,11 @@ class Attempt:
             "shear_reach_mm": arm.shear_reach_mm,
             "speed_mm_s": self.speed_mm_s,
         }
+
+    def descends(self, message: Descending, now_ns: int) -> None:
+        """The arm goes down, from now on at the speed told; it may change that on the way."""
+        self.descending_ns = now_ns if self.descending_ns is None else self.descending_ns
+        self.speed_mm_s, self.start_mm = message.speed_mm_s, message.start_mm
 
     def stops(self, now_ns: int) -> None:
         """The arm is ordered to stop because of a frame captured then."""

@@ -50,7 +50,7 @@ def pressed_mm(attempt: Attempt) -> float:
     began, onset, stopped = attempt.descending_ns, attempt.onset_ns, attempt.stopped_ns
     if began is None or onset is None or stopped is None or not began < onset < stopped:
         return 0.0
-    return attempt.depth_mm * (stopped - onset) / (stopped - began)
+    return (attempt.depth_mm - attempt.start_mm) * (stopped - onset) / (stopped - began)
 
 
 def turn_deg(attempt: Attempt) -> float:

@@ -16,16 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract.wire import Correction, Estimate
+from service.contract.words.wiring import WIRINGS
 from service.decision.evidence import Refusal
 from service.perception.observation import PairObservation
 
 Pair = NDArray[np.float64]  # x mm, theta deg
 
-CAUSES = {
-    (-1, 1): "corrections in x reach the arm reversed, or the fingers are swapped",
-    (1, -1): "corrections in yaw reach the arm reversed",
-    (-1, -1): "both pictures are mirrored, or the arm's frame is turned by half a turn",
-}
 ODDS = math.log(100.0)  # that a reversed cell must have against a good one; good ones reached 30 at most
 NAMED = math.log(20.0)  # causes that explain it this much worse than the best one are named, too
 SURE = np.array([2.2, 5.0])  # one sigma; an estimate with more says no more than that it does not know
@@ -42,7 +38,7 @@ LEAST_TURN_DEG, LIKE = 1.0, 0.5  # the smaller turn is at least this share of th
 class Consistency:
     """The log-likelihood of each way that a cell may be wired, given the attempts so far."""
 
-    _log: dict[tuple[int, int], float] = field(default_factory=lambda: dict.fromkeys([(1, 1), *CAUSES], 0.0))
+    _log: dict[tuple[int, int], float] = field(default_factory=lambda: dict.fromkeys([(1, 1), *WIRINGS], 0.0))
     _predicted: dict[tuple[int, int], Pair] = field(default_factory=dict)
     _variance: Pair = field(default_factory=lambda: np.zeros(2))
 
@@ -93,8 +89,8 @@ class Consistency:
         best = max(self._log.values())
         if not best - self._log[1, 1] > ODDS:
             return []
-        likely = sorted((signs for signs in CAUSES if best - self._log[signs] < NAMED), key=lambda s: -self._log[s])
-        return [CAUSES[signs] for signs in likely]
+        likely = sorted((signs for signs in WIRINGS if best - self._log[signs] < NAMED), key=lambda s: -self._log[s])
+        return [WIRINGS[signs] for signs in likely]
 
 
 def _log_density(z: Pair, spread: Pair, outliers: float) -> float:

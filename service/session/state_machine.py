@@ -133,7 +133,7 @@ class InsertionSession:
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:
         if self.attempt and self._is_current(message.attempt, {Stage.ARMED}):
-            self.attempt.descending_ns, self.attempt.speed_mm_s = now_ns, message.speed_mm_s
+            self.attempt.descends(message, now_ns)
             return []
         return [self._fault("protocol", f"descending in attempt {message.attempt}, which is not armed; send arm first")]
 

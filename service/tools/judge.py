@@ -19,7 +19,7 @@ from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.grasp import GraspWatch
 from service.perception.slip.open_gel import OpenGel, shrunk
 from service.perception.slip.phases import Grasp, GraspPhases, Phase
-from service.tools.open_frame import OpenFrame, open_frame
+from service.tools.open_frame import open_frame
 from service.tools.replay import VIDEOS
 
 FRAME_NS = 125_000_000  # headers lie about the rate; these sensors deliver about eight frames a second
@@ -41,23 +41,19 @@ class FingerRun:
     slips: list[bool] = field(default_factory=list)
     spent_s: float = 0.0
 
-    def touches(self, opened: OpenFrame) -> list[float | None]:
-        """How strongly the gel is touched in each frame, compared with the one taken for open.
+    def touches(self, opened: int | None) -> list[float | None]:
+        """How strongly the gel is touched in each frame, compared with the open one.
 
-        At least 1 if it changes though no frame of the run is shown to be open: then something is held throughout, and
-        nothing can be said to be lost.
+        Touched throughout where no frame shows the gel open: then nothing can be said to be lost.
         """
+        if opened is None:
+            return [1.0] * len(self.fields)
         gel = OpenGel()
-        marked = next((seen for seen in self.fields[opened.frame :] if seen.valid.any()), None)
-        if marked is None:
-            return [None] * len(self.fields)
-        gel.learn(marked, self.pictures[opened.frame].astype(np.float32))
-        touches = [
+        gel.learn(self.fields[opened], self.pictures[opened].astype(np.float32))
+        return [
             gel.touch(seen, picture.astype(np.float32))
             for seen, picture in zip(self.fields, self.pictures, strict=True)
         ]
-        changes = max(touch or 0.0 for touch in touches) >= 1
-        return [max(1.0, touch or 1.0) for touch in touches] if changes and opened.is_open is False else touches
 
 
 def watched(clip: Path) -> FingerRun:
@@ -85,7 +81,7 @@ def judged(folder: Path) -> dict[str, Any]:
         raise JudgeError(f"{folder} holds no video, expected one a finger")
     fingers = [watched(clip) for clip in clips]
     frames_n = min(len(finger.fields) for finger in fingers)
-    opened = open_frame([finger.pictures for finger in fingers])
+    opened = open_frame([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
     touches = [finger.touches(opened) for finger in fingers]
     statuses = [seen.status for finger in fingers for seen in finger.fields]
     stories = _stories(fingers, touches, frames_n)
@@ -94,7 +90,7 @@ def judged(folder: Path) -> dict[str, Any]:
         "frames_n": frames_n,
         **stories[0],
         "fingers": {clip.stem: story for clip, story in zip(clips, stories[1:], strict=True)},
-        "open_frame": opened.frame if opened.is_open else None,
+        "open_frame": opened,
         "ambiguous_n": statuses.count("ambiguous"),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
         "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fingers) / len(statuses),

@@ -177,8 +177,8 @@ def _play_worlds(options: Options, path: Path, controller: str, objects: dict[st
 
 def _film(options: Options, rows: list[Row]) -> None:
     """The filmstrip of the first insertion of three attempts (or two) that the belief made."""
-    from simulation.closed_loop.filmstrip import film
     from simulation.closed_loop.job import Job
+    from simulation.studies.filmstrip import film
 
     mine = [row for row in rows if row["controller"] == "belief" and row["inserted"] and row["attempts"] in {2, 3}]
     if mine:

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from simulation.closed_loop.lockstep import Course
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import Scene
@@ -31,7 +30,8 @@ class Job:
     ``told_reach``: the client also tells the gel's shear reach, with the error of a cell that has measured it.
     ``fault``: the fields of a `simulation.closed_loop.true_fields.Fault`, for perception "fields" alone.
     Perception "fields" takes the markers from the simulated gel instead of from pictures. ``cell`` "foreign": the
-    mechanics are those of finite elements.
+    mechanics are those of finite elements. ``client``: tables of the client's configuration as in `cell.toml`; with
+    them the arm starts above the approach and keeps its ramps, the descent's own and the time to settle.
     """
 
     scene: str
@@ -48,6 +48,7 @@ class Job:
     cell: Literal["", "foreign"] = ""
     fault: Mapping[str, Any] = field(default_factory=dict)
     told_reach: bool = False
+    client: Mapping[str, Any] = field(default_factory=dict)
 
     def build_scene(self) -> Scene:
         """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""
@@ -72,11 +73,28 @@ class Job:
 
 
 @dataclass(slots=True)
+class Course:
+    """What happened to object and blocks up to now; lengths in mm, angles in deg.
+
+    ``in_hand_mm`` is the object's largest displacement in the hand against the grasp (elastic and slipped),
+    ``slipped_mm`` what of it was left once the object was in the air again.
+    """
+
+    block_mm: float = 0.0
+    block_tilt_deg: float = 0.0
+    in_hand_mm: float = 0.0
+    slipped_mm: float = 0.0
+    force_n: float = 0.0
+    unsolved: int = 0
+
+
+@dataclass(slots=True)
 class Outcome:
     """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
 
     ``inserted`` is a claim that is true, ``claimed`` what the client believes, ``in_gap`` the ground truth whether
-    claimed or not, ``shortfalls`` what speaks against it; ``void``: the physics came to its end.
+    claimed or not, ``shortfalls`` what speaks against it; ``void``: the physics came to its end. ``seconds``: where the
+    time went, see `Seconds`.
     """
 
     inserted: bool
@@ -89,6 +107,7 @@ class Outcome:
     course: Course
     trials: list[dict[str, Any]] = field(default_factory=list)
     in_gap: bool = False
+    seconds: dict[str, float] = field(default_factory=dict)
     shortfalls: tuple[str, ...] = ()
 
     @classmethod

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from service.contract import FINGERS, FramePair, TactileFrame
 from service.perception.rectification import CameraCalibration
+from simulation.closed_loop.job import Course
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.inertia import duration_s as time_at
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -29,26 +30,13 @@ START_NS = 1_000_000_000
 CREEP_ALLOWANCE_MM = 4.0  # what a client may go deeper for a part pushed up in the hand: the gap here has no floor
 MAX_UNSOLVED = 6  # moves in a row without an equilibrium: the cell cannot say what happens, the insertion is void
 Image = NDArray[np.uint8]
+Walk = Callable[[float], float]
+"""Way of a descent in mm after so many seconds."""
+_ROUNDING_MM = 1e-6
 
 
 class GraspEndError(Exception):
     """The object left the grasp as far as it is simulated: what the gels would see from here on is not known."""
-
-
-@dataclass(slots=True)
-class Course:
-    """What happened to object and blocks up to now; lengths in mm, angles in deg.
-
-    ``in_hand_mm`` is the object's largest displacement in the hand against the grasp (elastic and slipped),
-    ``slipped_mm`` what of it was left once the object was in the air again.
-    """
-
-    block_mm: float = 0.0
-    block_tilt_deg: float = 0.0
-    in_hand_mm: float = 0.0
-    slipped_mm: float = 0.0
-    force_n: float = 0.0
-    unsolved: int = 0
 
 
 @dataclass(slots=True)
@@ -78,6 +66,8 @@ class LockstepCell:
     _grasped: NDArray[np.float64] = field(init=False)
     _stuck: int = 0
     _first: Image | None = None
+    _law: Walk | None = None
+    _walked_s: float = 0.0
 
     def __post_init__(self) -> None:
         self.state = self.physics.look()
@@ -139,19 +129,19 @@ class LockstepCell:
             self.course.slipped_mm = max(self.course.slipped_mm, self._in_hand_mm())
         self.now_ns += round(duration_s * 1e9)
 
-    def descend(self, bottom_z_mm: float) -> None:
-        """Begin to go down at the scene's speed; every `next_pair` shows what came of it.
+    def descend(self, bottom_z_mm: float, law: Walk | None = None) -> None:
+        """Begin to go down at the scene's speed, or by ``law``; every `next_pair` shows what came of it.
 
         Raises GraspEndError if an earlier descent pushed the object out of its grasp.
         """
         if self.state.grasp_lost:
             raise GraspEndError("the object was pushed out of the grasp that is simulated (12 mm, a tenth of the grip)")
-        self.bottom_z_mm, self.moving = bottom_z_mm, True
+        self.bottom_z_mm, self.moving, self._law, self._walked_s = bottom_z_mm, True, law, 0.0
 
     def hold(self) -> None:
         """Order a stop: it takes effect after the controller's lag."""
         if self.moving:
-            lag_mm = self.scene.speed_mm_s * self.unstated.stop_lag_s
+            lag_mm = self._ahead_mm(self.unstated.stop_lag_s)
             self.bottom_z_mm = max(self.bottom_z_mm, self.pose[2] - lag_mm)
 
     def next_pair(self, *, look: bool = True) -> FramePair:
@@ -214,11 +204,26 @@ class LockstepCell:
         if self.moving:
             x, y, z, yaw = _pose_of(self.physics)
             bottom = self.misplaced.true((0.0, 0.0, self.bottom_z_mm, 0.0))[2]
-            target = max(bottom, z - periods * self.scene.speed_mm_s / self.scene.fps)
+            target = max(bottom, z - self._way_mm(periods))
             if self._go(x, y, target, yaw):
-                self.moving = target > bottom
+                self.moving = target - bottom > (_ROUNDING_MM if self._law else 0.0)
+                self._walked_s += periods / self.scene.fps
         elif self.physics.relaxes:
             self._do(lambda: self.physics.wait(periods / self.scene.fps))
+
+    def _way_mm(self, periods: float) -> float:
+        """How far the arm goes down in a share of a frame period."""
+        if self._law is None:
+            return periods * self.scene.speed_mm_s / self.scene.fps
+        passed_s = periods / self.scene.fps
+        way_mm = self._ahead_mm(passed_s)
+        self.physics.pace_mm_s = max(way_mm / passed_s, 1e-3)
+        return way_mm
+
+    def _ahead_mm(self, passed_s: float) -> float:
+        if self._law is None:
+            return self.scene.speed_mm_s * passed_s
+        return self._law(self._walked_s + passed_s) - self._law(self._walked_s)
 
     def _seen(self, index: int) -> int:
         """Which finger is seen by the camera that is called ``index`` (0 left, 1 right)."""

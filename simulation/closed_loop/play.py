@@ -2,7 +2,7 @@
 
 `python -m simulation evaluate` runs the paper's test protocol in lock step: rendered frames go through the service's
 perception, the shipped ONNX files and its controller; what it answers goes through the client's insertion machine.
-This is the one module of the simulator that imports them.
+With `client`, this is the one module of the simulator that imports them.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from robot_client.insertion.events import (
 )
 from robot_client.insertion.events import Tick as ClientTick
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.lease import FAST_S, SLOW_MM, Lease
-from robot_client.insertion.limits import Limits as ClientLimits
+from robot_client.insertion.limits import Limits
 from robot_client.insertion.machine import step
-from robot_client.insertion.motion import Ramps
-from robot_client.insertion.state import Phase, Plan, State
+from robot_client.insertion.seconds import Seconds
+from robot_client.insertion.state import Phase, State
+from robot_client.settings import Settings
 from service.contract import FINGERS, FramePair
 from service.contract.wire import Correction, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
@@ -46,15 +46,16 @@ from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
 from service.session.state_machine import InsertionSession
 from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View, empty_correction
+from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, walk_of
 from simulation.closed_loop.job import Job, Outcome, Perception
-from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, GraspEndError, LockstepCell, hash_seed
+from simulation.closed_loop.lockstep import GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
 from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 
 MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
 # A blind search may jump from one end of the range to the other
-FAR = ClientLimits(max_dx_mm=45.0, max_dtheta_deg=45.0)
+FAR = Limits(max_dx_mm=45.0, max_dtheta_deg=45.0)
 
 
 class Insertion:
@@ -70,6 +71,7 @@ class Insertion:
         perception: Perception = "pictures",
         fault: Fault | None = None,
         reach_mm: float | None = None,
+        client: Settings | None = None,
     ) -> None:
         self.cell = cell
         self.models = models
@@ -79,12 +81,15 @@ class Insertion:
         self.session = InsertionSession(models, left, right, controller_name=controller.service_controller)
         if not controller.uses_networks:
             self.session.submit = self._skip_networks
-        self.state = State(_plan(cell, self._pose(), FAR if chooser else ClientLimits(), reach_mm))
+        self.client = client
+        self.state = State(plan_of(cell, self._pose(), FAR if chooser else Limits(), reach_mm, client))
+        self.seconds = Seconds()
         self.trials: list[dict[str, Any]] = []
         self.until: frozenset[Phase] = frozenset()  # phases in which to stop playing
         self.before = cell.state  # what it was when the descent began, hanging free
         self._events: deque[Event] = deque()
         self._standing = False
+        self._settled_s = 0.0
         self._skipped: list[Work] = []
 
     def run(self) -> Outcome:
@@ -108,10 +113,14 @@ class Insertion:
             course=cell.course,
             trials=self.trials,
             in_gap=in_gap,
+            seconds=self.seconds.spent,
             shortfalls=cell.state.shortfalls,
         )
 
     def _play(self) -> None:
+        if self.client:
+            x, y, z, yaw = self.cell.pose
+            self.cell.travel(x, y, z + ABOVE_MM, yaw, 1.0)
         self._post(Begin(at_s=self.cell.now_s, pose=self._pose()))
         scene = self.cell.scene
         longer = max(1.0, scene.fps / 30.0) * max(1.0, 10.0 / scene.speed_mm_s)
@@ -128,8 +137,8 @@ class Insertion:
         self._hear(self.session.on_tick(now_ns))
         self._post(ClientTick(at_s=self.cell.now_s))
         if was_moving and not self.cell.moving:
-            self._standing = True
-        if self._standing and not self.cell.moving:
+            self._standing, self._settled_s = True, self.cell.now_s + (SETTLE_S if self.client else 0.0)
+        if self._standing and not self.cell.moving and self.cell.now_s >= self._settled_s:
             self._standing = False
             event = Standstill if self.state.phase is Phase.STOPPING else Arrived
             self._post(event(at_s=self.cell.now_s, pose=self._pose()))
@@ -196,7 +205,9 @@ class Insertion:
     def _post(self, event: Event) -> None:
         self._events.append(event)
         while self._events:
-            self.state, commands = step(self.state, self._events.popleft())
+            event = self._events.popleft()
+            self.state, commands = step(self.state, event)
+            self.seconds.on_event(self.state, event)
             for command in commands:
                 self._carry_out(command)
 
@@ -217,37 +228,19 @@ class Insertion:
                 pass  # the machine is asked at every frame whether the lease lasts
             case Move() if command.motion == "descend":
                 self.before = self.cell.state
-                self.cell.descend(command.target.z_mm)
+                self.cell.descend(
+                    command.target.z_mm, walk_of(self.state.plan, self._pose(), command) if self.client else None
+                )
             case Move():
                 target = command.target
                 duration_s = self.state.plan.ramps.duration_s(self._pose(), target, command.motion)
+                duration_s += SETTLE_S if self.client else 0.0
                 self.cell.travel(target.x_mm, target.y_mm, target.z_mm, target.yaw_deg, duration_s)
                 self._events.append(Arrived(at_s=self.cell.now_s, pose=self._pose()))
 
     def _pose(self) -> WorkPose:
         x, y, z, yaw = self.cell.pose
         return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
-
-
-def _plan(cell: LockstepCell, approach: WorkPose, limits: ClientLimits, reach_mm: float | None) -> Plan:
-    """What the client is told, which need not be so."""
-    scene, told, ramps = cell.scene, cell.unstated, Ramps()
-    top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
-    limits = limits.model_copy(update={"max_descent_speed_mm_s": top_mm_s})
-    descend = ramps.descend.model_copy(update={"speed_mm_s": scene.speed_mm_s})
-    return Plan(
-        insertion_id="simulated",
-        approach=approach,
-        gap_width_mm=scene.blocks.gap_mm + told.told_gap_error_mm,
-        grasp_height_mm=scene.grasp.height_mm + told.told_height_error_mm,
-        grip_n=scene.grasp.force_n,
-        shear_reach_mm=reach_mm,
-        expected_depth_mm=scene.full_depth_mm,
-        creep_allowance_mm=CREEP_ALLOWANCE_MM,
-        limits=limits,
-        ramps=ramps.model_copy(update={"descend": descend}),
-        lease=Lease(travel_mm=max(SLOW_MM, FAST_S * scene.speed_mm_s)),
-    )
 
 
 def _finger(
@@ -260,7 +253,9 @@ def _finger(
 
 def stage(job: Job, models: ModelSet) -> Insertion:
     """The insertion of a job, ready to run: blocks free, the object in the hand."""
-    scene = job.build_scene()
+    scene, client = job.build_scene(), client_of(job)
+    if client is not None:
+        scene = scene.varied({"speed_mm_s": client.ramps.descend.speed_mm_s})
     controller = CONTROLLERS[job.controller]
     perception: Perception = job.perception if controller.uses_networks else "fields"
     draws = perception == "pictures"
@@ -279,6 +274,7 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         perception=perception,
         fault=Fault(**job.fault) if job.fault else None,
         reach_mm=job.measured_reach_mm(scene),
+        client=client,
     )
 
 

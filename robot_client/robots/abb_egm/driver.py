@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import Unwatched
-from robot_client.insertion.limits import LimitError, Limits, Motion
+from robot_client.insertion.limits import Leg, LimitError, Limits, Motion
 from robot_client.insertion.motion import MotionGuide, Ramps
 from robot_client.ports import Arm, Check, DriverError, Finding, Post, Signals
 from robot_client.robots.abb_egm import codec
@@ -25,8 +25,6 @@ from robot_client.robots.abb_egm.watch import EgmWatch, StreamFault
 from robot_client.robots.abb_rws.client import RwsClient
 from robot_client.robots.abb_rws.generation import RwsError
 from robot_client.silence import Silence
-
-_DRAIN = 64
 
 
 @dataclass(slots=True)
@@ -81,11 +79,11 @@ class EgmArm:
         self._watchdog()
         return self._guide.target
 
-    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Begin a move; raises LimitError if it is not allowed or the arm is latched."""
         if self._failed or self._guide is None:
             raise LimitError(f"the arm takes no motion: {self._failed or 'not started'}")
-        self._guide.move(target, motion, until_s)
+        self._guide.move(target, motion, until_s, legs)
 
     def renew(self, until_s: float) -> None:
         """The descent under way may go on until then: checked before each of the 250 targets a second."""
@@ -131,6 +129,7 @@ class EgmArm:
         """Counts of the stream and the worst times in microseconds from datagram to answer and from hold to wire."""
         return {
             **self._watch.statistics(),
+            "pauses": 0 if self._guide is None else self._guide.pauses_n,
             "foreign_datagrams": self._foreign,
             "worst_reply_us": round(self._worst_reply_us),
             "worst_hold_us": round(max(self._holds_us, default=0.0)),
@@ -157,7 +156,7 @@ class EgmArm:
         newest: bytes | None = None
         assert self._socket is not None
         with contextlib.suppress(BlockingIOError, ConnectionError):
-            for _ in range(_DRAIN):
+            for _ in range(64):  # one that sends without end must not keep the loop
                 datagram, address = self._socket.recvfrom(codec.MAX_DATAGRAM_BYTES + 1)
                 if self._is_robot(address):
                     newest = datagram

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import check_leased
-from robot_client.insertion.limits import LimitError, Limits, Motion, check_pose
+from robot_client.insertion.limits import Leg, LimitError, Limits, Motion, check_pose
 from robot_client.insertion.motion import Ramps
 from robot_client.ports import Arm, Check, DriverError, Finding, Post, Signals
 from robot_client.robots.abb_rapid import codec
@@ -81,10 +81,12 @@ class SocketArm:
         self._post = post
         return self._here
 
-    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Lower the guard's stop flag, then send the move; raises LimitError if it is not allowed."""
         check_leased(motion, until_s)
         check_pose(self.limits, target)
+        if legs:
+            raise LimitError("pace.fast_mm_s: over RAPID sockets a descent has one speed; leave it out, or use EGM")
         if self._latched or self._guard is None or self._here is None:
             raise LimitError(f"the arm takes no motion: {self._latched or 'not started'}")
         speed = self.ramps.of(motion).speed_mm_s

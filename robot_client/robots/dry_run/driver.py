@@ -4,12 +4,12 @@ import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import Unwatched
-from robot_client.insertion.limits import LimitError, Limits, Motion
+from robot_client.insertion.limits import Leg, LimitError, Limits, Motion
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
 from robot_client.ports import Arm, DeviceSettings, Post
 
@@ -19,6 +19,7 @@ _BATCH = 50
 class Settings(DeviceSettings):
     """Where the TCP stands at the start."""
 
+    pauses: ClassVar = True
     device: Literal["dry_run"] = "dry_run"
     start: WorkPose = WorkPose(x_mm=0.0, y_mm=0.0, z_mm=75.0, yaw_deg=0.0)
 
@@ -43,9 +44,9 @@ class DryArm(Arm):
         self._task = asyncio.get_running_loop().create_task(self._run())
         return self.settings.start
 
-    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None) -> None:
+    def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Begin a move; raises LimitError if it is not allowed."""
-        self._guide.move(target, motion, until_s)
+        self._guide.move(target, motion, until_s, legs)
 
     def renew(self, until_s: float) -> None:
         """The descent under way may go on until then, in real time."""

@@ -1,13 +1,14 @@
 """The motion lease: the arm goes on for frames that were judged, and for nothing else."""
 
 import math
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.insertion.events import Hold, Move, Renew, Tick
-from robot_client.insertion.lease import ClockMap, Lease, Unwatched
+from robot_client.insertion.lease import PAUSE_S, ClockMap, Lease, Unwatched
 from robot_client.insertion.limits import LimitError, Limits
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
@@ -28,8 +29,8 @@ from tests.robot_client.insertion.stories import (
 LASTS_S = PLAN.lease.lasts_s(10.0)
 
 
-def descending():
-    return run(TO_DESCENT)
+def descending(pause_s=0.0):
+    return run(TO_DESCENT, State(PLAN.model_copy(update={"pause_s": pause_s})))
 
 
 def test_a_descent_carries_the_end_of_its_lease_and_every_judged_frame_puts_it_off():
@@ -41,13 +42,17 @@ def test_a_descent_carries_the_end_of_its_lease_and_every_judged_frame_puts_it_o
     assert renewed.until_s == pytest.approx(0.05 + LASTS_S, abs=1e-4)
 
 
-def test_without_a_judged_frame_the_descent_ends_whatever_else_the_service_says():
-    state, _ = descending()
+@pytest.mark.parametrize("pause_s", [0.0, PAUSE_S])
+def test_without_a_judged_frame_the_descent_ends_whatever_else_the_service_says(pause_s):
+    """An arm that cannot stand and go on is held at the end of the lease, by whoever sees it first."""
+    state, _ = descending(pause_s)
     beat = wire.ServiceHeartbeat(insertion_id=ID, count=1, clock=wire.Clock(sent_ns=0, service_ns=0), frame_age_ms=1.0)
     for now_s in (0.03, 0.06, 0.09):
         state, commands = step(state, service(beat, now_s))
         assert (state.phase, commands) == (Phase.DESCENDING, ())
-    state, commands = step(state, Tick(at_s=LASTS_S + 0.001))
+    state, commands = step(state, Tick(at_s=LASTS_S + pause_s - 0.001))
+    assert (state.phase, commands) == (Phase.DESCENDING, ())
+    state, commands = step(state, Tick(at_s=LASTS_S + pause_s + 0.001))
     assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
     assert commands[1].message.cause == "unwatched"
 
@@ -64,11 +69,20 @@ def test_a_stamp_from_the_future_renews_nothing():
     assert step(state, service(watching(1, 7.0), 0.05)) == (state, ())
 
 
-def test_a_lease_that_has_ended_is_not_renewed_by_a_fresh_frame():
-    state, _ = descending()
-    late_s = LASTS_S + 0.2
+@pytest.mark.parametrize(("pause_s", "late_s"), [(0.0, 0.005), (PAUSE_S, PAUSE_S + 0.01)])
+def test_a_lease_that_ended_too_long_ago_is_not_renewed_by_a_fresh_frame(pause_s, late_s):
+    state, _ = descending(pause_s)
+    late_s += LASTS_S
     state, commands = step(state, service(watching(1, late_s - 0.01), late_s))
     assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
+
+
+def test_a_frame_that_is_judged_within_the_pause_renews_the_lease():
+    state, _ = descending(PAUSE_S)
+    late_s = LASTS_S + 0.1
+    state, (renewed,) = step(state, service(watching(1, late_s - 0.02), late_s))
+    assert state.phase is Phase.DESCENDING
+    assert renewed.until_s > late_s
 
 
 def test_nothing_descends_before_the_clocks_are_mapped_or_on_an_old_reference():
@@ -133,17 +147,51 @@ def test_cameras_too_slow_for_the_descent_are_refused_by_name(rate_hz, descends)
         PLAN.lease.check_rate(slower - 0.05, camera)
 
 
-def test_the_last_layer_lets_the_target_stand_when_the_lease_ends_even_if_nobody_tells_it():
+def descend_until(until_s):
+    """A guide whose lease has just ended in mid-descent, and the time that it is."""
     guide = MotionGuide(Limits(), Ramps(), APPROACH)
-    guide.move(APPROACH.at_height(15.0), "descend", until_s=0.2)
-    cycles = round(0.2 / CYCLE_S)
-    reached = [guide.advance(CYCLE_S, n * CYCLE_S) for n in range(1, cycles)][-1]
-    now_s = cycles * CYCLE_S
+    guide.move(APPROACH.at_height(15.0), "descend", until_s=until_s)
+    cycles = round(until_s / CYCLE_S)
+    for n in range(1, cycles):
+        guide.advance(CYCLE_S, n * CYCLE_S)
+    return guide, cycles * CYCLE_S
+
+
+def test_the_last_layer_lets_the_target_stand_when_the_lease_ends_even_if_nobody_tells_it():
+    guide, now_s = descend_until(0.2)
+    reached = guide.target
+    while now_s < 0.2 + PAUSE_S - CYCLE_S / 2:
+        assert guide.advance(CYCLE_S, now_s) == reached
+        now_s += CYCLE_S
     with pytest.raises(Unwatched):
-        guide.advance(CYCLE_S, now_s)
+        guide.advance(CYCLE_S, now_s + CYCLE_S)
     assert guide.target == reached
-    guide.renew(0.3)
-    assert guide.advance(CYCLE_S, now_s).z_mm < reached.z_mm
+
+
+def test_a_frame_that_is_judged_during_the_pause_lets_the_target_walk_on_from_rest():
+    guide, now_s = descend_until(0.2)
+    reached = guide.target
+    guide.advance(CYCLE_S, now_s)
+    guide.renew(now_s + 0.1)
+    steps = [reached.z_mm]
+    for _ in range(20):
+        now_s += CYCLE_S
+        steps.append(guide.advance(CYCLE_S, now_s).z_mm)
+    ways = [high - low for high, low in pairwise(steps)]
+    assert 0.0 < ways[0] < 0.1 * ways[-1], "from rest, on a ramp"
+    assert guide.pauses_n == 1
+
+
+def test_frames_that_are_always_judged_too_late_do_not_keep_a_pause_going():
+    guide, now_s = descend_until(0.2)
+
+    def blink():
+        for n in range(round(2.0 * PAUSE_S / CYCLE_S)):
+            guide.advance(CYCLE_S, now_s + n * CYCLE_S)
+            guide.renew(now_s + (n - 0.5) * CYCLE_S)
+
+    with pytest.raises(Unwatched):
+        blink()
 
 
 @pytest.mark.parametrize(("motion", "until_s"), [("descend", None), ("travel", 9.0)])

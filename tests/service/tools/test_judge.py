@@ -20,7 +20,7 @@ def record(folder, touched, frames=48):
     """Two fingers' clips: an object touches both from frame ``touched[0]`` to ``touched[1]``."""
     folder.mkdir(parents=True)
     rng = np.random.default_rng(1)
-    rest = grid(jitter=0.3)
+    rest = grid(jitter=0.1)
     away = (rest - rest.mean((0, 1))) / 50.0
     bulged = rest + 3.0 * away * np.exp(0.5 - 0.5 * np.square(away).sum(-1, keepdims=True))
     for name in ("camera_0", "camera_2"):

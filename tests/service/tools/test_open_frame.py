@@ -3,45 +3,63 @@
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from service.perception.slip.open_gel import shrunk
-from service.tools.open_frame import open_frame
+from service.perception.markers.field import MarkerField
+from service.tools.open_frame import irregular_pitch, open_frame
+from tests.service.perception.synthetic import grid
 
-OPEN = cv2.GaussianBlur(np.random.default_rng(8).uniform(90, 160, (240, 320, 3)), (0, 0), 25).astype(np.float32)
+LIGHT = np.add.outer(np.linspace(90, 150, 60), np.linspace(0, 20, 80))[..., None] * np.ones(3)
+REST = grid(7, 9, 32.0, 320, 240, jitter=0.2)
 
 
-def pictures(touched, rng, walk_px=0):
-    """Frames of one gel, float 0 .. 1 of a ridge's height each; the ridge walks sideways by ``walk_px`` a frame."""
+def finger(touched, rng, walk_px=0.0, dome=1.0):
+    """Pictures and fields of one gel, frame by frame; a ridge, 0 .. 1 high, on a ``dome``; it walks by ``walk_px``."""
+    pictures, fields = [], []
     for k, height in enumerate(touched):
-        gel = OPEN + rng.normal(0, 2, OPEN.shape)
-        left = 100 + k * walk_px
-        gel[60:180, left : left + 8] += 60 * height
-        gel[60:180, left + 8 : left + 16] -= 60 * height
-        yield np.rint(shrunk(np.clip(gel, 0, 255).astype(np.uint8))).astype(np.uint8)
+        middle = np.array([120.0 + k * walk_px, 110.0])
+        away = (REST - middle) / 60.0
+        bulge = dome * height * 8.0 * away * np.exp(-np.square(away).sum(-1, keepdims=True))
+        picture = LIGHT + rng.normal(0, 0.6, LIGHT.shape)
+        left = int(middle[0] // 4)
+        picture[15:45, left : left + 2] += 40 * height
+        picture[15:45, left + 2 : left + 4] -= 40 * height
+        pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
+        points = (REST + bulge + rng.normal(0, 0.05, REST.shape)).astype(np.float32)
+        seen = np.ones(REST.shape[:2], np.bool_)
+        fields.append(MarkerField(points, np.zeros_like(points), seen, None, 32.0, k))
+    return pictures, fields
+
+
+def found(story, rng, **how):
+    return open_frame(*zip(*[finger(story, rng, **how) for _ in range(2)], strict=True))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_open_frame_is_found_before_a_grasp_and_after_one(seed):
     rng = np.random.default_rng(seed)
     before = [0.0] * 20 + [0.3, 0.6] + [1.0] * 60
-    after = [*before[::-1], *[0.0] * 20]
-    for story in (before, after):
-        found = open_frame([list(pictures(story, rng)), list(pictures(story, rng))])
-        assert found.is_open
-        assert story[found.frame] == 0.0
+    for story in (before, [*before[::-1], *[0.0] * 20]):
+        frame = found(story, rng)
+        assert frame is not None
+        assert story[frame] == 0.0
 
 
-def test_a_gel_touched_all_along_is_not_called_open():
+def test_a_gel_touched_all_along_is_not_called_open_even_where_the_touch_walks_away_and_comes_back():
     rng = np.random.default_rng(4)
-    assert open_frame([list(pictures([1.0] * 60, rng, walk_px=3)) for _ in range(2)]).is_open is False
+    assert found([1.0] * 60, rng, walk_px=3.0) is None
+    assert found([1.0] * 20 + [0.4] * 20 + [1.0] * 20, rng, dome=2.0) is None
 
 
-def test_a_gel_that_never_changes_is_left_open():
-    rng = np.random.default_rng(5)
-    assert open_frame([list(pictures([0.0] * 60, rng))]).is_open is None
+def test_a_lens_and_a_camera_at_an_angle_leave_a_print_regular():
+    away = (REST - [160.0, 120.0]) / 160.0
+    bent = REST - 12.0 * away * np.square(away).sum(-1, keepdims=True) + 4.0 * away[..., :1] * away
+    nothing = np.zeros_like(REST, np.float32)
+    seen = np.ones(REST.shape[:2], np.bool_)
+    assert irregular_pitch(MarkerField(bent.astype(np.float32), nothing, seen, None, 32.0, 0)) < 0.01
+    few = MarkerField(bent.astype(np.float32), nothing, seen & (np.arange(9) < 2), None, 32.0, 0)
+    assert irregular_pitch(few) == np.inf
 
 
 def test_the_labels_of_real_runs_are_in_order():

@@ -91,6 +91,7 @@ def test_left_and_right_mirror_each_other():
     )
 
 
+@pytest.mark.slow
 def test_slip_begins_at_the_rim_and_grows():
     """As in Cattaneo's and Mindlin's contact, though a pad's pressure is flatter than theirs."""
     cell = held(x_mm=8.0, gel__crown_mm=0.4)

@@ -1,0 +1,68 @@
+"""How fast and how high the arm goes where nothing can be touched: what buys time without a faster touch. Pure.
+
+The tops of the blocks lie ``clearance_mm`` below the approach as far as the plan knows, and where attempts stopped.
+Around them a descent keeps the probing speed of ``ramps.descend``. Every leg is leased and watched for slip.
+"""
+
+from typing import NamedTuple
+
+from robot_client.insertion.limits import Leg, LimitError, Limits, Positive
+from service.contract.frames import Contract
+
+
+class Tops(NamedTuple):
+    """Between which heights of the TCP the object meets the tops of the blocks, mm."""
+
+    low_mm: float
+    high_mm: float
+
+    def with_stop(self, z_mm: float) -> "Tops":
+        """The same with one more height at which an attempt was stopped."""
+        return Tops(min(self.low_mm, z_mm), max(self.high_mm, z_mm))
+
+
+class Pace(Contract):
+    """Where a descent is faster than it probes, and how high the arm goes up in between.
+
+    ``fast_mm_s``: speed away from the tops, None for the probing speed all the way. ``fast_travel_mm``: the motion
+    lease of a descent with fast legs, beside ``lease.travel_mm``. ``above_mm`` and ``below_mm``: how far around the
+    tops the descent probes. ``lift_mm``: how far above the tops an attempt that ended near them is taken up, None for
+    up to the approach.
+    """
+
+    fast_mm_s: Positive | None = None
+    fast_travel_mm: Positive = 2.5
+    above_mm: Positive = 2.0
+    below_mm: Positive = 4.0
+    lift_mm: Positive | None = None
+
+    def check(self, limits: Limits, probing_mm_s: float) -> None:
+        """Raise LimitError for a fast speed that is slower than probing or beyond the limits."""
+        if self.fast_mm_s is not None and not probing_mm_s <= self.fast_mm_s <= limits.max_descent_speed_mm_s:
+            allowed = f"allowed {probing_mm_s:g} (ramps.descend) .. {limits.max_descent_speed_mm_s:g} (limits)"
+            raise LimitError(f"pace.fast_mm_s = {self.fast_mm_s:g}, {allowed}")
+
+    def legs(self, start_mm: float, end_mm: float, probing_mm_s: float, tops: Tops) -> tuple[Leg, ...]:
+        """The legs of a descent between two heights, slow around the tops; none where it is slow all the way."""
+        if self.fast_mm_s is None:
+            return ()
+        ways = (
+            (tops.high_mm + self.above_mm, self.fast_mm_s),
+            (tops.low_mm - self.below_mm, probing_mm_s),
+            (end_mm, self.fast_mm_s),
+        )
+        legs, height_mm = list[Leg](), start_mm
+        for until_mm, speed_mm_s in ways:
+            if (lower_mm := max(until_mm, end_mm)) < height_mm:
+                legs.append((lower_mm, speed_mm_s))
+                height_mm = lower_mm
+        return () if all(speed_mm_s == probing_mm_s for _, speed_mm_s in legs) else tuple(legs)
+
+    def up_to_mm(self, approach_mm: float, told: Tops, tops: Tops, stop_mm: float) -> float:
+        """The height that an attempt stopped at ``stop_mm`` is taken up to before it is moved sideways.
+
+        ``told``: where the plan has the tops. An object that went well below them stands between the blocks.
+        """
+        if self.lift_mm is None or stop_mm < told.low_mm - self.below_mm:
+            return approach_mm
+        return min(approach_mm, tops.high_mm + self.lift_mm)

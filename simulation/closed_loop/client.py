@@ -1,0 +1,68 @@
+"""The client that is played in lock step: its plan, and how its arm goes down."""
+
+from __future__ import annotations
+
+from robot_client.insertion.events import Move
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import FAST_S, SLOW_MM, Lease
+from robot_client.insertion.limits import Limits
+from robot_client.insertion.motion import Ramps
+from robot_client.insertion.state import Plan
+from robot_client.settings import Settings, load_settings
+from simulation.closed_loop.job import Job
+from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, LockstepCell, Walk
+
+ABOVE_MM = 30.0  # where a played client's arm starts, above its usual approach
+SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client takes the arm to stand still
+
+
+def client_of(job: Job) -> Settings | None:
+    """What the client is set to, None where the scene says how the arm moves. Raises SettingsError."""
+    return load_settings(None, dict(job.client)) if job.client else None
+
+
+def plan_of(
+    cell: LockstepCell, approach: WorkPose, limits: Limits, reach_mm: float | None, client: Settings | None
+) -> Plan:
+    """What the client is told, which need not be so."""
+    scene, told, ramps = cell.scene, cell.unstated, Ramps()
+    top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
+    limits = limits.model_copy(update={"max_descent_speed_mm_s": top_mm_s})
+    descend = ramps.descend.model_copy(update={"speed_mm_s": scene.speed_mm_s})
+    plan = Plan(
+        insertion_id="simulated",
+        approach=approach,
+        gap_width_mm=scene.blocks.gap_mm + told.told_gap_error_mm,
+        grasp_height_mm=scene.grasp.height_mm + told.told_height_error_mm,
+        grip_n=scene.grasp.force_n,
+        shear_reach_mm=reach_mm,
+        expected_depth_mm=scene.full_depth_mm,
+        creep_allowance_mm=CREEP_ALLOWANCE_MM,
+        limits=limits,
+        ramps=ramps.model_copy(update={"descend": descend}),
+        lease=Lease(travel_mm=max(SLOW_MM, FAST_S * scene.speed_mm_s)),
+    )
+    return plan if client is None else _as_set(plan, client)
+
+
+def _as_set(plan: Plan, client: Settings) -> Plan:
+    """The plan with what a client is set to: its ramps, leases and pace, and its clearance at the approach."""
+    lower_mm = plan.clearance_mm - client.task.approach_clearance_mm
+    return plan.model_copy(
+        update={
+            "approach": plan.approach.at_height(plan.approach.z_mm - lower_mm),
+            "clearance_mm": client.task.approach_clearance_mm,
+            "expected_depth_mm": plan.expected_depth_mm - lower_mm,
+            "limits": client.limits,
+            "ramps": client.ramps,
+            "lease": client.lease,
+            "pace": client.pace,
+        }
+    )
+
+
+def walk_of(plan: Plan, here: WorkPose, move: Move) -> Walk:
+    """The way of a descent over time."""
+    if move.legs:
+        return plan.ramps.in_legs(here.z_mm, move.legs).position
+    return plan.ramps.profile(here, move.target, move.motion).position

@@ -1,0 +1,163 @@
+"""Two speeds in one descent, and no higher between attempts than the move needs: no bound in mm is given up for it."""
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_client.insertion.events import Move, Send, Standstill, Tick
+from robot_client.insertion.lease import PAUSE_S
+from robot_client.insertion.limits import Limits
+from robot_client.insertion.machine import Phase, State, step
+from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramp, Ramps
+from robot_client.insertion.pace import Pace
+from robot_client.insertion.profile import plan_legs
+from service.contract import wire
+from tests.robot_client.insertion.stories import (
+    APPROACH,
+    PLAN,
+    TO_ARMING,
+    armed,
+    at,
+    correction,
+    hello,
+    run,
+    service,
+    slip,
+    watching,
+)
+
+RAMPS = Ramps(descend=Ramp(speed_mm_s=10.0, acceleration_mm_s2=400.0, jerk_mm_s3=8000.0))
+FAST = PLAN.model_copy(
+    update={
+        "pace": Pace(fast_mm_s=25.0, lift_mm=4.0),
+        "limits": Limits(max_descent_speed_mm_s=25.0),
+        "ramps": RAMPS,
+    }
+)
+TOPS_MM = APPROACH.z_mm - FAST.clearance_mm
+LEGS = st.lists(st.tuples(st.floats(0.01, 60.0), st.floats(0.5, 60.0)), min_size=1, max_size=5)
+
+
+def camera(rate_hz):
+    return wire.CameraEntry.model_construct(finger="left", state="streaming", frame_rate_hz=rate_hz)
+
+
+def told(plan, rate_hz=60.0):
+    """Commands up to the descent, with cameras of that rate."""
+    story = [*TO_ARMING[:1], service(hello(cameras=(camera(rate_hz),))), *TO_ARMING[2:], service(armed(1))]
+    return run(story, State(plan))
+
+
+def descent(commands):
+    (move,) = [c for c in commands if isinstance(c, Move) and c.motion == "descend"]
+    return move
+
+
+@given(LEGS, st.floats(50, 1500), st.floats(500, 50000))
+def test_no_leg_of_a_descent_is_faster_than_allowed_there_and_no_change_harder(legs, acceleration, jerk):
+    profile = plan_legs(legs, acceleration, jerk)
+    ends = list(itertools.accumulate(way for way, _ in legs))
+    dt = profile.duration_s / 600
+    way = [profile.position(k * dt) for k in range(601)]
+    assert way[0] == 0.0
+    assert way[-1] == pytest.approx(ends[-1])
+    assert profile.position(profile.duration_s + 1.0) == pytest.approx(ends[-1])
+    speeds = [(b - a) / dt for a, b in itertools.pairwise(way)]
+    for (a, b), speed in zip(itertools.pairwise(way), speeds, strict=True):
+        crossed = [k for k, end in enumerate(ends) if end > a and (k == 0 or ends[k - 1] < b)]
+        assert -1e-6 <= speed <= max(legs[k][1] for k in crossed) + 1e-6
+    assert max(abs(b - a) / dt for a, b in itertools.pairwise(speeds)) <= acceleration * 1.001 + 1e-6
+
+
+def test_a_descent_is_fast_only_well_above_and_well_below_the_tops():
+    _, commands = told(FAST)
+    move = descent(commands)
+    guide = MotionGuide(FAST.limits, FAST.ramps, APPROACH)
+    guide.move(move.target, "descend", 1e9, move.legs)
+    fastest_mm_s = 0.0
+    while guide.moving:
+        before = guide.target.z_mm
+        after = guide.advance(CYCLE_S, 0.0).z_mm
+        speed = (before - after) / CYCLE_S
+        fastest_mm_s = max(fastest_mm_s, speed)
+        if TOPS_MM - FAST.pace.below_mm <= after and before <= TOPS_MM + FAST.pace.above_mm:
+            assert speed <= 10.0 + 1e-6
+    assert fastest_mm_s == pytest.approx(25.0)
+
+
+def test_the_lease_of_a_fast_descent_keeps_both_ways_in_mm():
+    state, commands = told(FAST)
+    lasts_s = descent(commands).until_s
+    lag_s = FAST.lease.stop_lag_s
+    assert 25.0 * (lasts_s + lag_s) <= FAST.pace.fast_travel_mm + 1e-9
+    assert 10.0 * (lasts_s + lag_s) <= FAST.lease.travel_mm
+    state, (renewed,) = step(state, service(watching(1, 0.03), 0.04))
+    assert renewed.until_s == pytest.approx(0.03 + lasts_s, abs=1e-4)
+    state, _ = step(state, Tick(at_s=0.03 + lasts_s + PAUSE_S + 0.001))
+    assert state.phase is Phase.FAILED
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 30.0])
+def test_with_cameras_too_slow_for_it_the_descent_is_slow_all_the_way(rate_hz):
+    _, commands = told(FAST, rate_hz)
+    assert descent(commands).legs == ()
+    assert descent(commands).until_s == pytest.approx(FAST.lease.lasts_s(10.0))
+
+
+@pytest.mark.parametrize("pace", [Pace(fast_mm_s=26.0), Pace(fast_mm_s=9.0), Pace(fast_mm_s=25.0, fast_travel_mm=2.6)])
+def test_a_pace_beyond_limits_or_lease_moves_nothing(pace):
+    state, commands = run(TO_ARMING[:1], State(FAST.model_copy(update={"pace": pace})))
+    assert state.phase is Phase.FAILED
+    assert not [c for c in commands if isinstance(c, Move)]
+
+
+def test_the_service_is_told_each_speed_when_its_leg_begins():
+    state, commands = told(FAST)
+    speeds = [c.message.speed_mm_s for c in commands if isinstance(c, Send) and c.message.type == "descending"]
+    for cycle in range(1, 400):
+        now_s = cycle * 0.01
+        state, _ = step(state, service(watching(1, now_s - 0.005), now_s))
+        state, sent = step(state, Tick(at_s=now_s))
+        speeds += [c.message.speed_mm_s for c in sent if isinstance(c, Send)]
+    assert speeds[0] > 10.0
+    assert speeds[1:] == [10.0, 25.0]
+
+
+def test_after_a_pause_in_the_descent_the_next_speed_is_told_as_much_later():
+    state, _ = told(FAST.model_copy(update={"pause_s": PAUSE_S}))
+    due_s = state.speeds[0][0]
+    state, _ = step(state, service(watching(1, 0.19), 0.2))
+    assert state.speeds[0][0] == pytest.approx(due_s + 0.2 - FAST.lasts_s(fast=True), abs=1e-3)
+
+
+def blocked(plan, z_mm):
+    """After the first attempt was stopped at a height, and corrected by -3 mm and -2 deg."""
+    state, _ = told(plan)
+    return run([service(slip(1)), at(APPROACH.at_height(z_mm), Standstill), service(correction(1))], state)
+
+
+def test_an_attempt_is_taken_up_only_as_high_as_the_move_needs_and_the_next_one_starts_there():
+    state, commands = blocked(FAST, TOPS_MM - 1.5)
+    up = commands[-1].target
+    assert up == APPROACH.at_height(TOPS_MM + 4.0)
+    state, (over,) = run([at(up)], state)
+    assert over.target == up.corrected(-3.0, -2.0)
+    state, commands = run([at(over.target), service(armed(2))], state)
+    assert descent(commands).target.z_mm == APPROACH.z_mm - FAST.expected_depth_mm
+    (begins,) = [c.message for c in commands if isinstance(c, Send) and c.message.type == "descending"]
+    assert begins.start_mm == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("z_mm", [TOPS_MM - 4.1, TOPS_MM - 15.0])
+def test_an_object_that_stood_between_the_blocks_is_taken_up_to_the_approach(z_mm):
+    _, commands = blocked(FAST, z_mm)
+    assert commands[-1].target == APPROACH
+
+
+@given(st.floats(-18.9, 5.0))
+def test_after_any_stop_the_arm_goes_up_at_least_by_the_lift_and_never_above_the_approach(off_mm):
+    _, commands = blocked(FAST, TOPS_MM + off_mm)
+    up_mm = commands[-1].target.z_mm
+    assert min(APPROACH.z_mm, TOPS_MM + off_mm + 4.0) <= up_mm <= APPROACH.z_mm
