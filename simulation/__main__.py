@@ -13,6 +13,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "cell": ("cell:cell", "the cell in real time on loopback: robot, gripper, cameras, truth"),
     "evaluate": ("evaluate:main", "the paper's test protocol in lock step: table, scatter, JSON"),
     "drawn-worlds": ("drawn_worlds:main", "the closed loop in drawn worlds with drawn objects, all variants"),
+    "sealed": (
+        "drawn_worlds:sealed",
+        "the sealed test: worlds that follow from the release's bytes, in another physics",
+    ),
     "commission": ("commission:main", "cells that probe, adapt and learn from work, world by world"),
     "trust": ("trust:main", "claims under adversity: faults, drawn worlds, objects, starts"),
     "robustness": ("robustness:main", "what disturbances cost the closed loop: noise, friction, cameras"),

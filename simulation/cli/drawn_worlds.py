@@ -1,21 +1,25 @@
-"""`python -m simulation drawn-worlds`: the closed loop in worlds that nobody trained for, all variants, resumable."""
+"""`python -m simulation drawn-worlds` and `sealed`: the closed loop in worlds that nobody trained for, resumable."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from reporting.files import write_durably
+from reporting.page import publish
+from service.contract.shipped import released_models
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
 from simulation.closed_loop.campaign import fingerprint
 from simulation.scene import drawn
 from simulation.studies import drawn_worlds
 from simulation.studies.drawn_worlds import Variant
+from simulation.studies.witness import sealed as test
+from simulation.studies.witness.sealed_page import foreign_world_page
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,9 @@ def main(arguments: list[str]) -> int:
     for number, tables in enumerate(drawn.draw_worlds(options.drawn_n, options.seed)):
         tables["gel"]["tier"] = "layer" if number < options.layer_share * options.drawn_n else "bristle"
         worlds.append(drawn.world(tables, f"drawn-{number:04d}"))
-    begun = drawn_worlds.starts(worlds, _objects(options), options.count, options.seed)
+    begun = drawn_worlds.starts(
+        worlds, _objects(options.out, options.drawn_n, options.seed), options.count, options.seed
+    )
     played = _variants(options)
     setup = fingerprint({variant.title: variant.models for variant in played})
     campaign.claim(options.out, setup)
@@ -74,11 +80,53 @@ def _variants(options: Options) -> list[Variant]:
     return found
 
 
-def _objects(options: Options) -> list[str]:
+def _objects(out: Path, count: int, seed: int) -> list[str]:
     """Drawn objects as files in OUT: a job names its object by a file."""
-    folder = options.out / "objects"
+    folder = out / "objects"
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"object-{number:04d}.toml" for number in range(options.drawn_n)]
-    for path, tables in zip(paths, drawn.draw_objects(options.drawn_n, options.seed), strict=True):
+    paths = [folder / f"object-{number:04d}.toml" for number in range(count)]
+    for path, tables in zip(paths, drawn.draw_objects(count, seed), strict=True):
         write_durably(path, drawn.toml(tables, "drawn").encode())
     return [str(path) for path in paths]
+
+
+@dataclass(frozen=True)
+class SealedOptions:
+    """Play the sealed test of a release: worlds and starts follow from the networks' bytes and a counter.
+
+    Results go to OUT/insertions.jsonl as they come; the same command goes on where it was interrupted, and a larger
+    --count adds to it. The report goes to DOCS/foreign_world.md and .json. All figures are simulated.
+    """
+
+    out: Path = Path("runs/sealed")
+    """folder for results"""
+    docs: Path = Path("runs/sealed")
+    """folder for the report"""
+    models: Path = field(default_factory=released_models)
+    """folder of the release"""
+    counter: int = 1
+    """which test of this release; a release is judged by the first"""
+    count: int = 100
+    """insertions a family, at most 500"""
+    beside: tuple[Literal["bristle", "layer"], ...] = ("bristle",)
+    """tiers of our own physics that play the same starts, after the finite elements"""
+    workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
+    """processes; 0 takes every core"""
+
+
+def sealed(arguments: list[str]) -> int:
+    """Play, then write the page."""
+    options = tyro.cli(SealedOptions, args=arguments, prog="tactile-insertion sealed")
+    if not 1 <= options.count <= test.WORLDS * test.EACH:
+        raise ValueError(f"--count {options.count}: expected 1 to {test.WORLDS * test.EACH}")
+    if not list(options.models.glob("*.step.onnx")):
+        raise ValueError(f"--models {options.models}: no *.step.onnx there; expected the folder of a release")
+    seal, cells = test.seal(options.models, options.counter), (test.WITNESS, *options.beside)
+    campaign.claim(options.out, {**campaign.fingerprint({"release": options.models}), "seal": seal})
+    begun = test.opened(seal, _objects(options.out, test.WORLDS, test.seed_of(seal, "objects")), options.count)
+    todo = test.tasks(seal, options.models, begun, cells)
+    rows = campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers)
+    setup = {"seal": seal, "counter": options.counter, "count": options.count}
+    data = test.report_of(rows, begun, cells, setup)
+    sys.stdout.write(publish(options.docs, "foreign_world", foreign_world_page(data), data))
+    return 0

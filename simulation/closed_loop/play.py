@@ -99,7 +99,6 @@ class Insertion:
             self._play()
         except (PhysicsError, GraspEndError) as stuck:
             void = f"physics: {stuck}"
-        error = cell.state.object_error
         fingers = (self.session.left, self.session.right)
         gone = any(isinstance(finger, TrueFieldFinger) and finger.gone for finger in fingers)
         in_gap, claimed = cell.state.inserted and not void and not gone, self.state.phase is Phase.INSERTED
@@ -109,12 +108,13 @@ class Insertion:
             attempts=self.state.attempt,
             reason=void or self.state.reason,
             void=bool(void),
-            final_error=(float(error[0]), float(error[1])),
+            final_error=(float(cell.state.object_error[0]), float(cell.state.object_error[1])),
             grasp_kept=not cell.state.grasp_lost,
             course=cell.course,
             trials=self.trials,
             in_gap=in_gap,
             seconds=self.seconds.spent,
+            shortfalls=cell.state.shortfalls,
         )
 
     def _play(self) -> None:
