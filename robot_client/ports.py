@@ -23,10 +23,12 @@ class DriverError(ValueError):
 class DeviceSettings(Contract):
     """The table of a device in the configuration; ``device`` names its line in :mod:`robot_client.devices`.
 
-    ``variables``: environment variables that stand in for keys of the table, each with the way to its key.
+    ``variables``: environment variables that stand in for keys of the table, each with the way to its key. ``pauses``,
+    of an arm: its driver can let a descent stand and go on (:meth:`Arm.move`).
     """
 
     variables: ClassVar[dict[str, tuple[str, ...]]] = {}
+    pauses: ClassVar[bool] = False
     device: str
 
     @property
@@ -72,7 +74,7 @@ class Arm(Protocol):
 
         A descent goes on only before ``until_s`` (``time.monotonic``); then the driver itself lets the arm stand, even
         if nothing else of the client runs any more. Without :meth:`renew` within ``PAUSE_S`` it holds, latched, and
-        reports a failure ``unwatched``. A driver that cannot stand and go on does so at once.
+        reports a failure ``unwatched``; at once where the arm cannot stand and go on (:attr:`DeviceSettings.pauses`).
         """
 
     def renew(self, until_s: float) -> None:

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from robot_client.insertion.events import Command, Hold, Move, Renew, Send, Source
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.lease import PAUSE_S
 from robot_client.insertion.limits import Leg, Motion, check_pose
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
@@ -148,7 +147,7 @@ def watched(state: State, captured_ns: int, at_s: float) -> State:
 
 def renew(state: State, captured_ns: int, at_s: float) -> Result:
     """Go on for a judged frame; a lease that ended too long ago is not renewed, however young the frame is."""
-    if at_s >= state.until_s + PAUSE_S:
+    if at_s >= state.until_s + state.plan.pause_s:
         return unwatched(state, at_s)
     newer, stood_s = watched(state, captured_ns, at_s), max(0.0, at_s - state.until_s)
     if stood_s and newer is not state:  # what lies ahead comes as much later
@@ -168,6 +167,18 @@ def unwatched(state: State, at_s: float) -> Result:
 def hold(state: State, reason: str, at_s: float) -> Result:
     deadline_s = at_s + state.plan.timeouts.stopping_s
     return replace(state, phase=Phase.STOPPING, path=(), deadline_s=deadline_s), (Hold(reason=reason),)
+
+
+def lift(state: State, at_s: float) -> Result:
+    """End a probe: straight up, where nothing more is asked for."""
+    assert state.armed is not None
+    return go(state, Phase.RETRACTING, (state.armed,), "retract", at_s)
+
+
+def probed(state: State) -> Result:
+    """The probe is done and the arm stands above the gap."""
+    abort = wire.Abort(insertion_id=state.plan.insertion_id, cause="probed", reason="a probe, done")
+    return replace(state, phase=Phase.PROBED, deadline_s=math.inf), (send(abort),)
 
 
 def retract(state: State, dx_mm: float, dtheta_deg: float, at_s: float) -> Result:

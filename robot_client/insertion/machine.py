@@ -5,7 +5,7 @@ greeting -> learning -> grasping -> approaching -> arming -> descending -> stopp
                                       correcting <- retracting <- deciding        any phase -> failed
 
 The same machine drives the live cell, the dry run, the lock-step simulation and the replay of an episode log.
-Once ``inserted`` or ``failed`` no event makes it order anything.
+A probe ends ``probed``, above the gap. Once it is over no event makes it order anything.
 """
 
 import math
@@ -19,6 +19,8 @@ from robot_client.insertion.actions import (
     fail,
     go,
     hold,
+    lift,
+    probed,
     renew,
     retract,
     send,
@@ -39,9 +41,8 @@ from robot_client.insertion.events import (
     Width,
 )
 from robot_client.insertion.grip import grasp, on_gripper
-from robot_client.insertion.lease import PAUSE_S, ClockMap
-from robot_client.insertion.limits import LimitError, check_correction, check_pose
-from robot_client.insertion.motion import check_ramps
+from robot_client.insertion.lease import ClockMap
+from robot_client.insertion.limits import LimitError, check_correction
 from robot_client.insertion.state import Phase, Plan, State, Timeouts
 from service.contract import wire
 
@@ -77,7 +78,7 @@ def _on_failure(state: State, event: Failure) -> Result:
 
 
 def _on_tick(state: State, event: Tick) -> Result:
-    if state.phase is Phase.DESCENDING and event.at_s >= state.until_s + PAUSE_S:
+    if state.phase is Phase.DESCENDING and event.at_s >= state.until_s + state.plan.pause_s:
         return unwatched(state, event.at_s)
     if state.phase is Phase.DESCENDING and state.speeds and event.at_s >= state.speeds[0][0]:
         return tell_speed(state)
@@ -103,13 +104,7 @@ _MOVING = frozenset({Phase.APPROACHING, Phase.DESCENDING, Phase.STOPPING, Phase.
 def _on_begin(state: State, event: Begin) -> Result:
     plan = state.plan
     try:
-        for target in (plan.approach, plan.deepest):
-            check_pose(plan.limits, target, "plan")
-        check_ramps(plan.limits, plan.ramps)
-        plan.lease.check(plan.ramps.descend.speed_mm_s)
-        plan.pace.check(plan.limits, plan.ramps.descend.speed_mm_s)
-        if plan.pace.fast_mm_s is not None:
-            plan.fast_lease.check(plan.pace.fast_mm_s)
+        plan.check()
     except LimitError as error:
         return fail(state, "limits", "plan", str(error))
     hello = wire.ClientHello(
@@ -121,9 +116,6 @@ def _on_begin(state: State, event: Begin) -> Result:
     deadline_s = event.at_s + plan.timeouts.greeting_s
     state = replace(state, phase=Phase.GREETING, pose=event.pose, held=event.held, deadline_s=deadline_s)
     return state, (send(hello),)
-
-
-# ---- motion ---------------------------------------------------------------------------------------------------------
 
 
 def _on_approached(state: State, event: Arrived) -> Result:
@@ -161,12 +153,16 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     if outcome == "blocked" and state.attempt >= plan.limits.max_attempts:
         state, commands = fail(state, "client", "attempts", f"not inserted after {state.attempt} attempts")
         return state, (stopped, *commands)
+    if plan.purpose == "probe" and outcome == "inserted":  # nothing was felt, so there is nothing to report
+        return lift(state, event.at_s)
     phase = Phase.CLOSING if outcome == "inserted" else Phase.DECIDING
     wait_s = plan.timeouts.closing_s if outcome == "inserted" else plan.timeouts.deciding_s
     return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (stopped,)
 
 
 def _on_retracted(state: State, event: Arrived) -> Result:
+    if state.plan.purpose == "probe":
+        return probed(state)
     assert state.armed is not None
     state = replace(state, armed=state.path[0].at_height(state.armed.z_mm))  # the vertical of the next attempt
     return go(state, Phase.CORRECTING, state.path, "travel", event.at_s)
@@ -222,9 +218,9 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
         return state, ()
     try:
         for camera in message.cameras:
-            state.plan.lease.check_rate(state.plan.ramps.descend.speed_mm_s, camera)
+            state.plan.check_camera(camera)
     except LimitError as error:
-        return fail(state, "limits", "camera_rate", str(error))
+        return fail(state, "limits", "camera", str(error))
     state, _ = _on_clock(replace(state, fast=state.plan.bears_fast(message.cameras)), message.clock, at_s)
     if state.held:  # the gels are under load: only a print that is regular by itself can say that they are touched
         return grasp(state, at_s)
@@ -282,6 +278,8 @@ def _on_attempt_message(state: State, message: wire.AttemptMessage, at_s: float)
 
 def _on_correction(state: State, message: wire.Correction, at_s: float) -> Result:
     """Applied once: the phase leaves DECIDING with it, so a repeated correction finds nothing to do."""
+    if state.plan.purpose == "probe":
+        return lift(state, at_s)
     try:
         age_s = at_s - state.stopped_s
         check_correction(state.plan.limits, message.attempt, message.dx_mm, message.dtheta_deg, age_s)
@@ -292,6 +290,8 @@ def _on_correction(state: State, message: wire.Correction, at_s: float) -> Resul
 
 def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
     """Probe the same spot again, the one motion that is no guess; not for ever, and never in a cell that is wrong."""
+    if state.plan.purpose == "probe":
+        return lift(state, at_s)
     count = state.no_decisions + 1
     if message.reason in {"non_finite", "contradictory"} or count > state.plan.max_no_decisions:
         code = "contradictory" if message.reason == "contradictory" else "no_decision"

@@ -4,16 +4,17 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Literal
 
 from pydantic import Field
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.lease import ClockMap, Lease
-from robot_client.insertion.limits import LimitError, Limits, Positive
-from robot_client.insertion.motion import Ramps
+from robot_client.insertion.lease import PAUSE_S, ClockMap, Lease
+from robot_client.insertion.limits import LimitError, Limits, Positive, check_pose
+from robot_client.insertion.motion import Ramps, check_ramps
 from robot_client.insertion.pace import Pace, Tops
 from service.contract import wire
-from service.contract.frames import Contract
+from service.contract.frames import Contract, Finger
 
 
 class Phase(StrEnum):
@@ -32,10 +33,11 @@ class Phase(StrEnum):
     CORRECTING = "correcting"
     CLOSING = "closing"
     INSERTED = "inserted"
+    PROBED = "probed"
     FAILED = "failed"
 
 
-TERMINAL = frozenset({Phase.INSERTED, Phase.FAILED})
+TERMINAL = frozenset({Phase.INSERTED, Phase.PROBED, Phase.FAILED})
 
 
 class Timeouts(Contract):
@@ -53,6 +55,10 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
+    ``gels``: which gels the cell was commissioned with.
+    ``pause_s``: how long a descent whose lease has ended may be taken up again; 0 where the arm cannot stand and go on.
+    A probe ends above the gap again after its first decision, whatever that is: it moves by no correction.
+
     ``creep_allowance_mm``: how much deeper than ``expected_depth_mm`` the TCP may go where earlier attempts pushed the
     object up in the hand, so that its bottom gets as deep as it should. 0: never deeper. ``clearance_mm``: the object's
     bottom above the blocks' tops at the approach, as far as that is known.
@@ -69,6 +75,7 @@ class Plan(Contract):
     depth_tolerance_mm: float = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
+    purpose: Literal["insert", "probe"] = "insert"
     client: str = "tactile-insertion robot client"
     object: str = Field(default="", max_length=128)
     controller: wire.ControllerName | None = None
@@ -76,7 +83,19 @@ class Plan(Contract):
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
     lease: Lease = Lease()
+    gels: dict[Finger, str] = Field(default_factory=dict)
+    pause_s: float = Field(default=0.0, ge=0.0, le=PAUSE_S)
     pace: Pace = Pace()
+
+    def check(self) -> None:
+        """Raise LimitError for a pose, a ramp, a speed or a lease that is not allowed."""
+        for target in (self.approach, self.deepest):
+            check_pose(self.limits, target, "plan")
+        check_ramps(self.limits, self.ramps)
+        self.lease.check(self.ramps.descend.speed_mm_s)
+        self.pace.check(self.limits, self.ramps.descend.speed_mm_s)
+        if self.pace.fast_mm_s is not None:
+            self.fast_lease.check(self.pace.fast_mm_s)
 
     @property
     def tops(self) -> Tops:
@@ -90,6 +109,14 @@ class Plan(Contract):
         if not fast or self.pace.fast_mm_s is None:
             return lasts_s
         return min(lasts_s, self.fast_lease.lasts_s(self.pace.fast_mm_s))
+
+    def check_camera(self, camera: wire.CameraEntry) -> None:
+        """Raise LimitError for a camera too slow for the descent, or behind a gel that nobody commissioned."""
+        self.lease.check_rate(self.ramps.descend.speed_mm_s, camera)
+        if self.gels and camera.gel != self.gels.get(camera.finger):
+            raise LimitError(
+                f"the {camera.finger} gel is not the one that this cell was commissioned with: commission it again"
+            )
 
     def bears_fast(self, cameras: Iterable[wire.CameraEntry]) -> bool:
         """Whether the cameras give frames enough for the fast legs; else a descent is slow all the way."""

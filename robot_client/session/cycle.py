@@ -183,13 +183,22 @@ class Cycle:
         await self._with_gripper(lambda gripper: gripper.release(self.settings.open_mm))
 
     async def _is_empty(self, gripper: Gripper) -> bool:
-        """Fingers as far apart as taught hold nothing; of others only closing tells: a link that ended says no more."""
-        return await gripper.width_mm() >= self.settings.open_mm - OPEN_MM or await gripper.finds_nothing()
+        return await is_empty(gripper, self.settings.open_mm)
 
     async def _with_gripper(self, work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
-        gripper = self.make_gripper()
-        try:
-            await gripper.connect()
-            return bool(await work(gripper))
-        finally:
-            await to_the_end(gripper.close())
+        return await with_gripper(self.make_gripper, work)
+
+
+async def is_empty(gripper: Gripper, open_mm: float) -> bool:
+    """Fingers as far apart as taught hold nothing; of others only closing tells: a link that ended says no more."""
+    return await gripper.width_mm() >= open_mm - OPEN_MM or await gripper.finds_nothing()
+
+
+async def with_gripper(make: Callable[[], Gripper], work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
+    """Connect, do one thing, close whatever happens."""
+    gripper = make()
+    try:
+        await gripper.connect()
+        return bool(await work(gripper))
+    finally:
+        await to_the_end(gripper.close())

@@ -28,7 +28,12 @@ class Telemetry:
         told = {"client": _version(), "protocol": str(wire.PROTOCOL), "python": platform.python_version()}
         task, approach = self.plan.object, pose(self.plan.approach)
         named = self.plan.insertion_id
-        self.send(wire.Episode(insertion_id=named, object=task, start=pose(start), approach=approach, versions=told))
+        purpose = self.plan.purpose
+        self.send(
+            wire.Episode(
+                insertion_id=named, purpose=purpose, object=task, start=pose(start), approach=approach, versions=told
+            )
+        )
 
     def sample(self, state: State, width_mm: float | None) -> None:
         """Take one sample; every fifth sends them."""

@@ -12,7 +12,8 @@ MAX_SAMPLES = 64
 Outcome = Literal["blocked", "inserted", "dropped", "stopped"]
 ControllerName = Literal["heuristic", "belief"]
 Cause = Literal[
-    "operator",  # a person's wish, and the only cause that is no failure
+    "operator",  # a person's wish
+    "probed",  # a probe did what it was asked to; this and a person's wish are no failures
     "attempts",  # as many as allowed, and still blocked
     "unwatched",  # the newest judged frame grew older than the lease
     "part_lost",
@@ -91,12 +92,13 @@ class ModelEntry(Contract):
 
 
 class CameraEntry(Contract):
-    """One finger's camera as the service sees it."""
+    """One finger's camera as the service sees it; ``gel`` names the one it was calibrated with, if that is known."""
 
     finger: Finger
     source: str
     state: Literal["live", "stalled", "lost", "starting"]
     frame_rate_hz: float | None = None
+    gel: str = Field(default="", max_length=64)
 
 
 class Limits(Contract):

@@ -9,23 +9,18 @@ The constants were fitted on 280 insertions in good cells and 161 in reversed on
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract.wire import Correction, Estimate
+from service.contract.wire import Correction
+from service.contract.words.wiring import WIRINGS
 from service.decision.evidence import Refusal
 from service.perception.observation import PairObservation
 
 Pair = NDArray[np.float64]  # x mm, theta deg
 
-CAUSES = {
-    (-1, 1): "corrections in x reach the arm reversed, or the fingers are swapped",
-    (1, -1): "corrections in yaw reach the arm reversed",
-    (-1, -1): "both pictures are mirrored, or the arm's frame is turned by half a turn",
-}
 ODDS = math.log(100.0)  # that a reversed cell must have against a good one; good ones reached 30 at most
 NAMED = math.log(20.0)  # causes that explain it this much worse than the best one are named, too
 SURE = np.array([2.2, 5.0])  # one sigma; an estimate with more says no more than that it does not know
@@ -42,7 +37,7 @@ LEAST_TURN_DEG, LIKE = 1.0, 0.5  # the smaller turn is at least this share of th
 class Consistency:
     """The log-likelihood of each way that a cell may be wired, given the attempts so far."""
 
-    _log: dict[tuple[int, int], float] = field(default_factory=lambda: dict.fromkeys([(1, 1), *CAUSES], 0.0))
+    _log: dict[tuple[int, int], float] = field(default_factory=lambda: dict.fromkeys([(1, 1), *WIRINGS], 0.0))
     _predicted: dict[tuple[int, int], Pair] = field(default_factory=dict)
     _variance: Pair = field(default_factory=lambda: np.zeros(2))
 
@@ -59,14 +54,6 @@ class Consistency:
         self._walk(np.array([correction.dx_mm, correction.dtheta_deg]), here, sigma, sure=sure)
         if causes := self.causes():
             raise Refusal("contradictory", f"the estimates contradict the moves: {'; or '.join(causes)}")
-
-    def add_probe(self, told: Pair, estimate: Estimate) -> None:
-        """Take in the estimate of an error that was known."""
-        here = np.array([estimate.dx_mm, estimate.dtheta_deg])
-        sigma = np.array([estimate.sigma_x_mm or math.inf, estimate.sigma_theta_deg or math.inf])
-        spread = np.sqrt(np.square(sigma) + np.square(MODEL_SIGMA))
-        for signs in self._log:
-            self._log[signs] += _log_density((here - np.array(signs) * told) / spread, spread, OUTLIERS)
 
     def _likelihood(self, predicted: Pair, here: Pair, sigma: Pair, *, sure: bool) -> float:
         far = bool((np.abs(predicted) > FAR).any())
@@ -93,25 +80,14 @@ class Consistency:
         best = max(self._log.values())
         if not best - self._log[1, 1] > ODDS:
             return []
-        likely = sorted((signs for signs in CAUSES if best - self._log[signs] < NAMED), key=lambda s: -self._log[s])
-        return [CAUSES[signs] for signs in likely]
+        likely = sorted((signs for signs in WIRINGS if best - self._log[signs] < NAMED), key=lambda s: -self._log[s])
+        return [WIRINGS[signs] for signs in likely]
 
 
 def _log_density(z: Pair, spread: Pair, outliers: float) -> float:
     """Of both axes together; an outlier may be anywhere in the range."""
     density = np.exp(-0.5 * np.square(z)) / (spread * math.sqrt(2.0 * math.pi))
     return float(np.log((1.0 - outliers) * density + outliers / RANGE).sum())
-
-
-def mistakes(told: Pair, estimates: Sequence[Estimate]) -> list[str]:
-    """How a cell is likely wired wrong whose probes at the errors ``told`` [n, 2] (mm, deg) gave these estimates.
-
-    Best explanation first; empty while a good cell explains the probes well enough.
-    """
-    judge = Consistency()
-    for error, estimate in zip(told, estimates, strict=True):
-        judge.add_probe(error, estimate)
-    return judge.causes()
 
 
 def mirrored(both: PairObservation) -> bool:

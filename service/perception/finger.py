@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import ContractError, Finger, FrameSpec, TactileFrame
+from service.perception.markers.fingerprint import OTHER_GEL, TELLING_N, fingerprint_of, likeness
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.observation import Observation
 from service.perception.rectification import CameraCalibration, Rectifier
@@ -30,6 +31,8 @@ class TactileFinger:
         self.finger = finger
         self._spec = spec
         self._rectifier = Rectifier(calibration) if calibration else None
+        measured = calibration.measured if calibration else None
+        self._fingerprint = measured.fingerprint if measured else ""
         self._tracker = MarkerTracker()
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
@@ -44,13 +47,23 @@ class TactileFinger:
         self._rearm = True
 
     def learn_open(self, frame: TactileFrame) -> str:
-        """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing."""
+        """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing.
+
+        A gel other than the one that was calibrated is refused: a swapped camera looks well by itself.
+        """
         image, _ = self._rectified(frame)
+        field = MarkerTracker().update(image, frame.captured_ns)
         try:
-            self._open.learn(MarkerTracker().update(image, frame.captured_ns), shrunk(image))
+            self._open.learn(field, shrunk(image))
         except ValueError as error:
             return str(error)
-        return ""
+        alike = likeness(self._fingerprint, fingerprint_of(field))
+        if alike is None or alike >= OTHER_GEL or field.valid.sum() < TELLING_N:
+            return ""
+        return (
+            f"this is not the gel that the camera was calibrated with (fingerprints {alike:.2f} alike, expected"
+            f" {OTHER_GEL:g}): are the cameras swapped, is it another gel, or does something touch it?"
+        )
 
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""

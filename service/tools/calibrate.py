@@ -5,6 +5,7 @@ The marker grid is regular on the gel, so the mapping that makes its image regul
 
 import threading
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import islice
 from math import ceil
@@ -17,15 +18,15 @@ from numpy.typing import NDArray
 from service.cameras.capture import CameraError
 from service.cameras.sources import open_source
 from service.contract import Finger, FrameSpec, Sensor
-from service.perception.markers.fingerprint import fingerprint, likeness
-from service.perception.rectification import CalibrationError, CameraCalibration, Measured
+from service.perception.markers.fingerprint import SAME_GEL, fingerprint_of, likeness
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.rectification import CalibrationError, CameraCalibration, Measured, Rectifier
 from service.tools.grid_fit import GridFit, fit_grid
 
 MIN_SIDE = 0.71  # of the rows and of the columns
 MIN_FOUND = 0.7
 MAX_DISPLACED = 0.1  # of the grid's markers: seen, but not where a resting gel has them
 MAX_RESIDUAL_PX = 1.0
-SAME_GEL = 0.9  # likeness of two fingerprints: two gels of one kind stay below 0.6
 WAIT_S = 10.0
 _DARK, _GLARE = 12, 243  # mean grey levels of a frame without light, and of one with too much
 
@@ -88,18 +89,17 @@ def rectify(image: NDArray[np.uint8], grid: GridFit, sensor: Sensor, serial: str
     first = np.asarray(sensor.first_marker_px) + spare * sensor.marker_pitch_px
     projection = grid.projection.scaled(sensor.marker_pitch_px, first)
     residual_px = float(np.sqrt(np.square(grid.off).sum(-1).mean())) * sensor.marker_pitch_px
-    off = np.zeros((*grid.shape, 2))
-    off[grid.cells[:, 1], grid.cells[:, 0]] = grid.off
+    raw = FrameSpec(height_px=image.shape[0], width_px=image.shape[1], rectified=False)
+    camera = CameraCalibration(projection.homography, raw, sensor.rectified, projection.lens, projection.warp)
+    seen = MarkerTracker().update(Rectifier(camera).apply(image), 0)
     measured = Measured(
         datetime.now(UTC).isoformat(timespec="seconds"),
         serial,
         round(residual_px, 4),
         round(float(grid.found.mean()), 4),
-        fingerprint(off, grid.found),
+        fingerprint_of(seen),
     )
-    raw = FrameSpec(height_px=image.shape[0], width_px=image.shape[1], rectified=False)
-    camera = CameraCalibration(projection.homography, raw, sensor.rectified, projection.lens, projection.warp, measured)
-    return Fit(camera, grid, residual_px, first, sensor.marker_pitch_px)
+    return Fit(replace(camera, measured=measured), grid, residual_px, first, sensor.marker_pitch_px)
 
 
 def of_sensor(grid: GridFit, sensor: Sensor) -> bool:

@@ -7,13 +7,13 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, G
 
 from service.cameras.capture import now_ns
 from service.contract import Finger, wire
+from service.contract.replies import ending
 from service.perception.observation import Observation
 from service.session.station import Station
 
 _STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13, 0.25, 0.5, 1, 2)
 
 NO_CAUSE = "none"
-_OUTCOME = {"not_confirmed": "not_confirmed"}
 
 
 class Metrics:
@@ -29,7 +29,7 @@ class Metrics:
         self._refusals = Counter("no_decisions", "Attempts without a correction", ["reason"], **make)
         self._finished = Counter("insertions", "Insertions by outcome and cause", ["outcome", "cause"], **make)
         for cause in get_args(wire.Cause):  # a series that begins at its first event hides that event from increase()
-            self._finished.labels("aborted" if cause == "operator" else _OUTCOME.get(cause, "failed"), cause)
+            self._finished.labels(ending(cause), cause)
         self._finished.labels("inserted", NO_CAUSE)
         self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
         self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)

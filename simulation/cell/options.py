@@ -33,6 +33,8 @@ class CellOptions:
     """The object stands in its fixture between the open fingers at the start, or is held already."""
     feed: bool = False
     """A new object stands in the fixture each time the arm is back there, and another box below the gap."""
+    fixture_spread: bool = True
+    """The fixture of --feed leaves an error that nobody is told; off, it holds the object where it is taught."""
     world: str | None = None
     """A world file (see docs/worlds.md); the project's own cell if left out."""
     fixed_blocks: bool = False

@@ -56,6 +56,7 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         x_mm, theta_deg = options.x_mm, options.theta_deg
         if options.feed:
             cell.reset_blocks()
+        if options.feed and options.fixture_spread:
             x_mm, theta_deg = draw_start(scene, options.seed + part_n)
         cell.regrasp(x_mm, theta_deg)
         return _pose_of(cell)

@@ -1,21 +1,28 @@
-"""`python -m simulation drawn-worlds`: the closed loop in worlds that nobody trained for, all variants, resumable."""
+"""`drawn-worlds` and `sealed`: the closed loop where nobody trained; `draw-worlds`, `draw-objects`: files for it."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from reporting.files import write_durably
+from reporting.page import publish
+from service.contract.shipped import released_models
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
 from simulation.closed_loop.campaign import fingerprint
 from simulation.scene import drawn
+from simulation.scene.rubber import shear_reach_pitches
+from simulation.scene.worlds import World, load_scene
 from simulation.studies import drawn_worlds
 from simulation.studies.drawn_worlds import Variant
+from simulation.studies.witness import sealed as test
+from simulation.studies.witness.sealed_page import foreign_world_page
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,9 @@ def main(arguments: list[str]) -> int:
     for number, tables in enumerate(drawn.draw_worlds(options.drawn_n, options.seed)):
         tables["gel"]["tier"] = "layer" if number < options.layer_share * options.drawn_n else "bristle"
         worlds.append(drawn.world(tables, f"drawn-{number:04d}"))
-    begun = drawn_worlds.starts(worlds, _objects(options), options.count, options.seed)
+    begun = drawn_worlds.starts(
+        worlds, _objects(options.out, options.drawn_n, options.seed), options.count, options.seed
+    )
     played = _variants(options)
     setup = fingerprint({variant.title: variant.models for variant in played})
     campaign.claim(options.out, setup)
@@ -74,11 +83,95 @@ def _variants(options: Options) -> list[Variant]:
     return found
 
 
-def _objects(options: Options) -> list[str]:
+def _objects(out: Path, count: int, seed: int) -> list[str]:
     """Drawn objects as files in OUT: a job names its object by a file."""
-    folder = options.out / "objects"
+    folder = out / "objects"
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"object-{number:04d}.toml" for number in range(options.drawn_n)]
-    for path, tables in zip(paths, drawn.draw_objects(options.drawn_n, options.seed), strict=True):
+    paths = [folder / f"object-{number:04d}.toml" for number in range(count)]
+    for path, tables in zip(paths, drawn.draw_objects(count, seed), strict=True):
         write_durably(path, drawn.toml(tables, "drawn").encode())
     return [str(path) for path in paths]
+
+
+@dataclass(frozen=True)
+class SealedOptions:
+    """Play the sealed test of a release: worlds and starts follow from the networks' bytes and a counter.
+
+    Results go to OUT/insertions.jsonl as they come; the same command goes on where it was interrupted, and a larger
+    --count adds to it. The report goes to DOCS/foreign_world.md and .json. All figures are simulated.
+    """
+
+    out: Path = Path("runs/sealed")
+    """folder for results"""
+    docs: Path = Path("runs/sealed")
+    """folder for the report"""
+    models: Path = field(default_factory=released_models)
+    """folder of the release"""
+    counter: int = 1
+    """which test of this release; a release is judged by the first"""
+    count: int = 100
+    """insertions a family, at most 500"""
+    beside: tuple[Literal["bristle", "layer"], ...] = ("bristle",)
+    """tiers of our own physics that play the same starts, after the finite elements"""
+    workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
+    """processes; 0 takes every core"""
+
+
+def sealed(arguments: list[str]) -> int:
+    """Play, then write the page."""
+    options = tyro.cli(SealedOptions, args=arguments, prog="tactile-insertion sealed")
+    if not 1 <= options.count <= test.WORLDS * test.EACH:
+        raise ValueError(f"--count {options.count}: expected 1 to {test.WORLDS * test.EACH}")
+    if not list(options.models.glob("*.step.onnx")):
+        raise ValueError(f"--models {options.models}: no *.step.onnx there; expected the folder of a release")
+    seal, cells = test.seal(options.models, options.counter), (test.WITNESS, *options.beside)
+    campaign.claim(options.out, {**campaign.fingerprint({"release": options.models}), "seal": seal})
+    begun = test.opened(seal, _objects(options.out, test.WORLDS, test.seed_of(seal, "objects")), options.count)
+    todo = test.tasks(seal, options.models, begun, cells)
+    rows = campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers)
+    setup = {"seal": seal, "counter": options.counter, "count": options.count}
+    data = test.report_of(rows, begun, cells, setup)
+    sys.stdout.write(publish(options.docs, "foreign_world", foreign_world_page(data), data))
+    return 0
+
+
+@dataclass(frozen=True)
+class DrawOptions:
+    """Write files NAME-0000.toml, NAME-0001.toml, ... over the ranges that cells have. Same seed, same files."""
+
+    out: Path
+    """new or empty folder"""
+    count: int = 300
+    """how many"""
+    seed: int = 0
+    """of the draw"""
+
+
+def _write(options: DrawOptions, kind: str, tables: list[drawn.Tables], comment: Callable[[World], str]) -> int:
+    if options.out.exists() and any(options.out.iterdir()):
+        raise ValueError(f"--out {options.out}: not empty; nothing is overwritten")
+    options.out.mkdir(parents=True, exist_ok=True)
+    for number, each in enumerate(tables):
+        name = f"{kind}-{options.seed}-{number:04d}"
+        said = comment(drawn.world(each, name)) if kind == "world" else f"drawn with seed {options.seed}"
+        (options.out / f"{name}.toml").write_text(drawn.toml(each, said), encoding="utf-8")
+    print(f"{len(tables)} {kind}s under {options.out}")
+    return 0
+
+
+def draw_worlds(arguments: list[str]) -> int:
+    """Write worlds by Latin hypercube."""
+    options = tyro.cli(DrawOptions, args=arguments, prog="tactile-insertion draw-worlds")
+    box = load_scene("rectangle")
+
+    def comment(world: World) -> str:
+        reach = shear_reach_pitches(world.around(box))
+        return f"drawn with seed {options.seed}; a flat object slides after {reach:.2f} marker pitches of shear"
+
+    return _write(options, "world", drawn.draw_worlds(options.count, options.seed), comment)
+
+
+def draw_objects(arguments: list[str]) -> int:
+    """Write random convex objects."""
+    options = tyro.cli(DrawOptions, args=arguments, prog="tactile-insertion draw-objects")
+    return _write(options, "object", drawn.draw_objects(options.count, options.seed), lambda _: "")

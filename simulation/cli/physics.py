@@ -84,12 +84,12 @@ class HardProbeOptions:
     """probes"""
     seed: int = 12
     """of the probes; number k of a seed is always the same probe"""
-    tier: Literal["bristle", "layer"] = "bristle"
-    """pads to press with"""
+    tier: Literal["bristle", "layer", "foreign"] = "bristle"
+    """pads to press with; foreign: finite elements, of rubber that ends 1 mm beyond the markers"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
     """processes; 0 takes every core"""
     out: Path | None = None
-    """folder for hard_probes.TIER.json and hard_probes.md; none: print only"""
+    """folder for hard_probes.TIER.json and, but for foreign, hard_probes.md; none: print only"""
 
 
 def hard_probes(arguments: list[str]) -> int:
@@ -113,7 +113,7 @@ def hard_probes(arguments: list[str]) -> int:
     except probes.ImpossibleStateError as error:
         raise ValueError(f"a promise is broken: {error}") from error
     text = hard_probes_page({**setup, **tally.as_dict()})
-    print(text if options.out is None else publish(options.out, "hard_probes", text))
+    print(text if options.out is None or options.tier == "foreign" else publish(options.out, "hard_probes", text))
     return 0
 
 

@@ -24,6 +24,7 @@ GRAVITY_N_PER_KG = 9.81
 TANGENTIAL_SHARE = 0.5  # of a contact's stiffness across its normal
 TABLE_N_PER_MM = 2000.0  # below each corner of a free block
 NEAR_MM = 1.0
+OPENING, FIRST_BLOCK = 6, 7  # places among the motions
 SHARERS = 8  # a curved bottom's many corners share the stiffness of this many
 
 
@@ -35,7 +36,10 @@ class Hand(NamedTuple):
 
 
 class Bodies:
-    """A drive: the object's twist in the hand (6) and, where blocks are free, one of each block (12, work object)."""
+    """A drive of the object's twist in the hand (6), the fingers' opening (1) and the twists of free blocks (12).
+
+    The gripper keeps its force, so that the fingers follow gels that give way. Blocks' are in the work-object frame.
+    """
 
     turns = True
 
@@ -51,7 +55,8 @@ class Bodies:
         self._centre = np.array([0.0, 0.0, body.centre_of_mass_height_mm - scene.grasp.height_mm])
         self._block_weight_n = blocks.mass_kg * GRAVITY_N_PER_KG
         self._half_gap_mm = 0.5 * blocks.gap_mm
-        self.count = 18 if self.free else 6
+        self.grip_n = scene.grasp.force_n
+        self.count = FIRST_BLOCK + (12 if self.free else 0)
         corners = np.array([[x, y, -self._size[2]] for x in (0.0, self._size[0]) for y in (-0.5, 0.5)])
         self._base = corners * [1.0, self._size[1], 1.0]
         self._slots = 2 + 2 * len(self.foot)
@@ -94,7 +99,7 @@ class Bodies:
     def arrive(self, grip: Grip) -> None:
         """The step came to rest: keep what friction has stretched."""
         contacts, _ = self._contacts(grip)
-        press, drag = self._forces(contacts, grip)
+        press, drag = self._forces(contacts, self._slid(contacts, grip))
         self.stretch[:] = 0.0
         self.stretch[contacts.slots] = -drag / (TANGENTIAL_SHARE * contacts.stiffness)[:, None]
         self.touching = bool((press[contacts.slots < 2 * self._slots] > 0.0).any())
@@ -124,8 +129,10 @@ class Bodies:
         corners, axis = self._seen_from(b, grip), self.block_turn[b].T @ self.pose(grip)[0][:, 2]
         find = against_wall if self.beside[b] else on_top
         found, frame = find(corners, axis, self._props), self.block_turn[b]
-        near: list[Any] = [part[found.gaps < NEAR_MM] for part in found]
-        found = Contacts(*near)
+        close = found.gaps < NEAR_MM
+        if not close.all():
+            near: list[Any] = [part[close] for part in found]
+            found = Contacts(*near)
         return found._replace(
             points=found.points @ frame.T + self.block_place[b],
             normals=found.normals @ frame.T,
@@ -146,36 +153,35 @@ class Bodies:
         """How far the first body's material has slid on the second's since the step began, [m, 3], mm, with stretch."""
         points, slots = contacts.points, contacts.slots
         turn, place = self.pose(grip)
-        ours = (points - place) @ turn @ self._start[0].T + self._start[1]
-        theirs = points.copy()
-        for b in range(2):
-            mine, based = slots // self._slots == b, (slots - 2 * self._slots) // 4 == b
-            back = (points - self.block_place[b]) @ self.block_turn[b] @ self._block_start[0][b].T + self._block_start[
-                1
-            ][b]
-            theirs[mine], ours[based] = back[mine], back[based]
-        slid = theirs - ours + self._old[slots]
-        return np.asarray(slid - np.einsum("ij,ij->i", slid, contacts.normals)[:, None] * contacts.normals)
+        ours = (points - place) @ (self._start[0] @ turn.T).T + self._start[1]
+        theirs = points
+        if self.free:
+            theirs = points.copy()
+            for b in range(2):
+                mine, based = slots // self._slots == b, (slots - 2 * self._slots) // 4 == b
+                back = self.block_turn[b] @ self._block_start[0][b].T
+                moved = (points - self.block_place[b]) @ back + self._block_start[1][b]
+                theirs[mine], ours[based] = moved[mine], moved[based]
+        slid, normals = theirs - ours + self._old[slots], contacts.normals
+        return np.asarray(slid - (slid * normals).sum(axis=1)[:, None] * normals)
 
-    def _forces(self, contacts: Contacts, grip: Grip) -> tuple[Array, Array]:
+    def _forces(self, contacts: Contacts, slid: Array) -> tuple[Array, Array]:
         """Normal forces [m] and friction [m, 3] on the first bodies, N."""
         press = np.maximum(-contacts.gaps, 0.0) * contacts.stiffness
-        drag = -(TANGENTIAL_SHARE * contacts.stiffness)[:, None] * self._slid(contacts, grip)
-        size = np.linalg.norm(drag, axis=1)
+        drag = -(TANGENTIAL_SHARE * contacts.stiffness)[:, None] * slid
+        size = np.sqrt((drag * drag).sum(axis=1))
         return press, drag * np.minimum(1.0, contacts.friction * press / np.maximum(size, 1e-300))[:, None]
 
-    def _slopes(self, contacts: Contacts, grip: Grip, *, careful: bool) -> Array:
+    def _slopes(self, contacts: Contacts, press: Array, slid: Array, *, careful: bool) -> Array:
         """How each contact's force on its first body changes with relative motion there, [m, 3, 3]."""
-        press = np.maximum(-contacts.gaps, 0.0) * contacts.stiffness
         across = TANGENTIAL_SHARE * contacts.stiffness
-        slid, normals = self._slid(contacts, grip), contacts.normals
-        size = np.linalg.norm(slid, axis=1)
-        bound = contacts.friction * press
+        normals, size = contacts.normals, np.sqrt((slid * slid).sum(axis=1))
+        bound, most = contacts.friction * press, np.maximum(size, 1e-300)
         slips = across * size > bound
-        ahead = slid / np.maximum(size, 1e-300)[:, None] * (not careful)
+        ahead = slid / most[:, None] * (not careful)
         flat = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         stick = across[:, None, None] * flat
-        slide = (bound / np.maximum(size, 1e-300))[:, None, None] * (flat - ahead[:, :, None] * ahead[:, None, :])
+        slide = (bound / most)[:, None, None] * (flat - ahead[:, :, None] * ahead[:, None, :])
         down = (contacts.stiffness * (press > 0.0))[:, None, None] * normals[:, None, :]
         follow = (contacts.friction * slips)[:, None] * ahead
         return np.asarray(-(normals - follow)[:, :, None] * down - np.where(slips[:, None, None], slide, stick))
@@ -185,9 +191,9 @@ class Bodies:
         out = np.zeros((len(bodies), 3, self.count))
         of_object = bodies < 2
         local = (contacts.points[of_object] - self.hand.place) @ self.hand.turn
-        out[of_object, :, :6] = np.einsum("ij,mjk->mik", self.hand.turn, lines_of(local))
+        out[of_object, :, :6] = self.hand.turn @ lines_of(local)
         for b in range(2) if self.free else ():
-            at = slice(6 + 6 * b, 12 + 6 * b)
+            at = _of_block_motion(b)
             for body, sign in ((b, -1.0), (2 + b, 1.0)):
                 mine = bodies == body
                 out[mine, :, at] = sign * lines_of(contacts.points[mine] - self.block_place[b])
@@ -195,64 +201,78 @@ class Bodies:
 
     # ---- the drive --------------------------------------------------------------------------------------------------
 
-    def push(self, grip: Grip, *, careful: bool = False) -> Push:
+    def push(self, grip: Grip) -> Push:
         """Contacts and weights; careful: what slides is as stiff along its slide as across it."""
         contacts, bodies = self._contacts(grip)
-        press, drag = self._forces(contacts, grip)
-        forces = press[:, None] * contacts.normals + drag
-        follow = self._follow(contacts, bodies)
-        total = self._weights(grip) + np.einsum("mik,mi->k", follow, forces)
-        slopes = np.einsum("mij,mjl->mil", self._slopes(contacts, grip, careful=careful), follow)
-        slopes[:, :, 3:6] -= (contacts.turns * press)[:, None, None] * cross_matrix(contacts.normals) @ self.hand.turn
-        slope = np.einsum("mik,mil->kl", follow, slopes)
-        arms = np.einsum(
-            "mij,mjk,mkl->il",
-            -cross_matrix(forces[bodies < 2]),
-            contacts.travel[bodies < 2],
-            follow[bodies < 2],
-            optimize=True,
-        )
-        slope[3:6] += self.hand.turn.T @ arms
-        return Push(total, slope)
+        slid = self._slid(contacts, grip)
+        press, drag = self._forces(contacts, slid)
+        forces, follow = press[:, None] * contacts.normals + drag, self._follow(contacts, bodies)
+        flat = follow.reshape(3 * len(bodies), self.count)
+
+        def slope(careful: bool) -> Array:
+            slopes = self._slopes(contacts, press, slid, careful=careful) @ follow
+            slopes[:, :, 3:6] -= (contacts.turns * press)[:, None, None] * cross_matrix(contacts.normals) @ hand
+            out: Array = flat.T @ slopes.reshape(flat.shape)
+            ours = bodies < 2
+            arms = (cross_matrix(forces[ours]) @ contacts.travel[ours] @ follow[ours]).sum(axis=0)
+            out[3:6] -= hand.T @ arms
+            return out
+
+        hand = self.hand.turn
+        return Push(self._weights(grip) + flat.T @ forces.ravel(), slope)
 
     def _weights(self, grip: Grip) -> Array:
         out = np.zeros(self.count)
-        out[2] = -self.weight_n
-        out[3:6] = np.cross(grip.place + grip.turn @ self._centre, out[:3])
+        out[2], out[OPENING] = -self.weight_n, -self.grip_n
+        x, y, _ = grip.place + grip.turn @ self._centre
+        out[3], out[4] = -y * self.weight_n, x * self.weight_n
         for b in range(2) if self.free else ():
-            at, down = 6 + 6 * b, np.array([0.0, 0.0, -self._block_weight_n])
-            out[at : at + 3] = down
-            out[at + 3 : at + 6] = np.cross(self.block_turn[b] @ (np.array([0.5, 0.0, -0.5]) * self._size), down)
+            at = FIRST_BLOCK + 6 * b
+            x, y, _ = self.block_turn[b] @ (np.array([0.5, 0.0, -0.5]) * self._size)
+            out[at + 2] = -self._block_weight_n
+            out[at + 3], out[at + 4] = -y * self._block_weight_n, x * self._block_weight_n
         return out
 
     def lines(self, _grip: Grip, points: Array) -> Array:
-        """Nodes follow the object's twist: [n, 3, 6]."""
-        return lines_of(points)
+        """Nodes follow the object's twist, and the gel's rest goes with the fingers: [n, 3, 7]."""
+        opening = np.zeros((len(points), 3, 1))
+        opening[:, 1, 0] = np.repeat([-0.5, 0.5], len(points) // 2)
+        return np.concatenate([lines_of(points), opening], axis=2)
 
     def move(self, grip: Grip, motion: Array) -> None:
-        """Apply twists to the object and to the blocks."""
+        """Apply twists to the object and to the blocks, and open the fingers."""
         turn = rotation(motion[3:6])
         grip.turn, grip.place = turn @ grip.turn, turn @ grip.place + motion[:3]
+        grip.opening += float(motion[OPENING])
         for b in range(2) if self.free else ():
-            at = 6 + 6 * b
-            self.block_turn[b] = rotation(motion[at + 3 : at + 6]) @ self.block_turn[b]
-            self.block_place[b] += motion[at : at + 3]
+            x, y, z, *angles = motion[_of_block_motion(b)]
+            self.block_turn[b] = rotation(np.array(angles)) @ self.block_turn[b]
+            self.block_place[b] += (x, y, z)
 
     def motion_since(self, before: Grip, after: Grip) -> Array:
         """The motion [k] that `move` needs to come from one state to the other; the blocks' since the step began."""
         out = np.zeros(self.count)
         turn = after.turn @ before.turn.T
         out[:3], out[3:6] = after.place - turn @ before.place, rotation_vector(turn)
+        out[OPENING] = after.opening - before.opening
         for b in range(2) if self.free else ():
-            at = 6 + 6 * b
-            out[at : at + 3] = self.block_place[b] - self._block_start[1][b]
-            out[at + 3 : at + 6] = rotation_vector(self.block_turn[b] @ self._block_start[0][b].T)
+            turned = rotation_vector(self.block_turn[b] @ self._block_start[0][b].T)
+            out[_of_block_motion(b)] = np.concatenate([self.block_place[b] - self._block_start[1][b], turned])
         return out
 
     def weight(self, force: Array) -> float:
         """Forces in N; torques by ARM_MM."""
-        parts = np.abs(force.reshape(-1, 2, 3)) / np.array([1.0, ARM_MM])[:, None]
-        return float(parts.max())
+        parts = np.abs(np.delete(force, OPENING).reshape(-1, 2, 3)) / np.array([1.0, ARM_MM])[:, None]
+        return max(float(parts.max()), abs(float(force[OPENING])))
+
+    def reach(self, motion: Array) -> float:
+        """About how far a motion [k] moves anything, mm."""
+        parts = np.abs(np.delete(motion, OPENING).reshape(-1, 2, 3)) * np.array([1.0, ARM_MM])[:, None]
+        return max(float(parts.max()), abs(float(motion[OPENING])))
+
+    def wrench(self, grip: Grip) -> Array:
+        """What blocks and weight do to the object, [6] N, N mm, at the TCP, hand frame."""
+        return self.push(grip).force[:6]
 
     def block_motion(self) -> Array:
         """How both blocks have moved, [2, 4]: dx, dy mm, yaw and tilt deg."""
@@ -264,13 +284,9 @@ class Bodies:
             out[b, 3] = math.degrees(math.atan2(math.hypot(turn[2, 0], turn[2, 1]), turn[2, 2]))
         return out
 
-    def reach(self, motion: Array) -> float:
-        """About how far a motion [k] moves anything, mm."""
-        return float((np.abs(motion.reshape(-1, 2, 3)) * np.array([1.0, ARM_MM])[:, None]).max())
 
-    def wrench(self, grip: Grip) -> Array:
-        """What blocks and weight do to the object, [6] N, N mm, at the TCP, hand frame."""
-        return self.push(grip).force[:6]
+def _of_block_motion(b: int) -> slice:
+    return slice(FIRST_BLOCK + 6 * b, FIRST_BLOCK + 6 + 6 * b)
 
 
 def hand_at(pose: Array) -> Hand:

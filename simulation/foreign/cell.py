@@ -138,10 +138,7 @@ class ForeignCell:
             if abs(share - 1.0) < 0.5 and np.abs(travel - share * last).max() < 1e-9:
                 step.guess(share * on, share * motion)
         self._pace = None
-        try:
-            residual = step.solve(TOLERANCE_N)
-        except np.linalg.LinAlgError:
-            residual = math.inf
+        residual = step.solve(TOLERANCE_N)
         self.iterations += step.iterations
         if not residual <= TOLERANCE_N:  # not a number is no rest either
             step.undo()

@@ -20,10 +20,9 @@ class Closing:
     def __init__(self, side: Array, force_n: float) -> None:
         self._side, self.force_n = side, force_n
 
-    def push(self, _grip: Grip, *, careful: bool = False) -> Push:
+    def push(self, _grip: Grip) -> Push:
         """The gels push the fingers apart, the drive holds against it."""
-        del careful  # nothing slides here
-        return Push(np.array([-self.force_n, 0.0]), np.zeros((2, 2)))
+        return Push(np.array([-self.force_n, 0.0]), lambda _careful: np.zeros((2, 2)))
 
     def lines(self, _grip: Grip, points: Array) -> Array:
         """Opening moves the gel's rest away from the nodes, the object takes them along: [n, 3, 2]."""

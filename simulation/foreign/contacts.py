@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.foreign.rigid import cross_matrix
+
 Array = NDArray[np.float64]
 
 ENTERED_MM = 0.5  # how much deeper than it overlaps an object must be to count as beside a block
@@ -58,7 +60,7 @@ def on_top(corners: Array, axis: Array, props: Properties) -> Contacts:
     cut, corner = np.flatnonzero(over != (ahead[:, 0] > 0.0)), np.flatnonzero(over)
     along = ahead[cut] - corners[cut]
     ends = corners[cut] + (corners[cut, 0] / (corners[cut, 0] - ahead[cut, 0]))[:, None] * along
-    beside = np.cross(along, axis)  # normal of the upright side through which the edge leaves
+    beside = along @ cross_matrix(axis)  # along x axis, the normal of the upright side through which the edge leaves
     shift = np.zeros((len(cut), 3, 3))
     shift[:, 1] = beside / np.where(np.abs(beside[:, 1:2]) > 0.07 * np.abs(beside[:, :1]), beside[:, 1:2], np.inf)
     slots = np.concatenate([np.where(over[cut], 0, 1), 2 + corner])

@@ -8,6 +8,7 @@ its pressures (as in Haslinger's fixed point), and gives up by name where that d
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -18,7 +19,7 @@ from simulation.foreign.surface import HeldSurface
 
 Array = NDArray[np.float64]
 
-FOLLOWING, HOLDING, ROUNDS = 20, 20, 15
+FOLLOWING, HOLDING, ROUNDS = 20, 20, 40
 CURVED = 8  # iterations in which the held surface's planes are renewed; a kink would have them jump for ever
 NEARLY_N = 1e-4  # limits that a round changes by less are left to Newton
 BALANCING, BALANCED, SEARCHING, OVERSHOT = 8, 1e-2, 5, 0.5
@@ -28,10 +29,13 @@ ARM_MM = 10.0  # turns a torque residual into a force, a rotation into a way
 
 
 class Push(NamedTuple):
-    """Generalised force on the rigid motions [k] (N, N mm) and its derivative [k, k]."""
+    """Generalised force on the rigid motions [k] (N, N mm), and what gives its derivative [k, k] in that state.
+
+    The derivative is asked for with whether to be careful: with a slope that never gives out, for friction that slides.
+    """
 
     force: Array
-    slope: Array
+    slope: Callable[[bool], Array]
 
 
 class Drive(Protocol):
@@ -40,8 +44,8 @@ class Drive(Protocol):
     count: int  # k
     turns: bool  # whether the first six are the held object's twist about the TCP
 
-    def push(self, grip: Grip, *, careful: bool = False) -> Push:
-        """What acts in a state; careful: with a slope that never gives out, for friction that slides."""
+    def push(self, grip: Grip) -> Push:
+        """What acts in a state."""
 
     def lines(self, grip: Grip, points: Array) -> Array:
         """How the pads' nodes [n, 3] follow the first j motions, relative to the gel's rest: [n, 3, j]."""
@@ -115,6 +119,12 @@ class Step:
 
     def run(self, tolerance_n: float, limit: Array | None, most: int) -> float:
         """Newton's iteration with limits held [n] or following (None). The residual, N; infinite: not at rest."""
+        try:
+            return self._run(tolerance_n, limit, most)
+        except np.linalg.LinAlgError:
+            return np.inf
+
+    def _run(self, tolerance_n: float, limit: Array | None, most: int) -> float:
         pads, grip, drive = self.pads, self.grip, self.drive
         pads.settle(grip, self.planes, self.start, grip.status)
         residual = np.inf
@@ -122,83 +132,87 @@ class Step:
             if i < CURVED:
                 self.planes = pads.planes(self.held, grip.on)
             judged = pads.judge(grip, self.planes, self.start, limit)
-            lines = drive.lines(grip, grip.points)
-            left = drive.push(grip).force
+            lines, push = drive.lines(grip, grip.points), drive.push(grip)
+            left = push.force.copy()
             left[: lines.shape[2]] -= judged.forces.ravel() @ lines.reshape(3 * len(grip.on), -1)
             before, residual = residual, max(drive.weight(left), judged.amiss_n)
             if residual <= tolerance_n or not np.isfinite(residual):
                 return residual
             if abs(residual - before) < STUCK * residual:
                 break
-            if (judged.status != grip.status).any() or i < CURVED:
-                pads.settle(grip, self.planes, self.start, judged.status)
+            if ((judged.status != grip.status).any() or i < CURVED) and pads.settle(
+                grip, self.planes, self.start, judged.status
+            ):
                 judged = pads.judge(grip, self.planes, self.start, limit)
             self.iterations += 1
-            self._improve(judged, lines, follow=limit is None)
+            self._improve(judged, lines, push, follow=limit is None)
         return np.inf
 
-    def _improve(self, judged: Judged, lines: Array, *, follow: bool) -> None:
-        """Newton's step of the pads, whose free nodes are eliminated; what the pads then are to the drive is linear."""
+    def _improve(self, judged: Judged, lines: Array, push: Push, *, follow: bool) -> None:
+        """Newton's step of the pads, whose slipping nodes are eliminated; what they then are to the drive is linear."""
         pads, grip, drive, k = self.pads, self.grip, self.drive, lines.shape[2]
         matrix, force, answers = np.zeros((drive.count, drive.count)), np.zeros(drive.count), []
-        flat = lines.reshape(2, 3 * pads.count, k)
-        for pad, forces in enumerate(judged.forces.reshape(2, -1)):
+        for pad in range(2):
             rows = pads.rows(pad, grip, judged, lines, follow=follow, turns=drive.turns)
-            back = -(pads.stiffness[pad] @ flat[pad]).T
+            back = -(rows.stiffness @ rows.lines).T
             if drive.turns:
-                back[3:6] += _torque_rows(forces.reshape(-1, 3))
+                back[3:6] += _torque_rows(rows.forces.reshape(-1, 3))
             answer = np.linalg.solve(rows.matrix, np.column_stack([rows.defect, rows.coupling]))
-            reach = back @ rows.columns.T
-            matrix[:k, :k] += back @ flat[pad] - reach @ answer[:, 1:]
-            force[:k] -= forces @ flat[pad] + reach @ answer[:, 0]
-            answers.append((rows.columns, answer))
-        motion = self._balance(force, matrix)[:k]
-        moved = np.concatenate([columns.T @ -(a[:, 0] + a[:, 1:] @ motion) for columns, a in answers])
-        moved = moved.reshape(-1, 3) @ grip.turn
+            reach = rows.along(back)
+            matrix[:k, :k] += back @ rows.lines - reach @ answer[:, 1:]
+            force[:k] -= rows.forces @ rows.lines + reach @ answer[:, 0]
+            answers.append((rows, answer))
+        motion = self._balance(push, force, matrix)[:k]
+        moved = np.zeros_like(grip.on)
+        for rows, answer in answers:
+            slid = -(answer[:, 0] + answer[:, 1:] @ motion).reshape(-1, 2)
+            moved[rows.slipping] = np.einsum("sak,sa->sk", rows.tangents, slid) @ grip.turn
         grip.on += min(1.0, LONGEST_MM / max(1e-300, float(np.abs(moved).max()))) * moved
+        pads.relax(grip)
 
-    def _balance(self, force: Array, matrix: Array) -> Array:
+    def _balance(self, push: Push, force: Array, matrix: Array) -> Array:
         """Move the drive to where its push balances the pads' force + matrix y; the motion y [k].
 
         A problem of few unknowns and stiff contacts: Newton's iteration with a line search and, where contacts that
         slide have nothing to hold on to, one that takes their friction for springs of the size it has.
         """
         drive, grip = self.drive, self.grip
-        goal = BALANCED * drive.weight(drive.push(grip).force + force)
+        goal = BALANCED * drive.weight(push.force + force)
         at, memory = grip.copy(), drive.memory()
         for careful, most in ((False, BALANCING), (True, 4 * BALANCING)):
             total = np.zeros_like(force)
             for _ in range(most):
-                push = drive.push(grip, careful=careful)
                 rest = force + matrix @ total
                 left = push.force + rest
                 if drive.weight(left) <= goal:
                     return total
-                motion: Array = np.asarray(np.linalg.solve(push.slope + matrix, -left), np.float64)
+                motion: Array = np.asarray(np.linalg.solve(push.slope(careful) + matrix, -left), np.float64)
                 motion = motion * min(1.0, LONGEST_MM / max(1e-300, drive.reach(motion)))
-                motion = motion * self._share_of(motion, left, rest, matrix)
-                total = total + motion
+                share, push = self._share_of(motion, left, rest, matrix)
+                total = total + share * motion
             if not careful:
                 drive.recall(memory)
                 grip.take(at)
+                push = drive.push(grip)
         return total
 
-    def _share_of(self, motion: Array, left: Array, rest: Array, matrix: Array) -> float:
-        """Move by as much of a motion as leaves no more to do than before, or else by all of it."""
+    def _share_of(self, motion: Array, left: Array, rest: Array, matrix: Array) -> tuple[float, Push]:
+        """Move by as much of a motion as leaves no more to do than before, or else by all of it; what acts there."""
         drive, grip = self.drive, self.grip
         at, memory = self.grip.copy(), drive.memory()
         work, before, share = float(left @ motion), drive.weight(left), 1.0
         for _ in range(SEARCHING):
             drive.move(grip, share * motion)
-            now = drive.push(grip).force + rest + matrix @ (share * motion)
+            push = drive.push(grip)
+            now = push.force + rest + matrix @ (share * motion)
             still = float(now @ motion)
             if abs(still) <= OVERSHOT * abs(work) or drive.weight(now) <= (1.0 - 0.1 * share) * before:
-                return share
+                return share, push
             drive.recall(memory)
             grip.take(at)
             share *= max(0.1, min(0.7, work / (work - still))) if work > 0.0 > still else 0.5
         drive.move(grip, motion)
-        return 1.0
+        return 1.0, drive.push(grip)
 
 
 def _torque_rows(forces: Array) -> Array:

@@ -14,14 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from simulation.foreign.elements import Face
+from simulation.foreign.rigid import cross_matrix
 from simulation.foreign.surface import HeldSurface
 
 Array = NDArray[np.float64]
 
 OPEN, STICK, SLIP = 0, 1, 2
+KEPT = 4  # sets of open nodes for which a pad is kept condensed
+ROUNDING_MM = 1e-12
 
 
 @dataclass(slots=True)
@@ -89,12 +91,37 @@ class Judged(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The free nodes' equations of one pad, M a + B y = -defect; they move by columns' a."""
+    """The s slipping nodes' equations of one pad, M a + B y = -defect; they move by a [2 s] along their tangents.
+
+    Of its c closed nodes: stiffness [3 c, 3 c] with the open ones let go, lines [3 c, k] and forces [3 c]. slipping
+    [s]: among the nodes of both pads; own [s]: among the closed ones.
+    """
 
     matrix: Array
     coupling: Array
     defect: Array
-    columns: csr_array
+    stiffness: Array
+    lines: Array
+    forces: Array
+    slipping: NDArray[np.intp]
+    own: NDArray[np.intp]
+    tangents: Array
+
+    def along(self, rows: Array) -> Array:
+        """Of rows [j, 3 c] what belongs to the slips, [j, 2 s]."""
+        return _along(rows, self.own, self.tangents)
+
+
+class Closed(NamedTuple):
+    """A pad whose open nodes feel no force: its c closed nodes, their stiffness and what the open ones do.
+
+    open_ [o]; follow [3 o, 3 c]: displacements of open nodes over those of closed ones.
+    """
+
+    closed: NDArray[np.intp]
+    open_: NDArray[np.intp]
+    stiffness: Array
+    follow: Array
 
 
 class Pads:
@@ -113,6 +140,7 @@ class Pads:
         own = shear_modulus_n_per_mm2 * face.stiffness
         self.stiffness = (own * np.outer(flip, flip), own)
         self.rho = np.concatenate([np.diag(own).reshape(-1, 3).mean(axis=1)] * 2)
+        self._let_go: tuple[dict[bytes, Closed], ...] = ({}, {})
 
     def rested(self, opening: float) -> Array:
         """Nodes at rest in the hand frame [n, 3], mm, with the fingers at an opening."""
@@ -158,43 +186,80 @@ class Pads:
         worst = float(np.choose(grip.status, amiss).max())
         return Judged(forces, normal, tangents, pressing, drag, trial, limit, ahead, status, worst)
 
+    def let_go(self, pad: int, opened: NDArray[np.bool_]) -> Closed:
+        """A pad with some of its nodes open [n / 2]; kept for the few sets that a step comes back to."""
+        known, key = self._let_go[pad], opened.tobytes()
+        if key not in known:
+            while len(known) >= KEPT:
+                known.pop(next(iter(known)))
+            free, held = _dofs(opened), _dofs(~opened)
+            rest: Array = self.stiffness[pad]
+            follow: Array = np.zeros((0, len(held)))
+            if free.size:
+                across = rest[np.ix_(free, held)]
+                follow = np.asarray(-np.linalg.solve(rest[np.ix_(free, free)], across), np.float64)
+                rest = rest[np.ix_(held, held)] + across.T @ follow
+            known[key] = Closed(np.flatnonzero(~opened), np.flatnonzero(opened), rest, follow)
+        return known[key]
+
+    def relax(self, grip: Grip) -> None:
+        """Put open nodes where they feel no force."""
+        opened = (grip.status == OPEN).reshape(2, -1)
+        if not opened.any():
+            return
+        points, rested = grip.points, self.rested(grip.opening)
+        for pad, mine in enumerate(opened):
+            part, first = self.let_go(pad, mine), pad * self.count
+            free, held = first + part.open_, first + part.closed
+            moved = (part.follow @ (points[held] - rested[held]).ravel()).reshape(-1, 3)
+            grip.on[free] = (rested[free] + moved - grip.place) @ grip.turn
+
     def rows(self, pad: int, grip: Grip, judged: Judged, lines: Array, *, follow: bool, turns: bool) -> Rows:
-        """Equations of a pad's free nodes; lines [n, 3, k], limits that follow the pressures, y that is a twist."""
-        part = slice(pad * self.count, (pad + 1) * self.count)
-        status, forces = grip.status[part], judged.forces[part]
-        opened, slipping = np.flatnonzero(status == OPEN), np.flatnonzero(status == SLIP)
-        tangents, ahead, limit = (each[part][slipping] for each in (judged.tangents, judged.ahead, judged.limit))
-        size = np.maximum(np.linalg.norm(judged.trial[part][slipping], axis=1), 1e-15)
+        """Equations of a pad's slips; lines [n, 3, k], limits that follow the pressures, y that is a twist."""
+        first = pad * self.count
+        part = self.let_go(pad, grip.status[first : first + self.count] == OPEN)
+        held = first + part.closed
+        own = np.flatnonzero(grip.status[held] == SLIP)
+        slipping = held[own]
+        tangents, ahead, limit = (each[slipping] for each in (judged.tangents, judged.ahead, judged.limit))
+        size = np.maximum(np.linalg.norm(judged.trial[slipping], axis=1), 1e-15)
         stiff = (limit / size)[:, None, None] * (np.eye(2) - ahead[:, :, None] * ahead[:, None, :])
         test = tangents - stiff @ tangents
         if follow:
-            test -= self.friction * ahead[:, :, None] * judged.normal[part][slipping][:, None, :]
-        node = np.concatenate([np.repeat(opened, 3), np.repeat(slipping, 2)])
-        unit = np.tile(np.eye(3), (len(opened), 1))
-        left, right = np.concatenate([unit, test.reshape(-1, 3)]), np.concatenate([unit, tangents.reshape(-1, 3)])
-        tests, columns = _spread(node, left, self.count), _spread(node, right, self.count)
-        answer = tests @ self.stiffness[pad]
-        matrix = (columns @ answer.T).T
-        first = 3 * len(opened) + 2 * np.arange(len(slipping))
-        own = self.rho[part][slipping][:, None, None] * stiff
-        for a in range(2):
-            for b in range(2):
-                matrix[first + a, first + b] += own[:, a, b]
-        coupling = answer @ lines[part].reshape(3 * self.count, -1)
+            test -= self.friction * ahead[:, :, None] * judged.normal[slipping][:, None, :]
+        count, closed = len(own), len(held)
+        answer = (test @ part.stiffness.reshape(closed, 3, 3 * closed)[own]).reshape(2 * count, 3 * closed)
+        matrix, each = _along(answer, own, tangents), np.arange(count)
+        matrix.reshape(count, 2, count, 2)[each, :, each] += self.rho[slipping][:, None, None] * stiff
+        flat = lines[held].reshape(3 * closed, lines.shape[2])
+        coupling = answer @ flat
         if turns:
-            coupling[3 * len(opened) :, 3:6] += np.cross(left, forces[node])[3 * len(opened) :]
-        slid = judged.drag[part][slipping] - limit[:, None] * ahead
-        return Rows(matrix, coupling, np.concatenate([forces[opened].ravel(), slid.ravel()]), columns)
+            coupling[:, 3:6] += (test @ cross_matrix(judged.forces[slipping])).reshape(-1, 3)
+        slid = judged.drag[slipping] - limit[:, None] * ahead
+        forces = judged.forces[held].ravel()
+        return Rows(matrix, coupling, slid.ravel(), part.stiffness, flat, forces, slipping, own, tangents)
 
-    def settle(self, grip: Grip, planes: Planes, start: Array, status: NDArray[np.int8]) -> None:
-        """Give nodes their status: closed ones lie on the surface, sticking ones where they began the step."""
+    def settle(self, grip: Grip, planes: Planes, start: Array, status: NDArray[np.int8]) -> bool:
+        """Give nodes their status: closed ones lie on the surface, sticking ones where they began the step.
+
+        Whether that moved any of them, or let any go.
+        """
+        before, changed = grip.on.copy(), bool((status != grip.status).any())
         grip.status = status
         stick, closed = status == STICK, status != OPEN
         grip.on[stick] = start[stick]
         grip.on[closed] -= (planes.gap(grip.on)[:, None] * planes.normal)[closed]
+        self.relax(grip)
+        return changed or bool(np.abs(grip.on - before).max() > ROUNDING_MM)
 
 
-def _spread(node: NDArray[np.intp], vectors: Array, count: int) -> csr_array:
-    """Rows [m] of vectors [m, 3], each at its node's three columns of 3 count."""
-    columns = (3 * node[:, None] + np.arange(3)).ravel()
-    return csr_array((vectors.ravel(), columns, 3 * np.arange(len(node) + 1)), shape=(len(node), 3 * count))
+def _dofs(chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+    return np.flatnonzero(np.repeat(chosen, 3))
+
+
+def _along(rows: Array, nodes: NDArray[np.intp], tangents: Array) -> Array:
+    """Of rows [j, 3 c] what belongs to motions of nodes [s] along their tangents [s, 2, 3]: [j, 2 s]."""
+    parts = rows.reshape(len(rows), rows.shape[1] // 3, 3)[:, nodes]
+    return np.asarray(
+        (parts.swapaxes(0, 1) @ tangents.swapaxes(1, 2)).swapaxes(0, 1).reshape(len(rows), 2 * len(nodes))
+    )

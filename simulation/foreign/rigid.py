@@ -41,4 +41,6 @@ def about_z(angle_rad: float) -> Array:
 
 def lines_of(points: Array) -> Array:
     """How points [n, 3] follow a twist (mm, rad) about the origin: [n, 3, 6]."""
-    return np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -cross_matrix(points)], axis=2)
+    out = np.zeros((len(points), 3, 6))
+    out[:, :, :3], out[:, :, 3:] = np.eye(3), -cross_matrix(points)
+    return out

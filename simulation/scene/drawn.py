@@ -85,13 +85,17 @@ PAIRS = {
 MIXED = ("reach", "friction", "force", "thickness", "speed")
 
 
-def draw_worlds(count: int, seed: int) -> list[Tables]:
-    """``count`` worlds as tables of a world file, the same for the same count and seed. Raises ValueError."""
+def draw_worlds(count: int, seed: int, within: Mapping[str, tuple[float, float]] | None = None) -> list[Tables]:
+    """``count`` worlds as tables of a world file, the same for the same arguments. Raises ValueError.
+
+    within: a part of the whole range, in shares 0..1 of it, for quantities that are not to be drawn from all of it.
+    """
     if count < 1:
         raise ValueError(f"--count {count}: expected at least 1")
     names = (*MIXED, *QUANTITIES)
+    low, high = np.array([(within or {}).get(name, (0.0, 1.0)) for name in names]).T
     cube = qmc.LatinHypercube(len(names), seed=np.random.default_rng((seed, 0x3D))).random(count)
-    return [_world(dict(zip(names, row, strict=True))) for row in cube.tolist()]
+    return [_world(dict(zip(names, row, strict=True))) for row in (low + (high - low) * cube).tolist()]
 
 
 def draw_world(rng: np.random.Generator) -> Tables:

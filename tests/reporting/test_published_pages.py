@@ -14,11 +14,11 @@ PAGES = {
     "hard_cases": "tests.hard_cases.__main__:hard_cases_page",
     "motion_bounds": "simulation.studies.motion_bounds.report:bounds_page",
     "drawn_worlds": "simulation.studies.drawn_worlds:drawn_worlds_page",
+    "pace": "simulation.studies.pace.report:pace_page",
     "robustness": "simulation.closed_loop.robustness:robustness_page",
     "serving": "tests.benchmarks.serving_report:serving_page",
     "slip_report": "simulation.studies.slip.report:slip_page",
     "soak": "tests.service.soak.report:soak_page",
-    "tradeoff": "export.tradeoff.report:tradeoff_page",
 }
 
 

@@ -12,6 +12,7 @@ class Settings(DeviceSettings):
     """Where we listen, which robot is answered, and how long the stream may be silent or late."""
 
     variables: ClassVar = VARIABLES
+    pauses: ClassVar = True
     device: Literal["abb_egm"] = "abb_egm"
     bind: str = "0.0.0.0"  # noqa: S104 the controller is another host; robot_host narrows who is answered
     port: int = Field(default=6510, ge=0, le=65535)

@@ -4,7 +4,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
@@ -19,6 +19,7 @@ _BATCH = 50
 class Settings(DeviceSettings):
     """Where the TCP stands at the start."""
 
+    pauses: ClassVar = True
     device: Literal["dry_run"] = "dry_run"
     start: WorkPose = WorkPose(x_mm=0.0, y_mm=0.0, z_mm=75.0, yaw_deg=0.0)
 

@@ -6,13 +6,19 @@ marker that was not seen. Its first two bytes are rows and columns.
 
 import base64
 import binascii
+import hashlib
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.perception.markers.field import MarkerField
+
 _UNIT = 0.005  # pitch
 _ABSENT = -128
 _LEAST_N = 24
+SAME_GEL, OTHER_GEL = 0.75, 0.5
+"""Likeness from which on two fingerprints are of one gel for certain, and below which of two of a kind."""
+TELLING_N = 150  # markers; of fewer, which are found is too chancy for a gel to be refused
 
 
 def fingerprint(off: NDArray[np.float64], seen: NDArray[np.bool_]) -> str:
@@ -22,11 +28,36 @@ def fingerprint(off: NDArray[np.float64], seen: NDArray[np.bool_]) -> str:
     return base64.b64encode(bytes(seen.shape) + coded.tobytes()).decode("ascii")
 
 
+def fingerprint_of(field: MarkerField) -> str:
+    """Of a resting gel in a rectified frame; empty where that shows no grid."""
+    if not field.valid.any():
+        return ""
+    cells = np.argwhere(field.valid)
+    off = np.zeros((*field.valid.shape, 2))
+    now = (field.rest_px + field.displacement_px)[field.valid].astype(np.float64)
+    off[field.valid] = off_print(cells.astype(np.float64), now) / field.pitch_px
+    return fingerprint(off, field.valid)
+
+
+def gel_name(fingerprint: str) -> str:
+    """A short name of a gel, another one after each calibration."""
+    return hashlib.sha256(fingerprint.encode()).hexdigest()[:12]
+
+
+def off_print(cells: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far points [n, 2] lie from the regular grid that fits them best, px; ``cells`` [n, 2]: row and column."""
+    terms = np.column_stack([cells, np.ones(len(cells))])
+    fit, _, _, _ = np.linalg.lstsq(terms, points, rcond=None)
+    return np.asarray(points - terms @ fit)
+
+
 def likeness(one: str, other: str) -> float | None:
-    """Correlation (-1 .. 1) of two fingerprints, one gel if near 1; None if their grids differ or too little is seen.
+    """Correlation (-1 .. 1) of two fingerprints, one gel if near 1; None if either is empty or their grids differ.
 
     Raises ValueError if either is no fingerprint.
     """
+    if not (one and other):
+        return None
     a, b = _decoded(one), _decoded(other)
     if a.shape != b.shape:
         return None

@@ -178,6 +178,8 @@ def _crop(spots: Candidates, index: NDArray[np.intp], reached: BoolArray, diamet
     strength[cells[:, 1], cells[:, 0]] = spots.strength[reached]
     # Stray spots beyond the gel grow thin extra rows; a row is one only if a third of it is there.
     row_ok = _run(detected.mean(1) > 0.34)
+    if not detected[row_ok].size:
+        return None
     col_ok = _run(detected[row_ok].mean(0) > 0.34)
     detected, xy, strength = detected[row_ok, col_ok], xy[row_ok, col_ok], strength[row_ok, col_ok]
     if min(detected.shape) < 5 or detected.mean() < 0.6:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.perception.markers.field import MarkerField
+from service.perception.markers.fingerprint import off_print
 from service.perception.slip.rigid import Float64
 
 Picture = NDArray[np.float32]
@@ -105,7 +106,7 @@ class OpenGel:
             return None
         now = (field.rest_px + field.displacement_px)[may].astype(np.float64)
         if home is None:
-            off, limit = _off_print(np.argwhere(may).astype(np.float64), now), self.settings.print_pitch
+            off, limit = off_print(np.argwhere(may).astype(np.float64), now), self.settings.print_pitch
         else:
             off, limit = now - (home.rest_px + home.displacement_px)[may], self.settings.home_pitch
         return _spread(off) / (limit * field.pitch_px)
@@ -144,13 +145,6 @@ def changed_grey(picture: Picture, than: Spanned, area: float) -> float | None:
     beyond = np.maximum(lit - than.high, than.low - lit).max(-1).ravel()
     rank = min(beyond.size - 1, int((1 - area) * beyond.size))
     return max(0.0, float(np.partition(beyond, rank)[rank]))
-
-
-def _off_print(cells: Float64, points: Float64) -> Float64:
-    """How far points [n, 2] lie from the regular grid that fits them best, px; ``cells`` [n, 2]: row and column."""
-    terms = np.column_stack([cells, np.ones(len(cells))])
-    fit, _, _, _ = np.linalg.lstsq(terms, points, rcond=None)
-    return np.asarray(points - terms @ fit)
 
 
 def _spread(off: Float64) -> float:

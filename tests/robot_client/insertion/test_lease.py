@@ -29,8 +29,8 @@ from tests.robot_client.insertion.stories import (
 LASTS_S = PLAN.lease.lasts_s(10.0)
 
 
-def descending():
-    return run(TO_DESCENT)
+def descending(pause_s=0.0):
+    return run(TO_DESCENT, State(PLAN.model_copy(update={"pause_s": pause_s})))
 
 
 def test_a_descent_carries_the_end_of_its_lease_and_every_judged_frame_puts_it_off():
@@ -42,13 +42,17 @@ def test_a_descent_carries_the_end_of_its_lease_and_every_judged_frame_puts_it_o
     assert renewed.until_s == pytest.approx(0.05 + LASTS_S, abs=1e-4)
 
 
-def test_without_a_judged_frame_the_descent_ends_whatever_else_the_service_says():
-    state, _ = descending()
+@pytest.mark.parametrize("pause_s", [0.0, PAUSE_S])
+def test_without_a_judged_frame_the_descent_ends_whatever_else_the_service_says(pause_s):
+    """An arm that cannot stand and go on is held at the end of the lease, by whoever sees it first."""
+    state, _ = descending(pause_s)
     beat = wire.ServiceHeartbeat(insertion_id=ID, count=1, clock=wire.Clock(sent_ns=0, service_ns=0), frame_age_ms=1.0)
     for now_s in (0.03, 0.06, 0.09):
         state, commands = step(state, service(beat, now_s))
         assert (state.phase, commands) == (Phase.DESCENDING, ())
-    state, commands = step(state, Tick(at_s=LASTS_S + PAUSE_S + 0.001))
+    state, commands = step(state, Tick(at_s=LASTS_S + pause_s - 0.001))
+    assert (state.phase, commands) == (Phase.DESCENDING, ())
+    state, commands = step(state, Tick(at_s=LASTS_S + pause_s + 0.001))
     assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
     assert commands[1].message.cause == "unwatched"
 
@@ -65,11 +69,20 @@ def test_a_stamp_from_the_future_renews_nothing():
     assert step(state, service(watching(1, 7.0), 0.05)) == (state, ())
 
 
-def test_a_lease_that_ended_long_ago_is_not_renewed_by_a_fresh_frame():
-    state, _ = descending()
-    late_s = LASTS_S + PAUSE_S + 0.01
+@pytest.mark.parametrize(("pause_s", "late_s"), [(0.0, 0.005), (PAUSE_S, PAUSE_S + 0.01)])
+def test_a_lease_that_ended_too_long_ago_is_not_renewed_by_a_fresh_frame(pause_s, late_s):
+    state, _ = descending(pause_s)
+    late_s += LASTS_S
     state, commands = step(state, service(watching(1, late_s - 0.01), late_s))
     assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
+
+
+def test_a_frame_that_is_judged_within_the_pause_renews_the_lease():
+    state, _ = descending(PAUSE_S)
+    late_s = LASTS_S + 0.1
+    state, (renewed,) = step(state, service(watching(1, late_s - 0.02), late_s))
+    assert state.phase is Phase.DESCENDING
+    assert renewed.until_s > late_s
 
 
 def test_nothing_descends_before_the_clocks_are_mapped_or_on_an_old_reference():

@@ -126,7 +126,7 @@ def test_the_service_is_told_each_speed_when_its_leg_begins():
 
 
 def test_after_a_pause_in_the_descent_the_next_speed_is_told_as_much_later():
-    state, _ = told(FAST)
+    state, _ = told(FAST.model_copy(update={"pause_s": PAUSE_S}))
     due_s = state.speeds[0][0]
     state, _ = step(state, service(watching(1, 0.19), 0.2))
     assert state.speeds[0][0] == pytest.approx(due_s + 0.2 - FAST.lasts_s(fast=True), abs=1e-3)

@@ -43,6 +43,7 @@ def test_gelslim3_says_no_contact_whenever_nothing_touches_it():
     assert np.mean([states[k] == "no_contact" for k in range(len(states)) if k not in set(free)]) < 0.2
 
 
+@pytest.mark.slow
 def test_gelsight_mini_markers_are_found_in_every_clip():
     folder = real_data("gelsight_mini_slip")
     for clip in sorted(folder.glob("*/camera_*.avi"))[::6]:

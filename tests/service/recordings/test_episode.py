@@ -141,6 +141,7 @@ def test_failures_are_counted_by_cause_and_only_a_person_aborts(live: LiveServic
     }
 
 
+@pytest.mark.slow
 def test_a_killed_service_has_kept_all_but_half_a_second_of_the_robot(tmp_path: Path, models_folder: Path) -> None:
     fingers = FakeFinger("left"), FakeFinger("right")
     drawn.calibration().save(tmp_path / "calibration.toml")

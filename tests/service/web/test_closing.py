@@ -104,6 +104,7 @@ UPGRADE += "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version
 PLAIN = "GET {} HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("request_text", "path"),
     [(UPGRADE, "/v1/cameras/left/frames?max_hz=240"), (PLAIN, "/v1/cameras/left/stream.mjpg?max_hz=240")],

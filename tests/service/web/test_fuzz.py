@@ -120,6 +120,7 @@ def is_well(live: LiveService) -> None:
     driver.close()
 
 
+@pytest.mark.slow
 def test_nothing_said_on_a_websocket_kills_a_session(live: LiveService) -> None:
     @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(path=st.sampled_from(SOCKETS), said=frames, hello=st.booleans())

@@ -40,6 +40,7 @@ def test_64_bodies_at_once_stay_within_the_memory_and_the_robot_gets_in(service:
     assert set(found["answers"]) <= {400, 429}
 
 
+@pytest.mark.slow
 def test_64_bodies_that_never_end_stay_within_the_memory_too(service: ServiceProcess) -> None:
     """In chunks, so that nothing is declared."""
     chunk = b"100000\r\n" + b"x" * (1 << 20) + b"\r\n"
@@ -55,6 +56,7 @@ def test_64_bodies_that_never_end_stay_within_the_memory_too(service: ServicePro
     assert seen[0] < MOST_MB
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("said", [b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"])
 def test_two_thousand_idle_connections_keep_nobody_out(service: ServiceProcess, said: bytes) -> None:
     assert idle(service, said)["most_mb"] < MOST_MB

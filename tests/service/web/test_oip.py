@@ -268,6 +268,7 @@ junk = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
 @given(request=junk | st.fixed_dictionaries({"inputs": st.lists(junk, max_size=3)}), tail=st.binary(max_size=40))
 def test_no_body_makes_the_server_fail(live: LiveService, request: object, tail: bytes) -> None:

@@ -120,6 +120,7 @@ def test_a_row_without_networks_is_left_out(models):
     assert evaluate.entered(options) == ("belief",)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_was(models, tmp_path):
     command = [sys.executable, "-m", "simulation", "evaluate", *arguments(models, tmp_path, 40, ("oracle",))]
     log = tmp_path / "insertions.jsonl"

@@ -111,6 +111,7 @@ def test_drawing_late_gives_the_bits_of_drawing_now():
     assert np.array_equal(pair.right.pixels, late.picture_later(1)())
 
 
+@pytest.mark.slow
 def test_looking_at_the_gel_stops_where_looking_at_pictures_stops(models):
     forces = []
     for perception in ("pictures", "fields"):

@@ -47,6 +47,7 @@ def test_it_is_collected_and_probed(box, tmp_path, capsys):
     assert "outcome blocked" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_it_is_played_and_stands_in_both_reports_without_a_figure_of_the_paper(box, models, tmp_path, capsys):
     play = ["--objects", str(box), "--models", str(models), "--perception", "fields", "-j", "1", "--count", "1"]
     there = ["--out", str(tmp_path / "out"), "--docs", str(tmp_path / "docs")]

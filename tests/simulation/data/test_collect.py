@@ -203,6 +203,7 @@ def test_the_asked_size_is_rounded_up_to_whole_shards(tmp_path: Path) -> None:
     assert missing == [(name, n) for n in range(3) for name in ("circle", "rectangle")]
 
 
+@pytest.mark.slow
 def test_as_many_trials_as_are_asked_are_made_and_a_folder_keeps_its_shards(tmp_path):
     few = asked_manifest(CollectOptions(out=tmp_path, trials_per_object=4, objects=("circle",)))
     assert (few.trials_per_shard, len(few.missing_shards())) == (4, 1)

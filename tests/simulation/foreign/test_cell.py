@@ -91,6 +91,7 @@ def test_left_and_right_mirror_each_other():
     )
 
 
+@pytest.mark.slow
 def test_slip_begins_at_the_rim_and_grows():
     """As in Cattaneo's and Mindlin's contact, though a pad's pressure is flatter than theirs."""
     cell = held(x_mm=8.0, gel__crown_mm=0.4)
@@ -149,3 +150,22 @@ def test_a_grip_that_squeezes_the_gel_through_is_refused_by_name():
 def test_numbers_that_are_none_are_refused():
     with pytest.raises(ValueError, match="finite"):
         held().move_to(0.0, 0.0, math.nan, 0.0)
+
+
+def test_open_nodes_feel_nothing_and_the_rest_is_as_stiff_as_the_whole():
+    cell = held()
+    pads, opened = cell.pads, np.zeros(cell.pads.count, np.bool_)
+    opened[:7] = True
+    part = pads.let_go(0, opened)
+    moved = np.zeros((pads.count, 3))
+    moved[part.closed] = np.random.default_rng(0).normal(size=(len(part.closed), 3))
+    moved[part.open_] = (part.follow @ moved[part.closed].ravel()).reshape(-1, 3)
+    forces = (pads.stiffness[0] @ moved.ravel()).reshape(-1, 3)
+    assert np.abs(forces[part.open_]).max() < 1e-9
+    assert forces[part.closed].ravel() == pytest.approx(part.stiffness @ moved[part.closed].ravel(), abs=1e-9)
+
+
+def test_rounds_settle_what_goes_round_in_circles():
+    """A slanted object between grippy pads: limits that follow the pressures lead back and forth, held ones do not."""
+    cell = ForeignCell(load_scene("white_box", gel__friction=2.0), 6, COARSE)
+    assert cell.look().residual_n <= TOLERANCE_N

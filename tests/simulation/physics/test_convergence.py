@@ -23,6 +23,7 @@ def apart(one: CellState, other: CellState) -> tuple[float, float]:
     return 1e3 * float(np.linalg.norm(shift[:3])), float(np.degrees(np.linalg.norm(shift[3:])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "tier"), [("rectangle", "bristle"), ("rectangle", "layer"), ("circle", "layer")])
 def test_what_slides_errs_by_the_first_order_of_the_load_step(name: str, tier: str) -> None:
     steps = (0.34, 0.17, 0.085)
@@ -56,6 +57,7 @@ def test_the_error_falls_faster_than_the_nodes_pitch(name: str) -> None:
     assert errors[0] > errors[1] > errors[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", object_names())
 def test_the_default_load_step_errs_by_less_than_the_limits(name: str) -> None:
     _, reference = pressed(name, numerics__load_step_mm=0.01)

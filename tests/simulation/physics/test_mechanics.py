@@ -16,6 +16,7 @@ from simulation.studies.hard_probes import ImpossibleStateError, Tally, _check, 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 
 
+@pytest.mark.slow
 def test_random_hard_probes_end_solved_lost_or_refused_by_name() -> None:
     tally = Tally()
     for number in range(60):
@@ -114,6 +115,7 @@ def fingerprint(case: tuple[str, str]) -> str:
     return hashlib.sha256(found.gel.tobytes() + found.wrench.tobytes() + found.in_hand.tobytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_one_process_and_two_get_the_same_bits() -> None:
     cases = [(name, tier) for name in ("hexagon", "can") for tier in ("bristle", "layer")]
     here = [fingerprint(case) for case in cases]

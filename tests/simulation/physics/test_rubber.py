@@ -65,6 +65,7 @@ def test_a_sheared_block_with_free_ends_is_a_little_softer_than_without(shape_fa
     assert found == pytest.approx(1.0 / bends, rel=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poisson", [0.25, 0.48])
 def test_a_gel_whose_edges_are_far_is_endless(poisson: float) -> None:
     grid = Grid(20, 21, 1.05, 1.05)
@@ -92,6 +93,7 @@ def test_a_held_displacement_follows_pronys_step_response_exactly(share: float) 
     np.testing.assert_allclose(held - creep, held * (1.0 - share * (1.0 - math.exp(-0.6 / 0.4))), rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tier", ["bristle", "layer"])
 def test_the_push_of_a_hand_that_waits_relaxes_as_the_rubber_does(tier: str) -> None:
     soft = {"gel__relaxation_share": 0.3, "gel__relaxation_s": 0.4, "gel__friction": 2.0, "effects__gravity": "off"}

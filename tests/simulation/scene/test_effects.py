@@ -167,6 +167,7 @@ def test_a_forced_switch_is_obeyed(effect) -> None:
         assert why == f"forced {switch} by the scene"
 
 
+@pytest.mark.slow
 def test_physics_that_is_off_is_not_even_called() -> None:
     """The kernels run as plain Python in another process, with every call counted, effects on and off."""
     module = [sys.executable, "-m", "tests.simulation.closed_loop.count_calls"]

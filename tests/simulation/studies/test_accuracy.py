@@ -37,6 +37,7 @@ def test_table_and_picture_are_drawn_from_the_published_figures(tmp_path: Path) 
     assert (tmp_path / "accuracy.png").stat().st_size > 20_000
 
 
+@pytest.mark.slow
 def test_interrupted_hard_probes_go_on_where_they_stopped(tmp_path: Path, capsys) -> None:
     command = ["hard-probes", "--seed", "12", "-j", "1", "--out", str(tmp_path)]
     assert main([*command, "-n", "50"]) == 0

@@ -34,6 +34,7 @@ def test_a_limit_is_the_least_silent_one_with_a_margin(recordings):
     assert fitted(held, counts) == pytest.approx(MARGIN * 0.225), "an alarm above a silent limit counts"
 
 
+@pytest.mark.slow
 def test_each_half_is_judged_with_the_limit_of_the_other(recordings):
     result = slip_real.false_alarms(recordings)
     assert sum(fold["frames"] for fold in result["folds"]) == result["frames"]
@@ -41,6 +42,7 @@ def test_each_half_is_judged_with_the_limit_of_the_other(recordings):
     assert result["default"]["caught"] == 2
 
 
+@pytest.mark.slow
 def test_slip_and_hold_that_differ_are_told_apart(recordings):
     result = separation(recordings)
     assert result["ours"]["value"] == 1.0

@@ -32,6 +32,7 @@ def test_a_late_and_an_early_alarm_are_not_right():
     assert (tally.false, tally.missed, tally.right) == (1, 1, 1)
 
 
+@pytest.mark.slow
 def test_slip_is_seen_on_true_fields_of_every_object():
     tally = Tally()
     for trial in draw_trials(16, 5, 30):

@@ -148,6 +148,7 @@ def test_a_checkpoint_of_another_architecture_is_not_exported(foreign, tmp_path,
 STRANGERS = {"weights of other layers": {"network": {"strange": torch.zeros(3)}}, "something else": {"weights": 3}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stored", STRANGERS.values(), ids=STRANGERS)
 def test_a_run_does_not_go_on_from_a_stranger(config, source, tmp_path, stored):
     strange = config.folder / "front.resume.pt"

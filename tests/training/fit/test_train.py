@@ -13,6 +13,7 @@ from training.networks.forms import SequenceForm, StepForm
 from training.networks.settings import NetworkConfig
 
 
+@pytest.mark.slow
 def test_the_trunk_learns_a_learnable_motion(config):
     """On fields whose rotation and pressure follow the error, a short training must find both."""
     stage = StageConfig(epochs=25, batch=32, learning_rate=4e-3, patience=25)

@@ -1,6 +1,7 @@
 """The network that reads tracked markers: trained without a picture, scored on markers tracked in pictures."""
 
 import numpy as np
+import pytest
 import torch
 
 from service.contract import Sensor
@@ -14,6 +15,7 @@ from training.networks.settings import NetworkConfig
 KIND = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
 
 
+@pytest.mark.slow
 def test_it_trains_on_true_fields_and_is_scored_on_tracked_pictures(config, source):
     run = config.model_copy(update={"network": KIND})
     checkpoint = train(run, source)

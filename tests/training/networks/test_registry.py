@@ -70,6 +70,7 @@ def toy(tmp_path, monkeypatch):
     monkeypatch.setitem(networks.NETWORKS, "mean_motion", module.MeanMotionNetwork)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("toy")
 def test_a_new_network_of_one_file_and_one_line_trains_and_is_exported(config, source, tmp_path):
     size = config.network.model_copy(update={"kind": "mean_motion"})

@@ -30,6 +30,7 @@ async def _finish(process):
     return out.decode()
 
 
+@pytest.mark.slow
 def test_abb_robot_client_starts_guides_and_stops_the_emulated_robot():
     pytest.importorskip("abb_robot_client")
 

@@ -20,6 +20,7 @@ def named(poke: Poke) -> str:
     return f"{poke.scene} {poke.x_mm:g}, {poke.theta_deg:g}, {poke.varied}, tips apart: {poke.apart}"
 
 
+@pytest.mark.slow
 def test_a_quick_mujoco_run_agrees_within_a_hundredth() -> None:
     poke = Poke("hexagon", 10.0, 0.0)
     cell, mine = ours(poke, LOAD_STEPS_MM[0])

@@ -1,0 +1,142 @@
+"""`commission`: the first day of a cell, by probes from known errors; only told unless --live is typed."""
+
+import asyncio
+import time
+from pathlib import Path
+
+from robot_client.cli.insert import live_ports, make_plan
+from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
+from robot_client.insertion.events import Event, FromService
+from robot_client.insertion.limits import check_pose
+from robot_client.insertion.state import State
+from robot_client.ports import DriverError
+from robot_client.session.commission import (
+    PER_FIXTURE_N,
+    RECORD,
+    SIDES,
+    WENT_IN,
+    Commissioning,
+    Ended,
+    Record,
+    errors,
+    probe_of,
+    read_record,
+)
+from robot_client.session.cycle import CycleSettings, is_empty, with_gripper
+from robot_client.session.recorder import Recorder
+from robot_client.session.runner import Runner
+from robot_client.session.travel import over_to, travel
+from robot_client.settings import Settings, SettingsError
+from service.contract import wire
+from service.contract.frames import Finger
+
+REACH_MM, REACH_DEG = 15.0, 15.0  # as far as the released networks were trained
+FITS_MM, FITS_DEG = 2.5, 3.0  # about what goes in: no probe begins there
+
+
+def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out: Path) -> Outcome:
+    """Probe for signs, then ``probes_n`` times to learn from; done if no mistake was named. Raises DriverError."""
+    taught = settings.cycle
+    if taught is None:
+        raise SettingsError("commission: the configuration lacks the table [cycle] with pick and open_mm")
+    check_pose(settings.limits, taught.pick, "cycle.pick")
+    for x_mm, theta_deg in (*SIDES, (REACH_MM, REACH_DEG), (-REACH_MM, -REACH_DEG)):
+        check_pose(settings.limits, make_plan(settings, x_mm, theta_deg, None, None).approach, "a probe")
+    path = out / RECORD
+    record = read_record(path)
+    show(warning(live=live, simulated=settings.simulated))
+    if not live:
+        return _rehearse(probes_n, path, record)
+    if record is None:
+        record = Record(begun=time.strftime("%Y-%m-%dT%H:%M:%S"), seed=seed, object=settings.task.object)
+    elif record.named:
+        raise SettingsError(f"{path} names mistakes; mend them and remove it: {'; '.join(record.named)}")
+    return asyncio.run(_commission(Probing(settings, taught, out), probes_n, path, record))
+
+
+def _rehearse(probes_n: int, path: Path, record: Record | None) -> Outcome:
+    done_n = 0 if record is None else len(record.probes)
+    steps = [
+        f"take the object from the fixture, and again every {PER_FIXTURE_N} probes",
+        "probe at " + ", ".join(f"{x:+g} mm {theta:+g} deg" for x, theta in SIDES) + ": are the signs right?",
+        f"{probes_n - done_n} probes from errors within {REACH_MM:g} mm and {REACH_DEG:g} deg",
+        f"keep what was seen in {path} after each",
+    ]
+    show("would:")
+    for step in steps:
+        show(f"  {step}")
+    return Outcome(True, {"live": False, "steps": steps})
+
+
+class Felt:
+    """Observer that keeps the one answer of a probe."""
+
+    def __init__(self) -> None:
+        self.estimate: tuple[float, float] | None = None
+        self.said = WENT_IN
+        self.gels: dict[Finger, str] = {}
+
+    def on_event(self, state: State, event: Event) -> None:  # noqa: ARG002 the protocol's signature
+        """Note a decision."""
+        if not isinstance(event, FromService):
+            return
+        if isinstance(event.message, wire.ServiceHello):
+            self.gels = {camera.finger: camera.gel for camera in event.message.cameras}
+        if isinstance(event.message, wire.Correction):
+            self.estimate, self.said = (event.message.estimate.dx_mm, event.message.estimate.dtheta_deg), ""
+        elif isinstance(event.message, wire.NoDecision):
+            self.said = f"{event.message.reason}: {event.message.detail}"
+
+    def summary(self) -> dict[str, object]:
+        """Nothing that the log lacks."""
+        return {}
+
+
+class Probing:
+    """One probe, and the way to the fixture and back, on the devices of the settings."""
+
+    def __init__(self, settings: Settings, taught: CycleSettings, out: Path) -> None:
+        self._settings, self._taught, self._out = settings, taught, out
+
+    async def probe(self, x_mm: float, theta_deg: float) -> Ended:
+        """One probe from this error."""
+        plan = make_plan(self._settings, x_mm, theta_deg, None, None).model_copy(update={"purpose": "probe"})
+        felt = Felt()
+        log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
+        runner = Runner(plan, *live_ports(self._settings, plan), log, (felt,))
+        state = await runner.run()
+        done = probe_of(plan.insertion_id, plan.approach, felt.estimate, felt.said)
+        return Ended(done, state.phase, state.reason, felt.gels)
+
+    async def begin(self) -> None:
+        """Raise DriverError where the hand is not empty: what it holds is not the object in the fixture."""
+        if not await with_gripper(self._settings.make_gripper, lambda gripper: is_empty(gripper, self._taught.open_mm)):
+            raise DriverError("gripper: holds something; put the object into the fixture and open the fingers")
+
+    async def fetch(self) -> None:
+        """Put the object back into the fixture, if it is held, and open; the next probe takes it afresh."""
+        settings, pick = self._settings, self._taught.pick
+        arm, motion_s = settings.make_arm(), settings.timeouts.motion_s
+        await travel(arm, over_to(pick), settings.limits, settings.ramps, motion_s, lambda _text: None)
+        await with_gripper(settings.make_gripper, lambda gripper: gripper.release(self._taught.open_mm))
+
+
+async def _commission(probing: Probing, probes_n: int, path: Path, record: Record) -> Outcome:
+    stop_on_signals()
+    draw = errors(record.seed, REACH_MM, REACH_DEG, (FITS_MM, FITS_DEG))
+    running = Commissioning(path, record, probing.probe, probing.fetch, draw, show)
+    reason = ""
+    try:
+        await probing.begin()
+        record = await running.run(probes_n)
+    except DriverError as error:
+        record, reason = running.record, str(error)
+        show(f"HOLD  {error}")
+    for cause in record.named:
+        show(f"MISTAKE  {cause}")
+    if len(record.probes) >= probes_n and not reason:
+        show(f"{len(record.probes)} probes done. The service's recordings hold them; to learn from them:")
+        show("  tactile-insertion adapt RECORDINGS --from models/pressing/checkpoint.pt --out models/adapted")
+    show(f"record: {path}")
+    result = {"named": list(record.named), "probes": len(record.probes), "record": str(path), "reason": reason}
+    return Outcome(not record.named and not reason, result)

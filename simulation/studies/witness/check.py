@@ -1,0 +1,177 @@
+"""Probes of the foreign cell beside CalculiX: the same plate on the same path presses the same pad."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulation.foreign.cell import CLOSING_STEPS, ForeignCell, pad_of
+from simulation.foreign.elements import Pad
+from simulation.foreign.newton import Drive
+from simulation.foreign.pads import OPEN, SLIP, Grip
+from simulation.scene.scene import Scene
+from simulation.scene.worlds import load_scene
+from simulation.studies.witness import calculix
+from simulation.studies.witness.calculix import Mesh, Rubber
+
+Array = NDArray[np.float64]
+
+FLAT = {"grasp.pre_tilt_spread_deg": 0.0, "grasp.pre_yaw_spread_deg": 0.0, "gel.crown_mm": 0.0, "gel.friction": 0.8}
+CELLS = (6, 2, 6)  # of CalculiX's mesh: its nodes lie on nodes of ours
+CLEAR_MM = 0.01
+SLIDES = 0.98  # of what friction bears: the penalty's friction is never quite at its limit
+TOUCHES = 0.02  # of the mean pressure
+APPROACH_MM = 5.0
+SAME_MM, LEAST_SHARED = 1e-3, 40
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """What is tried: a rectangle's start error, how deep it goes below first touch (0: it only hangs), the scene."""
+
+    kind: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    x_mm: float = 0.0
+    theta_deg: float = 0.0
+    depth_mm: float = 0.0
+    side: int = 1
+
+    def scene(self) -> Scene:
+        """The scene, on fixed blocks."""
+        return load_scene("rectangle", blocks__free=False).varied({**FLAT, **self.changes})
+
+
+def _gel(nu: float, margin: float | None, thickness: float = 2.5, **other: float) -> dict[str, Any]:
+    out: dict[str, Any] = {"gel.poisson_ratio": nu, "gel.thickness_mm": thickness}
+    if margin is not None:
+        out["gel.margin_mm"] = [margin, margin]
+    return out | {name.replace("__", "."): value for name, value in other.items()}
+
+
+PROBES = (
+    Probe("pressing", _gel(0.45, 0.0)),
+    Probe("pressing", _gel(0.48, 2.0)),
+    Probe("pressing", _gel(0.49, 1.0, grasp__force_n=10.0)),
+    Probe("pressing", _gel(0.48, None, thickness=1.5)),
+    Probe("pressing", _gel(0.48, 0.5, thickness=4.0)),
+    Probe("pressing, plate askew", _gel(0.48, 1.0, grasp__pre_yaw_spread_deg=2.0)),
+    Probe("shear, slipping in part", _gel(0.45, 0.0, object__mass_kg=2.0)),
+    Probe("shear, slipping in part", _gel(0.48, 0.0, object__mass_kg=1.6)),
+    Probe("shear, slipping in part", _gel(0.48, 2.0, object__mass_kg=2.0, gel__friction=0.6)),
+    Probe("shear, slipping in part", _gel(0.49, 1.0, object__mass_kg=1.5)),
+    Probe("shear, slipping in part", _gel(0.48, None, object__mass_kg=2.0)),
+    Probe("shear, slipping in part", _gel(0.48, 0.5, thickness=4.0, object__mass_kg=2.0)),
+    Probe("one edge", _gel(0.48, 0.0), 8.0, 0.0, 0.6),
+    Probe("one edge", _gel(0.48, 0.0), 8.0, 0.0, 1.5),
+    Probe("one edge", _gel(0.45, 2.0), 8.0, 0.0, 1.0),
+    Probe("one edge", _gel(0.49, 1.0), -5.0, 0.0, 1.0),
+    Probe("one edge", _gel(0.48, None), 8.0, 0.0, 1.0),
+    Probe("one edge", _gel(0.48, 1.0, gel__friction=0.5), 12.0, 0.0, 1.2),
+    Probe("yawed edge", _gel(0.48, 0.0), 8.0, 5.0, 1.0),
+    Probe("yawed edge", _gel(0.48, 0.0), 8.0, 5.0, 1.0, -1),
+    Probe("yawed edge", _gel(0.45, 2.0), 8.0, 10.0, 1.2),
+    Probe("yawed edge", _gel(0.49, 1.0), -6.0, 8.0, 0.8),
+    Probe("yawed edge", _gel(0.48, None), 8.0, 5.0, 1.0),
+    Probe("yawed edge", _gel(0.48, 1.0, gel__friction=0.5), 10.0, -6.0, 1.2, -1),
+)
+
+
+class RecordedCell(ForeignCell):
+    """A foreign cell that keeps where the object was in the hand at the end of each load step since the grasp."""
+
+    def __init__(self, scene: Scene, seed: int = 0, pad: Pad | None = None) -> None:
+        self.path: list[Grip] = []
+        super().__init__(scene, seed, pad)
+
+    def _close(self, turn: Array) -> None:
+        self.path = []
+        super()._close(turn)
+
+    def _rests(self, drive: Drive, travel: Array | None = None) -> bool:
+        rests = super()._rests(drive, travel)
+        if rests:
+            self.path.append(self.grip.copy())
+        return rests
+
+
+def played(probe: Probe, pad: Pad | None = None, **numerics: float) -> RecordedCell:
+    """The probe in the foreign cell, at its end."""
+    scene = probe.scene().varied({f"numerics.{name}": value for name, value in numerics.items()})
+    cell = RecordedCell(scene, 3, pad)
+    cell.regrasp(probe.x_mm, probe.theta_deg)
+    if probe.depth_mm:
+        x, y, z, yaw = cell.pose
+        cell.move_to(x, y, z - APPROACH_MM - probe.depth_mm, float(np.degrees(yaw)))
+    return cell
+
+
+def compared(probe: Probe, *, large: bool = False, cells: tuple[int, int, int] = CELLS) -> dict[str, Any]:
+    """Both answers to a probe and how far they are apart. Raises CalculixError."""
+    began = time.process_time()
+    cell = played(probe)
+    ours_s, gel = time.process_time() - began, cell.scene.gel
+    pad = pad_of(cell.scene)
+    rubber = Rubber(gel.shear_modulus_n_per_mm2, pad.poisson_ratio, gel.friction, large)
+    path, began = _way(cell, probe.side), time.monotonic()
+    theirs = calculix.press(Mesh(pad, probe.side, cells), rubber, probe.side, path)
+    said = asdict(probe) | {"poisson_ratio": pad.poisson_ratio, "thickness_mm": gel.thickness_mm}
+    return said | {"ours_cpu_s": ours_s, "calculix_s": time.monotonic() - began} | _apart(cell, probe.side, theirs)
+
+
+def _way(cell: RecordedCell, side: int) -> list[Array]:
+    """The plate's corners by every second load step in the frame of the pad at side, from clear of it on."""
+    crest, closed = cell.held.crest_mm, CLOSING_STEPS - 1
+    kept = [*cell.path[:closed:3], *cell.path[closed : closed + 2], *cell.path[: closed + 1 : -2][::-1]]
+    way = [
+        calculix.plate_at(grip.turn, grip.place - [0.0, 0.5 * side * grip.opening, 0.0], crest, side) for grip in kept
+    ]
+    face = way[0][CORNER_ROWS[side]]
+    into = float((side * face[:, 1]).max())
+    return [way[0] - [0.0, side * (into + CLEAR_MM), 0.0], *way]
+
+
+CORNER_ROWS = {1: [2, 3, 6, 7], -1: [0, 1, 4, 5]}
+"""The plate's corners that face the pad."""
+
+
+def _apart(cell: RecordedCell, side: int, theirs: calculix.Answer) -> dict[str, Any]:
+    count, first = cell.pads.count, 0 if side > 0 else cell.pads.count
+    mine = slice(first, first + count)
+    grip = cell.grip
+    rest = cell.pads.rested(grip.opening)[mine]
+    moved, force = (grip.points[mine] - rest), cell.pads.forces(grip)[mine].sum(axis=0)
+    same, at = _shared(rest[:, [0, 2]], theirs.rest[:, [0, 2]])
+    size: Array = theirs.moved[at]
+    apart: Array = moved[same] - size
+    across, across_theirs = force[[0, 2]], theirs.force[[0, 2]]
+    pressure, shear = theirs.pressure[at], theirs.shear[at]
+    touching = pressure > TOUCHES * float(pressure.mean())
+    slides = touching & (shear >= SLIDES * cell.scene.gel.friction * pressure)
+    status = grip.status[mine][same]
+    return {
+        "force_n": [force.tolist(), theirs.force.tolist()],
+        "normal_apart": abs(force[1] / theirs.force[1] - 1.0),
+        "shear_n": float(np.linalg.norm(across_theirs)),
+        "shear_apart": float(np.linalg.norm(across - across_theirs) / np.linalg.norm(across_theirs)),
+        "moved_rms_mm": float(np.sqrt(np.square(size).sum(axis=1).mean())),
+        "moved_apart": float(np.sqrt(np.square(apart).sum() / np.square(size).sum())),
+        "slip": [_share(status == SLIP, status != OPEN), _share(slides, touching)],
+    }
+
+
+def _share(some: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
+    return float(some.sum() / np.maximum(1, of.sum()))
+
+
+def _shared(ours: Array, theirs: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Which nodes of ours [m] and of theirs [m] lie in the same places. Raises ValueError where too few do."""
+    away = np.linalg.norm(ours[:, None] - theirs[None], axis=2)
+    mine, of_theirs = np.nonzero(away < SAME_MM)
+    if len(mine) < LEAST_SHARED:
+        raise ValueError(f"expected at least {LEAST_SHARED} nodes in the same places, found {len(mine)}")
+    return mine, of_theirs

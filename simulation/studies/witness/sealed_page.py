@@ -1,0 +1,115 @@
+"""Page of the sealed test: what is missed first, then the figures, then every failure."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from typing import Any
+
+from reporting.page import page
+from reporting.statistics import wilson
+from reporting.table import table
+from simulation.studies.witness.sealed import WITNESS
+
+Row = dict[str, Any]
+NUMBER = r"-?\d+\.\d"
+LEAST_INSERTED, MOST_TRIALS, LEAST_COVERED = 0.95, 3.2, 0.80
+
+
+def foreign_world_page(data: Row) -> str:
+    """The whole of docs/foreign_world.md from foreign_world.json."""
+    whole = next(row for row in data["figures"] if (row["cell"], row["family"]) == (WITNESS, "all"))
+    failed = [row for row in data["insertions"][WITNESS] if not row["inserted"]]
+    return page(
+        f"""
+        # The sealed test in another physics, simulated
+
+        {_verdict(whole)}
+        """,
+        data.get("note", ""),
+        f"""
+        The released networks, not adapted, play in a [cell of finite elements](foreign_check.md) that shares no code
+        with the physics that trained them. Worlds, objects and starts follow from the SHA-256 of the network files and
+        a counter ({data["counter"]}): `{data["seal"][:16]}`. Nobody can choose them, and every one that was played is
+        in [foreign_world.json](foreign_world.json). Three families: gels that end within 1 mm of the markers, gels
+        that go on for 5 mm and more, and stiff gels that slide after 0.15 to 0.4 marker pitches. The rest of a world
+        is drawn over what cells are ([worlds](worlds.md)), with all that nobody tells the software; Poisson's ratio is
+        that of rubber, 0.45 to 0.495, without viscosity and soft fingers, which the cell has not. Objects are drawn,
+        too. Markers are true ones with the tracker's error; nobody told the shear reach; a failure counts as 16
+        trials. Our own tiers play the same starts beside it.
+        """,
+        table(data["figures"], *_FIGURES),
+        f"""
+        ## What ended the {len(failed)} that failed there
+        """,
+        table(
+            Counter(map(_cause, failed)).most_common(), ("cause", 0), ("insertions", 1, "d")
+        ),
+        "## Each of them",
+        table(
+            failed,
+            ("world", "world"),
+            ("object", "object"),
+            ("start mm, deg", "start", ".1f"),
+            ("reach pitches", "reach_pitches", ".2f"),
+            ("attempts", "attempts", "d"),
+            ("claimed", "claimed"),
+            ("last error mm, deg", "final_error", ".1f"),
+            ("largest force N", "force_n", ".0f"),
+            ("cause", _cause),
+        ),
+        f"""
+        Made by `python -m simulation sealed --count {data["count"]} --counter {data["counter"]} --docs docs`.
+        """,
+    )  # fmt: skip
+
+
+_FIGURES: tuple[Any, ...] = (
+    ("cell", "cell"),
+    ("family", "family"),
+    ("claimed, not true", lambda row: f"{row['claimed_wrongly']} of {row['insertions']}"),
+    ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
+    ("mean trials", "mean_trials", ".2f"),
+    ("refused", "refused", "d"),
+    ("void", "void", "d"),
+    ("direction", lambda row: wilson(row["direction_right"], row["direction_n"]), ".0%"),
+    ("MAE x mm", "mae_x_mm", ".2f"),
+    ("MAE yaw deg", "mae_theta_deg", ".2f"),
+    ("90 % holds x", "covered_x", ".0%"),
+    ("90 % holds yaw", "covered_theta", ".0%"),
+    ("largest force N", "worst_force_n", ".0f"),
+)
+
+
+def _verdict(whole: Row) -> str:
+    """What was asked for and what came of it, what is missed first."""
+    count = whole["insertions"]
+    inserted, wrong = wilson(whole["inserted"], count), wilson(whole["claimed_wrongly"], count)
+    covered = min(share if share is not None else 0.0 for share in (whole["covered_x"], whole["covered_theta"]))
+    wrongly, done = whole["claimed_wrongly"], whole["inserted"]
+    told = (
+        f"{wrongly} of {count} insertions ended in a claim that was not true, {wrong:.1%}; asked for: none",
+        f"{done} of {count} were inserted, {inserted:.1%}; asked for: a lower bound of {LEAST_INSERTED:.0%}",
+        f"{whole['mean_trials']:.2f} trials on the mean; asked for: at most {MOST_TRIALS}",
+        f"90 % intervals of first decisions hold the truth in {covered:.0%}; asked for: {LEAST_COVERED:.0%}",
+    )
+    holds = (
+        whole["claimed_wrongly"] == 0,
+        inserted.low >= LEAST_INSERTED,
+        whole["mean_trials"] <= MOST_TRIALS,
+        covered >= LEAST_COVERED,
+    )
+    missed, reached = (
+        [text for text, good in zip(told, holds, strict=True) if good is asked] for asked in (False, True)
+    )
+    said = [f"**Missed:** {'. '.join(missed)}." if missed else "", f"Reached: {'. '.join(reached)}." if reached else ""]
+    return "\n\n".join(said)
+
+
+def _cause(row: Row) -> str:
+    """In one line why an insertion failed."""
+    if row["claimed"]:
+        return f"claimed, but {re.sub(NUMBER, 'x', row['shortfalls'][0]) if row['shortfalls'] else 'not held'}"
+    if row["void"] or row["reason"]:
+        return ": ".join(str(row["reason"]).split(": ")[:2])[:90]
+    return "trials used up" if row["grasp_kept"] else "the object left the grasp"

@@ -1,0 +1,202 @@
+"""Commissioning: probes end above the gap, wrong wiring is named, and an interruption loses one probe at most."""
+
+import asyncio
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_client.cli.insert import with_commissioning
+from robot_client.insertion.events import Move, Send, Standstill
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.state import Phase, State
+from robot_client.ports import DriverError
+from robot_client.session.commission import (
+    PER_FIXTURE_N,
+    SIDES,
+    WENT_IN,
+    Commissioning,
+    Ended,
+    Record,
+    errors,
+    keep_record,
+    mistakes,
+    probe_of,
+    read_record,
+)
+from robot_client.settings import Settings
+from service.contract import wire
+from service.contract.frames import ContractError
+from service.contract.words.wiring import WIRINGS
+from tests.robot_client.insertion.stories import (
+    APPROACH,
+    PLAN,
+    TO_ARMING,
+    TO_DECISION,
+    TO_DESCENT,
+    at,
+    correction,
+    hello,
+    no_decision,
+    run,
+    service,
+)
+
+PROBE = State(PLAN.model_copy(update={"purpose": "probe"}))
+
+
+@pytest.mark.parametrize("answer", [correction(1), no_decision(1), no_decision(1, "contradictory")])
+def test_a_probe_goes_straight_up_after_whatever_was_decided_and_ends_there(answer):
+    _, before = run(TO_DECISION, PROBE)
+    state, commands = run([*TO_DECISION, service(answer), at(APPROACH)], PROBE)
+    moves = [c.target for c in commands[len(before) :] if isinstance(c, Move)]
+    assert (state.phase, moves) == (Phase.PROBED, [APPROACH])
+    assert isinstance(commands[-1], Send)
+    assert commands[-1].message.cause == "probed"
+
+
+def test_a_probe_that_goes_in_comes_up_again_and_claims_nothing():
+    bottom = APPROACH.at_height(APPROACH.z_mm - PLAN.expected_depth_mm)
+    state, commands = run([*TO_DESCENT, at(bottom), at(bottom, Standstill), at(APPROACH)], PROBE)
+    assert state.phase is Phase.PROBED
+    assert "stopped" not in {c.message.type for c in commands if isinstance(c, Send)}
+
+
+def answers(signs=(1, 1), off=(0.0, 0.0), said=""):
+    """What a cell with these signs and offsets feels on the four sides."""
+    for x, theta in SIDES:
+        felt = (signs[0] * 0.7 * x + off[0], signs[1] * 0.7 * theta + off[1])
+        at_pose = WorkPose(x_mm=x, y_mm=0.0, z_mm=35.0, yaw_deg=theta)
+        yield probe_of("p", at_pose, None if said else felt, said)
+
+
+@pytest.mark.parametrize("signs", WIRINGS)
+def test_a_cell_that_is_wired_wrong_is_named_by_its_signs(signs):
+    assert mistakes(tuple(answers(signs))) == (WIRINGS[signs],)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"off": (6.0, 0.0)}, "mm in x"),
+        ({"off": (0.0, -9.0)}, "deg in yaw"),
+        ({"signs": (0, 1)}, "x"),
+        ({"said": "contradictory: mirrored"}, "mirrored"),
+        ({"said": WENT_IN}, "nothing was felt"),
+    ],
+)
+def test_a_cell_that_is_framed_wrong_or_feels_nothing_is_named(wrong, says):
+    (named,) = mistakes(tuple(answers(**wrong)))
+    assert says in named
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.5, 1.5))
+def test_a_good_cell_is_never_accused(x, theta):
+    assert mistakes(tuple(answers(off=(x, theta)))) == ()
+
+
+def test_a_part_that_fits_at_any_yaw_says_nothing_of_yaw():
+    good, wrong = (tuple(answers(signs)) for signs in ((1, 1), (-1, 1)))
+    fits = tuple(answers(said=WENT_IN))
+    assert mistakes(good[:2] + fits[2:]) == ()
+    assert mistakes(wrong[:2] + fits[2:]) == (WIRINGS[-1, 1],)
+
+
+@given(st.integers(0, 2**31), st.integers(0, 500))
+def test_no_probe_begins_where_the_object_fits_or_beyond_what_is_asked_for(seed, number):
+    x, theta = errors(seed, 15.0, 15.0, (2.5, 3.0))(number)
+    assert max(abs(x), abs(theta)) <= 15.0
+    assert abs(x) > 2.5 or abs(theta) > 3.0
+    assert errors(seed, 15.0, 15.0, (2.5, 3.0))(number) == (x, theta)
+
+
+class Cell:
+    """Probes that answer with a share of the truth; ``fails_at`` is the one that the arm fails in."""
+
+    def __init__(self, fails_at=None, sign=1):
+        self.probed, self.fetched_n, self.fails_at, self.sign = [], 0, fails_at, sign
+        self.gels = {"left": "a", "right": "b"}
+
+    async def probe(self, x_mm, theta_deg):
+        self.probed.append((x_mm, theta_deg))
+        pose = WorkPose(x_mm=x_mm, y_mm=0.0, z_mm=35.0, yaw_deg=theta_deg)
+        felt = (self.sign * 0.7 * x_mm, 0.7 * theta_deg)
+        failed = len(self.probed) == self.fails_at
+        phase = Phase.FAILED if failed else Phase.PROBED
+        return Ended(probe_of("p", pose, felt, ""), phase, "arm: tilt" if failed else "", self.gels)
+
+    async def fetch(self):
+        self.fetched_n += 1
+
+
+def commissioning(cell, path, record=None):
+    record = record or Record(begun="today", seed=7)
+    return Commissioning(path, record, cell.probe, cell.fetch, errors(7, 15.0, 15.0, (2.5, 3.0)), lambda _line: None)
+
+
+def test_it_goes_on_where_it_was_broken_off_and_loses_the_probe_under_way(tmp_path):
+    path, whole, broken = tmp_path / "record.json", Cell(), Cell(fails_at=8)
+    asyncio.run(commissioning(whole, tmp_path / "whole.json").run(6))
+    with pytest.raises(DriverError, match=r"probe 4 of 6.*tilt"):
+        asyncio.run(commissioning(broken, path).run(6))
+    record = asyncio.run(commissioning(broken, path, read_record(path)).run(6))
+    assert len(record.probes) == 6
+    assert broken.probed[:7] + broken.probed[8:] == whole.probed
+    assert whole.fetched_n == -(-len(whole.probed) // PER_FIXTURE_N)
+
+
+def test_nothing_goes_on_in_a_cell_with_the_wrong_signs(tmp_path):
+    cell = Cell(sign=-1)
+    record = asyncio.run(commissioning(cell, tmp_path / "record.json").run(20))
+    assert (len(cell.probed), record.probes) == (len(SIDES), ())
+    assert record.named == (WIRINGS[-1, 1],)
+    assert read_record(tmp_path / "record.json") == record
+
+
+def test_a_gel_that_is_changed_on_the_way_ends_it(tmp_path):
+    cell = Cell()
+    record = asyncio.run(commissioning(cell, tmp_path / "record.json").run(1))
+    cell.gels = {"left": "a", "right": "c"}
+    with pytest.raises(DriverError, match="gel was changed"):
+        asyncio.run(commissioning(cell, tmp_path / "record.json", record).run(2))
+
+
+def camera(gel):
+    return wire.CameraEntry(finger="left", source="s", state="live", frame_rate_hz=60.0, gel=gel)
+
+
+@pytest.mark.parametrize(("gel", "goes_on"), [("a", True), ("z", False), ("", False)])
+def test_nothing_is_inserted_with_a_gel_that_was_not_commissioned(gel, goes_on):
+    plan = PLAN.model_copy(update={"gels": {"left": "a"}})
+    state, _ = run([TO_ARMING[0], service(hello(cameras=(camera(gel),)))], State(plan))
+    assert (state.phase is Phase.GRASPING) == goes_on
+    assert goes_on or "left gel" in state.reason
+
+
+def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path):
+    path = tmp_path / "commissioning.json"
+    real = Settings(commissioning=path)
+
+    def asked(settings):
+        return with_commissioning(settings, PLAN, asked=True)
+
+    for settings, says in ((Settings(), "--uncommissioned"), (real, "not commissioned to the end")):
+        with pytest.raises(ContractError, match=says):
+            asked(settings)
+    record = Record(begun="today", seed=1, signs=tuple(answers()), gels={"left": "a", "right": "b"})
+    keep_record(path, record.model_copy(update={"named": ("swapped",)}))
+    with pytest.raises(ContractError, match="swapped"):
+        asked(real)
+    keep_record(path, record)
+    assert asked(real).gels == record.gels
+    assert asked(Settings(simulated=True)) == with_commissioning(Settings(), PLAN, asked=False) == PLAN
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"version": 1}', '{"version": 9, "begun": "x", "seed": 0}'])
+def test_a_file_that_is_no_record_is_refused_by_name(tmp_path, text):
+    path = tmp_path / "record.json"
+    path.write_text(text)
+    with pytest.raises(ContractError, match="no record of a commissioning"):
+        read_record(path)
+    keep_record(path, Record(begun="today", seed=1))
+    assert read_record(path).seed == 1

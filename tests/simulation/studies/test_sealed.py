@@ -1,0 +1,64 @@
+"""Nobody chooses what a sealed test plays, more of it begins alike, and its page tells every failure."""
+
+import shutil
+
+import pytest
+
+from simulation.studies.witness import sealed
+from simulation.studies.witness.sealed_page import foreign_world_page
+
+OBJECTS = ["can", "white_box", "vitamin", "mustard"]
+
+
+@pytest.fixture
+def release(tmp_path):
+    folder = tmp_path / "models"
+    shutil.copytree("models/pressing", folder)
+    return folder
+
+
+def test_another_byte_or_counter_is_another_test(release):
+    first = sealed.seal(release, 1)
+    assert first == sealed.seal(release, 1) != sealed.seal(release, 2)
+    with (release / "joint" / "joint.step.onnx").open("ab") as file:
+        file.write(b"\0")
+    assert sealed.seal(release, 1) != first
+    starts = [[each.start.x_mm for each in sealed.opened(seal, OBJECTS, 5)] for seal in (first, "other")]
+    assert starts[0] != starts[1]
+
+
+def test_more_insertions_begin_with_the_same_ones_and_families_differ():
+    few, many = sealed.opened("seal", OBJECTS, 5), sealed.opened("seal", OBJECTS, 7)
+    assert few == many[: len(few)]
+    assert [each.family for each in few] == [family for family in sealed.FAMILIES for _ in range(5)]
+    for each in many:
+        gel = each.start.world.changes
+        assert gel["gel.relaxation_share"] == 0.0
+        assert gel["gel.poisson_ratio"] >= 0.45
+        if each.family == "edges near":
+            assert max(gel["gel.margin_mm"]) <= 1.0
+        elif each.family == "edges far":
+            assert min(gel["gel.margin_mm"]) >= 5.0
+        else:
+            assert gel["gel.friction"] < 0.58
+
+
+def test_the_page_begins_with_what_is_missed_and_lists_every_failure(release):
+    begun = sealed.opened("seal", OBJECTS, 5)
+    cells = (sealed.WITNESS, "bristle")
+    rows = [row_of(task.job) for task in sealed.tasks("seal", release, begun, cells)]
+    rows[3] |= {"inserted": False, "shortfalls": ("it is tilted by 2.5 deg, below 2 counts",)}
+    rows[4] |= {"inserted": False, "claimed": False, "reason": "service: contradictory"}
+    data = sealed.report_of(rows, begun, cells, {"seal": "seal", "counter": 1, "count": 5})
+    assert [row["insertions"] for row in data["figures"]] == [15, 5, 5, 5] * 2
+    text = foreign_world_page(data)
+    assert text.index("**Missed:** 1 of 15 insertions ended in a claim that was not true") < text.index("Reached")
+    assert "claimed, but it is tilted by x deg, below 2 counts" in text
+    assert "service: contradictory" in text
+
+
+def row_of(job):
+    """What playing a job could give."""
+    course = {"force_n": 12.0, "block_mm": 0.1}
+    ended = {"inserted": True, "claimed": True, "in_gap": True, "void": False, "grasp_kept": True, "attempts": 1}
+    return {**job, **ended, "reason": "", "shortfalls": (), "final_error": [0.0, 0.0], "trials": [], "course": course}
