@@ -231,10 +231,11 @@ def _choices(data: Row) -> str:
 
     The gentle end ships; what is on the front is a file away. **Ramps**: the slow ones. In lock step *brisk* costs
     nothing, but two of two live insertions of the rectangle with brisk ramps and the pair of networks ended with the
-    part tilted by 2.1 and 2.7 deg, and were claimed; with the slow ones it was one of three. That is too few to tell them
-    apart, and enough not to ship the quicker. **Probing speed**: 10 mm/s, because at 30 frames a second a faster stop
-    is a later one, and pushes harder. **Approach**: 5 mm above the blocks; 3 mm are quicker, but how well the object's
-    height is known is the cell's own matter. With `lift_mm = 3.0` an approach of 5 mm is as quick as one of 3.
+    part tilted by 2.1 and 2.7 deg, and were claimed; with the slow ones it was one of three. That is too few to
+    tell them apart, and enough not to ship the quicker. **Probing speed**: 10 mm/s, because at 30 frames a second
+    a faster stop is a later one, and pushes harder. **Approach**: 5 mm above the blocks; 3 mm are quicker,
+    but how well the object's height is known is the cell's own matter.
+    With `lift_mm = 3.0` an approach of 5 mm is as quick as one of 3.
     **Fast legs**: off, because they need cameras of 38 frames a second or more, and EGM. With cameras of 60, `choose`
     writes them; try them on your cell before you trust them:
 
