@@ -153,7 +153,10 @@ class InsertionManager:
             active.message(wire.Abort(insertion_id=active.session.insertion_id, cause=cause, reason=reason))
 
     def _open(self, hello: wire.ClientHello) -> Insertion:
-        session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
+        given = self.settings
+        session = make_session(
+            self.models, self.calibration, given.controller, given.limits, imprint=given.imprint_slip
+        )
         session.cameras, session.submit = self.camera_entries, self.submit
         session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session)
