@@ -149,9 +149,9 @@ def large(probe: Probe) -> dict[str, Any]:
 
 
 def _way(cell: RecordedCell, side: int) -> list[Array]:
-    """The plate's corners by every second load step in the frame of the pad at side, from clear of it on."""
+    """The plate's corners by every third load step in the frame of the pad at side, from clear of it on."""
     crest, closed = cell.held.crest_mm, CLOSING_STEPS - 1
-    kept = [*cell.path[:closed:3], *cell.path[closed : closed + 2], *cell.path[: closed + 1 : -2][::-1]]
+    kept = [*cell.path[:closed:3], *cell.path[closed : closed + 2], *cell.path[: closed + 1 : -3][::-1]]
     way = [
         calculix.plate_at(grip.turn, grip.place - [0.0, 0.5 * side * grip.opening, 0.0], crest, side) for grip in kept
     ]
