@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from simulation.foreign.cell import CLOSING_STEPS, ForeignCell, pad_of
 from simulation.foreign.elements import Pad
 from simulation.foreign.newton import Drive
-from simulation.foreign.pads import OPEN, SLIP, Grip
+from simulation.foreign.pads import OPEN, Grip
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene
 from simulation.studies.witness import calculix
@@ -183,7 +183,9 @@ def _apart(cell: RecordedCell, side: int, theirs: calculix.Answer) -> dict[str, 
     pressure, shear = theirs.pressure[at], theirs.shear[at]
     touching = pressure > TOUCHES * float(pressure.mean())
     slides = touching & (shear >= SLIDES * cell.scene.gel.friction * pressure)
-    status = grip.status[mine][same]
+    judged = cell.pads.judge(grip, cell.pads.planes(cell.held, grip.on), grip.on, None)
+    ours, drag = judged.pressing[mine][same], np.linalg.norm(judged.drag[mine][same], axis=1)
+    closed = grip.status[mine][same] != OPEN
     return {
         "force_n": [force.tolist(), theirs.force.tolist()],
         "normal_apart": abs(force[1] / theirs.force[1] - 1.0),
@@ -192,7 +194,7 @@ def _apart(cell: RecordedCell, side: int, theirs: calculix.Answer) -> dict[str, 
         "moved_rms_mm": float(np.sqrt(np.square(size).sum(axis=1) @ weight)),
         "moved_apart": _apart_of(apart, size, weight),
         "moved_apart_inside": _apart_of(apart[~rim], size[~rim], weight[~rim]),
-        "slip": [_share(status == SLIP, status != OPEN), _share(slides, touching)],
+        "slip": [_share(closed & (drag >= SLIDES * cell.pads.friction * ours), closed), _share(slides, touching)],
     }
 
 
