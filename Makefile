@@ -17,7 +17,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report tradeoff bench bench-serving peers bench-hostile soak collect train pressing export evaluate robustness trust drawn-worlds requirements docs clean
+.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report pace bench bench-serving peers bench-hostile soak collect train pressing export evaluate robustness trust drawn-worlds requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -155,8 +155,8 @@ slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: d
 trust-live: $(RUN_VENV)/ready ## break live insertions on purpose: docs/motion_bounds.md, .json; goes on after an interruption (TOGETHER=1)
 	$(RUN) -m simulation motion-bounds $(if $(TOGETHER),--together $(TOGETHER))
 
-tradeoff: $(VENV)/ready ## what accuracy costs in time, networks, slip and physics: docs/tradeoff.md, .json, .png (FOLDERS= names others than models/)
-	$(BIN)/python -m export tradeoff --data $(PROBES) $(FOLDERS)
+pace: $(RUN_VENV)/ready ## what accuracy costs, in seconds a box: docs/pace.md, .json, .png; goes on after an interruption
+	$(RUN) -m simulation pace --out runs/pace --docs docs
 
 bench: $(VENV)/bench ## what a decision of each released network costs on this machine, beside peers: docs/benchmark.md, .json, .png
 	$(BIN)/python -m export benchmark --docs docs --compare torch,openvino --alexnet $(ALEXNET) \

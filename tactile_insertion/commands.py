@@ -40,6 +40,8 @@ GROUPS: dict[str, dict[str, Command]] = {
         "evaluate": Command("simulation", "evaluate", "play the paper's protocol or drawn worlds"),
         "trust": Command("simulation", "trust", "count claims that are not true, under faults"),
         "robustness": Command("simulation", "robustness", "play insertions under disturbances"),
+        "pace": Command("simulation", "pace", "what settings cost in seconds a box"),
+        "choose": Command("simulation", "choose", "settings for a time, a success and a force"),
     },
     "train and export networks": {
         "train": Command("training", "train", "train the networks of a configuration"),
@@ -53,8 +55,6 @@ GROUPS: dict[str, dict[str, Command]] = {
         "verify": Command("export", "verify", "verify every network of a folder"),
         "quantize": Command("export", "quantize", "write int8 versions of the networks"),
         "bench": Command("export", "benchmark", "measure networks on this machine, offline"),
-        "tradeoff": Command("export", "tradeoff", "report what accuracy costs in time"),
-        "choose": Command("export", "choose", "name the best network for a time budget"),
     },
     "study the simulation": {
         "accuracy": Command("simulation", "accuracy", "what physics accuracy costs in time"),

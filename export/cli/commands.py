@@ -64,14 +64,12 @@ def quantize(
         mode: ONNX Runtime's static or dynamic int8, or weights in blocks of 16.
     """
     from export.onnx.decisions import read_split
+    from export.quantise.candidates import find_candidates
     from export.quantise.quantise import CALIBRATION_DECISIONS, quantise
-    from export.tradeoff.builds import CALIBRATION_SPLIT
-    from export.tradeoff.candidates import find_candidates
-    from export.tradeoff.scores import score
-    from export.tradeoff.tradeoff import agreements
+    from export.quantise.scores import agreements, score
 
     compared = read_split(str(data), "validation", decisions)
-    calibrating = list(read_split(str(data), CALIBRATION_SPLIT, CALIBRATION_DECISIONS))
+    calibrating = list(read_split(str(data), "train", CALIBRATION_DECISIONS))
     sources = find_candidates([folder])
     home = out / f"int8-{mode}"
     for model in (model for source in sources for model in source.models):
@@ -127,56 +125,6 @@ def benchmark(
     print(f"{docs / 'benchmark.md'}")
 
 
-def tradeoff(
-    folders: Annotated[list[Path], tyro.conf.Positional] = [],  # noqa: B006 - tyro copies it
-    data: Path = Path("data/probes"),
-    split: str = "validation",
-    decisions: int = 300,
-    docs: Path = Path("docs"),
-    builds: Path = Path("runs/builds"),
-    seconds: float = 3.0,
-) -> None:
-    """Write docs/tradeoff.md, .json and .png: accuracy against time of networks, slip trackers and physics settings.
-
-    Args:
-        folders: folders of exported fp32 step models (a pair, a joint density or both); models and its own folders if
-            none is named.
-        data: collected dataset.
-        split: trials on which the networks are scored: validation, or test (held-out ranges).
-        decisions: how many collisions of the split.
-        docs: where the report goes, and where slip_report.json, accuracy.json and closed_loop.json are read.
-        builds: folder of the int8 and fp16 builds that are made and scored beside each network; one that is younger
-            than its source is taken as it is.
-        seconds: how long each network is timed.
-    """
-    from export.onnx.decisions import read_split
-    from export.tradeoff.builds import make_builds
-    from export.tradeoff.tradeoff import tradeoff as measure
-    from training.data.dataset import data_sha256, open_source
-
-    _positive(seconds=seconds)
-    compared = read_split(str(data), split, decisions)
-    named = folders or sorted({file.parent for file in Path("models").rglob("*.step.onnx")})
-    made, refused = make_builds(named, builds, str(data))
-    about = {"split": split, "data": data_sha256(open_source(str(data)))[:12], "refused": refused}
-    measure([*named, *made], compared, about, docs, seconds)
-    print(f"{docs / 'tradeoff.md'}")
-
-
-def choose(budget_ms: float, report: Path = Path("docs/tradeoff.json"), seconds: float = 2.0) -> None:
-    """Name the most accurate network whose step after the last frame keeps a budget on this machine.
-
-    Args:
-        budget_ms: milliseconds a step may take, p99.
-        report: JSON of `python -m export tradeoff`, for the accuracies; times are taken now.
-        seconds: how long each network is timed.
-    """
-    from export.tradeoff.tradeoff import choose as pick
-
-    _positive(budget_ms=budget_ms, seconds=seconds)
-    print(pick(budget_ms, report, seconds))
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; wrong input is one line on standard error and exit code 2."""
     try:
@@ -185,8 +133,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "verify": verify,
             "quantize": quantize,
             "benchmark": benchmark,
-            "tradeoff": tradeoff,
-            "choose": choose,
         }
         tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion")
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too

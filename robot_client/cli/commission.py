@@ -14,6 +14,7 @@ from robot_client.session.commission import (
     PER_FIXTURE_N,
     RECORD,
     SIDES,
+    WENT_IN,
     Commissioning,
     Probe,
     Record,
@@ -71,7 +72,7 @@ class Felt:
 
     def __init__(self) -> None:
         self.estimate: tuple[float, float] | None = None
-        self.said = "went in without a touch"
+        self.said = WENT_IN
 
     def on_event(self, state: State, event: Event) -> None:  # noqa: ARG002 the protocol's signature
         """Note a decision."""

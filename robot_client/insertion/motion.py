@@ -31,11 +31,11 @@ class Ramp(Contract):
 
 
 class Ramps(Contract):
-    """How the arm moves in free air, while probing and on the way up."""
+    """How the arm moves in free air, while probing and on the way up. docs/pace.md says why so."""
 
-    travel: Ramp = Ramp(speed_mm_s=40.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0)
-    descend: Ramp = Ramp(speed_mm_s=10.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0)
-    retract: Ramp = Ramp(speed_mm_s=25.0, acceleration_mm_s2=200.0, jerk_mm_s3=4000.0)
+    travel: Ramp = Ramp(speed_mm_s=60.0, acceleration_mm_s2=1400.0, jerk_mm_s3=60000.0)
+    descend: Ramp = Ramp(speed_mm_s=10.0, acceleration_mm_s2=1000.0, jerk_mm_s3=30000.0)
+    retract: Ramp = Ramp(speed_mm_s=50.0, acceleration_mm_s2=1400.0, jerk_mm_s3=60000.0)
 
     def of(self, motion: Motion) -> Ramp:
         """The ramp of one kind of motion."""
@@ -96,6 +96,7 @@ class MotionGuide:
         self._paused_s: float | None = None
         self._walked_s = 0.0
         self._rate = 1.0
+        self._resume_s = _RESUME_S
         self._waiting: Settled | None = None
         self._still: WorkPose | None = None
         self._still_since_s = 0.0
@@ -123,8 +124,16 @@ class MotionGuide:
         self._guard.rest()
         self._start, self._end, self._motion = self.target, end, motion
         self._profile = profile
+        self._resume_s = self._resumes_in_s(max((speed for _, speed in legs), default=0.0))
         self._walked_s, self._rate, self._until_s = 0.0, 1.0, until_s
         self._waiting, self._still, self._paused_s = "arrived", None, None
+
+    def _resumes_in_s(self, fastest_mm_s: float) -> float:
+        """How long the move takes to gain its speed again: as its own ramp does, and with it within the limits."""
+        ramp = self.ramps.of(self._motion)
+        most = min(self.limits.max_acceleration_mm_s2, self.limits.max_turn_acceleration_deg_s2)
+        spare = max(most - ramp.acceleration_mm_s2, 0.01 * most)
+        return max(_RESUME_S, max(ramp.speed_mm_s, fastest_mm_s) / min(spare, ramp.acceleration_mm_s2))
 
     def renew(self, until_s: float) -> None:
         """The descent under way may walk until then."""
@@ -156,9 +165,7 @@ class MotionGuide:
             self._walked_s += elapsed_s * self._rate
         else:
             # The speed grows during the step, not after it: else a long step before a short one is a jolt.
-            ramp = self.ramps.of(self._motion)
-            gain = elapsed_s * min(1.0 / _RESUME_S, ramp.acceleration_mm_s2 / ramp.speed_mm_s)
-            before, self._rate = self._rate, min(1.0, self._rate + gain)
+            before, self._rate = self._rate, min(1.0, self._rate + elapsed_s / self._resume_s)
             self._walked_s += elapsed_s * (before + self._rate) / 2.0
         share = self._profile.position(self._walked_s) / self._profile.length if self._profile.length > 0 else 1.0
         target = self._end if share >= 1.0 else self._start.towards(self._end, share)

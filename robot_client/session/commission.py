@@ -25,8 +25,9 @@ from service.contract.words.wiring import WIRINGS
 SIDES = ((8.0, 0.0), (-8.0, 0.0), (0.0, 8.0), (0.0, -8.0))
 """Where the cell is asked for signs: mm and deg."""
 PER_FIXTURE_N = 5  # probes before the object is put back, as in the paper: it drifts in the hand
-CLEAR_SHARE = 0.3  # of the way between two sides, below which estimates show no sign
-OFF_MM, OFF_DEG = 3.0, 4.0  # what two opposite sides may be off by together in a cell that is framed right
+CLEAR_SHARES = (0.3, 0.1)  # of the way between two sides, below which estimates show no sign; yaw is felt too small
+OFF_MM, OFF_DEG = 5.0, 8.0  # what two opposite sides may be off by together in a cell that is framed right
+WENT_IN = "went in without a touch"
 RECORD = "commissioning.json"
 
 
@@ -74,23 +75,39 @@ def keep_record(path: Path, record: Record) -> None:
 
 
 def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
-    """What is likely wrong with a cell that answered :data:`SIDES` so; nothing in a good one."""
-    if refused := [probe.said for probe in signs if probe.estimate_x_mm is None]:
-        return tuple(dict.fromkeys(refused))
-    x = [probe.estimate_x_mm or 0.0 for probe in signs[:2]]
-    theta = [probe.estimate_theta_deg or 0.0 for probe in signs[2:]]
-    way = (x[0] - x[1]) / (SIDES[0][0] - SIDES[1][0]), (theta[0] - theta[1]) / (SIDES[2][1] - SIDES[3][1])
-    unclear = [name for name, share in zip(("x", "yaw"), way, strict=True) if not abs(share) > CLEAR_SHARE]
+    """What is likely wrong with a cell that answered :data:`SIDES` so; nothing in a good one.
+
+    An axis with a side that went in, or was not decided, says nothing: a short object fits at any yaw. Of x, which
+    matters for every object, nothing is a mistake, too.
+    """
+    if wrong := [probe.said for probe in signs if probe.said.startswith("contradictory")]:
+        return tuple(dict.fromkeys(wrong))
+    x = _axis([probe.estimate_x_mm for probe in signs[:2]], SIDES[0][0], CLEAR_SHARES[0])
+    theta = _axis([probe.estimate_theta_deg for probe in signs[2:]], SIDES[2][1], CLEAR_SHARES[1])
+    if x is None:
+        undecided = [probe.said for probe in signs[:2] if probe.estimate_x_mm is None and probe.said != WENT_IN]
+        felt_nothing = f"nothing was felt {SIDES[0][0]:g} mm beside the gap: is the block there, is its width right?"
+        return tuple(dict.fromkeys(undecided)) or (felt_nothing,)
+    found = []
+    unclear = [name for name, axis in (("x", x), ("yaw", theta)) if axis and not axis[0]]
     if unclear:
-        both = " and ".join(unclear)
-        return (f"opposite errors in {both} give like estimates: the gels do not feel the block, or another gap",)
-    found = [WIRINGS[key]] if (key := (1 if way[0] > 0 else -1, 1 if way[1] > 0 else -1)) in WIRINGS else []
-    off = 0.5 * (x[0] + x[1]), 0.5 * (theta[0] + theta[1])
-    if abs(off[0]) > OFF_MM:
-        found.append(f"the tool frame or the fixture is off by about {off[0]:+.1f} mm in x")
-    if abs(off[1]) > OFF_DEG:
-        found.append(f"the tool frame or the fixture is off by about {off[1]:+.1f} deg in yaw")
+        found.append(f"opposite errors in {' and '.join(unclear)} give like estimates: the gels do not feel the block")
+    elif (key := (x[0], theta[0] if theta else 1)) in WIRINGS:
+        found.append(WIRINGS[key])
+    if abs(x[1]) > OFF_MM:
+        found.append(f"the tool frame or the fixture is off by about {x[1]:+.1f} mm in x")
+    if theta and abs(theta[1]) > OFF_DEG:
+        found.append(f"the tool frame or the fixture is off by about {theta[1]:+.1f} deg in yaw")
     return tuple(found)
+
+
+def _axis(felt: list[float | None], side: float, clear_share: float) -> tuple[int, float] | None:
+    """Sign (0 where it is not clear) and offset of what was felt at +side and -side; None where either went in."""
+    plus, minus = felt
+    if plus is None or minus is None:
+        return None
+    share = (plus - minus) / (2.0 * side)
+    return (0 if abs(share) <= clear_share else 1 if share > 0 else -1), 0.5 * (plus + minus)
 
 
 def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) -> Callable[[int], tuple[float, float]]:

@@ -9,13 +9,12 @@ The constants were fitted on 280 insertions in good cells and 161 in reversed on
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract.wire import Correction, Estimate
+from service.contract.wire import Correction
 from service.contract.words.wiring import WIRINGS
 from service.decision.evidence import Refusal
 from service.perception.observation import PairObservation
@@ -56,14 +55,6 @@ class Consistency:
         if causes := self.causes():
             raise Refusal("contradictory", f"the estimates contradict the moves: {'; or '.join(causes)}")
 
-    def add_probe(self, told: Pair, estimate: Estimate) -> None:
-        """Take in the estimate of an error that was known."""
-        here = np.array([estimate.dx_mm, estimate.dtheta_deg])
-        sigma = np.array([estimate.sigma_x_mm or math.inf, estimate.sigma_theta_deg or math.inf])
-        spread = np.sqrt(np.square(sigma) + np.square(MODEL_SIGMA))
-        for signs in self._log:
-            self._log[signs] += _log_density((here - np.array(signs) * told) / spread, spread, OUTLIERS)
-
     def _likelihood(self, predicted: Pair, here: Pair, sigma: Pair, *, sure: bool) -> float:
         far = bool((np.abs(predicted) > FAR).any())
         share = FAR_SURE_SHARE if far else SURE_SHARE
@@ -97,17 +88,6 @@ def _log_density(z: Pair, spread: Pair, outliers: float) -> float:
     """Of both axes together; an outlier may be anywhere in the range."""
     density = np.exp(-0.5 * np.square(z)) / (spread * math.sqrt(2.0 * math.pi))
     return float(np.log((1.0 - outliers) * density + outliers / RANGE).sum())
-
-
-def mistakes(told: Pair, estimates: Sequence[Estimate]) -> list[str]:
-    """How a cell is likely wired wrong whose probes at the errors ``told`` [n, 2] (mm, deg) gave these estimates.
-
-    Best explanation first; empty while a good cell explains the probes well enough.
-    """
-    judge = Consistency()
-    for error, estimate in zip(told, estimates, strict=True):
-        judge.add_probe(error, estimate)
-    return judge.causes()
 
 
 def mirrored(both: PairObservation) -> bool:

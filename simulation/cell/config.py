@@ -1,18 +1,26 @@
 """The robot client's configuration for a simulated cell, as a person would write it for a real one."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
+
+from simulation.scene.scene import APPROACH_MM
 
 OPEN_MM, RETREAT_MM = 100.0, 40.0
 
 
 def client_config(
-    facts: dict[str, Any], service: str, token: Path | None, link: Literal["egm", "socket"] = "egm"
+    facts: dict[str, Any],
+    service: str,
+    token: Path | None,
+    link: Literal["egm", "socket"] = "egm",
+    chosen: Mapping[str, Any] | None = None,
 ) -> str:
     """The text of a ``cell.toml``. ``facts`` are those of ``cell.json``; the fixture is where the arm starts.
 
     ``service`` is the address of the service, ``token`` the file of its token; None: the client finds it by itself.
+    ``chosen``: tables that come on top, such as `choose` writes them; a lower approach is set lower here.
     """
     devices = {
         "egm": {"device": "abb_egm", "port": facts["egm_guide_port"]},
@@ -36,7 +44,23 @@ def client_config(
     }
     if link == "socket":  # REACTION_S and the controller's stop ramp
         tables["lease"] = {"stop_lag_s": 0.07}
+    for name, keys in flat(chosen or {}).items():
+        tables[name] = tables.get(name, {}) | keys
+    lower_mm = APPROACH_MM - tables["task"].get("approach_clearance_mm", APPROACH_MM)
+    for key in ("approach_z_mm", "expected_depth_mm"):
+        tables["task"][key] = round(tables["task"][key] - lower_mm, 4)
     lines = ["simulated = true"]
     for name, keys in tables.items():
         lines += ["", f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
     return "\n".join(lines) + "\n"
+
+
+def flat(tables: Mapping[str, Any], above: str = "") -> dict[str, dict[str, Any]]:
+    """Nested tables by their dotted names, as a TOML file heads them."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, table in tables.items():
+        inner = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+        if plain := {key: value for key, value in table.items() if key not in inner}:
+            found[above + name] = plain
+        found |= flat(inner, f"{above}{name}.")
+    return found

@@ -15,6 +15,7 @@ from urllib.request import urlopen
 
 from service.contract.shipped import released_models
 from service.contract.token import TOKEN_FILE
+from service.contract.toml import read_toml
 from simulation.cell import run_report
 from simulation.cell.children import Child, Compiling
 from simulation.cell.config import client_config
@@ -60,6 +61,8 @@ class RunOptions:
     """Lag of the emulated arm."""
     link: Literal["egm", "socket"] = "egm"
     """How the client drives the arm: EGM, or the RAPID sockets of a controller without that option."""
+    client: Path | None = None
+    """Tables of the client's configuration to put on top of those of the cell, such as `choose` writes them."""
     timeout_s: float = 240.0
     """An insertion that takes longer is ended."""
 
@@ -132,7 +135,8 @@ def start_service(facts: dict[str, Any], options: RunOptions, folder: Path, port
 def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
     approach, config = facts["approach"], folder / "client.toml"
     token = (folder / "state" / TOKEN_FILE).resolve()
-    config.write_text(client_config(facts, url, token, options.link))
+    chosen = read_toml(options.client) if options.client else {}
+    config.write_text(client_config(facts, url, token, options.link, chosen))
     arguments = [
         *("--live", "--config", str(config), "--log", str(folder / "episode.jsonl")),
         *(f"--x-mm={approach['x_mm']:.4f}", f"--theta-deg={approach['yaw_deg']:.4f}"),

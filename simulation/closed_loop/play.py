@@ -46,7 +46,7 @@ from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
 from service.session.state_machine import InsertionSession
 from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View, empty_correction
-from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, walk_of
+from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, seconds_of_frames, walk_of
 from simulation.closed_loop.job import Job, Outcome, Perception
 from simulation.closed_loop.lockstep import GraspEndError, LockstepCell, hash_seed
 from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
@@ -179,8 +179,10 @@ class Insertion:
         if self.chooser and (isinstance(message, Correction) or not self.controller.uses_networks):
             message = self._chosen(self.chooser, message)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
+        frames_s = seconds_of_frames(self.session.attempt)
         wrench = [round(float(v), 3) for v in self.cell.state.wrench_n_nmm]
-        self.trials.append({"error_before": list(self.before.object_error), "wrench": wrench, "decision": decision})
+        error = list(self.before.object_error)
+        self.trials.append({"error_before": error, "wrench": wrench, "decision": decision, "frames_s": frames_s})
         return message
 
     def _chosen(self, chooser: Chooser, message: Correction | NoDecision) -> Correction:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from reporting.files import write_json
+from robot_client.session.commission import SIDES
 from service.contract import ContractError
 from simulation.closed_loop import benchmark
 from simulation.closed_loop.statistics import Row, ends
@@ -78,8 +79,6 @@ class Plan:
 
 
 PROBES, WORK, JUDGING, SIGNS = 1, 2, 3, 4
-SIDES = ((8.0, 0.0), (-8.0, 0.0), (0.0, 8.0), (0.0, -8.0))
-"""Probes that show whether the cell is wired as it says, mm and deg."""
 FEW = 50
 
 
@@ -100,8 +99,9 @@ def commission(cell: Cell, plan: Plan) -> Row:
 
 
 def _mistakes(cell: Cell, plan: Plan) -> list[str]:
-    """How the cell is wired wrong, as four probes show it."""
-    jobs = [job | _at(*side) for job, side in zip(cell.jobs(len(SIDES), SIGNS), SIDES, strict=True)]
+    """How the cell is wired wrong, as four probes show it: from the fixture, where a reversed arm takes the object."""
+    arm, jobs = cell.world.unstated, cell.jobs(len(SIDES), SIGNS)
+    jobs = [job | _at(arm.x_sign * x, arm.yaw_sign * yaw) for job, (x, yaw) in zip(jobs, SIDES, strict=True)]
     episodes = [
         Episode(cell.folder / "signs" / f"{index:05d}", plan.models, job, probe=True) for index, job in enumerate(jobs)
     ]

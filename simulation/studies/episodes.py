@@ -13,9 +13,8 @@ import numpy as np
 
 from reporting.files import write_durably
 from robot_client.insertion.state import Phase
-from service.contract.wire import Estimate
+from robot_client.session.commission import SIDES, WENT_IN, Probe, mistakes
 from service.decision.attempt import Attempt
-from service.decision.consistency import mistakes
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import models_of, stage
 from simulation.closed_loop.statistics import Row
@@ -67,14 +66,20 @@ def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row | No
 
 
 def named_mistakes(rows: Sequence[Row | None]) -> list[str]:
-    """How the cell of these probes is wired wrong; a refusal that names a cause counts as one."""
-    told, estimates, named = [], [], set[str]()
-    for row in rows:
-        for trial in row["trials"] if row else ():
-            decision = trial["decision"]
-            if decision.get("reason") == "contradictory":
-                named.add(decision["detail"])
-            if "estimate" in decision and row:
-                told.append((row["x_mm"], row["theta_deg"]))
-                estimates.append(Estimate.model_validate_json(json.dumps(decision["estimate"])))
-    return sorted(named) or mistakes(np.array(told, np.float64).reshape(-1, 2), estimates)
+    """How the cell of these probes at the client's four sides is wired wrong, by the client's own rule."""
+    return list(mistakes(tuple(_probe(row, *side) for row, side in zip(rows, SIDES, strict=True))))
+
+
+def _probe(row: Row | None, x_mm: float, theta_deg: float) -> Probe:
+    """What the client would keep of a probe that it took for one at this error."""
+    decision = row["trials"][0]["decision"] if row and row["trials"] else {}
+    felt = decision.get("estimate") or {}
+    said = f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN
+    return Probe(
+        x_mm=x_mm,
+        theta_deg=theta_deg,
+        estimate_x_mm=felt.get("dx_mm"),
+        estimate_theta_deg=felt.get("dtheta_deg"),
+        said="" if felt else said,
+        insertion_id="simulated",
+    )

@@ -235,7 +235,11 @@ def time_going_backwards(_seed: int) -> float:
     "motion",
     why="a stream that gaps and stutters changes the apparent speed of every step",
     holds="no rhythm of cycles makes a move break its own limits or miss its end: refusals, mm off",
-    guard=Guard("robot_client.insertion.motion:_RESUME_S", "full speed at once after a gap", 1e-9),
+    guard=Guard(
+        "robot_client.insertion.motion:MotionGuide._resumes_in_s",
+        "full speed at once after a gap",
+        lambda _: lambda _guide, _fastest: 1e-9,
+    ),
     limit=1e-9,
 )
 def streams_that_stutter(seed: int) -> float:

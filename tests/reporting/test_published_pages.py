@@ -16,11 +16,11 @@ PAGES = {
     "drawn_worlds": "simulation.studies.drawn_worlds:drawn_worlds_page",
     "foreign_check": "simulation.studies.witness.check_page:foreign_check_page",
     "foreign_world": "simulation.studies.witness.sealed_page:foreign_world_page",
+    "pace": "simulation.studies.pace.report:pace_page",
     "robustness": "simulation.closed_loop.robustness:robustness_page",
     "serving": "tests.benchmarks.serving_report:serving_page",
     "slip_report": "simulation.studies.slip.report:slip_page",
     "soak": "tests.service.soak.report:soak_page",
-    "tradeoff": "export.tradeoff.report:tradeoff_page",
 }
 
 

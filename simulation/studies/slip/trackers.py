@@ -1,7 +1,7 @@
 """What accuracy of marker tracking costs in time, on trials whose truth is known.
 
 Each setting gets the same frames: displacement RMS at 2 and 6 grey levels of noise, share of slip trials right, and CPU
-time a frame on one thread. `make tradeoff` reads the result.
+time a frame on one thread.
 """
 
 from __future__ import annotations

@@ -13,10 +13,6 @@ from export.cli.commands import main
         ("benchmark --seconds nan", "--seconds nan"),
         ("benchmark --seconds -1", "--seconds -1"),
         ("benchmark --compare nope", "no peer nope, expected some of torch"),
-        ("tradeoff --split nope", "no split 'nope', expected one of train, validation, test"),
-        ("tradeoff --seconds inf", "--seconds inf"),
-        ("choose --budget-ms nan", "--budget-ms nan"),
-        ("choose --budget-ms -3", "--budget-ms -3"),
     ],
 )
 def test_what_cannot_be_measured_is_refused_at_once_by_name(command, named, monkeypatch, capsys):

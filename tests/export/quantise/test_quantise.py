@@ -9,11 +9,10 @@ from export.onnx.decisions import Decision
 from export.onnx.golden import golden_frames
 from export.onnx.model import open_model
 from export.onnx.verify import decide, verify_model
+from export.quantise.agreement import Agreement
+from export.quantise.candidates import find_candidates
 from export.quantise.quantise import MODES, FarOffError, quantise, store_fp16
-from export.tradeoff.agreement import Agreement
-from export.tradeoff.candidates import find_candidates
-from export.tradeoff.scores import score
-from export.tradeoff.tradeoff import agreements
+from export.quantise.scores import agreements, score
 from service.contract import ContractError
 
 RELEASED = Path("models/pictures")
@@ -105,3 +104,8 @@ def test_alexnet_in_blocks_decides_as_in_fp32(decisions, tmp_path):
     expected, actual = decide(exact, frames), decide(build, frames)
     for name, value in expected.items():
         np.testing.assert_allclose(actual[name], value, atol=0.02 * max(1.0, float(np.abs(value).max())))
+
+
+def test_nothing_is_scored_on_no_decision():
+    with pytest.raises(ContractError, match="no decision"):
+        score(find_candidates([RELEASED]), [])

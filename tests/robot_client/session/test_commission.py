@@ -13,6 +13,7 @@ from robot_client.ports import DriverError
 from robot_client.session.commission import (
     PER_FIXTURE_N,
     SIDES,
+    WENT_IN,
     Commissioning,
     Record,
     errors,
@@ -71,10 +72,11 @@ def test_a_cell_that_is_wired_wrong_is_named_by_its_signs(signs):
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        ({"off": (4.0, 0.0)}, "mm in x"),
-        ({"off": (0.0, -6.0)}, "deg in yaw"),
+        ({"off": (6.0, 0.0)}, "mm in x"),
+        ({"off": (0.0, -9.0)}, "deg in yaw"),
         ({"signs": (0, 1)}, "x"),
         ({"said": "contradictory: mirrored"}, "mirrored"),
+        ({"said": WENT_IN}, "nothing was felt"),
     ],
 )
 def test_a_cell_that_is_framed_wrong_or_feels_nothing_is_named(wrong, says):
@@ -85,6 +87,13 @@ def test_a_cell_that_is_framed_wrong_or_feels_nothing_is_named(wrong, says):
 @given(st.floats(-1.0, 1.0), st.floats(-1.5, 1.5))
 def test_a_good_cell_is_never_accused(x, theta):
     assert mistakes(tuple(answers(off=(x, theta)))) == ()
+
+
+def test_a_part_that_fits_at_any_yaw_says_nothing_of_yaw():
+    good, wrong = (tuple(answers(signs)) for signs in ((1, 1), (-1, 1)))
+    fits = tuple(answers(said=WENT_IN))
+    assert mistakes(good[:2] + fits[2:]) == ()
+    assert mistakes(wrong[:2] + fits[2:]) == (WIRINGS[-1, 1],)
 
 
 @given(st.integers(0, 2**31), st.integers(0, 500))

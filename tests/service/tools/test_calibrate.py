@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from service.__main__ import main
-from service.contract import FINGERS, Finger, Sensor
+from service.contract import FINGERS, Finger, Sensor, TactileFrame
+from service.perception.finger import TactileFinger
 from service.perception.rectification import Calibration, CalibrationError
 from service.tools.calibrate import fit_camera
 from simulation.optics.appearance import Appearance
@@ -137,3 +138,15 @@ def test_an_absent_camera_is_one_line_and_exit_2(tmp_path, capsys):
     camera = f"file:{tmp_path / 'nothing'}"
     assert main(["calibrate", "--camera-left", camera, "--camera-right", camera]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_finger_learns_the_gel_that_it_was_calibrated_with_and_no_other(seed: int):
+    """Swapped cameras look well each by itself; the print tells them apart."""
+    cameras = {finger: renderer(finger, seed) for finger in FINGERS}
+    for finger in FINGERS:
+        calibration = fit_camera(still(cameras[finger]), finger, Sensor.load()).camera
+        watch = TactileFinger(finger, Sensor.load().rectified, calibration)
+        for shown in FINGERS:
+            why = watch.learn_open(TactileFrame(finger, 1, 1, cameras[shown].raw(REST, 7)))
+            assert ("swapped" in why) == (shown != finger), why

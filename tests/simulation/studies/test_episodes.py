@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from robot_client.session.commission import SIDES
 from simulation.studies.episodes import named_mistakes
 
 
@@ -17,9 +18,6 @@ def probe(x_mm, theta_deg, said, sigma=1.5):
         "interval_theta_deg": [said[1] - 2, said[1] + 2],
     }
     return {"x_mm": x_mm, "theta_deg": theta_deg, "trials": [{"decision": {"estimate": estimate}}]}
-
-
-SIDES = [(8.0, 0.0), (-8.0, 0.0), (0.0, 8.0), (0.0, -8.0)]
 
 
 def cell(sign_x, sign_theta, seed):
@@ -43,7 +41,10 @@ def test_a_reversed_cell_is_named(signs, cause):
         assert cause in named_mistakes(cell(*signs, seed))[0]
 
 
-def test_probes_that_nobody_decided_name_nothing_and_a_refusal_names_its_cause():
-    assert named_mistakes([None, {"x_mm": 8.0, "theta_deg": 0.0, "trials": []}]) == []
-    refused = {"decision": {"reason": "contradictory", "detail": "one picture is mirrored"}}
-    assert named_mistakes([{"x_mm": 8.0, "theta_deg": 0.0, "trials": [refused]}]) == ["one picture is mirrored"]
+def test_probes_that_nobody_decided_are_told_and_a_refusal_names_its_cause():
+    refused = {"trials": [{"decision": {"reason": "contradictory", "detail": "one picture is mirrored"}}]}
+    strange = {"trials": [{"decision": {"reason": "out_of_distribution", "detail": "strange"}}]}
+    assert named_mistakes([refused] * 4) == ["contradictory: one picture is mirrored"]
+    assert named_mistakes([strange, *cell(1, 1, 0)[1:]]) == ["out_of_distribution: strange"]
+    assert "nothing was felt" in named_mistakes([None, *cell(1, 1, 0)[1:]])[0]
+    assert named_mistakes([*cell(1, 1, 0)[:3], strange]) == []

@@ -79,7 +79,7 @@ def test_a_move_is_released_carried_out_and_reported():
             assert isinstance(event, Arrived)
             assert event.pose.distance_mm(pose(x=8.0, z=40.0)) < 0.2
             assert event.pose.yaw_deg == pytest.approx(6.0, abs=0.1)
-            assert peer.moves[0].endswith(" 40.0")
+            assert peer.moves[0].endswith(f" {Ramps().travel.speed_mm_s:.1f}")
 
     asyncio.run(story())
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from export.bench.measure import Timing, example_inputs, time_calls
 from export.onnx.decisions import FRAME_COUNTS, KINDS, Answer, Decision, answer, steps
 from export.onnx.model import Arrays, Model, open_model
 from service.contract import ContractError
@@ -59,11 +58,6 @@ class Candidate:
             }
             for row in range(len(decisions))
         ]
-
-    def time_step(self, seconds: float) -> Timing:
-        """One step of all its models, one after the other, on one thread: what remains after the last frame."""
-        inputs = [example_inputs(model) for model in self.models]
-        return time_calls(lambda: [model(row) for model, row in zip(self.models, inputs, strict=True)], seconds=seconds)
 
 
 def find_candidates(folders: list[Path]) -> list[Candidate]:

@@ -1,15 +1,16 @@
 """What networks decide on recorded collisions, after 2, 4 and 8 frames."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import islice
+from typing import Any
 
 import numpy as np
 from rich.progress import track
 
 from export.onnx.decisions import FRAME_COUNTS, Answer, Decision
-from export.tradeoff.agreement import Agreement
-from export.tradeoff.candidates import Candidate
+from export.quantise.agreement import Agreement
+from export.quantise.candidates import Candidate
 from service.contract import ContractError
 from training.data.labels import class_of
 
@@ -63,3 +64,17 @@ def _together(decisions: Iterable[Decision]) -> Iterator[list[Decision]]:
     iterator = iter(decisions)
     while batch := list(islice(iterator, TOGETHER)):
         yield batch
+
+
+def agreements(candidates: list[Candidate], scores: Scores) -> list[dict[str, Any]]:
+    """Each int8 and fp16 build against its fp32 source, by commands after all frames."""
+    sources = {c.origin: c for c in candidates if c.precision == "fp32"}
+    longest, rows = max(FRAME_COUNTS), []
+    for build in candidates:
+        source = sources.get(build.origin)
+        if source is None or source is build:
+            continue
+        same = scores[source.sha256][longest].agreement(scores[build.sha256][longest])
+        name = f"{build.name} {build.kind} {build.precision}"
+        rows.append({"name": name, "summary": str(same), "same_command": same.same_command, **asdict(same)})
+    return rows

@@ -1,0 +1,1 @@
+"""What accuracy costs in seconds a box: settings swept together on the same starts."""

@@ -1,0 +1,61 @@
+"""The choice of settings for what an integrator has: seconds a box, success, force."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from reporting.statistics import Estimate, wilson
+from simulation.cell.config import flat
+from simulation.closed_loop.statistics import Row
+from simulation.scene.drawn import toml
+
+
+class Wanted(NamedTuple):
+    """What a cell needs: seconds a box at most, share of boxes inserted at least, force at most (95 %)."""
+
+    seconds_a_box: float
+    success: float
+    force_n: float
+
+    def short(self, point: Row, count: int) -> float:
+        """How far a choice falls short, in parts of what was asked for; infinite with a false claim."""
+        if point["claimed_wrongly"]:
+            return float("inf")
+        shares = (
+            point["seconds_a_box"][0] / self.seconds_a_box - 1.0,
+            (self.success - point["inserted"] / count) / max(1.0 - self.success, 0.01),
+            point["force_n"]["95"] / self.force_n - 1.0,
+        )
+        return float(sum(max(0.0, share) for share in shares))
+
+
+def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:
+    """The quickest choice that keeps all three, and True; else the nearest, and False. Raises ValueError."""
+    if not (wanted.seconds_a_box > 0 and wanted.force_n > 0 and 0 < wanted.success <= 1):
+        raise ValueError(f"{wanted}: expected seconds and force above 0, and a share above 0 up to 1")
+    count = data["insertions"]
+    order = sorted(data["points"], key=lambda p: (wanted.short(p, count), p["seconds_a_box"][0]))
+    return order[0], wanted.short(order[0], count) == 0.0
+
+
+def told(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
+    """What was chosen and what it reached, simulated."""
+    asked = f"{wanted.seconds_a_box:g} s a box, {wanted.success:.1%} inserted, {wanted.force_n:g} N"
+    verdict = "keeps" if kept else "NEAREST, nothing measured keeps"
+    return (
+        f"{point['name']}: {verdict} {asked}\n"
+        f"  simulated, {count} insertions: {Estimate(*point['seconds_a_box']):.2f} s a box,"
+        f" {wilson(point['inserted'], count):.1%} inserted, {point['claimed_wrongly']} false claims,"
+        f" force below {point['force_n']['95']:.1f} N in 95 %, largest {point['force_n']['largest']:.1f} N"
+    )
+
+
+def settings_toml(point: Row, count: int) -> str:
+    """The client's tables as a file, with what they rest on."""
+    comment = (
+        f"{point['name']}: {point['seconds_a_box'][0]:.2f} s a box in {count} simulated insertions.",
+        f"Cameras at {point['fps']:g} frames a second (the service's --frame-rate-hz).",
+        f"Controller {point['controller']} (the service's --controller; joint: --models models/pressing/joint).",
+        "With another approach_clearance_mm, move approach_z_mm and expected_depth_mm by as much.",
+    )
+    return toml(flat(point["client"]), "\n# ".join(comment))
