@@ -160,7 +160,7 @@ def _way(cell: RecordedCell, side: int) -> list[Array]:
     return [way[0] - [0.0, side * (into + CLEAR_MM), 0.0], *way]
 
 
-LARGE = tuple(PROBES[i] for i in (0, 7, 13, 18))
+LARGE = tuple(PROBES[i] for i in (0, 7, 12))
 """Probes that are tried with large strains, too."""
 CORNER_ROWS = {1: [2, 3, 6, 7], -1: [0, 1, 4, 5]}
 """The plate's corners that face the pad."""
