@@ -38,18 +38,10 @@ def foreign_check_page(data: Row) -> str:
         """,
         table(probes, *_PROBE),
         f"CalculiX found no end of {len(lost)} more ({', '.join(lost)})." if lost else "",
-        "## Mesh, load step, and what each tier costs",
-        """
-        A descent of 1.2 mm on an edge in four parts. Errors are those of its end against the finest (8 x 8 x 3
-        elements, load step 0.085 mm). The stop depth is where a quarter of the contact slips. CPU time is that of the
-        descent.
-        """,
-        table(data["costs"], *_COST),
-        "## What it does not have",
-        """
-        Strains are small. CalculiX with Neo-Hooke's rubber and finite motion, on the same paths, says how much that is:
-        """,
-        table(data["large"], *_LARGE),
+        *(_COSTS if data["costs"] else ()),
+        table(data["costs"], *_COST) if data["costs"] else "",
+        *(_STRAINS if data["large"] else ()),
+        table(data["large"], *_LARGE) if data["large"] else "",
         data.get("lacks", ""),
         f"""
         ## Hard probes
@@ -83,6 +75,17 @@ def _hard(hard: Mapping[str, Any]) -> str:
     )
 
 
+_COSTS = (
+    "## Mesh, load step, and what each tier costs",
+    """
+    A descent of 1.2 mm on an edge in four parts. Errors are those of its end against the finest (8 x 8 x 3 elements,
+    load step 0.085 mm). The stop depth is where a quarter of the contact slips. CPU time is that of the descent.
+    """,
+)
+_STRAINS = (
+    "## What it does not have",
+    "Strains are small. CalculiX with Neo-Hooke's rubber and finite motion, on the same paths, says how much that is:",
+)
 _PROBE: tuple[Any, ...] = (
     ("probe", "kind"),
     ("Poisson", "poisson_ratio", ".2f"),
