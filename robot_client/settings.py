@@ -70,6 +70,7 @@ class Settings(Contract):
     pace: Pace = Pace()
     task: Task = Task()
     cycle: CycleSettings | None = None
+    commissioning: Path | None = None  # the record of `commission`, without which nothing is inserted live
     simulated: bool = False  # the devices are those of a simulated cell: no warning that a robot moves
 
     def make_arm(self) -> Arm:

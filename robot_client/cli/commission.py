@@ -8,7 +8,7 @@ from robot_client.cli.insert import live_ports, make_plan
 from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
 from robot_client.insertion.events import Event, FromService
 from robot_client.insertion.limits import check_pose
-from robot_client.insertion.state import Phase, State
+from robot_client.insertion.state import State
 from robot_client.ports import DriverError
 from robot_client.session.commission import (
     PER_FIXTURE_N,
@@ -16,7 +16,7 @@ from robot_client.session.commission import (
     SIDES,
     WENT_IN,
     Commissioning,
-    Probe,
+    Ended,
     Record,
     errors,
     probe_of,
@@ -28,6 +28,7 @@ from robot_client.session.runner import Runner
 from robot_client.session.travel import over_to, travel
 from robot_client.settings import Settings, SettingsError
 from service.contract import wire
+from service.contract.frames import Finger
 
 REACH_MM, REACH_DEG = 15.0, 15.0  # as far as the released networks were trained
 FITS_MM, FITS_DEG = 2.5, 3.0  # about what goes in: no probe begins there
@@ -73,11 +74,14 @@ class Felt:
     def __init__(self) -> None:
         self.estimate: tuple[float, float] | None = None
         self.said = WENT_IN
+        self.gels: dict[Finger, str] = {}
 
     def on_event(self, state: State, event: Event) -> None:  # noqa: ARG002 the protocol's signature
         """Note a decision."""
         if not isinstance(event, FromService):
             return
+        if isinstance(event.message, wire.ServiceHello):
+            self.gels = {camera.finger: camera.gel for camera in event.message.cameras}
         if isinstance(event.message, wire.Correction):
             self.estimate, self.said = (event.message.estimate.dx_mm, event.message.estimate.dtheta_deg), ""
         elif isinstance(event.message, wire.NoDecision):
@@ -94,14 +98,15 @@ class Probing:
     def __init__(self, settings: Settings, taught: CycleSettings, out: Path) -> None:
         self._settings, self._taught, self._out = settings, taught, out
 
-    async def probe(self, x_mm: float, theta_deg: float) -> tuple[Probe, Phase, str]:
-        """What it felt, how it ended, and why if not as it should."""
+    async def probe(self, x_mm: float, theta_deg: float) -> Ended:
+        """One probe from this error."""
         plan = make_plan(self._settings, x_mm, theta_deg, None, None).model_copy(update={"purpose": "probe"})
         felt = Felt()
         log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
         runner = Runner(plan, *live_ports(self._settings, plan), log, (felt,))
         state = await runner.run()
-        return probe_of(plan.insertion_id, plan.approach, felt.estimate, felt.said), state.phase, state.reason
+        done = probe_of(plan.insertion_id, plan.approach, felt.estimate, felt.said)
+        return Ended(done, state.phase, state.reason, felt.gels)
 
     async def begin(self) -> None:
         """Raise DriverError where the hand is not empty: what it holds is not the object in the fixture."""

@@ -6,7 +6,7 @@ import signal
 import sys
 from pathlib import Path
 
-from robot_client.cli.insert import live_ports, make_plan
+from robot_client.cli.insert import live_ports, make_plan, with_commissioning
 from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
 from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import State
@@ -17,9 +17,10 @@ from robot_client.session.recorder import Recorder
 from robot_client.session.report import Report
 from robot_client.session.runner import Runner
 from robot_client.settings import Settings, SettingsError
+from service.contract.frames import Finger
 
 
-def cycle(settings: Settings, *, live: bool, parts_n: int | None, log: Path | None) -> Outcome:
+def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, log: Path | None) -> Outcome:
     """Insert ``parts_n`` parts (None: until stopped); done if none was left undone. Raises DriverError."""
     taught = settings.cycle
     if taught is None:
@@ -32,7 +33,8 @@ def cycle(settings: Settings, *, live: bool, parts_n: int | None, log: Path | No
     show(warning(live=live, simulated=settings.simulated))
     if not live:
         return _rehearse(settings, taught)
-    return asyncio.run(_cycle(settings, taught, parts_n, log))
+    gels = with_commissioning(settings, make_plan(settings, 0.0, 0.0, None, None), asked=asked).gels
+    return asyncio.run(_cycle(settings, taught, parts_n, log, gels))
 
 
 def _rehearse(settings: Settings, taught: CycleSettings) -> Outcome:
@@ -50,9 +52,11 @@ def _rehearse(settings: Settings, taught: CycleSettings) -> Outcome:
     return Outcome(True, {"live": False, "steps": steps})
 
 
-async def _cycle(settings: Settings, taught: CycleSettings, parts_n: int | None, log: Path | None) -> Outcome:
+async def _cycle(
+    settings: Settings, taught: CycleSettings, parts_n: int | None, log: Path | None, gels: dict[Finger, str]
+) -> Outcome:
     async def insert(number: int) -> State:
-        plan = make_plan(settings, 0.0, 0.0, None, None)
+        plan = make_plan(settings, 0.0, 0.0, None, None).model_copy(update={"gels": gels})
         arm, gripper, service = live_ports(settings, plan)
         report = Report(arm.position, lambda text: show(f"  {text}"))
         written = log / f"{plan.insertion_id}.jsonl" if log else None

@@ -10,12 +10,13 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import PAUSE_S
 from robot_client.insertion.state import Phase, Plan
 from robot_client.ports import Arm, DecisionService, Gripper
+from robot_client.session.commission import commissioned
 from robot_client.session.recorder import Recorder
 from robot_client.session.rehearsal import rehearsal_ports
 from robot_client.session.report import Report
 from robot_client.session.runner import Runner
 from robot_client.session.service_link import ServiceLink
-from robot_client.settings import Settings
+from robot_client.settings import Settings, SettingsError
 from service.contract.wire import ControllerName
 
 
@@ -46,6 +47,21 @@ def make_plan(
         pause_s=PAUSE_S if settings.robot.pauses else 0.0,
         pace=settings.pace,
     )
+
+
+def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
+    """The plan with the gels of the cell's commissioning; raises SettingsError for a cell that was not commissioned.
+
+    A simulated cell needs none; ``asked`` False for who typed --uncommissioned.
+    """
+    if settings.simulated or not asked:
+        return plan
+    if settings.commissioning is None:
+        raise SettingsError(
+            'the configuration names no record of a commissioning (commissioning = "FILE"): run `commission --live`'
+            " first, or type --uncommissioned"
+        )
+    return plan.model_copy(update={"gels": commissioned(settings.commissioning).gels})
 
 
 def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:

@@ -16,7 +16,7 @@ from robot_client.cli.commission import commission
 from robot_client.cli.cycle import cycle
 from robot_client.cli.doctor import doctor
 from robot_client.cli.home import home
-from robot_client.cli.insert import insert, make_plan
+from robot_client.cli.insert import insert, make_plan, with_commissioning
 from robot_client.cli.jog import jog
 from robot_client.cli.terminal import Outcome, show
 from robot_client.insertion.geometry import WorkPose
@@ -66,18 +66,20 @@ def _parser() -> argparse.ArgumentParser:
             add_options(command)
         return command
 
-    add("insert", "insert the held object; a rehearsal unless --live is typed", _connection, _mode, _insertion)
-    cycling = add(
-        "cycle", "pick, insert and let go, part after part; only told unless --live is typed", _connection, _mode
+    add(
+        "insert",
+        "insert the held object; a rehearsal unless --live is typed",
+        _connection,
+        _mode,
+        _uncommissioned,
+        _insertion,
     )
+    told = "pick, insert and let go, part after part; only told unless --live is typed"
+    cycling = add("cycle", told, _connection, _mode, _uncommissioned)
     cycling.add_argument("--parts", type=int, metavar="N", help="stop after so many inserted parts (default: never)")
     cycling.add_argument("--logs", type=Path, metavar="DIR", help="folder for episode logs (default runs/robot)")
-    first = add(
-        "commission", "probe from known errors: is the cell wired right, and what does it feel?", _connection, _mode
-    )
-    first.add_argument("--probes", type=int, default=150, metavar="N", help="to learn from, after four for the signs")
-    first.add_argument("--seed", type=int, default=0, help="of the known errors of a new record (default 0)")
-    first.add_argument("--out", type=Path, default=Path("runs") / "commissioning", help="folder of the record")
+    told = "probe from known errors: is the cell wired right, and what does it feel?"
+    add("commission", told, _connection, _mode, _commissioning)
     examining = add(
         "doctor", "name what is wrong with PC, network, controller, gripper, cameras, and its remedy", _connection
     )
@@ -115,6 +117,18 @@ def _mode(parser: argparse.ArgumentParser) -> None:
     mode = parser.add_mutually_exclusive_group()
     mode.add_argument("--live", action="store_true", help="connect and MOVE")
     mode.add_argument("--dry-run", action="store_true", help="connect nothing, move nothing (the default)")
+
+
+def _commissioning(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--probes", type=int, default=150, metavar="N", help="to learn from, after four for the signs")
+    parser.add_argument("--seed", type=int, default=0, help="of the known errors of a new record (default 0)")
+    parser.add_argument("--out", type=Path, default=Path("runs") / "commissioning", help="folder of the record")
+
+
+def _uncommissioned(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--uncommissioned", action="store_true", help="insert although no commissioning says that the cell is right"
+    )
 
 
 def _connection(parser: argparse.ArgumentParser) -> None:
@@ -163,8 +177,16 @@ def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
     if args.command == "cycle":
         if args.parts is not None and args.parts < 1:
             raise ValueError(f"--parts {args.parts}: expected 1 or more")
-        return cycle(settings, live=args.live, parts_n=args.parts, log=args.logs or Path("runs") / "robot")
+        return cycle(
+            settings,
+            live=args.live,
+            asked=not args.uncommissioned,
+            parts_n=args.parts,
+            log=args.logs or Path("runs") / "robot",
+        )
     plan = make_plan(settings, args.x_mm, args.theta_deg, args.insertion_id, args.controller)
+    if args.live:
+        plan = with_commissioning(settings, plan, asked=not args.uncommissioned)
     log = args.log or Path("runs") / "robot" / f"{plan.insertion_id}.jsonl"
     if log.exists():
         raise ValueError(f"--log {log} exists already; episode logs are never overwritten")

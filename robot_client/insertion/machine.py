@@ -218,9 +218,9 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
         return state, ()
     try:
         for camera in message.cameras:
-            state.plan.lease.check_rate(state.plan.ramps.descend.speed_mm_s, camera)
+            state.plan.check_camera(camera)
     except LimitError as error:
-        return fail(state, "limits", "camera_rate", str(error))
+        return fail(state, "limits", "camera", str(error))
     state, _ = _on_clock(replace(state, fast=state.plan.bears_fast(message.cameras)), message.clock, at_s)
     if state.held:  # the gels are under load: only a print that is regular by itself can say that they are touched
         return grasp(state, at_s)

@@ -14,7 +14,7 @@ from robot_client.insertion.limits import LimitError, Limits, Positive, check_po
 from robot_client.insertion.motion import Ramps, check_ramps
 from robot_client.insertion.pace import Pace, Tops
 from service.contract import wire
-from service.contract.frames import Contract
+from service.contract.frames import Contract, Finger
 
 
 class Phase(StrEnum):
@@ -55,6 +55,7 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
+    ``gels``: which gels the cell was commissioned with.
     ``pause_s``: how long a descent whose lease has ended may be taken up again; 0 where the arm cannot stand and go on.
     A probe ends above the gap again after its first decision, whatever that is: it moves by no correction.
 
@@ -82,6 +83,7 @@ class Plan(Contract):
     ramps: Ramps = Ramps()
     timeouts: Timeouts = Timeouts()
     lease: Lease = Lease()
+    gels: dict[Finger, str] = Field(default_factory=dict)
     pause_s: float = Field(default=0.0, ge=0.0, le=PAUSE_S)
     pace: Pace = Pace()
 
@@ -107,6 +109,14 @@ class Plan(Contract):
         if not fast or self.pace.fast_mm_s is None:
             return lasts_s
         return min(lasts_s, self.fast_lease.lasts_s(self.pace.fast_mm_s))
+
+    def check_camera(self, camera: wire.CameraEntry) -> None:
+        """Raise LimitError for a camera too slow for the descent, or behind a gel that nobody commissioned."""
+        self.lease.check_rate(self.ramps.descend.speed_mm_s, camera)
+        if self.gels and camera.gel != self.gels.get(camera.finger):
+            raise LimitError(
+                f"the {camera.finger} gel is not the one that this cell was commissioned with: commission it again"
+            )
 
     def bears_fast(self, cameras: Iterable[wire.CameraEntry]) -> bool:
         """Whether the cameras give frames enough for the fast legs; else a descent is slow all the way."""

@@ -12,14 +12,14 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
-from service.contract.frames import Contract, ContractError, first_error
+from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.contract.words.wiring import WIRINGS
 
 SIDES = ((8.0, 0.0), (-8.0, 0.0), (0.0, 8.0), (0.0, -8.0))
@@ -43,15 +43,38 @@ class Probe(Contract):
 
 
 class Record(Contract):
-    """A commissioning as it is kept. ``seed`` decides the errors of all probes, ``named`` are mistakes of the cell."""
+    """A commissioning as it is kept. ``seed`` decides the errors of all probes, ``named`` are mistakes of the cell.
+
+    ``gels`` are those of its first probe, as the service names them.
+    """
 
     version: Literal[1] = 1
     begun: str
     seed: int = Field(ge=0)
     object: str = ""
+    gels: dict[Finger, str] = Field(default_factory=dict)
     signs: tuple[Probe, ...] = ()
     named: tuple[str, ...] = ()
     probes: tuple[Probe, ...] = ()
+
+
+class Ended(NamedTuple):
+    """How a probe ended: what is kept of it, the phase, why if not as it should, and the gels that the service has."""
+
+    probe: Probe
+    phase: Phase
+    reason: str
+    gels: dict[Finger, str]
+
+
+def commissioned(path: Path) -> Record:
+    """The record of a cell that may insert; raises ContractError where it was not commissioned, or named mistakes."""
+    record = read_record(path)
+    if record is None or len(record.signs) < len(SIDES):
+        raise ContractError(f"{path}: this cell was not commissioned to the end; run `commission --live`")
+    if record.named:
+        raise ContractError(f"{path} names mistakes; mend them and commission again: {'; '.join(record.named)}")
+    return record
 
 
 def read_record(path: Path) -> Record | None:
@@ -132,7 +155,7 @@ class Commissioning:
 
     path: Path
     record: Record
-    probe: Callable[[float, float], Awaitable[tuple[Probe, Phase, str]]]
+    probe: Callable[[float, float], Awaitable[Ended]]
     fetch: Callable[[], Awaitable[None]]
     draw: Callable[[int], tuple[float, float]]
     show: Callable[[str], None]
@@ -162,9 +185,12 @@ class Commissioning:
             await self.fetch()
             self._since_fetched_n = 0
         self._since_fetched_n += 1
-        done, phase, reason = await self.probe(x_mm, theta_deg)
+        done, phase, reason, gels = await self.probe(x_mm, theta_deg)
         if phase is not Phase.PROBED:
             raise DriverError(f"{title}: {reason}")
+        if gels != (self.record.gels or gels):
+            raise DriverError(f"{title}: a gel was changed or calibrated again; remove {self.path} and begin anew")
+        self.record = self.record.model_copy(update={"gels": gels})
         felt = done.said
         if done.estimate_x_mm is not None and done.estimate_theta_deg is not None:
             felt = f"felt {done.estimate_x_mm:+.1f} mm, {done.estimate_theta_deg:+.1f} deg"

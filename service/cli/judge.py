@@ -12,12 +12,16 @@ def main(arguments: Sequence[str]) -> int:
     """Judge every run and write the rows; raises JudgeError in one line."""
     options = _parse(arguments)
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    rows = []
+    rows, evidence = [], {}
     for folder in runs_of(options.folder):
-        rows.append(row := judged(folder))
+        run = judged(folder)
+        rows.append(row := run.row)
+        evidence[row["run"]] = run.evidence
         phases = ", ".join(f"{name} {row[f'{name}_frame']}" for name in ("contact", "hold", "slip", "lost"))
         print(f"{row['run']:<32} {row['frames_n']:>4} frames: {phases}; {row['ms_a_frame']:.1f} ms a frame")
         options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    if options.evidence is not None:
+        options.evidence.write_text(json.dumps(evidence) + "\n", encoding="utf-8")
     print(f"wrote {options.out}")
     return 0
 
@@ -27,4 +31,5 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="tactile-insertion judge", description=description)
     parser.add_argument("folder", type=Path, help="holds the runs, or folders of runs")
     parser.add_argument("--json", type=Path, dest="out", default=Path("runs/judge.json"), help="file for the rows")
+    parser.add_argument("--evidence", type=Path, help="file for what the slide witness read in each frame")
     return parser.parse_args(arguments)

@@ -92,12 +92,13 @@ class ModelEntry(Contract):
 
 
 class CameraEntry(Contract):
-    """One finger's camera as the service sees it."""
+    """One finger's camera as the service sees it; ``gel`` names the one it was calibrated with, if that is known."""
 
     finger: Finger
     source: str
     state: Literal["live", "stalled", "lost", "starting"]
     frame_rate_hz: float | None = None
+    gel: str = Field(default="", max_length=64)
 
 
 class Limits(Contract):

@@ -12,6 +12,7 @@ from service.perception.markers.tracker import MarkerTracker
 from service.perception.observation import Observation
 from service.perception.rectification import CameraCalibration, Rectifier
 from service.perception.slip.detector import SlipDetector, SlipState, untouched
+from service.perception.slip.imprint import ImprintWatch
 from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.open_gel import OpenGel, shrunk
 
@@ -21,10 +22,12 @@ _PRESSED = 2.0  # times what an untouched gel may show; from there on an object 
 class TactileFinger:
     """One finger's perception chain; takes raw frames where a calibration is given, and rectified ones always.
 
-    ``spec`` is the rectified frame the networks expect.
+    ``spec`` is the rectified frame the networks expect; ``imprint``: the imprint is followed as well.
     """
 
-    def __init__(self, finger: Finger, spec: FrameSpec, calibration: CameraCalibration | None = None) -> None:
+    def __init__(
+        self, finger: Finger, spec: FrameSpec, calibration: CameraCalibration | None = None, *, imprint: bool = False
+    ) -> None:
         self.finger = finger
         self._spec = spec
         self._rectifier = Rectifier(calibration) if calibration else None
@@ -34,6 +37,7 @@ class TactileFinger:
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
         self._open = OpenGel()
+        self._imprint = ImprintWatch() if imprint else None
         self._rearm = False
         self._held = False
         self._stopped = False
@@ -80,6 +84,7 @@ class TactileFinger:
             onset = self._onset.update(field)
         slip = self._with_contact(slip, empty=untouched(marked))
         touch = self._open.touch(field, shrunk(image))
+        imprint = self._imprint.update(image, field) if self._imprint else None
         cost_ms = {
             "rectify": rectify_ms,
             "markers": (tracked - rectified) * 1e3,
@@ -87,7 +92,7 @@ class TactileFinger:
         }
         onset_ns = None if onset is None else onset.captured_ns
         stamps = frame.seq, frame.captured_ns
-        return Observation(self.finger, *stamps, image, field, slip, onset_ns, cost_ms, bulge, touch)
+        return Observation(self.finger, *stamps, image, field, slip, onset_ns, cost_ms, bulge, touch, imprint)
 
     def _with_contact(self, slip: SlipState, *, empty: bool) -> SlipState:
         """The state, or "no_contact" where nothing touches the gel; the first state that stops the arm always passes.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from service.contract import Finger, FramePair, TactileFrame
 from service.perception.markers.field import MarkerField
 from service.perception.slip.detector import SlipState
+from service.perception.slip.imprint import ImprintChange
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +21,7 @@ class Observation:
     ``cost_ms`` the time of rectification, tracking and slip detection. ``bulge``: how far the markers are from where
     they lie in an untouched gel, in shares of what such a gel may show; below 1 nothing touches it, None: unknown.
     ``touch``: the same of the whole picture, where one of the open gel was learnt; what phases of a grasp follow.
+    ``imprint``: what the imprint between the markers did, where it is asked for.
     """
 
     finger: Finger
@@ -32,6 +34,7 @@ class Observation:
     cost_ms: dict[str, float]
     bulge: float | None = None
     touch: float | None = None
+    imprint: ImprintChange | None = None
 
     @property
     def judged(self) -> bool:

@@ -13,8 +13,15 @@ def make_session(
     calibration: Calibration | None = None,
     controller: ControllerName = "belief",
     limits: Limits = DEFAULT_LIMITS,
+    *,
+    imprint: bool = False,
 ) -> InsertionSession:
-    """A session with fresh perception of both fingers; without ``calibration`` it takes rectified frames only."""
+    """A session with fresh perception of both fingers; without ``calibration`` it takes rectified frames only.
+
+    ``imprint``: slides of the imprint between the markers stop the arm as well.
+    """
     spec = models.card.frame
-    left, right = (TactileFinger(f, spec, calibration.camera(f) if calibration else None) for f in FINGERS)
+    left, right = (
+        TactileFinger(f, spec, calibration.camera(f) if calibration else None, imprint=imprint) for f in FINGERS
+    )
     return InsertionSession(models, left, right, controller, limits)

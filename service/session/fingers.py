@@ -1,16 +1,20 @@
 """Both fingers of a session: their perception, what each showed last, how old that is, and their open gels."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
 from service.decision.attempt import Attempt
 from service.perception.observation import FingerWatch, Observation, PairObservation, belongs
 from service.perception.slip.phases import Grasp
+from service.perception.slip.slide import SlideWitness
 
 
 @dataclass(slots=True)
 class Fingers:
-    """Neither finger detects slip for the other: an age is that of the finger that is further behind."""
+    """Neither finger's markers detect slip for the other, the imprints of both do so together.
+
+    An age is that of the finger that is further behind.
+    """
 
     left: FingerWatch
     right: FingerWatch
@@ -18,6 +22,8 @@ class Fingers:
     _newest_ns: dict[Finger, int] = field(default_factory=dict)
     grasp: Grasp = field(default_factory=lambda: Grasp(len(FINGERS)))
     _grasped_in: int = 0
+    _witness: SlideWitness = field(default_factory=SlideWitness)
+    _witnessed: tuple[object, ...] = ()
 
     def watch(self, finger: Finger) -> FingerWatch:
         """The perception of one finger."""
@@ -30,8 +36,22 @@ class Fingers:
 
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame, and keep it as its finger's newest."""
-        self._seen[frame.finger] = self.watch(frame.finger).observe(frame)
+        seen = self.watch(frame.finger).observe(frame)
+        self._seen[frame.finger] = seen
+        if self._slides() and not seen.slip.stop and seen.judged:
+            slip = replace(seen.slip, state="gross_slip", score=1.0, reason="the imprint slides, held lightly")
+            self._seen[frame.finger] = replace(seen, slip=slip)
         return self._seen[frame.finger]
+
+    def _slides(self) -> bool:
+        """Whether both fingers' imprints, once each has changed anew, say that the object slides out."""
+        changes = tuple(seen.imprint for seen in self._seen.values())
+        known = [change for change in changes if change is not None]
+        if len(known) < len(FINGERS) or any(new is old for new, old in zip(changes, self._witnessed, strict=False)):
+            return False
+        self._witnessed = changes
+        score = self._witness.update(changes)
+        return score is not None and score >= 0
 
     def missing(self, pair: FramePair) -> list[TactileFrame]:
         """The frames of a pair that were not perceived yet."""

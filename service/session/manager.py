@@ -17,11 +17,12 @@ import onnxruntime
 
 from service import __version__
 from service.cameras.capture import Camera, now_ns
-from service.contract import Finger, wire
+from service.contract import FINGERS, Finger, wire
 from service.contract.replies import beat, unspoken
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.hub import Hub
+from service.perception.markers.fingerprint import gel_name
 from service.perception.rectification import Calibration
 from service.recordings.retention import make_room, problem_of
 from service.recordings.writer import Recorder
@@ -59,10 +60,13 @@ class InsertionManager:
     _unrecorded: str = ""
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
     _calibration_text: str = field(init=False)
+    _gels: dict[Finger, str] = field(init=False)
 
     def __post_init__(self) -> None:
         """Read the calibration's file once: later it may have changed or gone."""
         self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
+        measured = {f: self.calibration.camera(f).measured for f in FINGERS} if self.calibration else {}
+        self._gels = {f: gel_name(one.fingerprint) for f, one in measured.items() if one and one.fingerprint}
 
     @property
     def recording_problem(self) -> str:
@@ -78,7 +82,10 @@ class InsertionManager:
             self.hub.publish("error", problem)
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
-        return tuple(camera.entry for camera in self.cameras.values())
+        return tuple(
+            camera.entry.model_copy(update={"gel": self._gels.get(finger, "")})
+            for finger, camera in self.cameras.items()
+        )
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
         """A client wants to drive: open an insertion, or resume its own one after a lost connection."""
@@ -146,7 +153,10 @@ class InsertionManager:
             active.message(wire.Abort(insertion_id=active.session.insertion_id, cause=cause, reason=reason))
 
     def _open(self, hello: wire.ClientHello) -> Insertion:
-        session = make_session(self.models, self.calibration, self.settings.controller, self.settings.limits)
+        given = self.settings
+        session = make_session(
+            self.models, self.calibration, given.controller, given.limits, imprint=given.imprint_slip
+        )
         session.cameras, session.submit = self.camera_entries, self.submit
         session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session)

@@ -17,8 +17,10 @@ from service.cameras.sources import clip_images
 from service.perception.markers.field import MarkerField
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.grasp import GraspWatch
+from service.perception.slip.imprint import ImprintChange, ImprintWatch
 from service.perception.slip.open_gel import OpenGel, shrunk
-from service.perception.slip.phases import Grasp, GraspPhases, Phase
+from service.perception.slip.phases import Grasp, Phase
+from service.perception.slip.slide import SlideWitness, slide_score
 from service.tools.open_frame import open_frame
 from service.tools.replay import VIDEOS
 
@@ -33,12 +35,13 @@ class JudgeError(ValueError):
 
 @dataclass(slots=True)
 class FingerRun:
-    """One finger's recording after perception, frame by frame: markers, shrunk pictures, slip score and alarm."""
+    """One finger's recording after perception, frame by frame; slip score and alarm are those of its markers alone."""
 
     fields: list[MarkerField] = field(default_factory=list)
     pictures: list[NDArray[np.uint8]] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
     slips: list[bool] = field(default_factory=list)
+    changes: list[ImprintChange | None] = field(default_factory=list)
     spent_s: float = 0.0
 
     def touches(self, opened: int | None) -> list[float | None]:
@@ -58,60 +61,79 @@ class FingerRun:
 
 def watched(clip: Path) -> FingerRun:
     """One finger's recording through tracker and grasp watch. Raises JudgeError if it holds no frame."""
-    run, tracker, watch = FingerRun(), MarkerTracker(), GraspWatch()
+    run, tracker, watch, imprint = FingerRun(), MarkerTracker(), GraspWatch(), ImprintWatch()
     for k, (image, _) in enumerate(clip_images(clip)):
         begun = time.process_time()
         seen = tracker.update(image, k * FRAME_NS)
         state = watch.update(seen)
+        change = imprint.update(image, seen)
         picture = shrunk(image)
         run.spent_s += time.process_time() - begun
         run.pictures.append(np.rint(picture).astype(np.uint8))
         run.fields.append(seen)
         run.scores.append(state.score)
         run.slips.append(state.slip)
+        run.changes.append(change)
     if not run.fields:
         raise JudgeError(f"{clip} holds no frame that can be decoded")
     return run
 
 
-def judged(folder: Path) -> dict[str, Any]:
-    """The row of one run; raises JudgeError if it is none."""
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """The row of one run, and what the slide witness read in each frame, None before it could."""
+
+    row: dict[str, Any]
+    evidence: list[list[float] | None]
+
+
+def judged(folder: Path) -> Judged:
+    """One run; raises JudgeError if it is none."""
     clips = sorted(child for child in folder.iterdir() if child.suffix.lower() in VIDEOS)
     if not clips:
         raise JudgeError(f"{folder} holds no video, expected one a finger")
     fingers = [watched(clip) for clip in clips]
     frames_n = min(len(finger.fields) for finger in fingers)
     opened = open_frame([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
-    touches = [finger.touches(opened) for finger in fingers]
+    evidence = _evidence(fingers, frames_n)
+    slides = [terms is not None and slide_score(terms) >= 0 for terms in evidence]
     statuses = [seen.status for finger in fingers for seen in finger.fields]
-    stories = _stories(fingers, touches, frames_n)
-    return {
+    touches = [finger.touches(opened) for finger in fingers]
+    whole, *alone = _stories(fingers, touches, slides)
+    row = {
         "run": folder.name,
         "frames_n": frames_n,
-        **stories[0],
-        "fingers": {clip.stem: story for clip, story in zip(clips, stories[1:], strict=True)},
+        **whole,
+        "fingers": {clip.stem: story for clip, story in zip(clips, alone, strict=True)},
         "open_frame": opened,
         "ambiguous_n": statuses.count("ambiguous"),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
         "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fingers) / len(statuses),
     }
+    return Judged(row, [None if terms is None else terms.tolist() for terms in evidence])
+
+
+def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.float64] | None]:
+    witness = SlideWitness()
+    return [witness.terms([finger.changes[k] for finger in fingers]) for k in range(frames_n)]
 
 
 def _stories(
-    fingers: Sequence[FingerRun], touches: Sequence[list[float | None]], frames_n: int
+    fingers: Sequence[FingerRun], touches: Sequence[list[float | None]], slides: Sequence[bool]
 ) -> list[dict[str, Any]]:
-    """Of the grasp and of each finger: the first frame of each phase, null where it never came, and largest scores."""
+    """Of the grasp and of each finger: the first frame of each phase, null where it never came, and largest scores.
+
+    The grasp slips where the slide witness says so, a finger where its markers do.
+    """
     grasp = Grasp(len(fingers))
-    followed: list[tuple[GraspPhases, Sequence[FingerRun]]] = [(grasp.whole, fingers)]
-    followed += [(phases, [finger]) for phases, finger in zip(grasp.fingers, fingers, strict=True)]
-    phases: list[list[Phase]] = [[] for _ in followed]
-    for k in range(frames_n):
-        grasp.update([touch[k] for touch in touches], [finger.slips[k] for finger in fingers])
-        for seen, (watched_phases, _) in zip(phases, followed, strict=True):
-            seen.append(watched_phases.phase)
+    phases: list[list[Phase]] = [[] for _ in range(len(fingers) + 1)]
+    for k, slides_now in enumerate(slides):
+        grasp.update([touch[k] for touch in touches], [finger.slips[k] for finger in fingers], slides=slides_now)
+        for seen, followed in zip(phases, [grasp.whole, *grasp.fingers], strict=True):
+            seen.append(followed.phase)
     return [
         {**_firsts(seen), "largest_score": _largest(seen, whose)}
-        for seen, (_, whose) in zip(phases, followed, strict=True)
+        for seen, whose in zip(phases, [fingers, *([finger] for finger in fingers)], strict=True)
     ]
 
 

@@ -1,9 +1,8 @@
 """The open gel in a recording that does not say which of its frames show it.
 
-Markers are printed in a regular grid, which a lens bends as a whole. Whatever presses the gel disturbs it, however
-smooth the object and however faint its imprint. So gels are believed to be open only where the grids of all of them
-are regular; of such frames, the first are taken in which they are about as regular and as smooth between their markers
-as ever. A recording in which an object is held from the first frame to the last has none.
+Gels are believed to be open only where the grids of all of them look regular (`regular`); of such frames, the first are
+taken in which they are about as regular and as smooth between their markers as ever. A recording in which an object is
+held from the first frame to the last has none.
 """
 
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.perception.markers.field import MarkerField
+from service.perception.markers.regular import irregular_pitch
 
 _BUFFERED_N = 8  # first frames, which may show an earlier grasp, and whose exposure is not found yet
 _TINTED = 0.15  # a picture whose colour is off the usual one by this share is exposed otherwise
@@ -21,8 +21,6 @@ _AROUND_PX = (9, 9)
 _ROUGH = 0.06  # of the picture; where the imprint is
 _CALM_N = 5  # frames
 _REGULAR_PITCH = 0.016  # RMS off the print; no grasp at hand leaves open gels beyond it, few held ones come below
-_KEPT = 0.95  # of the markers: the worst few may be worn or mistaken
-_FEWEST_N = 20  # markers; twice what the bent print has to choose
 _AS_OPEN = 0.15  # of the logarithm of how disturbed all gels look together
 _FIRST_N = 12  # frames after the first that looks open, of which the most open is taken
 
@@ -46,27 +44,6 @@ def open_frame(pictures: Sequence[Pictures], fields: Sequence[Sequence[MarkerFie
         return None
     first = int(looks_open.argmax())
     return first + int(np.where(looks_open, disturbed, np.inf)[first : first + _FIRST_N].argmin())
-
-
-def irregular_pitch(field: MarkerField) -> float:
-    """How far the markers are from a regular print seen by a lens, RMS in pitches; infinite where too few are seen."""
-    may = field.valid
-    if not field.usable or may.sum() < _FEWEST_N:
-        return np.inf
-    terms = _bent_print(*may.shape)[may]
-    points = (field.rest_px + field.displacement_px)[may].astype(np.float64)
-    fit = np.linalg.lstsq(terms, points, rcond=None)[0]
-    squared = np.sort(np.square(points - terms @ fit).sum(1))
-    return float(np.sqrt(squared[: int(_KEPT * len(squared))].mean()) / field.pitch_px)
-
-
-def _bent_print(rows: int, columns: int) -> NDArray[np.float64]:
-    """Terms [rows, columns, 10] of a grid of any place, size, turn and tilt, with radial distortion to fifth order."""
-    row, column = np.mgrid[0:rows, 0:columns].astype(np.float64)
-    size = 2 / max(rows - 1, columns - 1)
-    u, v = (column - (columns - 1) / 2) * size, (row - (rows - 1) / 2) * size
-    r2 = u * u + v * v
-    return np.stack([np.ones_like(u), u, v, u * v, u * u, v * v, u * r2, v * r2, u * r2 * r2, v * r2 * r2], -1)
 
 
 def _beyond_least(seen: NDArray[np.float64]) -> NDArray[np.float64]:

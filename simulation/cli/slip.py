@@ -66,6 +66,8 @@ class GraspOptions:
 
     rows: Path = Path("runs/judge.json")
     """rows of all recordings"""
+    evidence: Path = Path("runs/evidence.json")
+    """what the slide witness read in each frame of them"""
     labels: Path = Path("tests/service/tools/real_slips.json")
     """what is seen in each"""
     out: Path = Path("docs")
@@ -76,7 +78,8 @@ def real_grasps(arguments: list[str]) -> int:
     """Write the page on real grasps and print it."""
     options = tyro.cli(GraspOptions, args=arguments, prog="tactile-insertion grasps")
     rows = read_json(options.rows, "python -m service judge FOLDER")
-    data = grasps.figures(rows, read_json(options.labels, "a file of labels"))
+    evidence = read_json(options.evidence, "python -m service judge FOLDER --evidence runs/evidence.json")
+    data = grasps.figures(rows, read_json(options.labels, "a file of labels"), evidence)
     print(publish(options.out, "real_grasps", grasps.grasps_page(data), data))
     return 0
 

@@ -14,7 +14,7 @@ from reporting.statistics import wilson
 from reporting.table import Table, table
 from service.contract import ContractError
 from training.config import RunConfig
-from training.data.dataset import Source
+from training.data.dataset import Source, open_source
 from training.data.labels import CLASSES
 from training.data.pressed import Pressed
 from training.data.reading import load
@@ -22,9 +22,11 @@ from training.fit.checkpoint import Checkpoint
 from training.fit.train import Trainer
 from training.metrics.figures import figures
 from training.networks.pressing import DECISION_STEPS, STEP_MM, STEPS, PressingNetwork
+from training.report.pressed_oracle import oracle_rows
 
 Rows = dict[str, dict[str, float]]
 MOST = 4000
+HELD = ("validation", "test")
 DECILES = 10
 UNTOLD = (1, 2, 3)
 """Conditions of `CONDITIONS` that a cell need not know: grasp height, grip and shear reach."""
@@ -43,6 +45,8 @@ def write_depths(run: Path, out: Path, source: Source | None = None) -> Path:
         raise ContractError(f"{run} holds a {config.network.kind} network, expected one that reads steps of depth")
     trainer = Trainer(config, samples, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
     data = {"depths": by_depth(trainer, checkpoint), "reach": by_reach(trainer, checkpoint)}
+    limit = oracle_rows(source or open_source(config.data.path), run / "oracle")
+    data["limit"] = {f"{split}, true motion": limit[f"{split}/all"] for split in HELD if f"{split}/all" in limit}
     data["strange"] = {name: {"auroc": value} for name, value in strangeness_aurocs(trainer).items()}
     publish(out, "depths", page(*_parts(checkpoint, data)), data)
     return out / "depths.md"
@@ -55,7 +59,7 @@ def _held(trainer: Trainer, split: str) -> NDArray[np.int64]:
 def by_depth(trainer: Trainer, checkpoint: Checkpoint) -> Rows:
     """Figures after each step of depth, of both held-out splits; the last also with nothing told."""
     rows: Rows = {}
-    for split in ("validation", "test"):
+    for split in HELD:
         chosen = _held(trainer, split)
         if not len(chosen):
             continue
@@ -164,6 +168,13 @@ def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Tabl
         training. Intervals are 95 % Wilson.
         """
     yield _table(data["depths"])
+    yield """
+        ## The limit
+
+        What a network of the same size decides after 1.2 mm that is given the object's true motion in the hand, and all
+        conditions exactly. A perfect reader of the gel knows no more. Many errors press an object alike.
+        """
+    yield _table(data["limit"])
     if data["reach"]:
         yield "## By shear reach, held-out decisions"
         yield _table(data["reach"])

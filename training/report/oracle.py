@@ -30,24 +30,24 @@ Floats = NDArray[np.float32]
 
 
 class MotionOracle(nn.Module):
-    """True in-hand motion [B, T, 6] since the first frame -> decision state."""
+    """True in-hand motion [B, T, 6] since the first frame, and what else is known [B, told] -> decision state."""
 
     spread: Tensor
 
-    def __init__(self, spread: Tensor, width: int = 128) -> None:
+    def __init__(self, spread: Tensor, told: int = 3, width: int = 128) -> None:
         super().__init__()
         self.read = nn.Sequential(nn.Linear(6, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
-        self.cell = nn.GRUCell(width + 3, width)
+        self.cell = nn.GRUCell(width + told, width)
         self.direction = nn.Linear(width, len(CLASSES))
         self.magnitude = nn.Linear(width, 4)
         self.register_buffer("spread", spread)
 
-    def forward(self, motion: Tensor, geometry: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, motion: Tensor, told: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Class logits, error in (mm, deg) and its log sigma."""
         features = self.read(motion / self.spread)
         state = torch.zeros(len(motion), self.cell.hidden_size)
         for step in range(motion.shape[1]):
-            state = self.cell(torch.cat([features[:, step], geometry_features(geometry)], 1), state)
+            state = self.cell(torch.cat([features[:, step], told], 1), state)
         out = self.magnitude(state)
         return self.direction(state), out[:, :2] * ERROR_SCALE, out[:, 2:].clamp(-4.0, 4.0)
 
@@ -61,11 +61,7 @@ def oracle_figures(trials: Trials, folder: Path, seed: int = 0) -> dict[str, dic
 
     def loss(batch: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         motion, geometry, error = batch
-        logits, estimate, log_sigma = oracle(motion, geometry)
-        z = (estimate - error) * torch.exp(-log_sigma)
-        label = torch.from_numpy(class_of(error.numpy()))
-        total: Tensor = functional.cross_entropy(logits, label) + 0.5 * (0.5 * z.square() + log_sigma).mean()
-        return total
+        return loss_of(oracle(motion, geometry_features(geometry)), error)
 
     def validate() -> dict[str, float]:
         with torch.inference_mode():
@@ -87,6 +83,15 @@ def oracle_figures(trials: Trials, folder: Path, seed: int = 0) -> dict[str, dic
     return _scored(oracle.eval(), trials)
 
 
+def loss_of(said: tuple[Tensor, Tensor, Tensor], error: Tensor) -> Tensor:
+    """Cross-entropy of the direction and half the normal likelihood of the error."""
+    logits, estimate, log_sigma = said
+    z = (estimate - error) * torch.exp(-log_sigma)
+    label = torch.from_numpy(class_of(error.numpy()))
+    total: Tensor = functional.cross_entropy(logits, label) + 0.5 * (0.5 * z.square() + log_sigma).mean()
+    return total
+
+
 def _scored(oracle: MotionOracle, trials: Trials) -> dict[str, dict[str, float]]:
     chosen = {split: rows for split in SPLITS[1:] if len(rows := trials.of(split))}
     samples = {split: _predictions(oracle, trials, rows) for split, rows in chosen.items()}
@@ -97,7 +102,7 @@ def _scored(oracle: MotionOracle, trials: Trials) -> dict[str, dict[str, float]]
 def _predictions(oracle: MotionOracle, trials: Trials, chosen: NDArray[np.int64]) -> Predictions:
     motion, geometry, error = _whole(trials, chosen)
     with torch.inference_mode():
-        logits, estimate, log_sigma = (value.double().numpy() for value in oracle(motion, geometry))
+        logits, estimate, log_sigma = (value.double().numpy() for value in oracle(motion, geometry_features(geometry)))
     return Predictions(logits, estimate, log_sigma, error.double().numpy(), trials.objects[chosen])
 
 

@@ -6,6 +6,7 @@ marker that was not seen. Its first two bytes are rows and columns.
 
 import base64
 import binascii
+import hashlib
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,11 @@ def fingerprint_of(field: MarkerField) -> str:
     now = (field.rest_px + field.displacement_px)[field.valid].astype(np.float64)
     off[field.valid] = off_print(cells.astype(np.float64), now) / field.pitch_px
     return fingerprint(off, field.valid)
+
+
+def gel_name(fingerprint: str) -> str:
+    """A short name of a gel, another one after each calibration."""
+    return hashlib.sha256(fingerprint.encode()).hexdigest()[:12]
 
 
 def off_print(cells: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:

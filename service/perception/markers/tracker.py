@@ -14,7 +14,9 @@ from service.perception.markers.matching import Match, View, match, reindex
 
 _AROUND = [np.array([col, row], np.float32) for col in (-1, 0, 1) for row in (-1, 0, 1) if col or row]
 _JUMP = 0.35  # pitch between two frames from which on the true way could be a whole one less, backwards
-_AS_WELL = 0.5  # misfit a node; a border row without spots costs more
+_AS_WELL = 15.0  # misfit of a row or column of nodes; one without spots, at the border, costs more than twice that
+_LEAP = 0.5  # pitch between two frames, which needs a match as good as usual
+_DOUBTFUL = 5.0  # misfit a node above the running level
 _SAME_GREY = (
     0.005  # mean distance below which a frame repeats the one before; of still real gels few come nearer than 0.02
 )
@@ -122,8 +124,8 @@ class MarkerTracker:
         if share < self.settings.lost_share or not visible.any():
             return self._lost(captured_ns, f"{best.valid.sum()} of {best.valid.size} markers matched")
         rival = self._rival(best, spots.xy_px, view)
-        if rival is not None:
-            self._xy = rival.xy_px
+        if rival is not None or self._leaps(best):
+            self._xy = best.xy_px if rival is None else rival.xy_px
             self._last_ns = captured_ns
             return self._stale(captured_ns, "ambiguous", "the grid jumped by what may be a whole pitch")
         self._remember(best, spots, captured_ns)
@@ -146,9 +148,15 @@ class MarkerTracker:
         for steps in _AROUND:
             place = match(best.xy_px - steps @ self._lattice.basis_px, rest, points, pitch, view, self._xy)
             nearer = place.valid.any() and _typical(place.xy_px - rest, place.valid) < home - 0.3 * pitch
-            if nearer and place.misfit < best.misfit + _AS_WELL:
+            if nearer and place.misfit < best.misfit + _AS_WELL / max(rest.shape[:2]):
                 rivals.append(place)
         return min(rivals, key=lambda place: place.misfit, default=None)
+
+    def _leaps(self, best: Match) -> bool:
+        """Whether the whole grid was carried far by a match that is not certain."""
+        assert self._lattice is not None
+        far = best.valid.any() and _typical(best.xy_px - self._xy, best.valid) > _LEAP * self._lattice.pitch_px
+        return bool(far and best.misfit > self._level + _DOUBTFUL)
 
     def _measured(self, best: Match, spots: Candidates, view: View) -> BoolArray:
         """Which markers [rows, cols] have a reliable position: followed, not carried to the image's border, and round.

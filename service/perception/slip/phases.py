@@ -66,7 +66,7 @@ class GraspPhases:
             for held in self._held:
                 held.clear()
         elif self.phase == "contact" and self._touched_n >= self.settings.held_n:
-            self.phase = "hold"
+            self.phase, slips = "hold", False  # what moved while the fingers closed
         for touch, held in zip(touches, self._held, strict=True):
             if touch is not None and touch >= 1:
                 held.append(touch)
@@ -83,8 +83,8 @@ class Grasp:
         self.whole = GraspPhases(phase=phase)
         self.fingers = [GraspPhases(phase=phase) for _ in range(fingers_n)]
 
-    def update(self, touches: Sequence[float | None], slips: Sequence[bool]) -> Phase:
-        """The phase of the grasp after a frame of each finger."""
+    def update(self, touches: Sequence[float | None], slips: Sequence[bool], *, slides: bool | None = None) -> Phase:
+        """The phase of the grasp after a frame of each finger; it ``slides`` where any slips, unless that is told."""
         for finger, touch, slip in zip(self.fingers, touches, slips, strict=True):
             finger.update([touch], slips=slip)
-        return self.whole.update(touches, slips=any(slips))
+        return self.whole.update(touches, slips=any(slips) if slides is None else slides)

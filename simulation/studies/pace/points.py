@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from simulation.closed_loop.benchmark import drawn_starts
 from simulation.closed_loop.campaign import Task
 from simulation.scene.drawn import fastest_mm_s
-from simulation.scene.scene import Scene
+from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World
 
 Tables = Mapping[str, Any]
@@ -73,9 +73,15 @@ POINTS = (
     Point("brisk, fast, 60 Hz", client(fast_mm_s=25.0), 60.0),
     Point("brisk, fast, 60 Hz, probes at 15 mm/s", client(15.0, fast_mm_s=25.0), 60.0),
     Point("the same from 5 mm, then 3 mm up", client(15.0, clearance_mm=5.0, lift_mm=3.0, fast_mm_s=25.0), 60.0),
-    Point("the same, 80 mm/s in the air", client(15.0, fast_mm_s=25.0, air_mm_s=80.0), 60.0),
     Point("the same, joint density", client(15.0, fast_mm_s=25.0), 60.0, "joint"),
     Point("the same, heuristic", client(15.0, fast_mm_s=25.0), 60.0, "heuristic"),
+    Point("probes at 10 mm/s, 80 mm/s in the air, joint density", client(fast_mm_s=25.0, air_mm_s=80.0), 60.0, "joint"),
+    Point(
+        "probes at 12 mm/s, 80 mm/s in the air, joint density",
+        client(12.0, fast_mm_s=25.0, air_mm_s=80.0),
+        60.0,
+        "joint",
+    ),
     Point("first version, networks of eight frames", client(brisk=False, clearance_mm=5.0), folder=".."),
 )
 
@@ -86,7 +92,7 @@ def tasks(
     """``count`` insertions of each object at each point, the worlds in turn; one start by all points, then the next.
 
     A world keeps all but the rate of its cameras, which is the point's; no point is faster in it than a cell is run
-    with care. Raises SceneError where an object cannot be held in a world.
+    with care. Raises SceneError for an object that no world can hold.
     """
     starts = {name: drawn_starts(scene, count, seed + scene.number) for name, scene in objects.items()}
     return [
@@ -101,15 +107,28 @@ def tasks(
                 "controller": point.controller,
                 "perception": "fields",
                 "condition": point.name,
-                "changes": {**worlds[index % len(worlds)].changes, "camera.fps": point.fps},
-                "unstated": worlds[index % len(worlds)].unstated.model_dump(mode="json", exclude_defaults=True),
-                "client": with_care(point, worlds[index % len(worlds)]),
+                "changes": {**world.changes, "camera.fps": point.fps},
+                "unstated": world.unstated.model_dump(mode="json", exclude_defaults=True),
+                "client": with_care(point, world),
             },
         )
         for index in range(count)
-        for name in objects
+        for place, (name, scene) in enumerate(objects.items())
+        for world in [_world_of(worlds, index * len(objects) + place, scene)]
         for point in points
     ]
+
+
+def _world_of(worlds: Sequence[World], place: int, scene: Scene) -> World:
+    """The world whose turn it is, or the next in which the object can be held."""
+    for step in range(len(worlds)):
+        world = worlds[(place + step) % len(worlds)]
+        try:
+            world.around(scene)
+        except SceneError:
+            continue
+        return world
+    raise SceneError(f"{scene.name}: none of {len(worlds)} worlds can hold it")
 
 
 def with_care(point: Point, world: World) -> Tables:

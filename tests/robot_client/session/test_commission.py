@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_client.cli.insert import with_commissioning
 from robot_client.insertion.events import Move, Send, Standstill
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Phase, State
@@ -15,6 +16,7 @@ from robot_client.session.commission import (
     SIDES,
     WENT_IN,
     Commissioning,
+    Ended,
     Record,
     errors,
     keep_record,
@@ -22,15 +24,19 @@ from robot_client.session.commission import (
     probe_of,
     read_record,
 )
+from robot_client.settings import Settings
+from service.contract import wire
 from service.contract.frames import ContractError
 from service.contract.words.wiring import WIRINGS
 from tests.robot_client.insertion.stories import (
     APPROACH,
     PLAN,
+    TO_ARMING,
     TO_DECISION,
     TO_DESCENT,
     at,
     correction,
+    hello,
     no_decision,
     run,
     service,
@@ -109,13 +115,15 @@ class Cell:
 
     def __init__(self, fails_at=None, sign=1):
         self.probed, self.fetched_n, self.fails_at, self.sign = [], 0, fails_at, sign
+        self.gels = {"left": "a", "right": "b"}
 
     async def probe(self, x_mm, theta_deg):
         self.probed.append((x_mm, theta_deg))
         pose = WorkPose(x_mm=x_mm, y_mm=0.0, z_mm=35.0, yaw_deg=theta_deg)
         felt = (self.sign * 0.7 * x_mm, 0.7 * theta_deg)
         failed = len(self.probed) == self.fails_at
-        return probe_of("p", pose, felt, ""), Phase.FAILED if failed else Phase.PROBED, "arm: tilt" if failed else ""
+        phase = Phase.FAILED if failed else Phase.PROBED
+        return Ended(probe_of("p", pose, felt, ""), phase, "arm: tilt" if failed else "", self.gels)
 
     async def fetch(self):
         self.fetched_n += 1
@@ -143,6 +151,45 @@ def test_nothing_goes_on_in_a_cell_with_the_wrong_signs(tmp_path):
     assert (len(cell.probed), record.probes) == (len(SIDES), ())
     assert record.named == (WIRINGS[-1, 1],)
     assert read_record(tmp_path / "record.json") == record
+
+
+def test_a_gel_that_is_changed_on_the_way_ends_it(tmp_path):
+    cell = Cell()
+    record = asyncio.run(commissioning(cell, tmp_path / "record.json").run(1))
+    cell.gels = {"left": "a", "right": "c"}
+    with pytest.raises(DriverError, match="gel was changed"):
+        asyncio.run(commissioning(cell, tmp_path / "record.json", record).run(2))
+
+
+def camera(gel):
+    return wire.CameraEntry(finger="left", source="s", state="live", frame_rate_hz=60.0, gel=gel)
+
+
+@pytest.mark.parametrize(("gel", "goes_on"), [("a", True), ("z", False), ("", False)])
+def test_nothing_is_inserted_with_a_gel_that_was_not_commissioned(gel, goes_on):
+    plan = PLAN.model_copy(update={"gels": {"left": "a"}})
+    state, _ = run([TO_ARMING[0], service(hello(cameras=(camera(gel),)))], State(plan))
+    assert (state.phase is Phase.GRASPING) == goes_on
+    assert goes_on or "left gel" in state.reason
+
+
+def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path):
+    path = tmp_path / "commissioning.json"
+    real = Settings(commissioning=path)
+
+    def asked(settings):
+        return with_commissioning(settings, PLAN, asked=True)
+
+    for settings, says in ((Settings(), "--uncommissioned"), (real, "not commissioned to the end")):
+        with pytest.raises(ContractError, match=says):
+            asked(settings)
+    record = Record(begun="today", seed=1, signs=tuple(answers()), gels={"left": "a", "right": "b"})
+    keep_record(path, record.model_copy(update={"named": ("swapped",)}))
+    with pytest.raises(ContractError, match="swapped"):
+        asked(real)
+    keep_record(path, record)
+    assert asked(real).gels == record.gels
+    assert asked(Settings(simulated=True)) == with_commissioning(Settings(), PLAN, asked=False) == PLAN
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"version": 1}', '{"version": 9, "begun": "x", "seed": 0}'])

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from service.perception.markers.field import MarkerField
-from service.tools.open_frame import irregular_pitch, open_frame
+from service.perception.markers.regular import irregular_pitch
+from service.tools.open_frame import open_frame
 from tests.service.perception.synthetic import grid
 
 LIGHT = np.add.outer(np.linspace(90, 150, 60), np.linspace(0, 20, 80))[..., None] * np.ones(3)

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from simulation.__main__ import main
@@ -12,43 +13,73 @@ LABELS = {
         "box_1_slip": {"contact": 13, "slide": 40, "lost": 60},
         "box_2_slip": {"contact": 13, "slide": 40, "lost": 60},
         "box_3_slip": {"contact": 13, "slide": None, "lost": 60},
+        "can_7_slip": {"contact": 13, "slide": 40, "lost": 60},
     },
     "held": {"box_5_hold": {"slide": None, "emptied": 90}},
 }
 
 
-def row(run, slip=None, lost=None, opened=13):
+def row(run, slip=None, lost=None, opened=13, markers=None):
     frames = {"contact_frame": 20, "hold_frame": 30, "slip_frame": slip, "lost_frame": lost}
-    return {"run": run, "frames_n": 130, **frames, "open_frame": opened, "ms_a_frame": 2.0}
+    fingers = {"camera_0": {"slip_frame": None}, "camera_2": {"slip_frame": markers}}
+    counts = {"ambiguous_n": 1, "ms_a_frame": 2.0}
+    return {"run": run, "frames_n": 130, **frames, "open_frame": opened, "fingers": fingers, **counts}
 
 
 def rows():
     return [
         row("box_1_slip", slip=50, lost=62),
-        row("box_2_slip", slip=58, lost=70),
+        row("box_2_slip", slip=58, lost=70, markers=55),
         row("box_3_slip", lost=61),
-        row("box_4_hold", slip=80),
+        row("tin_4_hold", slip=80, markers=90),
         row("box_5_hold", lost=91),
-        row("box_6_hold", opened=None),
+        row("tin_6_hold", opened=None),
+        row("can_7_slip", slip=None, lost=62),
+        row("can_8_hold"),
     ]
 
 
+def evidence(sliding=("box_1_slip", "can_7_slip")):
+    """Terms of each frame: noise, and a changed imprint while the object slides."""
+    rng, told = np.random.default_rng(2), {}
+    for one in rows():
+        terms = rng.normal(0, 0.1, (130, 5))
+        terms[44:54, :3] += 4.0 * (one["run"] in sliding)
+        told[one["run"]] = [None, *terms[1:].tolist()]
+    return told
+
+
 def test_only_what_is_told_in_time_counts():
-    found = figures(rows(), LABELS)
-    counted = {name: (found[name]["hits"], found[name]["runs"]) for name in ("lost", "warned", "slip_of_held")}
-    assert counted == {"lost": (2, 3), "warned": (1, 2), "slip_of_held": (1, 3)}
+    found = figures(rows(), LABELS, evidence())
+    names = ("lost", "warned", "warned_by_markers", "slip_of_held", "slip_of_held_by_markers")
+    counted = {name: (found[name]["hits"], found[name]["runs"]) for name in names}
+    assert counted == {
+        "lost": (3, 4),
+        "warned": (1, 3),
+        "warned_by_markers": (1, 3),
+        "slip_of_held": (1, 4),
+        "slip_of_held_by_markers": (1, 4),
+    }
     assert (found["lost_of_held"]["hits"], found["lost_of_held_to_the_end"]["hits"]) == (1, 0)
     assert found["lead_s"] == [1.25]
     assert found["without_open_frame"] == 1
-    assert found["slip_per_1000"] == pytest.approx(1000 / (100 + 61 + 100))
+    assert found["slip_per_1000"] == pytest.approx(1000 / (100 + 61 + 100 + 100))
+
+
+def test_the_witness_is_judged_on_objects_that_it_was_not_fitted_on():
+    found = figures(rows(), LABELS, evidence())["witness"]
+    assert found["witness_warned"]["hits"] >= 2
+    assert found["auc"] > 0.6
+    nobody_else = figures(rows(), LABELS, evidence(sliding=("can_7_slip",)))["witness"]
+    assert nobody_else["auc"] < found["auc"] - 0.2
 
 
 def test_the_page_is_written_from_rows_and_labels_and_refuses_a_part(tmp_path, capsys):
-    (tmp_path / "rows.json").write_text(json.dumps(rows()))
-    (tmp_path / "labels.json").write_text(json.dumps(LABELS))
-    given = ["--labels", str(tmp_path / "labels.json"), "--out", str(tmp_path)]
-    assert main(["grasps", "--rows", str(tmp_path / "rows.json"), *given]) == 0
+    for name, content in (("rows", rows()), ("labels", LABELS), ("evidence", evidence())):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    given = [f"--{name}={tmp_path}/{name}.json" for name in ("rows", "labels", "evidence")] + [f"--out={tmp_path}"]
+    assert main(["grasps", *given]) == 0
     assert "| box_2_slip | 40 | 60 | 20 | 30 | 58 | 70 |" in (tmp_path / "real_grasps.md").read_text()
     (tmp_path / "rows.json").write_text(json.dumps(rows()[1:]))
-    assert main(["grasps", "--rows", str(tmp_path / "rows.json"), *given]) == 2
+    assert main(["grasps", *given]) == 2
     assert "no rows of box_1_slip" in capsys.readouterr().err

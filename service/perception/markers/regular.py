@@ -1,0 +1,38 @@
+"""How regular a grid of markers looks.
+
+Markers are printed in a regular grid, which a lens bends as a whole. Whatever presses the gel disturbs it, however
+smooth the object and however faint its imprint.
+"""
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.perception.markers.field import MarkerField
+
+_KEPT = 0.95  # of the markers: the worst few may be worn or mistaken
+_FEWEST_N = 20  # markers; twice what the bent print has to choose
+
+
+def irregular_pitch(field: MarkerField) -> float:
+    """How far the markers are from a regular print seen by a lens, RMS in pitches; infinite where too few are seen."""
+    may = field.valid
+    if not field.usable or may.sum() < _FEWEST_N:
+        return np.inf
+    terms = _bent_print(*may.shape)[may]
+    points = (field.rest_px + field.displacement_px)[may].astype(np.float64)
+    squares = terms.T @ terms + 1e-9 * np.eye(terms.shape[1])
+    off = points - terms @ np.linalg.solve(squares, terms.T @ points)
+    squared = np.sort(np.square(off).sum(1))
+    return float(np.sqrt(squared[: int(_KEPT * len(squared))].mean()) / field.pitch_px)
+
+
+@cache
+def _bent_print(rows: int, columns: int) -> NDArray[np.float64]:
+    """Terms [rows, columns, 10] of a grid of any place, size, turn and tilt, with radial distortion to fifth order."""
+    row, column = np.mgrid[0:rows, 0:columns].astype(np.float64)
+    size = 2 / max(rows - 1, columns - 1)
+    u, v = (column - (columns - 1) / 2) * size, (row - (rows - 1) / 2) * size
+    r2 = u * u + v * v
+    return np.stack([np.ones_like(u), u, v, u * v, u * u, v * v, u * r2, v * r2, u * r2 * r2, v * r2 * r2], -1)

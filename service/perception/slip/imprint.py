@@ -1,0 +1,131 @@
+"""The imprint between the markers: whether it stays in its place on the gel, and how strongly it is pressed.
+
+The picture is sampled at fixed places between the markers, so it moves with the gel; what still changes in it is the
+object that moves against the gel, or is pressed otherwise. Markers themselves are left out, slow light is divided away.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.perception.markers.field import FloatArray, MarkerField
+from service.perception.markers.regular import irregular_pitch
+
+_EVERY_NS = 100_000_000  # frames nearer than this to the last one looked at are not looked at
+_LATER_N = 3  # frames; and the imprint is compared over so many
+_SHRUNK_PITCH_PX = 20.0  # an image whose pitch is much more is shrunk first
+_SAMPLES = 8  # a pitch, of small grids
+_LARGE_N = 150  # markers, from which on half as many samples do
+_MARKER = 2.9 / 8  # pitch; radius of what is left out
+_FINE, _SLOW, _AROUND = 1.0 / 8, 5.0 / 8, 9.0 / 8  # pitch
+_DARK = 8.0  # grey
+_NOISE = 1.0  # variance of the imprint of two pictures of the same gel, in (percent of the light)^2
+_LITTLE = 0.15  # percent; relief won or lost that is none
+
+
+@dataclass(frozen=True, slots=True)
+class ImprintChange:
+    """What one finger's imprint did since the last frames looked at.
+
+    ``changed`` and ``changed_later`` 0 .. 2: share of the imprint that is another one than a frame, and three frames,
+    before. ``let_go`` -1 .. 1: relief lost rather than won within three frames. ``relief``: of the imprint, percent of
+    the light. ``irregular_pitch``: how far the markers are from a regular print.
+    """
+
+    changed: float
+    changed_later: float
+    let_go: float
+    relief: float
+    irregular_pitch: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    imprint: FloatArray
+    relief: FloatArray  # local, percent
+
+
+class ImprintWatch:
+    """Follows one finger's imprint; where nothing new is looked at, the last change stands."""
+
+    def __init__(self) -> None:
+        self._grid: _Grid | None = None
+        self._looks: deque[_Look] = deque(maxlen=_LATER_N)
+        self._won: deque[tuple[float, float]] = deque(maxlen=3)
+        self._looked_ns: int | None = None
+        self.last: ImprintChange | None = None
+
+    def update(self, image: NDArray[np.uint8], field: MarkerField) -> ImprintChange | None:
+        """Look at a rectified image, uint8 [h, w, 3], and the markers found in it; None before two were seen."""
+        if not field.usable or (self._looked_ns is not None and field.captured_ns - self._looked_ns < _EVERY_NS):
+            return self.last
+        if self._grid is None or self._grid.shape != field.valid.shape:
+            self._grid = _Grid(field.valid.shape, field.pitch_px)
+            self._looks.clear()
+            self._won.clear()
+        self._looked_ns = field.captured_ns
+        look = self._grid.look(image, field)
+        if self._looks:
+            self.last = self._compare(look, field)
+        self._looks.append(look)
+        return self.last
+
+    def _compare(self, now: _Look, field: MarkerField) -> ImprintChange:
+        assert self._grid is not None
+        before = self._looks[-1]
+        gone = before.relief - now.relief
+        self._won.append((float(np.maximum(gone, 0).mean()), float(np.maximum(-gone, 0).mean())))
+        lost, won = np.sum(self._won, 0)
+        later = self._looks[-_LATER_N] if len(self._looks) >= _LATER_N else before
+        return ImprintChange(
+            self._grid.changed(before, now),
+            self._grid.changed(later, now),
+            float((lost - won) / (lost + won + _LITTLE)),
+            float(np.percentile(now.relief, 90)),
+            irregular_pitch(field),
+        )
+
+
+class _Grid:
+    """Where a grid's imprint is sampled, and what is left out of it."""
+
+    def __init__(self, shape: tuple[int, ...], pitch_px: float) -> None:
+        rows, columns = shape
+        self.shape = shape
+        self._shrink = max(1, round(pitch_px / _SHRUNK_PITCH_PX))
+        self._samples = samples = _SAMPLES if rows * columns < _LARGE_N else _SAMPLES // 2
+        across, down = np.arange((columns - 1) * samples + 1), np.arange((rows - 1) * samples + 1)
+        u, v = np.meshgrid(across / samples, down / samples)
+        self._at = u.astype(np.float32), v.astype(np.float32)
+        self.seen = (np.hypot(u - np.rint(u), v - np.rint(v)) > _MARKER).astype(np.float32)
+        self._fine, self._slow = (cv2.GaussianBlur(self.seen, (0, 0), s * samples) for s in (_FINE, _SLOW))
+        side = 2 * int(_AROUND * samples / 2) + 1
+        self._box = (side, side)
+        self._boxed = cv2.boxFilter(self.seen, cv2.CV_32F, self._box)
+
+    def look(self, image: NDArray[np.uint8], field: MarkerField) -> _Look:
+        """The imprint, percent of the light around, and its relief."""
+        points = (field.rest_px + field.displacement_px).astype(np.float32)
+        size = image.shape[1] // self._shrink, image.shape[0] // self._shrink
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if self._shrink > 1 else image
+        where = (cv2.remap(points, *self._at, cv2.INTER_LINEAR) + 0.5) / self._shrink - 0.5
+        picture = cv2.remap(
+            small, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        ).astype(np.float32)
+        lit = picture.reshape(*self.seen.shape, -1) * self.seen[..., None]
+        fine, slow = (
+            cv2.GaussianBlur(lit, (0, 0), sigma * self._samples).reshape(lit.shape) / (weight + 1e-3)[..., None]
+            for sigma, weight in ((_FINE, self._fine), (_SLOW, self._slow))
+        )
+        imprint = 100 * (fine / np.maximum(slow, _DARK) - 1) * self.seen[..., None]
+        power = cv2.boxFilter(np.square(imprint).mean(-1), cv2.CV_32F, self._box) / self._boxed
+        return _Look(imprint.astype(np.float32), np.sqrt(power).astype(np.float32))
+
+    def changed(self, before: _Look, now: _Look) -> float:
+        """Power of the difference of two imprints, in shares of that of both."""
+        off = cv2.norm(now.imprint, before.imprint, cv2.NORM_L2SQR)
+        both = cv2.norm(before.imprint, cv2.NORM_L2SQR) + cv2.norm(now.imprint, cv2.NORM_L2SQR)
+        return float(off / (both + _NOISE * float(self.seen.sum()) * now.imprint.shape[-1]))

@@ -1,0 +1,56 @@
+"""Whether the held object slides out of the hand: a logistic of what both fingers' imprints and markers do.
+
+What slides and is held lightly falls: the imprint changes against the markers, from frame to frame and over three of
+them, loses relief rather than wins it, and neither relief nor a bulging grid of markers says that the grip is strong.
+Many objects turn in a strong grip and stay. Weights and limit are fitted by `python -m simulation grasps`.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.perception.slip.imprint import ImprintChange
+
+TERMS = ("changed", "changed over three", "let go", "relief", "irregular")
+WEIGHTS = (0.9397, 0.8724, 2.3814, -2.2961, -2.6491)
+BIAS = 0.8055  # the limit included
+_LITTLE = 0.01
+_IRREGULAR = 0.2  # pitch; more, or a grid that is not seen, says no more
+
+
+class SlideWitness:
+    """Follows all fingers of a hand."""
+
+    def __init__(self) -> None:
+        self._changed = 0.0
+
+    def update(self, fingers: Sequence[ImprintChange | None]) -> float | None:
+        """How surely the object slides out, from 0 on surely enough; None before every finger's imprint is known."""
+        terms = self.terms(fingers)
+        return None if terms is None else slide_score(terms)
+
+    def terms(self, fingers: Sequence[ImprintChange | None]) -> NDArray[np.float64] | None:
+        """What the logistic reads, float64 [TERMS]."""
+        seen = [finger for finger in fingers if finger is not None]
+        if len(seen) < len(fingers) or not seen:
+            return None
+        most = max(seen, key=lambda finger: finger.changed)
+        twice, self._changed = min(self._changed, most.changed), most.changed
+        relief = math.hypot(*(finger.relief for finger in seen))
+        irregular = sum(min(finger.irregular_pitch, _IRREGULAR) for finger in seen)
+        return np.array(
+            [
+                math.log(_LITTLE + twice),
+                math.log(_LITTLE + max(finger.changed_later for finger in seen)),
+                most.let_go,
+                math.log(1 + relief),
+                math.log(_LITTLE + irregular),
+            ]
+        )
+
+
+def slide_score(terms: NDArray[np.float64]) -> float:
+    """The logistic of :data:`TERMS`, 0 at the limit."""
+    return float(np.dot(WEIGHTS, terms) + BIAS)

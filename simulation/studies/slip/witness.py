@@ -1,0 +1,144 @@
+"""The slide witness on real grasps: fitted without each object in turn, with its limit chosen without it, too.
+
+A run counts by its most suspicious frame, so only the frames that look most like a slide are fitted: of a run that is
+lost, those between the visible slide and five frames before the loss; of a held one, all until it is let go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.perception.slip.slide import TERMS
+
+Row = Mapping[str, Any]
+Float64 = NDArray[np.float64]
+SETTLED_N = 4  # frames after contact, or after a recording begins in one
+AHEAD_N = 5  # frames by which a slide has to be told before the loss
+LET_GO_N = 6  # last frames before a held object is let go, which count as neither
+FALSE_RUNS = 1  # alarms in the held runs that a limit is chosen on
+WINDOW_N = 16  # frames in 2 s
+_RIDGE = 1.0
+_ROUNDS, _POSITIVE_N, _NEGATIVE_N, _EVERY = 8, 2, 4, 25
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One grasp's terms [frames, terms], the frames in which an alarm counts, and whether it ends in a loss."""
+
+    name: str
+    terms: Float64
+    begin: int
+    end: int
+    slide: int | None
+
+    @property
+    def object(self) -> str:
+        return self.name.rsplit("_", 2)[0]
+
+    def scores(self, model: Float64) -> Float64:
+        """The logistic of the frames that count."""
+        return np.asarray(self.terms[self.begin : self.end] @ model[:-1] + model[-1])
+
+
+def runs_of(rows: Sequence[Row], labels: Row, evidence: Mapping[str, Any], columns: int = len(TERMS)) -> list[Run]:
+    """Held runs, and those with a visible slide before a loss; of the witness' terms the first ``columns``."""
+    runs = []
+    for row in rows:
+        name, hold = row["run"], row["hold_frame"]
+        terms = np.array([[np.nan] * len(TERMS) if one is None else one for one in evidence[name]])[:, :columns]
+        known = int(np.isfinite(terms).all(1).argmax())
+        if label := labels["slip"].get(name):
+            if label["lost"] is None or label["slide"] is None:
+                continue
+            begin, end = label["contact"] + SETTLED_N, label["lost"] - AHEAD_N + 1
+        else:
+            emptied = labels["held"].get(name, {}).get("emptied") or len(terms)
+            begin, end = hold if hold is not None and hold < 60 else SETTLED_N, emptied - LET_GO_N
+        begin = max(begin, known + 1, 6)
+        runs.append(Run(name, terms, begin, max(begin, end), label["slide"] if label else None))
+    return runs
+
+
+def fitted(runs: Sequence[Run]) -> Float64:
+    """Weights and bias of the logistic; with it, at most ``FALSE_RUNS`` of the held runs score above 0."""
+    slides = [run.terms[max(run.begin, run.slide) : run.end] for run in runs if run.slide is not None]
+    slides = [one for one in slides if len(one)]
+    holds = [run.terms[run.begin : run.end] for run in runs if run.slide is None]
+    every = np.concatenate([*slides, *holds])
+    mean, spread = every.mean(0), every.std(0)
+    slides, holds = ([(one - mean) / spread for one in ones] for ones in (slides, holds))
+    weights = np.eye(every.shape[1])[0]
+    for _ in range(_ROUNDS):
+        positive = np.concatenate([_most(one, weights, _POSITIVE_N) for one in slides])
+        negative = np.concatenate([_most(one, weights, _NEGATIVE_N) for one in holds])
+        usual = np.concatenate([one[::_EVERY] for one in holds])
+        shares = np.repeat([1 / _POSITIVE_N, 1 / _NEGATIVE_N, 0.02], [len(positive), len(negative), len(usual)])
+        told = np.arange(len(shares)) < len(positive)
+        weights = _logistic(np.concatenate([positive, negative, usual]), told, shares)
+    raw = weights / spread
+    highest = np.sort([float((one @ weights).max()) for one in holds])[::-1]
+    return np.append(raw, -raw @ mean - highest[FALSE_RUNS])
+
+
+def _most(frames: Float64, weights: Float64, count: int) -> Float64:
+    return np.asarray(frames[np.argsort(-(frames @ weights))[:count]])
+
+
+def _logistic(terms: Float64, told: NDArray[np.bool_], shares: Float64) -> Float64:
+    """Weights of a ridge logistic regression, by Newton's method; its bias is left to the limit."""
+    columns = np.column_stack([terms, np.ones(len(terms))])
+    ridge = np.diag([_RIDGE] * terms.shape[1] + [1e-6])
+    weights = np.zeros(columns.shape[1])
+    for _ in range(60):
+        chance = 1 / (1 + np.exp(-np.clip(columns @ weights, -30, 30)))
+        slope = columns.T @ (shares * (chance - told)) + ridge @ weights
+        bend = (columns * (shares * chance * (1 - chance) + 1e-9)[:, None]).T @ columns + ridge
+        weights -= np.linalg.solve(bend, slope)
+    return weights[:-1]
+
+
+def without_each_object(runs: Sequence[Run]) -> dict[str, Any]:
+    """Every run judged by a model and a limit that never saw its object."""
+    margins: dict[str, Float64] = {}
+    for left_out in sorted({run.object for run in runs}):
+        model = fitted([run for run in runs if run.object != left_out])
+        margins |= {run.name: run.scores(model) for run in runs if run.object == left_out}
+    slides = [run for run in runs if run.slide is not None]
+    holds = [run for run in runs if run.slide is None]
+    alarmed = {run.name: bool((margins[run.name] > 0).any()) for run in runs}
+    frames_n = sum(run.end - run.begin for run in holds)
+    return {
+        "warned": [alarmed[run.name] for run in slides],
+        "early": sum(_first(margins[run.name]) + run.begin < (run.slide or 0) for run in slides if alarmed[run.name]),
+        "false": [alarmed[run.name] for run in holds],
+        "false_runs": sorted(run.name for run in holds if alarmed[run.name]),
+        "false_frames_per_1000": 1000 * sum(int((margins[run.name] > 0).sum()) for run in holds) / frames_n,
+        "auc": _auc([margins[run.name] for run in slides], [margins[run.name] for run in holds]),
+        "short": _of(alarmed, slides, holds, short=True),
+        "long": _of(alarmed, slides, holds, short=False),
+    }
+
+
+def _first(margins: Float64) -> int:
+    return int((margins > 0).argmax())
+
+
+def _of(alarmed: Mapping[str, bool], slides: Sequence[Run], holds: Sequence[Run], *, short: bool) -> list[list[bool]]:
+    """Alarms of slides and holds among the recordings of one kind: cut to the grasp, or of 450 frames."""
+    return [[alarmed[run.name] for run in runs if (len(run.terms) < 450) == short] for runs in (slides, holds)]
+
+
+def _auc(slides: Sequence[Float64], holds: Sequence[Float64]) -> float:
+    """Chance that the last 2 s before a loss score higher than 2 s of a held run, wherever they are taken."""
+    last = [float(one[-(WINDOW_N - AHEAD_N) :].max()) for one in slides if len(one)]
+    held = [
+        [float(one[k : k + WINDOW_N - AHEAD_N].max()) for k in range(0, max(1, len(one) - WINDOW_N), WINDOW_N)]
+        for one in holds
+        if len(one)
+    ]
+    return float(np.mean([np.mean([np.mean(np.array(one) < score) for one in held]) for score in last]))

@@ -1,0 +1,78 @@
+"""A light object's imprint that walks over the gel is told from one that the gel carries along, and stops the arm."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from service.contract import FrameSpec, TactileFrame
+from service.perception.finger import TactileFinger
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.slip.imprint import ImprintWatch
+from service.perception.slip.slide import SlideWitness
+from service.session.fingers import Fingers
+from tests.service.perception.synthetic import draw, grid
+
+PERIOD_NS = 125_000_000
+REST = grid(7, 9, 32.0, 320, 240, jitter=0.2)
+STILL = [0.0] * 8
+
+
+def picture(rng, imprint_px, gel_px, height=1.0):
+    """A gel carried sideways by ``gel_px``, and a ridge on it that is ``imprint_px`` from where it was."""
+    image = draw(REST + np.array([gel_px, 0.0]), rng, 320, 240, diameter=10.0, noise=1.0).astype(np.float64)
+    u = np.arange(320) - 150.0 - imprint_px
+    ridge = 35 * height * np.exp(-np.square(u / 9.0)) * u / 9.0
+    image[70:170] += ridge[:, None] * [1.0, 0.2, -1.0]
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def scores(walk_px, gel_px, height=1.0):
+    rng, witness = np.random.default_rng(3), SlideWitness()
+    fingers = [(MarkerTracker(), ImprintWatch()) for _ in range(2)]
+    for k, (imprint, gel) in enumerate(zip(walk_px, gel_px, strict=True)):
+        images = [picture(rng, imprint, gel, height) for _ in fingers]
+        yield witness.update(
+            [
+                watch.update(image, tracker.update(image, k * PERIOD_NS))
+                for image, (tracker, watch) in zip(images, fingers, strict=True)
+            ]
+        )
+
+
+def test_an_imprint_that_walks_over_the_gel_slides_and_one_that_the_gel_carries_does_not():
+    way = [*STILL, 4.0, 8.0, 12.0, 16.0]
+    slid, carried = list(scores(way, [0.0] * 12)), list(scores(way, way))
+    assert slid[0] is None
+    assert max(slid[2:8]) < 0
+    assert max(slid[8:]) >= 0
+    assert max(carried[2:]) < 0
+
+
+def test_the_same_slide_in_a_strong_grip_is_less_sure_to_end_in_a_loss():
+    way = [*STILL, 4.0, 8.0, 12.0, 16.0]
+    assert max(list(scores(way, [0.0] * 12, height=3.0))[8:]) < max(list(scores(way, [0.0] * 12))[8:])
+
+
+def test_frames_close_in_time_are_looked_at_once():
+    rng, tracker, watch = np.random.default_rng(3), MarkerTracker(), ImprintWatch()
+    seen = []
+    for k in range(12):
+        image = picture(rng, 0.0, 0.0)
+        seen.append(watch.update(image, tracker.update(image, k * PERIOD_NS // 5)))
+    assert len({id(one) for one in seen if one is not None}) == 2
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_sliding_imprint_stops_the_arm_where_that_is_asked_for(asked):
+    spec, rng = FrameSpec(height_px=240, width_px=320), np.random.default_rng(3)
+    fingers = Fingers(*(TactileFinger(side, spec, imprint=asked) for side in ("left", "right")))
+    for side in ("left", "right"):
+        fingers.watch(side).rearm()
+    said = []
+    for k, way in enumerate([*STILL, 4.0, 8.0, 12.0, 16.0]):
+        for side in ("left", "right"):
+            frame = TactileFrame(side, k, k * PERIOD_NS, picture(rng, way, 0.0))
+            said.append(fingers.observe(frame).slip)
+    assert not any(slip.stop for slip in said[:16])
+    assert any(slip.stop and "imprint" in slip.reason for slip in itertools.islice(said, 16, None)) == asked
