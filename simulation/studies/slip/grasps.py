@@ -152,8 +152,8 @@ def _notes(data: Row, left_out: Row) -> str:
     return f"""
         The slide witness runs live with `TACTILE_IMPRINT_SLIP=1`. Its evidence in the last 2 s before a loss is larger
         than in 2 s of a held run with a chance of {left_out["auc"]:.2f}. It alarms in
-        {left_out["false_frames_per_1000"]:.2f} of 1,000 held frames, and told {left_out["early"]} slides before they
-        were seen to begin. Frames whose grid jumped by what may be a pitch, none of them evidence:
+        {left_out["false_frames_per_1000"]:.2f} of 1,000 held frames, and told {left_out["early"]} of the slides
+        before they were seen to begin. Frames whose grid jumped by what may be a pitch, none of them evidence:
         {data["ambiguous"]}. Slowest run: {data["ms_a_frame"]:.1f} ms CPU a finger and frame, tracker and all.
 
         - **What is out of sample.** Where an object is said to be left out, the witness and its limit were fitted

@@ -1,5 +1,7 @@
 """On sensors we did not make: GelSlim 3 (screen recording) and GelSight Mini (two fingers of a gripper)."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -73,3 +75,21 @@ def test_no_slip_is_announced_while_a_real_object_is_held_and_shaken(slip_pitch)
         frames += len(judged)
     assert frames > 3000
     assert alarms / frames * 1500 <= 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "clip", ["jute_basket_1_slip/camera_0", "cheese_tube_7_slip/camera_0", "pattern_cotton_cloth_8_slip/camera_2"]
+)
+def test_a_grid_of_few_markers_does_not_slide_by_a_step_under_a_grasp_without_saying_so(clip):
+    tracker, usable = MarkerTracker(), []
+    for k, frame in enumerate(read_video(real_data("gelsight_mini_slip") / f"{clip}.avi")):
+        field = tracker.update(frame, k * 125_000_000)
+        if field.usable:
+            usable.append((k, field))
+    for (last, before), (now, after) in itertools.pairwise(usable):
+        both = before.valid & after.valid
+        step = np.median((after.displacement_px - before.displacement_px)[both], 0) / after.pitch_px
+        assert np.hypot(*step) < 0.7 or now > last + 1
+    home = usable[-1][1]
+    assert np.hypot(*np.median(home.displacement_px[home.valid], 0)) < 0.3 * home.pitch_px
