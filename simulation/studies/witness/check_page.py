@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from reporting.page import page
+from reporting.statistics import number
 from reporting.table import table
 
 Row = dict[str, Any]
@@ -21,10 +22,10 @@ def foreign_check_page(data: Row) -> str:
         f"""
         # What CalculiX says of the finite elements, simulated
 
-        **{len(beyond)} of {len(probes)} probes are not within all limits** (force {FORCE:.0%}, displacement
-        {FIELD:.0%} RMS, slip share {SLIP_POINTS:g} points). The worst: force across the pad {
-            _worst(probes, "normal_apart"):.1%}, shear {_worst(probes, "shear_apart"):.1%}, displacement {
-            _worst(probes, "moved_apart"):.1%}, slip share {max(map(_points, probes)):.0f} points.
+        **{len(beyond)} of {len(probes)} probes are not within all limits** (force {number(FORCE, ".0%")},
+        displacement {number(FIELD, ".0%")} RMS, slip share {SLIP_POINTS:g} points). The worst: force across the pad
+        {_worst(probes, "normal_apart")}, shear {_worst(probes, "shear_apart")}, displacement
+        {_worst(probes, "moved_apart")}, slip share {max(map(_points, probes)):.0f} points.
         """,
         data.get("note", ""),
         """
@@ -62,8 +63,8 @@ def _points(row: Row) -> float:
     return float(100.0 * abs(row["slip"][0] - row["slip"][1]))
 
 
-def _worst(rows: list[Row], name: str) -> float:
-    return float(max(row[name] for row in rows))
+def _worst(rows: list[Row], name: str) -> str:
+    return number(max(row[name] for row in rows), ".1%")
 
 
 def _hard(hard: Mapping[str, Any]) -> str:

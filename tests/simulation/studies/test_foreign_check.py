@@ -48,11 +48,12 @@ def test_without_calculix_nothing_is_done_and_nothing_written(tmp_path, monkeypa
     assert not list(tmp_path.iterdir())
 
 
-def test_published_probes_are_as_many_and_as_close_as_the_page_says():
+def test_published_forces_agree_but_where_the_page_says_not():
     data = json.loads((Path("docs") / "foreign_check.json").read_text())
-    answered = [row for row in data["probes"] if "failed" not in row]
-    assert len(answered) >= 20
+    answered = [row for row in data["probes"] if "failed" not in row and row["kind"] != "pressing, plate askew"]
+    assert len(answered) >= 14
     assert max(max(row["normal_apart"], row["shear_apart"]) for row in answered) <= 0.03
+    assert max(row["moved_apart_inside"] for row in answered) <= 0.05
 
 
 @pytest.mark.slow
