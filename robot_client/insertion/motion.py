@@ -33,9 +33,9 @@ class Ramp(Contract):
 class Ramps(Contract):
     """How the arm moves in free air, while probing and on the way up. docs/pace.md says why so."""
 
-    travel: Ramp = Ramp(speed_mm_s=60.0, acceleration_mm_s2=1400.0, jerk_mm_s3=60000.0)
-    descend: Ramp = Ramp(speed_mm_s=10.0, acceleration_mm_s2=1000.0, jerk_mm_s3=30000.0)
-    retract: Ramp = Ramp(speed_mm_s=50.0, acceleration_mm_s2=1400.0, jerk_mm_s3=60000.0)
+    travel: Ramp = Ramp(speed_mm_s=40.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0)
+    descend: Ramp = Ramp(speed_mm_s=10.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0)
+    retract: Ramp = Ramp(speed_mm_s=25.0, acceleration_mm_s2=200.0, jerk_mm_s3=4000.0)
 
     def of(self, motion: Motion) -> Ramp:
         """The ramp of one kind of motion."""

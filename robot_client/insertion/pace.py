@@ -6,6 +6,8 @@ Around them a descent keeps the probing speed of ``ramps.descend``. Every leg is
 
 from typing import NamedTuple
 
+from pydantic import Field
+
 from robot_client.insertion.limits import Leg, LimitError, Limits, Positive
 from service.contract.frames import Contract
 
@@ -32,9 +34,9 @@ class Pace(Contract):
 
     fast_mm_s: Positive | None = None
     fast_travel_mm: Positive = 2.5
-    above_mm: Positive = 2.0
-    below_mm: Positive = 4.0
-    lift_mm: Positive | None = None
+    above_mm: float = Field(default=2.0, ge=1.0)  # how well the tops are known, and what an object is pressed by
+    below_mm: float = Field(default=4.0, ge=3.0)
+    lift_mm: float | None = Field(default=None, ge=2.0)
 
     def check(self, limits: Limits, probing_mm_s: float) -> None:
         """Raise LimitError for a fast speed that is slower than probing or beyond the limits."""

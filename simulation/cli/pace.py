@@ -39,7 +39,7 @@ class Options(PlayOptions):
     worlds: tuple[str, ...] = ()
     """TOML files of worlds or folders of them, taken in turn; the world that was trained for if left out"""
     points: tuple[str, ...] = ()
-    """names of choices to play beside the first version; all if left out"""
+    """names of choices to play beside what ships; all if left out"""
     title: str = TRAINED
     """section of the page"""
     draw: bool = False

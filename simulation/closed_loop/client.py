@@ -8,18 +8,12 @@ from robot_client.insertion.events import Move
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import FAST_S, SLOW_MM, Lease
 from robot_client.insertion.limits import Limits
-from robot_client.insertion.motion import Ramp, Ramps
+from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Plan
 from robot_client.settings import Settings, load_settings
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, LockstepCell, Walk
 
-FIRST = Ramps(
-    travel=Ramp(speed_mm_s=40.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0),
-    descend=Ramp(speed_mm_s=10.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0),
-    retract=Ramp(speed_mm_s=25.0, acceleration_mm_s2=200.0, jerk_mm_s3=4000.0),
-)
-"""What a client without settings of its own is played with: results before docs/pace.md rest on these."""
 ABOVE_MM = 30.0  # where a played client's arm starts, above its usual approach
 SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client takes the arm to stand still
 
@@ -33,7 +27,7 @@ def plan_of(
     cell: LockstepCell, approach: WorkPose, limits: Limits, reach_mm: float | None, client: Settings | None
 ) -> Plan:
     """What the client is told, which need not be so."""
-    scene, told, ramps = cell.scene, cell.unstated, FIRST
+    scene, told, ramps = cell.scene, cell.unstated, Ramps()
     top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
     limits = limits.model_copy(update={"max_descent_speed_mm_s": top_mm_s})
     descend = ramps.descend.model_copy(update={"speed_mm_s": scene.speed_mm_s})

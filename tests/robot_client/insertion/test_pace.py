@@ -1,6 +1,7 @@
 """Two speeds in one descent, and no higher between attempts than the move needs: no bound in mm is given up for it."""
 
 import itertools
+import math
 
 import pytest
 from hypothesis import given
@@ -111,6 +112,12 @@ def test_a_pace_beyond_limits_or_lease_moves_nothing(pace):
     state, commands = run(TO_ARMING[:1], State(FAST.model_copy(update={"pace": pace})))
     assert state.phase is Phase.FAILED
     assert not [c for c in commands if isinstance(c, Move)]
+
+
+@pytest.mark.parametrize("values", [{"lift_mm": 0.5}, {"above_mm": 0.0}, {"below_mm": 2.9}, {"fast_mm_s": math.nan}])
+def test_a_band_or_a_lift_too_small_for_what_is_not_known_is_refused(values):
+    with pytest.raises(ValueError, match=next(iter(values))):
+        Pace(**values)
 
 
 def test_the_service_is_told_each_speed_when_its_leg_begins():
