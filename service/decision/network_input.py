@@ -19,6 +19,10 @@ from service.perception.observation import PairObservation
 from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
 
 Floats = NDArray[np.float32]
+REACHES, FEWEST_N = (
+    2.0,
+    4,
+)  # an attempt presses by so many shear reaches, if that is told, and by so many steps at least
 
 
 def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
@@ -88,9 +92,17 @@ class Descent:
 
     @property
     def enough(self) -> bool:
-        """Whether the object was pressed as deep as the networks read."""
-        steps = self._steps
-        return steps is not None and steps.steps_n >= steps.spec.steps_n
+        """Whether the object was pressed as deep as is worth it."""
+        return self._steps is not None and self._steps.steps_n >= self._worth_n
+
+    @property
+    def _worth_n(self) -> int:
+        """As many steps as the networks read, fewer where the gel slides before: what turns then stays turned."""
+        spec, reach_mm = self.card.pressing, self.told.get("shear_reach_mm")
+        assert spec is not None
+        if not reach_mm:
+            return spec.steps_n
+        return min(spec.steps_n, max(FEWEST_N, round(REACHES * reach_mm / spec.step_mm)))
 
     @property
     def pressed_mm(self) -> float:
