@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,6 +20,8 @@ from simulation.studies.accuracy import PAST_TOUCHDOWN_MM, SETTINGS, THETA_DEG, 
 from simulation.studies.accuracy_report import accuracy_page, draw
 from simulation.studies.hard_probes_report import hard_probes_page
 from simulation.studies.theory import theory_page
+from simulation.studies.witness import calculix, check, costs
+from simulation.studies.witness.check_page import foreign_check_page
 
 
 @dataclass(frozen=True)
@@ -127,3 +130,59 @@ def _begun(path: Path | None, setup: dict[str, Any], count: int) -> probes.Tally
         return probes.Tally.from_dict(kept) if same and kept["probes"] <= count else probes.Tally()
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} is not what an earlier run left ({error!r}); remove it") from error
+
+
+@dataclass(frozen=True)
+class ForeignCheckOptions:
+    """Hold the foreign cell's finite elements against CalculiX (`ccx`), and all tiers against the finest mesh.
+
+    Rows go to RUNS as they come; the same command goes on where it was interrupted, if the code is still the same.
+    The page and its data are foreign_check.md and .json. Without `ccx` nothing is done.
+    """
+
+    out: Path = Path("docs")
+    """folder of the report"""
+    runs: Path = Path("runs/foreign_check")
+    """folder of the rows"""
+
+
+def foreign_check(arguments: list[str]) -> int:
+    """Ask CalculiX, measure, then write the page."""
+    options = tyro.cli(ForeignCheckOptions, args=arguments, prog="tactile-insertion foreign-check")
+    if not options.out.is_dir():
+        raise ValueError(f"--out {options.out}: no such folder")
+    if not calculix.is_installed():
+        print("foreign-check: skipped, there is no ccx here to ask (Debian: calculix-ccx)")
+        return 0
+    log = options.runs / f"rows-{sources_sha256('simulation.studies.witness.check')[:12]}.jsonl"
+    parts: list[tuple[str, list[Any]]] = [
+        ("probes", [partial(check.tried, probe) for probe in check.PROBES]),
+        ("large", [partial(check.large, probe) for probe in check.LARGE]),
+        ("costs", [partial(costs.measured, name, probe) for name, probe in costs.EDGES.items()]),
+    ]
+    data = _kept_rows(log, parts)
+    before = options.out / "foreign_check.json"
+    kept = json.loads(before.read_text()) if before.is_file() else {}
+    hard = options.out / "hard_probes.foreign.json"
+    data |= {name: kept[name] for name in ("note", "lacks") if name in kept}
+    data["hard"] = json.loads(hard.read_text()) if hard.is_file() else kept.get("hard")
+    print(publish(options.out, "foreign_check", foreign_check_page(data), data))
+    return 0
+
+
+def _kept_rows(log: Path, parts: list[tuple[str, list[Any]]]) -> dict[str, Any]:
+    """The rows of every part, by name; those that the log holds already are not made again."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    lines = [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+    done, data = {(each["part"], each["number"]): each["rows"] for each in lines}, dict[str, Any]()
+    with log.open("a") as file, progress("probes", sum(len(todo) for _, todo in parts)) as show:
+        for name, todo in parts:
+            for number, make in enumerate(todo):
+                if (name, number) not in done:
+                    made = make()
+                    done[name, number] = [made] if isinstance(made, dict) else list(made)
+                    file.write(json.dumps({"part": name, "number": number, "rows": done[name, number]}) + "\n")
+                    file.flush()
+                show(len(done))
+            data[name] = [row for number in range(len(todo)) for row in done[name, number]]
+    return data

@@ -14,6 +14,8 @@ PAGES = {
     "hard_cases": "tests.hard_cases.__main__:hard_cases_page",
     "motion_bounds": "simulation.studies.motion_bounds.report:bounds_page",
     "drawn_worlds": "simulation.studies.drawn_worlds:drawn_worlds_page",
+    "foreign_check": "simulation.studies.witness.check_page:foreign_check_page",
+    "foreign_world": "simulation.studies.witness.sealed_page:foreign_world_page",
     "pace": "simulation.studies.pace.report:pace_page",
     "robustness": "simulation.closed_loop.robustness:robustness_page",
     "serving": "tests.benchmarks.serving_report:serving_page",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from simulation.foreign.cell import CLOSING_STEPS, ForeignCell, pad_of
 from simulation.foreign.elements import Pad
 from simulation.foreign.newton import Drive
-from simulation.foreign.pads import OPEN, SLIP, Grip
+from simulation.foreign.pads import OPEN, Grip
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene
 from simulation.studies.witness import calculix
@@ -110,23 +110,48 @@ def played(probe: Probe, pad: Pad | None = None, **numerics: float) -> RecordedC
     return cell
 
 
-def compared(probe: Probe, *, large: bool = False, cells: tuple[int, int, int] = CELLS) -> dict[str, Any]:
+def tried(probe: Probe) -> dict[str, Any]:
+    """`compared`, or why CalculiX has no answer."""
+    try:
+        return compared(probe)
+    except calculix.CalculixError as error:
+        return asdict(probe) | {"failed": str(error)[:200]}
+
+
+def compared(probe: Probe, cells: tuple[int, int, int] = CELLS) -> dict[str, Any]:
     """Both answers to a probe and how far they are apart. Raises CalculixError."""
     began = time.process_time()
     cell = played(probe)
     ours_s, gel = time.process_time() - began, cell.scene.gel
     pad = pad_of(cell.scene)
-    rubber = Rubber(gel.shear_modulus_n_per_mm2, pad.poisson_ratio, gel.friction, large)
+    rubber = Rubber(gel.shear_modulus_n_per_mm2, pad.poisson_ratio, gel.friction)
     path, began = _way(cell, probe.side), time.monotonic()
     theirs = calculix.press(Mesh(pad, probe.side, cells), rubber, probe.side, path)
     said = asdict(probe) | {"poisson_ratio": pad.poisson_ratio, "thickness_mm": gel.thickness_mm}
     return said | {"ours_cpu_s": ours_s, "calculix_s": time.monotonic() - began} | _apart(cell, probe.side, theirs)
 
 
+def large(probe: Probe) -> dict[str, Any]:
+    """What large strains change on a probe's path, as CalculiX sees it. Raises CalculixError."""
+    cell = played(probe)
+    gel, pad = cell.scene.gel, pad_of(cell.scene)
+    path, mesh = _way(cell, probe.side), Mesh(pad, probe.side, CELLS)
+    rubber = Rubber(gel.shear_modulus_n_per_mm2, pad.poisson_ratio, gel.friction)
+    small, finite = (calculix.press(mesh, rubber._replace(large=large), probe.side, path) for large in (False, True))
+    sheared = [float(np.linalg.norm(answer.force[[0, 2]])) for answer in (small, finite)]
+    return {
+        "kind": probe.kind,
+        "strain": float(np.abs(small.moved[:, 1]).max() / gel.thickness_mm),
+        "normal": float(finite.force[1] / small.force[1] - 1.0),
+        "shear": sheared[1] / sheared[0] - 1.0,
+        "moved": float(np.linalg.norm(finite.moved - small.moved) / np.linalg.norm(small.moved)),
+    }
+
+
 def _way(cell: RecordedCell, side: int) -> list[Array]:
-    """The plate's corners by every second load step in the frame of the pad at side, from clear of it on."""
+    """The plate's corners by every third load step in the frame of the pad at side, from clear of it on."""
     crest, closed = cell.held.crest_mm, CLOSING_STEPS - 1
-    kept = [*cell.path[:closed:3], *cell.path[closed : closed + 2], *cell.path[: closed + 1 : -2][::-1]]
+    kept = [*cell.path[:closed:3], *cell.path[closed : closed + 2], *cell.path[: closed + 1 : -3][::-1]]
     way = [
         calculix.plate_at(grip.turn, grip.place - [0.0, 0.5 * side * grip.opening, 0.0], crest, side) for grip in kept
     ]
@@ -135,6 +160,8 @@ def _way(cell: RecordedCell, side: int) -> list[Array]:
     return [way[0] - [0.0, side * (into + CLEAR_MM), 0.0], *way]
 
 
+LARGE = tuple(PROBES[i] for i in (0, 7, 12))
+"""Probes that are tried with large strains, too."""
 CORNER_ROWS = {1: [2, 3, 6, 7], -1: [0, 1, 4, 5]}
 """The plate's corners that face the pad."""
 
@@ -148,20 +175,32 @@ def _apart(cell: RecordedCell, side: int, theirs: calculix.Answer) -> dict[str, 
     same, at = _shared(rest[:, [0, 2]], theirs.rest[:, [0, 2]])
     size: Array = theirs.moved[at]
     apart: Array = moved[same] - size
+    places = rest[same][:, [0, 2]]
+    ends = np.isclose(np.abs(places), np.abs(places).max(axis=0))
+    rim, weight = ends.any(axis=1), np.where(ends, 0.5, 1.0).prod(axis=1)
+    weight = weight / weight.sum()
     across, across_theirs = force[[0, 2]], theirs.force[[0, 2]]
     pressure, shear = theirs.pressure[at], theirs.shear[at]
     touching = pressure > TOUCHES * float(pressure.mean())
     slides = touching & (shear >= SLIDES * cell.scene.gel.friction * pressure)
-    status = grip.status[mine][same]
+    judged = cell.pads.judge(grip, cell.pads.planes(cell.held, grip.on), grip.on, None)
+    ours, drag = judged.pressing[mine][same], np.linalg.norm(judged.drag[mine][same], axis=1)
+    closed = grip.status[mine][same] != OPEN
     return {
         "force_n": [force.tolist(), theirs.force.tolist()],
         "normal_apart": abs(force[1] / theirs.force[1] - 1.0),
         "shear_n": float(np.linalg.norm(across_theirs)),
         "shear_apart": float(np.linalg.norm(across - across_theirs) / np.linalg.norm(across_theirs)),
-        "moved_rms_mm": float(np.sqrt(np.square(size).sum(axis=1).mean())),
-        "moved_apart": float(np.sqrt(np.square(apart).sum() / np.square(size).sum())),
-        "slip": [_share(status == SLIP, status != OPEN), _share(slides, touching)],
+        "moved_rms_mm": float(np.sqrt(np.square(size).sum(axis=1) @ weight)),
+        "moved_apart": _apart_of(apart, size, weight),
+        "moved_apart_inside": _apart_of(apart[~rim], size[~rim], weight[~rim]),
+        "slip": [_share(closed & (drag >= SLIDES * cell.pads.friction * ours), closed), _share(slides, touching)],
     }
+
+
+def _apart_of(apart: Array, size: Array, weight: Array) -> float:
+    """RMS of a difference over RMS of a field, both [m, 3], each node by the face that it stands for."""
+    return float(np.sqrt((np.square(apart).sum(axis=1) @ weight) / (np.square(size).sum(axis=1) @ weight)))
 
 
 def _share(some: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:

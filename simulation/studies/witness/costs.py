@@ -23,16 +23,14 @@ from simulation.studies.witness.check import FLAT, Probe
 Array = NDArray[np.float64]
 Make = Callable[[Scene], Cell]
 
-PARTS, STOPS_AT = 12, 0.25
+PARTS, STOPS_AT = 4, 0.25
 APPROACH_MM = 5.0
-FINEST = (10, 3, 0.17)  # elements across and through, load step mm
-MESHES = ((4, 1, 0.17), (6, 2, 0.17), (8, 2, 0.17), (8, 3, 0.17))
-STEPS = ((6, 2, 0.34), (6, 2, 0.085), (6, 2, 0.0425))
+FINEST = (8, 3, 0.085)  # elements across and through, load step mm
+MESHES = ((4, 1, 0.17), (6, 2, 0.17), (8, 2, 0.17), (6, 2, 0.34), (6, 2, 0.085))
 EDGES: Mapping[str, Probe] = {
     "gel ends 0.5 mm beyond the markers": Probe(
         "", {"gel.poisson_ratio": 0.48, "gel.margin_mm": [0.5, 0.5]}, 8.0, 5.0, 1.2
     ),
-    "gel goes on for 2 mm": Probe("", {"gel.poisson_ratio": 0.48, "gel.margin_mm": [2.0, 2.0]}, 8.0, 0.0, 1.2),
 }
 
 
@@ -71,7 +69,6 @@ CELLS: Mapping[str, Make] = {
     "layer": own("layer", edges=False),
     "layer with edges": own("layer"),
     **{f"finite elements, {a} x {a} x {b}, load step {step:g} mm": elements(a, b, step) for a, b, step in MESHES},
-    **{f"finite elements, {a} x {a} x {b}, load step {step:g} mm": elements(a, b, step) for a, b, step in STEPS},
 }
 
 

@@ -7,7 +7,7 @@ from collections import Counter
 from typing import Any
 
 from reporting.page import page
-from reporting.statistics import wilson
+from reporting.statistics import number, wilson
 from reporting.table import table
 from simulation.studies.witness.sealed import WITNESS
 
@@ -89,9 +89,12 @@ def _verdict(whole: Row) -> str:
     wrongly, done = whole["claimed_wrongly"], whole["inserted"]
     told = (
         f"{wrongly} of {count} insertions ended in a claim that was not true, {wrong:.1%}; asked for: none",
-        f"{done} of {count} were inserted, {inserted:.1%}; asked for: a lower bound of {LEAST_INSERTED:.0%}",
+        f"{done} of {count} were inserted, {inserted:.1%}; asked for: a lower bound of {number(LEAST_INSERTED, '.0%')}",
         f"{whole['mean_trials']:.2f} trials on the mean; asked for: at most {MOST_TRIALS}",
-        f"90 % intervals of first decisions hold the truth in {covered:.0%}; asked for: {LEAST_COVERED:.0%}",
+        (
+            f"90 % intervals of first decisions hold the truth in {number(covered, '.0%')}; asked for: "
+            f"{number(LEAST_COVERED, '.0%')}"
+        ),
     )
     holds = (
         whole["claimed_wrongly"] == 0,
