@@ -27,6 +27,7 @@ from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.network_input import Descent
 from service.decision.seating import Push, push_of
 from service.perception.observation import FingerWatch, Observation, PairObservation
+from service.perception.slip.onset import OnsetDetector
 
 RING_PAIRS = 24  # onset is certain a few frames late; the ring reaches back past it
 
@@ -76,6 +77,7 @@ class Attempt:
     pushes: list[Push] = field(default_factory=list)
     ring: deque[PairObservation] = field(default_factory=lambda: deque(maxlen=RING_PAIRS))
     onset_ns: int | None = None
+    onset_again: tuple[OnsetDetector, ...] = ()
     decision_pairs: list[PairObservation] = field(default_factory=list)
     network_reference: PairObservation | None = None
     run: DecisionRun | None = None
@@ -160,9 +162,30 @@ class Attempt:
         self.ring.append(both)
         if self.reference is not None:
             self.pushes.append(push_of(both, self.reference))
-        if self.onset_ns is None:
-            onsets = [o.onset_ns for o in both.fingers if o.onset_ns is not None]
-            self.onset_ns = min(onsets, default=None)
+        if self.onset_ns is not None:
+            return
+        onsets = [o.onset_ns for o in both.fingers]
+        if self.onset_again:
+            found = [watch.update(one.field) for watch, one in zip(self.onset_again, both.fingers, strict=True)]
+            onsets = [None if onset is None else onset.captured_ns for onset in found]
+        self.onset_ns = min((stamp_ns for stamp_ns in onsets if stamp_ns is not None), default=None)
+
+    def dismisses(self, descent: Descent) -> bool:
+        """Whether what was taken for the onset was none, as when a heavy object sags: then wait for it anew."""
+        if self.stage is not Stage.ARMED or self.spoilt or descent.problem or not descent.enough or descent.felt:
+            return False
+        self._await_onset()
+        return True
+
+    def _await_onset(self) -> None:
+        """From the newest pair on, against what the gels show now."""
+        pair = self.ring[-1]
+        self.onset_again = tuple(OnsetDetector() for _ in pair.fingers)
+        for watch, one in zip(self.onset_again, pair.fingers, strict=True):
+            watch.rearm(one.field)
+        self.ring = deque([pair], maxlen=RING_PAIRS)
+        self.onset_ns = self.descent = self.run = None
+        self.decision_pairs, self.steps = [], []
 
     def onset_index(self) -> int | None:
         """Index in the ring of the first pair at or after the onset, None while there is no onset."""

@@ -19,10 +19,8 @@ from service.perception.observation import PairObservation
 from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
 
 Floats = NDArray[np.float32]
-REACHES, FEWEST_N = (
-    2.0,
-    4,
-)  # an attempt presses by so many shear reaches, if that is told, and by so many steps at least
+FELT, FELT_BY_N = 0.1, 10  # a press moves so many lattice points by this share of itself; an object that sags, fewer
+REACHES, FEWEST_N = 2.0, 4  # an attempt presses by so many shear reaches where they are told, and steps at least
 
 
 def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
@@ -82,6 +80,7 @@ class Descent:
     told: dict[str, float | None]
     problem: Refusal | None = None
     _steps: DepthSteps | None = None
+    _last: Floats | None = None
     _fingers: tuple[PressedFinger, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -94,6 +93,15 @@ class Descent:
     def enough(self) -> bool:
         """Whether the object was pressed as deep as is worth it."""
         return self._steps is not None and self._steps.steps_n >= self._worth_n
+
+    @property
+    def felt(self) -> bool:
+        """Whether what the steps show can be a press on something; a sagging object moves the markers far less."""
+        steps = self._steps
+        if steps is None or self._last is None:
+            return False
+        moved_mm = np.sort(np.hypot(self._last[..., 0], self._last[..., 1]), axis=None)
+        return bool(moved_mm[-FELT_BY_N] >= FELT * steps.steps_n * steps.spec.step_mm)
 
     @property
     def _worth_n(self) -> int:
@@ -118,7 +126,7 @@ class Descent:
             assert speed_mm_s is not None
             self._steps = DepthSteps(spec, speed_mm_s)
             self._steps.begin([pair.captured_ns for pair in pairs], [self._read(pair) for pair in pairs], first)
-            return self._steps.fresh()
+            return self._fresh()
         except Refusal as refusal:
             self.problem = refusal
             return []
@@ -129,10 +137,16 @@ class Descent:
             return []
         try:
             self._steps.add(pair.captured_ns, self._read(pair))
-            return self._steps.fresh()
+            return self._fresh()
         except Refusal as refusal:
             self.problem = refusal
             return []
+
+    def _fresh(self) -> list[Floats]:
+        assert self._steps is not None
+        fresh = self._steps.fresh()
+        self._last = fresh[-1] if fresh else self._last
+        return fresh
 
     def _read(self, pair: PairObservation) -> Floats:
         return np.stack([finger.read(one.field) for finger, one in zip(self._fingers, pair.fingers, strict=True)])

@@ -71,7 +71,7 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
     if attempt.fed:
         return []
     steps, pair, descent = attempt.take_steps(models.card), attempt.ring[-1], attempt.descent
-    if descent is None:
+    if descent is None or attempt.dismisses(descent):
         return []
     number, generation, problem = attempt.arm.attempt, attempt.generation, descent.problem
     attempt.fed = descent.enough or attempt.spoilt or attempt.stage is Stage.STOPPED or problem is not None

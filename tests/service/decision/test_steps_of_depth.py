@@ -8,6 +8,7 @@ import torch
 from export.onnx.to_onnx import export_checkpoint
 from service.contract import Sensor, wire
 from service.contract.model_card import Pressing, Span
+from service.decision import network_input
 from service.decision.models import ModelSet, load_models
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import Insertion, stage
@@ -43,10 +44,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
     return make
 
 
-def first_attempt(models: ModelSet, **changes: float) -> tuple[Insertion, Said]:
+def first_attempt(models: ModelSet, *, told_reach: bool = False, **changes: float) -> tuple[Insertion, Said]:
     """An insertion that is blocked at first, played until its first answer, and all that the service said."""
     soft = {"gel.friction": 1.0, "gel.shear_modulus_n_per_mm2": 0.08}
-    insertion, said = stage(Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", soft | changes), models), Said()
+    job = Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", soft | changes, told_reach=told_reach)
+    insertion, said = stage(job, models), Said()
     hear = insertion._hear
 
     def listen(messages: Said) -> None:
@@ -72,6 +74,27 @@ def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..
     enough = next(message for message in said if isinstance(message, wire.Enough))
     spacing_mm = 10.0 / fps
     assert DECISION_STEPS * STEP_MM <= enough.pressed_mm < DECISION_STEPS * STEP_MM + spacing_mm
+
+
+def test_a_gel_that_slides_soon_is_pressed_less_where_that_is_told(made: Callable[..., ModelSet]) -> None:
+    stiff = {"gel.friction": 0.6, "gel.shear_modulus_n_per_mm2": 0.15}
+
+    def enough(*, told: bool) -> list[float]:
+        _, said = first_attempt(made(), told_reach=told, **stiff)
+        return [message.pressed_mm for message in said if isinstance(message, wire.Enough)]
+
+    (pressed_mm,) = enough(told=True)
+    assert 0.6 <= pressed_mm < 1.0
+    assert all(later_mm >= DECISION_STEPS * STEP_MM for later_mm in enough(told=False)), "or slip came first"
+
+
+def test_what_moves_the_markers_too_little_for_a_press_stops_nothing(
+    made: Callable[..., ModelSet], monkeypatch
+) -> None:
+    """As when a heavy object sags in the air: the onset is awaited anew, until slip stops the arm."""
+    monkeypatch.setattr(network_input, "FELT", 1e6)
+    _, said = first_attempt(made())
+    assert answers(said)[0] == "slip"
 
 
 def test_a_speed_that_nobody_trained_for_is_refused_by_name(made: Callable[..., ModelSet]) -> None:
