@@ -103,5 +103,5 @@ def measured(name: str, probe: Probe) -> Iterator[dict[str, Any]]:
             "turn_deg": float(np.linalg.norm(end.turn_deg - finest.turn_deg)),
             "markers_um": float(1e3 * np.sqrt(np.square(end.markers - finest.markers).sum(axis=-1).mean())),
             "slip": end.slip - finest.slip,
-            "stop_mm": end.stop_mm - finest.stop_mm,
+            "stop_mm": None if np.isnan(end.stop_mm) else end.stop_mm - finest.stop_mm,
         }
