@@ -92,7 +92,7 @@ class Descent:
     @property
     def enough(self) -> bool:
         """Whether the object was pressed as deep as is worth it."""
-        return self._steps is not None and self._steps.steps_n >= self._worth_n
+        return self._steps is not None and self._steps.steps_n >= self.worth_n
 
     @property
     def felt(self) -> bool:
@@ -104,7 +104,7 @@ class Descent:
         return bool(moved_mm[-FELT_BY_N] >= FELT * steps.steps_n * steps.spec.step_mm)
 
     @property
-    def _worth_n(self) -> int:
+    def worth_n(self) -> int:
         """As many steps as the networks read, fewer where the gel slides before: what turns then stays turned."""
         spec, reach_mm = self.card.pressing, self.told.get("shear_reach_mm")
         assert spec is not None

@@ -76,16 +76,10 @@ def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..
     assert DECISION_STEPS * STEP_MM <= enough.pressed_mm < DECISION_STEPS * STEP_MM + spacing_mm
 
 
-def test_a_gel_that_slides_soon_is_pressed_less_where_that_is_told(made: Callable[..., ModelSet]) -> None:
-    stiff = {"gel.friction": 0.6, "gel.shear_modulus_n_per_mm2": 0.15}
-
-    def enough(*, told: bool) -> list[float]:
-        _, said = first_attempt(made(), told_reach=told, **stiff)
-        return [message.pressed_mm for message in said if isinstance(message, wire.Enough)]
-
-    (pressed_mm,) = enough(told=True)
-    assert 0.6 <= pressed_mm < 1.0
-    assert all(later_mm >= DECISION_STEPS * STEP_MM for later_mm in enough(told=False)), "or slip came first"
+@pytest.mark.parametrize(("reach_mm", "steps_n"), [(None, 8), (0.05, 4), (0.3, 4), (0.45, 6), (2.0, 8)])
+def test_a_gel_that_slides_soon_is_pressed_less_where_that_is_told(made, reach_mm: float | None, steps_n: int) -> None:
+    card = made().steps[0].card
+    assert network_input.Descent(card, {"shear_reach_mm": reach_mm}).worth_n == steps_n
 
 
 def test_what_moves_the_markers_too_little_for_a_press_stops_nothing(
