@@ -11,7 +11,6 @@ from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import State
 from robot_client.ports import DriverError
 from robot_client.session.commission import (
-    PER_FIXTURE_N,
     RECORD,
     SIDES,
     WENT_IN,
@@ -57,7 +56,7 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
 def _rehearse(probes_n: int, path: Path, record: Record | None) -> Outcome:
     done_n = 0 if record is None else len(record.probes)
     steps = [
-        f"take the object from the fixture, and again every {PER_FIXTURE_N} probes",
+        "put the object into the fixture and take it afresh, before each probe",
         "probe at " + ", ".join(f"{x:+g} mm {theta:+g} deg" for x, theta in SIDES) + ": are the signs right?",
         f"{probes_n - done_n} probes from errors within {REACH_MM:g} mm and {REACH_DEG:g} deg",
         f"keep what was seen in {path} after each",

@@ -24,7 +24,6 @@ from service.contract.words.wiring import WIRINGS
 
 SIDES = ((8.0, 0.0), (-8.0, 0.0), (0.0, 8.0), (0.0, -8.0))
 """Where the cell is asked for signs: mm and deg."""
-PER_FIXTURE_N = 5  # probes before the object is put back, as in the paper: it drifts in the hand
 CLEAR_SHARES = (0.3, 0.1)  # of the way between two sides, below which estimates show no sign; yaw is felt too small
 OFF_MM, OFF_DEG = 5.0, 8.0  # what two opposite sides may be off by together in a cell that is framed right
 WENT_IN = "went in without a touch"
@@ -159,7 +158,6 @@ class Commissioning:
     fetch: Callable[[], Awaitable[None]]
     draw: Callable[[int], tuple[float, float]]
     show: Callable[[str], None]
-    _since_fetched_n: int = PER_FIXTURE_N
     _began_s: float = field(default_factory=time.monotonic)
 
     async def run(self, probes_n: int) -> Record:
@@ -181,10 +179,7 @@ class Commissioning:
         return self.record
 
     async def _probe(self, title: str, x_mm: float, theta_deg: float) -> Probe:
-        if self._since_fetched_n >= PER_FIXTURE_N:
-            await self.fetch()
-            self._since_fetched_n = 0
-        self._since_fetched_n += 1
+        await self.fetch()  # each time: it drifts in the hand, and open gels are learnt before a grasp
         done, phase, reason, gels = await self.probe(x_mm, theta_deg)
         if phase is not Phase.PROBED:
             raise DriverError(f"{title}: {reason}")

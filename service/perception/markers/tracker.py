@@ -23,6 +23,7 @@ _SAME_GREY = (
 _CALM = 1.2  # misfit a node above the running level at which the grid is matched again by topology
 _WHOLE = 0.8  # diameter; a marker nearer to the image's border than this is cut
 _NEARER = 0.1  # diameter; and was carried there if it rests further inside by more than this
+_SPARE = 0.25  # of the shortest row; markers missing or too many in a placement that is right
 _ROUND = 0.6  # of the typical tightness; a marker smeared or torn longer than this has no place
 _SETTLED = 0.6  # and above that level from which on a placement is looked for further away
 
@@ -192,6 +193,8 @@ class MarkerTracker:
             elapsed_s = min((captured_ns - self._last_ns) * 1e-9, 0.1)
             moving = match(self._xy + self._velocity * np.float32(elapsed_s), rest, points, pitch, view, self._xy)
             best = min(best, moving, key=lambda rival: rival.misfit)
+        if _whole(best, len(points)):
+            return best  # every marker in its place and no place too many: a step off would lose a border row
         return reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)
 
     def _remember(self, best: Match, spots: Candidates, captured_ns: int) -> None:
@@ -217,6 +220,15 @@ class MarkerTracker:
             return empty_field(captured_ns, "no_grid", reason)
         valid = last.valid if status == "duplicate" else np.zeros_like(last.valid)
         return replace(last, valid=valid, captured_ns=captured_ns, status=status, reason=reason)
+
+
+def _whole(match: Match, spots_n: int) -> bool:
+    """Whether a placement misses and leaves over far less than the shortest row of the grid, torn nowhere.
+
+    Looking for another takes 50 to 100 ms, which an arm in contact cannot wait for.
+    """
+    found_n = int(match.valid.sum())
+    return match.torn_n == 0 and (match.valid.size - found_n) + (spots_n - found_n) <= _SPARE * min(match.valid.shape)
 
 
 def _typical(step: FloatArray, valid: BoolArray) -> float:

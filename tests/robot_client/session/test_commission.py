@@ -12,7 +12,6 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.commission import (
-    PER_FIXTURE_N,
     SIDES,
     WENT_IN,
     Commissioning,
@@ -142,7 +141,7 @@ def test_it_goes_on_where_it_was_broken_off_and_loses_the_probe_under_way(tmp_pa
     record = asyncio.run(commissioning(broken, path, read_record(path)).run(6))
     assert len(record.probes) == 6
     assert broken.probed[:7] + broken.probed[8:] == whole.probed
-    assert whole.fetched_n == -(-len(whole.probed) // PER_FIXTURE_N)
+    assert whole.fetched_n == len(whole.probed)
 
 
 def test_nothing_goes_on_in_a_cell_with_the_wrong_signs(tmp_path):
