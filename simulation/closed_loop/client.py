@@ -31,6 +31,7 @@ def plan_of(
     top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
     limits = limits.model_copy(update={"max_descent_speed_mm_s": top_mm_s})
     descend = ramps.descend.model_copy(update={"speed_mm_s": scene.speed_mm_s})
+    room_mm = approach.z_mm - scene.full_depth_mm - limits.z_mm[0]  # a part held low leaves none for its creep
     plan = Plan(
         insertion_id="simulated",
         approach=approach,
@@ -39,7 +40,7 @@ def plan_of(
         grip_n=scene.grasp.force_n,
         shear_reach_mm=reach_mm,
         expected_depth_mm=scene.full_depth_mm,
-        creep_allowance_mm=CREEP_ALLOWANCE_MM,
+        creep_allowance_mm=min(CREEP_ALLOWANCE_MM, max(0.0, room_mm)),
         limits=limits,
         ramps=ramps.model_copy(update={"descend": descend}),
         lease=Lease(travel_mm=max(SLOW_MM, FAST_S * scene.speed_mm_s)),
