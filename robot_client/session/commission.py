@@ -71,8 +71,8 @@ def commissioned(path: Path) -> Record:
     record = read_record(path)
     if record is None or len(record.signs) < len(SIDES):
         raise ContractError(f"{path}: this cell was not commissioned to the end; run `commission --live`")
-    if record.named:
-        raise ContractError(f"{path} names mistakes; mend them and commission again: {'; '.join(record.named)}")
+    if named := record.named or mistakes(record.signs):  # it may have been broken off before they were written
+        raise ContractError(f"{path} names mistakes; mend them and commission again: {'; '.join(named)}")
     return record
 
 

@@ -186,6 +186,9 @@ def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path)
     keep_record(path, record.model_copy(update={"named": ("swapped",)}))
     with pytest.raises(ContractError, match="swapped"):
         asked(real)
+    keep_record(path, record.model_copy(update={"signs": tuple(answers((-1, 1)))}))  # broken off before it was named
+    with pytest.raises(ContractError, match="names mistakes"):
+        asked(real)
     keep_record(path, record)
     assert asked(real).gels == record.gels
     assert asked(Settings(simulated=True)) == with_commissioning(Settings(), PLAN, asked=False) == PLAN

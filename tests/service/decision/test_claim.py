@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from service.contract import Sensor, wire
 from service.decision.attempt import Attempt, Stage
-from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm, turn_deg
+from service.decision.claim import BLIND_S, GraspRecord, doubts, lasting_share, pressed_mm, turn_deg
 from service.decision.seating import Push
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation, PairObservation
@@ -117,3 +117,22 @@ def test_without_an_onset_nothing_was_pressed_and_without_a_pair_nothing_turned(
     attempt = descent()
     attempt.ring.clear()
     assert (pressed_mm(attempt), turn_deg(attempt)) == (0.0, 0.0)
+
+
+@given(st.floats(0.01, 100.0), st.floats(0.01, 100.0))
+def test_a_gel_that_slides_sooner_is_expected_to_keep_more_of_a_turn_and_none_less_than_where_nothing_is_told(one, two):
+    short_mm, long_mm = sorted((one, two))
+    untold = lasting_share(None)
+    assert untold <= lasting_share(long_mm) <= lasting_share(short_mm) <= 1.0
+    assert lasting_share(0.2) > 2.0 * untold
+
+
+def test_a_blocked_attempt_counts_its_turn_by_the_reach_that_was_told():
+    turned = {}
+    for reach_mm in (None, 0.2):
+        attempt, grasp = descent(), GraspRecord()
+        attempt.arm = attempt.arm.model_copy(update={"shear_reach_mm": reach_mm})
+        attempt.ring.append(pair(turn_rad=math.radians(2.0)))
+        grasp.blocked(attempt)
+        turned[reach_mm] = grasp.turned_deg
+    assert turned == {reach_mm: pytest.approx(2.0 * lasting_share(reach_mm)) for reach_mm in turned}
