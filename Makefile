@@ -39,10 +39,6 @@ $(VENV)/ready: requirements/test.txt requirements/torch.sh
 	@$(BIN)/python requirements/install.py $(BIN)/pip requirements/test.txt
 	@touch $@
 
-$(VENV)/bench: $(VENV)/ready requirements/bench.txt
-	$(BIN)/pip install -q --require-hashes --no-deps -r requirements/bench.txt
-	@touch $@
-
 $(PEERS_VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(PEERS_VENV)
 	$(PEERS_VENV)/bin/pip install -q '.[bench-serving]' || echo "the peers cannot be installed here; their rows will say so" >&2
@@ -160,8 +156,8 @@ pace: $(RUN_VENV)/ready ## what accuracy costs, in seconds a box: docs/pace.md, 
 	$(RUN) -m simulation pace --out runs/pace_fresh --docs docs --seed 23 --title "starts that chose nothing" \
 	  --points "probes at 12 mm/s, 80 mm/s in the air, joint density"
 
-bench: $(VENV)/bench ## what a decision of each released network costs on this machine, beside peers: docs/benchmark.md, .json, .png
-	$(BIN)/python -m export benchmark --docs docs --compare torch,openvino --alexnet $(ALEXNET) \
+bench: $(VENV)/ready ## what a decision of each released network costs on this machine, and whether int8 pays: docs/benchmark.md, .json
+	$(BIN)/python -m export benchmark --docs docs --int8 models/pictures --alexnet $(ALEXNET) \
 	  $(if $(wildcard $(PROBES)/manifest.json),--data $(PROBES))
 
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
