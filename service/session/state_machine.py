@@ -129,7 +129,8 @@ class InsertionSession:
             self.decider.grasp.width_mm = message.gripper_width_mm
         self._generation += 1
         self.attempt = Attempt(message, now_ns, self._generation)
-        return []
+        why = self.decider.grasp.turned
+        return [self.attempt.refusal("turned_in_hand", f"{why}; it has to be taken afresh")] if why else []
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:
         if self.attempt and self._is_current(message.attempt, {Stage.ARMED}):

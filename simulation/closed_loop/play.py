@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import asdict
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from robot_client.insertion.events import Tick as ClientTick
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.machine import step
-from robot_client.insertion.seconds import Seconds
+from robot_client.insertion.seconds import AFRESH, Seconds
 from robot_client.insertion.state import Phase, State
 from robot_client.settings import Settings
 from service.contract import FINGERS, FramePair
@@ -53,6 +53,9 @@ from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 
 MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
+FIXTURE = WorkPose(x_mm=0.0, y_mm=0.0, z_mm=0.0, yaw_deg=0.0), WorkPose(x_mm=0.0, y_mm=300.0, z_mm=0.0, yaw_deg=0.0)
+"""From the gap to where an object is taken afresh; the simulated cell knows no place for it, only how long it takes."""
+GRIPPER_S = 1.0  # to open or close the fingers
 FAR = Limits(max_dx_mm=45.0, max_dtheta_deg=45.0)  # the oracle's: no error is too large for it
 
 
@@ -73,13 +76,13 @@ class Insertion:
         self.cell = cell
         self.models = models
         self.oracle = controller == "oracle"
-        left, right = (_finger(models, cell, index, perception, fault) for index in range(2))
-        self.session = InsertionSession(
-            models, left, right, controller_name="belief" if controller == "oracle" else controller
-        )
+        self._make_session = partial(_session, models, cell, controller, perception, fault)
+        self.session = self._make_session()
         if self.oracle:  # nobody listens to the networks
             self.session.submit = self._skip_networks
         self.client = client
+        self.grasps = 1
+        self._tried = 0  # attempts with the object as it was taken before
         self.state = State(plan_of(cell, self._pose(), FAR if self.oracle else Limits(), reach_mm, client))
         self.seconds = Seconds()
         self.trials: list[dict[str, Any]] = []
@@ -103,7 +106,8 @@ class Insertion:
         return Outcome(
             inserted=claimed and in_gap,
             claimed=claimed,
-            attempts=self.state.attempt,
+            attempts=self._tried + self.state.attempt,
+            grasps=self.grasps,
             reason=void or self.state.reason,
             void=bool(void),
             final_error=(float(cell.state.object_error[0]), float(cell.state.object_error[1])),
@@ -123,9 +127,25 @@ class Insertion:
         scene = self.cell.scene
         longer = max(1.0, scene.fps / 30.0) * max(1.0, 10.0 / scene.speed_mm_s)
         for _ in range(round(longer * MAX_FRAMES)):
-            if self.state.done or self.state.phase in self.until:
+            if self.state.phase in self.until or (self.state.done and not self._takes_afresh()):
                 break
             self._frame()
+
+    def _takes_afresh(self) -> bool:
+        """Whether the object is put into its fixture, taken upright and tried again, as by the client's cycle."""
+        plan = self.state.afresh(f"simulated-{self.grasps + 1}")
+        if plan is None:
+            return False
+        self.grasps, self._tried = self.grasps + 1, self._tried + self.state.attempt - 1
+        took_s = 2.0 * (plan.ramps.duration_s(*FIXTURE, "travel") + GRIPPER_S)
+        self.cell.take_afresh(plan.approach.x_mm, plan.approach.y_mm, plan.approach.yaw_deg, took_s)
+        self.cell.speed_mm_s = plan.ramps.descend.speed_mm_s
+        self.seconds.spent[AFRESH] += took_s
+        before, self.session = self.session, self._make_session()
+        self.session.submit, self.session.on_attempt = before.submit, before.on_attempt
+        self.state, self._standing = State(plan), False
+        self._post(Begin(at_s=self.cell.now_s, pose=self._pose()))
+        return True
 
     def _frame(self) -> None:
         was_moving = self.cell.moving
@@ -237,6 +257,13 @@ class Insertion:
     def _pose(self) -> WorkPose:
         x, y, z, yaw = self.cell.pose
         return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
+
+
+def _session(
+    models: ModelSet, cell: LockstepCell, controller: Who, perception: Perception, fault: Fault | None
+) -> InsertionSession:
+    left, right = (_finger(models, cell, index, perception, fault) for index in range(2))
+    return InsertionSession(models, left, right, controller_name="belief" if controller == "oracle" else controller)
 
 
 def _finger(
