@@ -57,6 +57,8 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
+    ``continues``: the insertion that this one goes on with, the object taken afresh.
+
     ``gels``: which gels the cell was commissioned with.
     ``pause_s``: how long a descent whose lease has ended may be taken up again; 0 where the arm cannot stand and go on.
     A probe ends above the gap again after its first decision, whatever that is: it moves by no correction.
@@ -67,6 +69,7 @@ class Plan(Contract):
     """
 
     insertion_id: wire.InsertionId
+    continues: wire.InsertionId | None = None
     approach: WorkPose
     clearance_mm: Positive = 5.0
     gap_width_mm: float = Field(gt=0, le=1000)  # these five have the bounds of the message `arm`
@@ -201,6 +204,7 @@ class State:
         return plan.model_copy(
             update={
                 "insertion_id": insertion_id,
+                "continues": plan.insertion_id,
                 "approach": self.armed.at_height(plan.approach.z_mm),
                 "limits": plan.limits.model_copy(update={"max_attempts": left_n}),
                 "ramps": plan.ramps.model_copy(update={"descend": descend}),

@@ -74,7 +74,11 @@ MAX_TEXT_BYTES = 65536
 
 
 class ClientHello(_Message):
-    """First message. ``role`` watch receives everything and may send nothing but heartbeats."""
+    """First message. ``role`` watch receives everything and may send nothing but heartbeats.
+
+    ``continues``: the insertion that ended just before because the object had turned in the hand. It was taken afresh,
+    and what those attempts have shown of the error still holds.
+    """
 
     type: Literal["hello"] = "hello"
     protocol: int = PROTOCOL
@@ -82,6 +86,7 @@ class ClientHello(_Message):
     sent_ns: int | None = None
     role: Literal["drive", "watch"] = "drive"
     controller: ControllerName | None = None
+    continues: InsertionId | None = None
 
 
 class LearnOpen(_Message):

@@ -129,10 +129,7 @@ class LockstepCell:
         self.now_ns += round(duration_s * 1e9)
 
     def take_afresh(self, x_mm: float, y_mm: float, yaw_deg: float, duration_s: float) -> None:
-        """Put the object back into its fixture, take it upright and stand above that place again.
-
-        The blocks stay where they are. Raises PhysicsError where the object cannot be held.
-        """
+        """Put the object back into its fixture, take it upright and stand above that place; raises PhysicsError."""
         self.physics.regrasp(0.0, 0.0)
         self.state = self.physics.look()
         self._grasped = self.state.in_hand[:3].copy()

@@ -36,26 +36,20 @@ from robot_client.insertion.machine import step
 from robot_client.insertion.seconds import AFRESH, Seconds
 from robot_client.insertion.state import Phase, State
 from robot_client.settings import Settings
-from service.contract import FINGERS, FramePair
+from service.contract import FramePair
 from service.contract.wire import Correction, Estimate, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Evidence
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
-from service.perception.finger import TactileFinger
-from service.perception.observation import FingerWatch
-from service.session.state_machine import InsertionSession
-from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, seconds_of_frames, walk_of
+from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, seconds_of_frames, trip_s, walk_of
 from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.lockstep import GraspEndError, LockstepCell
-from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
+from simulation.closed_loop.true_fields import Fault, TrueFieldFinger, session_of
 from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 
 MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
-FIXTURE = WorkPose(x_mm=0.0, y_mm=0.0, z_mm=0.0, yaw_deg=0.0), WorkPose(x_mm=0.0, y_mm=300.0, z_mm=0.0, yaw_deg=0.0)
-"""From the gap to where an object is taken afresh; the simulated cell knows no place for it, only how long it takes."""
-GRIPPER_S = 1.0  # to open or close the fingers
 FAR = Limits(max_dx_mm=45.0, max_dtheta_deg=45.0)  # the oracle's: no error is too large for it
 
 
@@ -76,7 +70,7 @@ class Insertion:
         self.cell = cell
         self.models = models
         self.oracle = controller == "oracle"
-        self._make_session = partial(_session, models, cell, controller, perception, fault)
+        self._make_session = partial(session_of, models, cell, controller, perception, fault)
         self.session = self._make_session()
         if self.oracle:  # nobody listens to the networks
             self.session.submit = self._skip_networks
@@ -137,12 +131,13 @@ class Insertion:
         if plan is None:
             return False
         self.grasps, self._tried = self.grasps + 1, self._tried + self.state.attempt - 1
-        took_s = 2.0 * (plan.ramps.duration_s(*FIXTURE, "travel") + GRIPPER_S)
+        took_s = trip_s(plan)
         self.cell.take_afresh(plan.approach.x_mm, plan.approach.y_mm, plan.approach.yaw_deg, took_s)
         self.cell.speed_mm_s = plan.ramps.descend.speed_mm_s
         self.seconds.spent[AFRESH] += took_s
         before, self.session = self.session, self._make_session()
         self.session.submit, self.session.on_attempt = before.submit, before.on_attempt
+        self.session.decider = before.decider and before.decider.afresh(plan.insertion_id)
         self.state, self._standing = State(plan), False
         self._post(Begin(at_s=self.cell.now_s, pose=self._pose()))
         return True
@@ -257,21 +252,6 @@ class Insertion:
     def _pose(self) -> WorkPose:
         x, y, z, yaw = self.cell.pose
         return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
-
-
-def _session(
-    models: ModelSet, cell: LockstepCell, controller: Who, perception: Perception, fault: Fault | None
-) -> InsertionSession:
-    left, right = (_finger(models, cell, index, perception, fault) for index in range(2))
-    return InsertionSession(models, left, right, controller_name="belief" if controller == "oracle" else controller)
-
-
-def _finger(
-    models: ModelSet, cell: LockstepCell, index: int, perception: Perception, fault: Fault | None
-) -> FingerWatch:
-    if perception == "fields":
-        return TrueFieldFinger(cell, FINGERS[index], fault)
-    return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))
 
 
 def stage(job: Job, models: ModelSet) -> Insertion:
