@@ -59,7 +59,6 @@ GROUPS: dict[str, dict[str, Command]] = {
         "hard-probes": Command("simulation", "hard-probes", "10,000 random extreme contacts"),
         "slip-report": Command("simulation", "slip-report", "how well slip is detected, and the cost"),
         "grasps": Command("simulation", "grasps", "recorded grasps of real objects, judged"),
-        "stop-report": Command("simulation", "stop-report", "how soon the arm stops for slip"),
     },
 }
 COMMANDS: dict[str, Command] = {name: command for group in GROUPS.values() for name, command in group.items()}
