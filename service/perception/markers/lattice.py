@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import Sensor
 from service.perception.markers.detect import Candidates, MarkerDetector
 from service.perception.markers.field import BoolArray, FloatArray
 
@@ -213,19 +211,3 @@ def fill_gaps(xy: FloatArray, detected: BoolArray) -> tuple[FloatArray, FloatArr
     filled = np.where(detected[..., None], xy, smooth)
     basis = np.stack([np.diff(smooth, axis=1).mean((0, 1)), np.diff(smooth, axis=0).mean((0, 1))])
     return filled, basis.astype(np.float32)
-
-
-def resting_px(lattice: Lattice, sensor: Sensor) -> NDArray[np.float64]:
-    """Where the nodes [rows, cols, 2] rest in the sensor's rectified frame; those not detected lie all around."""
-    rows, cols = lattice.detected.shape
-    middle = np.array([sensor.marker_columns - 1, sensor.marker_rows - 1]) / 2 * sensor.marker_pitch_px
-    grid = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1)
-    return np.asarray(grid * sensor.marker_pitch_px + (sensor.first_marker_px + middle))
-
-
-def rectifying_homography(lattice: Lattice, rest_px: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Homography [3, 3] that maps the nodes' image to ``rest_px``; None if the nodes do not determine one."""
-    matrix, _ = cv2.findHomography(
-        lattice.xy_px[lattice.detected], rest_px[lattice.detected].astype(np.float32), cv2.RANSAC, 2.0
-    )
-    return None if matrix is None or not np.isfinite(matrix).all() else np.asarray(matrix, np.float64)

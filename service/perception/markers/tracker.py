@@ -1,13 +1,12 @@
 """The marker tracker: rectified frames in, a grid-indexed marker field out."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.markers.detect import Candidates, Kernel, MarkerDetector
+from service.perception.markers.detect import Candidates, MarkerDetector
 from service.perception.markers.field import BoolArray, FloatArray, MarkerField, TrackStatus, empty_field, median
 from service.perception.markers.lattice import Lattice, find_lattice
 from service.perception.markers.matching import Match, View, match, reindex
@@ -30,17 +29,12 @@ _SETTLED = 0.6  # and above that level from which on a placement is looked for f
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
-    """What the tracker may spend.
+    """What the tracker asks of a frame.
 
-    ``shrink`` halves (or more) the image before detection; None chooses by marker size. ``kernel`` and ``window`` are
-    those of :class:`MarkerDetector`. ``recover`` allows the topology match on suspicion. ``threshold`` is the weakest
-    spot, as a share of the typical marker's strength.
+    ``threshold`` is the weakest spot, as a share of the typical marker's strength; below ``lost_share`` of the markers
+    in sight the grid is lost, below ``partial_share`` the field says so.
     """
 
-    shrink: int | None = None
-    recover: bool = True
-    kernel: Kernel = "gauss"
-    window: Literal[3, 5] = 3
     threshold: float = 0.3
     lost_share: float = 0.2
     partial_share: float = 0.6
@@ -99,11 +93,8 @@ class MarkerTracker:
         lattice = find_lattice(image)
         if lattice is None:
             return False
-        shrink = self.settings.shrink or max(1, int(lattice.diameter_px / 6))
         self._lattice = lattice
-        self._detector = MarkerDetector(
-            lattice.diameter_px, lattice.pitch_px, shrink, self.settings.kernel, self.settings.window
-        )
+        self._detector = MarkerDetector(lattice.diameter_px, lattice.pitch_px, max(1, int(lattice.diameter_px / 6)))
         self._shape = image.shape
         self._xy = lattice.xy_px
         self._velocity = np.zeros_like(self._xy)
@@ -187,7 +178,7 @@ class MarkerTracker:
         rest, pitch = self._lattice.xy_px, self._lattice.pitch_px
         best = match(self._xy, rest, points, pitch, view, self._xy)
         calm = self._level + _CALM
-        if best.misfit < calm or not self.settings.recover:
+        if best.misfit < calm:
             return best
         if self._last_ns is not None:
             elapsed_s = min((captured_ns - self._last_ns) * 1e-9, 0.1)
