@@ -17,7 +17,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report pace bench bench-serving peers bench-hostile soak collect train pressing export evaluate robustness trust drawn-worlds requirements docs clean
+.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report pace bench bench-serving peers bench-hostile soak collect train pressing export evaluate trust drawn-worlds requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -37,10 +37,6 @@ $(VENV)/ready: requirements/test.txt requirements/torch.sh
 	$(PYTHON) -m venv $(VENV)
 	sh requirements/torch.sh $(BIN)/pip $(TORCH_VERSION)
 	@$(BIN)/python requirements/install.py $(BIN)/pip requirements/test.txt
-	@touch $@
-
-$(VENV)/bench: $(VENV)/ready requirements/bench.txt
-	$(BIN)/pip install -q --require-hashes --no-deps -r requirements/bench.txt
 	@touch $@
 
 $(PEERS_VENV)/ready: pyproject.toml
@@ -113,7 +109,7 @@ MODELS ?= models
 PRESSES ?= data/presses
 PRESS_TRIALS ?= 30000
 PRESS_MODELS ?= models/pressing
-EVALUATION ?= runs/evaluation
+EVALUATION ?= runs/evaluation.json
 COUNT ?= 30
 MUTANTS ?= 200
 ALEXNET ?= runs/alexnet
@@ -160,8 +156,8 @@ pace: $(RUN_VENV)/ready ## what accuracy costs, in seconds a box: docs/pace.md, 
 	$(RUN) -m simulation pace --out runs/pace_fresh --docs docs --seed 23 --title "starts that chose nothing" \
 	  --points "probes at 12 mm/s, 80 mm/s in the air, joint density"
 
-bench: $(VENV)/bench ## what a decision of each released network costs on this machine, beside peers: docs/benchmark.md, .json, .png
-	$(BIN)/python -m export benchmark --docs docs --compare torch,openvino --alexnet $(ALEXNET) \
+bench: $(VENV)/ready ## what a decision of each released network costs on this machine, and whether int8 pays: docs/benchmark.md, .json
+	$(BIN)/python -m export benchmark --docs docs --int8 models/pictures --alexnet $(ALEXNET) \
 	  $(if $(wildcard $(PROBES)/manifest.json),--data $(PROBES))
 
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
@@ -177,8 +173,8 @@ bench-hostile: $(VENV)/ready ## what floods of pages, inference, bodies and conn
 soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models and garbage make trouble: docs/soak.md, .json
 	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)
 
-evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's table beside ours, docs/closed_loop.md
-	$(RUN) -m simulation evaluate --out $(EVALUATION) --docs docs --count $(COUNT) --perception $(PERCEPTION)
+evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's trials beside ours, EVALUATION
+	$(RUN) -m simulation evaluate --json $(EVALUATION) --count $(COUNT) --perception $(PERCEPTION)
 
 PERCEPTION ?= pictures
 trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn faults, worlds, objects and starts: docs/trust.md
@@ -186,9 +182,6 @@ trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn
 
 drawn-worlds: $(RUN_VENV)/ready ## the closed loop in 300 drawn worlds with drawn objects, all variants: docs/drawn_worlds.md
 	$(RUN) -m simulation drawn-worlds --out runs/drawn_worlds --docs docs
-
-robustness: $(RUN_VENV)/ready ## the closed loop disturbed, one thing at a time, on both tiers of the gel: docs/robustness.md
-	$(RUN) -m simulation robustness --out runs/robustness --docs docs --perception $(PERCEPTION)
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.

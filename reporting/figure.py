@@ -1,12 +1,11 @@
 """Figures of one style: colours that colour-blind readers tell apart, labels at the data, honest axes, same bytes."""
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from reporting.files import write_durably
@@ -63,16 +62,3 @@ def _tell_scale(axis: Any) -> None:
 def label(panel: Any, point: tuple[float, float], text: str, *, colour: str = "black", dy: float = 4.0) -> None:
     """Write a name beside its point, ``dy`` points above it."""
     panel.annotate(text, point, color=colour, fontsize=7, xytext=(4, dy), textcoords="offset points")
-
-
-def confusion(panel: Any, counts: NDArray[np.int64], names: Sequence[str], title: str, chosen: str) -> None:
-    """Counts [true, chosen], shaded by the share of each true class."""
-    shares = counts / np.maximum(counts.sum(1, keepdims=True), 1)
-    panel.imshow(shares, cmap="Blues", vmin=0, vmax=1)
-    panel.grid(visible=False)
-    for row, column in zip(*np.nonzero(counts), strict=True):
-        colour = "white" if shares[row, column] > 0.5 else "black"
-        panel.text(column, row, str(counts[row, column]), ha="center", va="center", color=colour, fontsize=8)
-    panel.set_xticks(range(len(names)), names)
-    panel.set_yticks(range(len(names)), names)
-    panel.set(title=title, xlabel=chosen, ylabel="true class")

@@ -26,5 +26,4 @@ pin run "$(extra service robot simulation)"
 pin test "$(extra service robot simulation training dev)" \
   --override requirements/no-torch.txt requirements/torch.in --no-emit-package torch
 pin ops "$(extra ops)"
-pin bench "$(extra bench)" -c requirements/test.txt
 pin docs "$(extra docs)"

@@ -11,7 +11,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("cell:run", "the whole loop: cell, service and robot client insert an object in real time"),
     "demo": ("cell:demo", "a simulated cell at work, one object after another, with its page, until Ctrl-C"),
     "cell": ("cell:cell", "the cell in real time on loopback: robot, gripper, cameras, truth"),
-    "evaluate": ("evaluate:main", "the paper's test protocol in lock step: table, scatter, JSON"),
+    "evaluate": ("evaluate:main", "every world with every object in lock step: rows, JSON"),
     "drawn-worlds": ("drawn_worlds:main", "the closed loop in drawn worlds with drawn objects, all variants"),
     "sealed": (
         "drawn_worlds:sealed",
@@ -19,7 +19,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "commission": ("commission:main", "cells that probe, adapt and learn from work, world by world"),
     "trust": ("trust:main", "claims under adversity: faults, drawn worlds, objects, starts"),
-    "robustness": ("robustness:main", "what disturbances cost the closed loop: noise, friction, cameras"),
     "explain": ("explain:explain", "which effects a scene calls for, why, and what each costs"),
     "probe": ("probe:probe", "one descent, printed or saved as a picture or video"),
     "imprint": ("probe:imprint", "what the simulated sensor records, object by object, as one picture"),

@@ -19,7 +19,7 @@ COMMANDS = {
         ["simulation", "collect", "--objects", "rectangle", "--trials-per-object", "4000", "--workers", "2"],
         15,
     ),
-    "evaluate": (["simulation", "evaluate", "--perception", "fields", "--count", "50"], 15),
+    "trust": (["simulation", "trust", "--count", "400"], 15),
     "run": (["simulation", "run"], 12),
     "demo": (["simulation", "demo", "--port", "0"], 12),
     "accuracy": (["simulation", "accuracy"], 10),

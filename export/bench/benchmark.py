@@ -1,27 +1,24 @@
-"""``python -m export benchmark``: what a decision costs on this machine, in figures an engineer can act on."""
+"""``python -m export benchmark``: what a decision costs here, whether int8 pays, and what the paper's networks cost."""
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from export.bench import loadgen, paper, peers
+from export.bench import paper
 from export.bench.fresh import measure_fresh
-from export.bench.measure import example_inputs, noise, quartiles, tails, time_calls, time_in_turn, undisturbed
-from export.bench.profile import operators
+from export.bench.measure import example_inputs, time_in_turn, undisturbed
 from export.bench.report import write
-from export.onnx.decisions import Decision, decided_class
+from export.onnx.decisions import Decision
 from export.onnx.golden import golden_frames
-from export.onnx.model import Arrays, Model, open_model
-from export.onnx.runtime import session
+from export.onnx.model import Model, open_model
+from export.quantise.agreement import compare
+from export.quantise.quantise import MODES, quantise
 from reporting.machine import commit, cpu_name
-from service.contract import Sensor
-from training.data.labels import class_of
+from service.contract import ContractError, Sensor
 
-BATCH = 16
-SWEEP = ((1, False), (1, True), (2, False), (2, True))
+Row = dict[str, Any]
 
 
 def benchmark(
@@ -29,102 +26,72 @@ def benchmark(
     *,
     seconds: float,
     docs: Path,
-    compare: Sequence[str] = (),
-    decisions: list[Decision] | None = None,
+    decisions: Sequence[Decision] = (),
     alexnet: Path | None = None,
-    with_loadgen: bool = True,
-) -> dict[str, Any]:
-    """Measure every file, print the page, write ``benchmark`` .md .json .png into ``docs``; returns the report.
+    int8: Path | None = None,
+) -> Row:
+    """Measure every file, write ``benchmark`` .md and .json into ``docs``; returns the report.
 
-    Raises ContractError on a bad file and on an unknown peer.
+    ``int8``: folder of released fp32 step models that are built in int8, too, to be compared on ``decisions``.
+    ``alexnet``: folder of the paper's networks. Raises ContractError on a bad file.
     """
     models = [open_model(file) for file in files]
-    report: dict[str, Any] = {"cpu": cpu_name(), "commit": commit(), "seconds": seconds, "models": []}
+    report: Row = {"cpu": cpu_name(), "commit": commit(), "models": []}
     print(f"{report['cpu']}, one thread")
     for model in models:
         print(f"{model.file} ...", flush=True)
-        row = measure(model, seconds=seconds)
-        if with_loadgen:
-            row["loadgen"] = _loadgen(model, seconds, decisions or [])
-        report["models"].append(row)
-    steps = [model for model in models if model.card.form == "step"]
-    if compare:
-        model = (steps or models)[0]
-        rows = {name: _peer(name, model, seconds) for name in compare}
-        report["peers"] = {"file": str(model.file), "rows": rows}
+        report["models"].append(measure(model, seconds))
+    if int8 is not None:
+        report["int8"] = precisions(int8, docs / "int8", list(decisions) or golden_decisions(), seconds)
+        report["int8_recorded"] = bool(decisions)
     if alexnet is not None:
-        report["alexnet"] = paper.compare(steps, alexnet, decisions or _golden_decisions(), seconds)
+        steps = [model for model in models if model.card.form == "step"]
+        report["alexnet"] = paper.compare(steps, alexnet, 10 * seconds)
     print(write(report, docs))
     return report
 
 
-def measure(model: Model, *, seconds: float) -> dict[str, Any]:
-    """Everything about one file but LoadGen's scenarios."""
-    inputs, many = example_inputs(model), example_inputs(model, BATCH)
-    with undisturbed():
-        timing = time_calls(lambda: model(inputs), seconds=seconds, clock=time.thread_time_ns)
-    crowd = time_calls(lambda: model(many), seconds=seconds / 2, least=5)
-    return {
-        "file": str(model.file),
-        "card": model.card.model_dump(mode="json", exclude={"self_test"}),
-        "size_mb": model.file.stat().st_size / 1e6,
-        "single": timing.as_dict(),
-        "steady": tails(lambda: model(inputs), seconds=seconds),
-        "noise": noise(lambda: model(inputs), seconds=seconds / 2),
-        "fresh": measure_fresh(model.file),
-        "batch_per_s": BATCH * 1e3 / crowd.p50_ms,
-        "batch_cpu_ms": crowd.cpu_p50_ms / BATCH,
-        "sweep": _sweep(model.file, inputs, seconds / 4),
-        "operators_ms": operators(model),
-    }
-
-
-def _sweep(file: Path, inputs: Arrays, seconds: float) -> list[dict[str, Any]]:
-    """Threads and spinning, one after the other in turn: p50 of the wall, and the processor time of all threads."""
-    rows = []
-    for threads, spinning in SWEEP:
-        timing = time_calls(_call(session(file, threads, spinning=spinning), inputs), seconds=seconds, least=20)
-        rows.append(
-            {"threads": threads, "spinning": spinning, "p50_ms": timing.p50_ms, "cpu_p50_ms": timing.cpu_p50_ms}
-        )
-    return rows
-
-
-def _call(run: Any, inputs: Arrays) -> Callable[[], Any]:
-    return lambda: run.run(None, inputs)
-
-
-def _peer(name: str, model: Model, seconds: float) -> dict[str, Any]:
-    """A peer against ONNX Runtime, call by call in turn; or why it could not be measured."""
-    try:
-        other = peers.peer(name, model)
-    except peers.PeerAbsentError as error:
-        return {"absent": str(error)}
+def measure(model: Model, seconds: float) -> Row:
+    """Size, first call and the cost of each further one of a file."""
     inputs = example_inputs(model)
-    rows = time_in_turn({"ours": lambda: model(inputs), "theirs": other}, seconds=seconds)
-    ours, theirs = rows["ours"], rows["theirs"]
-    return {
-        "p50_ms": theirs[0].p50_ms,
-        "cpu_p50_ms": theirs[0].cpu_p50_ms,
-        "ours_p50_ms": ours[0].p50_ms,
-        "ours_cpu_p50_ms": ours[0].cpu_p50_ms,
-        "cpu_ratio": quartiles(ours[1][1], theirs[1][1]),
-    }
+    with undisturbed():
+        timing, _ = time_in_turn({"": lambda: model(inputs)}, seconds=seconds)[""]
+    size_mb = model.file.stat().st_size / 1e6
+    return {"file": str(model.file), "size_mb": size_mb, **timing._asdict(), "fresh": measure_fresh(model.file)}
 
 
-def _loadgen(model: Model, seconds: float, decisions: list[Decision]) -> dict[str, Any]:
-    """LoadGen's scenarios and, where there are decisions, its accuracy mode in the same run."""
-    results: dict[str, Any] = {
-        scenario: loadgen.run_scenario(model, scenario, seconds=seconds) for scenario in loadgen.SCENARIOS
-    }
-    if decisions:
-        labels = [int(class_of(decision.truth[None])[0]) for decision in decisions]
-        right, count = loadgen.run_accuracy(lambda index: decided_class(model, decisions[index]), labels)
-        results["accuracy"] = {"right": right, "decisions": count}
-    return results
+def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: float) -> list[Row]:
+    """One row a way to store the weights: all step models of a folder together, as a service runs them.
+
+    A build that is refused has its reason instead of figures.
+    """
+    sources = [open_model(file) for file in sorted(folder.glob("*.step.onnx"))]
+    sets, refused = {"fp32": sources}, {}
+    for mode in MODES:
+        try:
+            sets[f"int8 {mode}"] = [
+                open_model(quantise(model.file, out / mode / model.file.name, decisions[:16], mode))
+                for model in sources
+            ]
+        except ContractError as error:
+            refused[f"int8 {mode}"] = str(error)
+    calls = {name: _together(models) for name, models in sets.items()}
+    times = time_in_turn(calls, seconds=len(calls) * seconds, warm=True)
+    rows = []
+    for name, models in sets.items():
+        agreement = compare(sources, models, decisions)
+        size_mb = sum(model.file.stat().st_size for model in models) / 1e6
+        shares = {"same_commands": agreement.same_commands, "decisions": agreement.decisions}
+        rows.append({"precision": name, "cpu_p50_ms": times[name][0].cpu_p50_ms, "size_mb": size_mb, **shares})
+    return rows + [{"precision": name, "refused": why} for name, why in refused.items()]
 
 
-def _golden_decisions() -> list[Decision]:
-    """What calibrates the int8 builds where no collected data is named: the speed is the same."""
+def _together(models: Sequence[Model]) -> Any:
+    inputs = [example_inputs(model) for model in models]
+    return lambda: [model(given) for model, given in zip(models, inputs, strict=True)]
+
+
+def golden_decisions() -> list[Decision]:
+    """What calibrates and compares the int8 builds where no collected data is named: the speed is the same."""
     truth = np.zeros(2, np.float32)
     return [Decision(golden_frames(Sensor.load().rectified, 8, seed), 56.0, 30.0, truth, "golden") for seed in range(2)]

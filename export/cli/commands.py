@@ -57,71 +57,57 @@ def quantize(
     """Make int8 builds of released step models and say how many robot commands they would change.
 
     Args:
-        folder: folder of released fp32 step models: a pair, a joint density, or both networks in one graph.
+        folder: folder of released fp32 step models that decide together.
         out: folder in which int8-MODE is made.
         data: collected dataset; its training split calibrates, its validation split compares the commands.
         decisions: how many collisions are compared.
         mode: ONNX Runtime's static or dynamic int8, or weights in blocks of 16.
     """
     from export.onnx.decisions import read_split
-    from export.quantise.candidates import find_candidates
+    from export.onnx.model import open_model
+    from export.quantise.agreement import compare
     from export.quantise.quantise import CALIBRATION_DECISIONS, quantise
-    from export.quantise.scores import agreements, score
 
-    compared = read_split(str(data), "validation", decisions)
+    compared = list(read_split(str(data), "validation", decisions))
     calibrating = list(read_split(str(data), "train", CALIBRATION_DECISIONS))
-    sources = find_candidates([folder])
+    sources = [open_model(file) for file in sorted(folder.glob("*.step.onnx"))]
+    if not sources:
+        raise ContractError(f"{folder} holds no *.step.onnx; expected the folder of released step models")
     home = out / f"int8-{mode}"
-    for model in (model for source in sources for model in source.models):
-        build = quantise(model.file, home / model.file.name, calibrating, mode)
-        print(f"{build}  {build.stat().st_size / 1e6:.2f} MB of {model.file.stat().st_size / 1e6:.2f}")
-    candidates = [*sources, *find_candidates([home])]
-    for row in agreements(candidates, score(candidates, compared)):
-        print(f"{row['name']}: {row['summary']}")
+    builds = [open_model(quantise(model.file, home / model.file.name, calibrating, mode)) for model in sources]
+    for model, build in zip(sources, builds, strict=True):
+        megabytes = (each.file.stat().st_size / 1e6 for each in (build, model))
+        print(f"{build.file}  {next(megabytes):.2f} MB of {next(megabytes):.2f}")
+    print(compare(sources, builds, compared))
 
 
 def benchmark(
     models: Annotated[list[Path], tyro.conf.Positional] = [],  # noqa: B006 - tyro copies it
     seconds: float = 1.0,
     docs: Path = Path("runs/benchmark"),
-    compare: str = "",
     data: Path | None = None,
     decisions: int = 64,
+    int8: Path | None = None,
     alexnet: Path | None = None,
-    loadgen: bool = True,
 ) -> None:
-    """Measure models on this machine: latency, throughput, memory, threads, peers, LoadGen, accuracy.
+    """Measure models on this machine: latency, memory, whether int8 pays, the paper's networks beside them.
 
     Args:
         models: ONNX files; all of models/ and its folders if none is named.
         seconds: how long each measurement lasts.
-        docs: folder of benchmark.md, benchmark.json and benchmark.png.
-        compare: runtimes to measure beside the first step model, of torch and openvino, separated by commas.
-        data: collected dataset whose collisions LoadGen's accuracy mode decides on; that column is empty without one.
+        docs: folder of benchmark.md and benchmark.json.
+        data: collected dataset on whose collisions int8 is calibrated and compared; golden frames without one.
         decisions: how many collisions.
-        alexnet: folder of the paper's networks as exported (and, with ``_shared`` after its name, behind one backbone);
-            made with random weights if absent. Adds the speed claims.
-        loadgen: run MLPerf LoadGen's SingleStream, Offline, Server and accuracy scenarios.
+        int8: folder of released step models to build in int8, too.
+        alexnet: folder of the paper's networks as exported; made with random weights if absent.
     """
     from export.bench.benchmark import benchmark as measure
-    from export.bench.loadgen import available
-    from export.bench.peers import known
     from export.onnx.decisions import read_split
 
     _positive(seconds=seconds)
-    peers = known(compare)
-    if loadgen and not available():
-        print("LoadGen is not installed (pip package mlcommons-loadgen): its scenarios are left out", file=sys.stderr)
-    recorded = list(read_split(str(data), "validation", decisions)) if data is not None else None
-    measure(
-        models or sorted(Path("models").rglob("*.onnx")),
-        seconds=seconds,
-        docs=docs,
-        compare=peers,
-        decisions=recorded,
-        alexnet=alexnet,
-        with_loadgen=loadgen and available(),
-    )
+    files = models or sorted(Path("models").rglob("*.onnx"))
+    recorded = list(read_split(str(data), "validation", decisions)) if data is not None else []
+    measure(files, seconds=seconds, docs=docs, decisions=recorded, alexnet=alexnet, int8=int8)
     print(f"{docs / 'benchmark.md'}")
 
 

@@ -14,12 +14,7 @@ from service.perception.markers.sequence import track_pairs
 from training.data.dataset import SPLITS, open_source
 from training.data.labels import class_of
 
-FRAME_COUNTS = (2, 4, 8)
-PAIR = ("direction.step.onnx", "magnitude.step.onnx")
-JOINT = ("joint.step.onnx",)
-SHARED = ("pair.step.onnx",)
-KINDS = {"pair": PAIR, "joint": JOINT, "shared": SHARED}
-"""What a folder may hold that decides: two networks, a joint density, or two networks in one graph."""
+FRAMES = 8
 GAIN = 0.7
 """A command is -0.7 of the estimate where class and estimate agree."""
 
@@ -97,15 +92,6 @@ def estimate(card: ModelCard, outputs: Arrays) -> NDArray[np.float64]:
     return mean
 
 
-def decided_class(model: Model, decision: Decision) -> int:
-    """The class one network of either form decides for after all frames."""
-    if model.card.form == "step":
-        *_, outputs = steps(model, [decision])
-    else:
-        outputs = model({"frames": decision.input_of(model.card)[None]} | _geometry(model, [decision]))
-    return most_likely_class(model.card, outputs)
-
-
 def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
     """``count`` collisions spread over a split of a dataset, drawn one at a time as they are needed.
 
@@ -125,7 +111,7 @@ def _drawn(path: str, split: str, count: int) -> Iterator[Decision]:
         raise ContractError(f"the dataset {path} has no collision in its split {split}")
     for place in np.linspace(0, len(inside) - 1, min(count, len(inside))).astype(int):
         trial = source.trial(inside[place])
-        frames = source.frames(inside[place], int(trial.onset_frame), max(FRAME_COUNTS))
+        frames = source.frames(inside[place], int(trial.onset_frame), FRAMES)
         truth = np.array([trial.x_mm, trial.theta_deg], np.float32)
         told_mm = float(trial.gap_width_mm), float(trial.grasp_height_mm)
         yield Decision(frames, *told_mm, truth, str(trial.object_name), source.manifest.sensor)

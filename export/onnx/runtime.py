@@ -1,6 +1,5 @@
 """ONNX Runtime sessions as the service opens them."""
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +8,13 @@ import onnxruntime
 from service.contract import ContractError
 
 
-def session(file: Path, threads: int = 1, *, spinning: bool = False, profile: bool = False) -> Any:
+def session(file: Path, threads: int = 1) -> Any:
     """A CPU session with one intra-op thread; raise ContractError on a file that ONNX Runtime refuses."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "1" if spinning else "0")
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3
-    if profile:
-        options.enable_profiling = True
-        options.profile_file_prefix = str(Path(tempfile.gettempdir()) / "ort-profile")
     if not file.is_file():
         raise ContractError(f"no model at {file}")
     try:

@@ -1,1 +1,1 @@
-"""Smaller weights: int8 and fp16 builds of a released network."""
+"""Smaller weights: int8 builds of a released network."""

@@ -1,10 +1,13 @@
-"""How the robot commands of two networks on the same decisions compare."""
+"""How the robot commands of two builds of a network on the same decisions compare."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from export.onnx.decisions import Answer, Decision, answer, steps
+from export.onnx.model import Arrays, Model
 from reporting.statistics import wilson
 
 SAME_MM, SAME_DEG = 0.1, 0.1
@@ -20,11 +23,6 @@ class Agreement:
     sign_flips: int
     apart_p99_mm: float
     apart_p99_deg: float
-
-    @property
-    def same_command(self) -> float:
-        """Share of decisions whose command stays within 0.1 mm and 0.1 deg."""
-        return self.same_commands / self.decisions
 
     @classmethod
     def of(
@@ -46,3 +44,23 @@ class Agreement:
             f" and {SAME_DEG} deg (99 % within {self.apart_p99_mm:.2f} mm, {self.apart_p99_deg:.2f} deg),"
             f" {100 * self.same_class:.1f} % the same class, {self.sign_flips} sign flips"
         )
+
+
+def compare(source: Sequence[Model], build: Sequence[Model], decisions: Sequence[Decision]) -> Agreement:
+    """Step models that decide together against their builds of another precision."""
+    ours, theirs = (_answers(models, decisions) for models in (source, build))
+    classes = [np.array([one.chosen for one in answers]) for answers in (ours, theirs)]
+    commands = [np.array([one.command for one in answers]) for answers in (ours, theirs)]
+    return Agreement.of((classes[0], classes[1]), (commands[0], commands[1]))
+
+
+def _answers(models: Sequence[Model], decisions: Sequence[Decision]) -> list[Answer]:
+    """One decision after the other: dynamic int8 takes its scales from the whole batch."""
+    answers = []
+    for decision in decisions:
+        outputs: Arrays = {}
+        for model in models:
+            *_, last = steps(model, [decision])
+            outputs |= last
+        answers.append(answer(models[0].card, outputs))
+    return answers

@@ -1,4 +1,4 @@
-"""int8 builds of a released step model by ONNX Runtime's own quantiser, and storage in fp16.
+"""int8 builds of a released step model by ONNX Runtime's own quantiser.
 
 ``static`` multiplies in int8 with scales from calibration decisions, ``dynamic`` with scales of every call;
 ``blocked`` stores the weights of the fully connected and recurrent layers in blocks of 16 that share a scale. Which of
@@ -31,8 +31,6 @@ ACCUMULATE_INT8 = 4
 """``accuracy_level`` of MatMulNBits: inputs are rounded to int8, block by block, when they arrive."""
 FAR_OFF = 0.25
 """Of the outputs' size: an int8 build that is further off than this computes something else."""
-SMALLEST_FP16 = 256
-"""Smaller weights stay fp32: nothing to gain."""
 
 
 class FarOffError(ContractError):
@@ -119,32 +117,3 @@ def refuse_far_off(model: Model, build: Model, decisions: Sequence[Decision]) ->
         share = total / max(size[name], 1e-6)
         if not share < FAR_OFF:
             raise FarOffError(f"{model.file.name}: {name} is off by {100 * share:.0f} % of its size in int8")
-
-
-def store_fp16(file: Path, out: Path) -> Path:
-    """Write the build whose weights are stored in fp16 and widened on loading: half the file, the same speed.
-
-    Raises ContractError if the file is not an fp32 release or a weight does not fit fp16.
-    """
-    source = open_model(file)
-    if source.card.quantisation != "none":
-        raise ContractError(f"{file.name} is already {source.card.quantisation}, expected an fp32 release")
-    graph = onnx.load(str(file))
-    widened = []
-    for tensor in graph.graph.initializer:
-        values = onnx.numpy_helper.to_array(tensor)
-        if values.dtype != np.float32 or values.size < SMALLEST_FP16:
-            continue
-        if not np.abs(values).max() < np.finfo(np.float16).max:
-            raise ContractError(f"{file.name}: the weights {tensor.name} do not fit fp16")
-        name = tensor.name
-        tensor.CopyFrom(onnx.numpy_helper.from_array(values.astype(np.float16), f"{name}.fp16"))
-        widened.append(onnx.helper.make_node("Cast", [f"{name}.fp16"], [name], to=onnx.TensorProto.FLOAT))
-    nodes = [*widened, *graph.graph.node]
-    del graph.graph.node[:]
-    graph.graph.node.extend(nodes)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    onnx.save(graph, str(out))
-    onnx.checker.check_model(str(out), full_check=True)
-    attach_card(out, source.card.model_copy(update={"quantisation": "fp16", "self_test": None}))
-    return out

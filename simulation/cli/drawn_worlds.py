@@ -16,6 +16,7 @@ from service.contract.shipped import released_models
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
 from simulation.closed_loop.campaign import fingerprint
+from simulation.closed_loop.job import Perception
 from simulation.scene import drawn
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.worlds import World, load_scene
@@ -39,7 +40,7 @@ class Options(PlayOptions):
     docs: Path = Path("runs/drawn_worlds")
     count: int = 300
     """insertions a variant"""
-    perception: Literal["pictures", "fields"] = "fields"
+    perception: Perception = "fields"
     drawn_n: int = 300
     """how many worlds are drawn by Latin hypercube"""
     layer_share: float = 0.5
@@ -79,7 +80,7 @@ def _variants(options: Options) -> list[Variant]:
     if list(options.older.glob("*.step.onnx")) and options.older.resolve() != options.models.resolve():
         found.append(Variant("release before", options.older, "belief", told_reach=False))
     if list(options.paper_models.glob("*.step.onnx")):
-        found.append(Variant("the paper's recipe", options.paper_models, "paper", told_reach=False))
+        found.append(Variant("the paper's recipe", options.paper_models, "heuristic", told_reach=False))
     return found
 
 

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from simulation.closed_loop.campaign import Task
-from simulation.closed_loop.statistics import Row, class_of, ends, first_decisions, start_errors, title_of
+from simulation.closed_loop.statistics import Row, class_of, ends, first_decisions, title_of
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
 
-EXTREMES = 4  # start errors that come first and would weigh too much in a small count
-
 
 def drawn_starts(scene: Scene, count: int, seed: int) -> list[tuple[float, float]]:
-    """Start errors [count] (mm, deg) of one object without the extremes, uniform in its range."""
-    return start_errors(count + EXTREMES, seed, (scene.x_range_mm, scene.theta_range_deg))[EXTREMES:]
+    """Start errors [count] (mm, deg) of one object, uniform in its range."""
+    rng = np.random.default_rng(seed)
+    starts = rng.uniform(-1.0, 1.0, (count, 2)) * (scene.x_range_mm, scene.theta_range_deg)
+    return [(float(x), float(theta)) for x, theta in starts]
 
 
 def tasks(

@@ -16,18 +16,21 @@ from simulation.scene.state import Cell
 from simulation.scene.worlds import load_scene
 
 Perception = Literal["pictures", "fields"]
+Who = Literal["belief", "heuristic", "oracle"]
 MEASURED = 0.15
 """Standard deviation of the logarithm of a shear reach that a cell has measured by a press until slip."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One insertion to play: object, start error, seed, controller, what it perceives, and the world.
+    """One insertion to play: object, start error, seed, who decides, what it perceives, and the world.
 
     ``scene`` is an object by name or path. The start error is the one that the arm was told to stand at: it is the
     object's, too, unless the world misplaces the hand. ``condition`` names the world or disturbance; ``changes`` are
-    its dotted keys of the scene, ``unstated`` those of its table `[world]`. ``dead``: what ails the left camera.
+    its dotted keys of the scene, ``unstated`` those of its table `[world]`.
     ``told_reach``: the client also tells the gel's shear reach, with the error of a cell that has measured it.
+    ``controller``: one of the service's, or the oracle, which moves by the true error: what is left is the first
+    attempt and the creep in the hand.
     ``fault``: the fields of a `simulation.closed_loop.true_fields.Fault`, for perception "fields" alone.
     Perception "fields" takes the markers from the simulated gel instead of from pictures. ``cell`` "foreign": the
     mechanics are those of finite elements. ``client``: tables of the client's configuration as in `cell.toml`; with
@@ -39,12 +42,11 @@ class Job:
     x_mm: float
     theta_deg: float
     seed: int
-    controller: str
+    controller: Who
     perception: Perception = "pictures"
     condition: str = ""
     changes: Mapping[str, Any] = field(default_factory=dict)
     unstated: Mapping[str, Any] = field(default_factory=dict)
-    dead: Literal["", "dark", "frozen"] = ""
     cell: Literal["", "foreign"] = ""
     fault: Mapping[str, Any] = field(default_factory=dict)
     told_reach: bool = False

@@ -44,9 +44,9 @@ class LockstepCell:
     """Scene, hand and cameras with one clock. Poses are the TCP's, mm and deg, in the work-object frame.
 
     Poses are told ones, see `unstated`; the object's error and its depth are true. With ``draws`` False frames carry
-    no picture (uint8 [0, 0, 3]): for perception that reads the gel itself. ``dead`` states what ails the left finger's
-    camera: nothing (""), "dark" frames, or for ever the first one ("frozen"). A camera with latency shows the gel of
-    so long ago, stamped when the frame arrives; after a travel, it shows the gel at rest from the first frame on.
+    no picture (uint8 [0, 0, 3]): for perception that reads the gel itself. A camera with
+    latency shows the gel of so long ago, stamped when the frame arrives; after a travel, it shows the gel at rest from
+    the first frame on.
     """
 
     scene: Scene
@@ -55,7 +55,6 @@ class LockstepCell:
     misplaced: Misplacement
     seed: int
     draws: bool = True
-    dead: str = ""
     now_ns: int = START_NS
     frame: int = 0
     bottom_z_mm: float = math.inf
@@ -65,7 +64,6 @@ class LockstepCell:
     course: Course = field(default_factory=Course)
     _grasped: NDArray[np.float64] = field(init=False)
     _stuck: int = 0
-    _first: Image | None = None
     _law: Walk | None = None
     _walked_s: float = 0.0
 
@@ -157,7 +155,9 @@ class LockstepCell:
             self._pass(after)
         self.frame += 1
         left, right = (
-            TactileFrame(finger, self.frame, self.now_ns, self._pixels(index) if self.draws and look else _NOTHING)
+            TactileFrame(
+                finger, self.frame, self.now_ns, self.picture_later(index)() if self.draws and look else _NOTHING
+            )
             for index, finger in enumerate(FINGERS)
         )
         return FramePair(left, right)
@@ -183,13 +183,6 @@ class LockstepCell:
             return True, True
         lost = np.random.default_rng(hash_seed(self.seed, self.frame, 99)).random(2) < share
         return not lost[0], not lost[1]
-
-    def _pixels(self, index: int) -> Image:
-        if index or not self.dead:
-            return self.picture_later(index)()
-        if self._first is None:
-            self._first = self.picture_later(index)()
-        return np.zeros_like(self._first) if self.dead == "dark" else self._first
 
     @property
     def _late_periods(self) -> float:

@@ -37,7 +37,7 @@ from robot_client.insertion.seconds import Seconds
 from robot_client.insertion.state import Phase, State
 from robot_client.settings import Settings
 from service.contract import FINGERS, FramePair
-from service.contract.wire import Correction, LearnOpen, NoDecision
+from service.contract.wire import Correction, Estimate, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Evidence
 from service.decision.models import ModelSet, load_models
@@ -45,17 +45,15 @@ from service.decision.work import Work
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
 from service.session.state_machine import InsertionSession
-from simulation.closed_loop.baselines import CONTROLLERS, Chooser, Controller, View, empty_correction
 from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, seconds_of_frames, walk_of
-from simulation.closed_loop.job import Job, Outcome, Perception
-from simulation.closed_loop.lockstep import GraspEndError, LockstepCell, hash_seed
+from simulation.closed_loop.job import Job, Outcome, Perception, Who
+from simulation.closed_loop.lockstep import GraspEndError, LockstepCell
 from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
 from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 
 MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
-# A blind search may jump from one end of the range to the other
-FAR = Limits(max_dx_mm=45.0, max_dtheta_deg=45.0)
+FAR = Limits(max_dx_mm=45.0, max_dtheta_deg=45.0)  # the oracle's: no error is too large for it
 
 
 class Insertion:
@@ -65,9 +63,8 @@ class Insertion:
         self,
         cell: LockstepCell,
         models: ModelSet,
-        controller: Controller,
+        controller: Who,
         *,
-        chooser: Chooser | None = None,
         perception: Perception = "pictures",
         fault: Fault | None = None,
         reach_mm: float | None = None,
@@ -75,14 +72,15 @@ class Insertion:
     ) -> None:
         self.cell = cell
         self.models = models
-        self.controller = controller
-        self.chooser = chooser
+        self.oracle = controller == "oracle"
         left, right = (_finger(models, cell, index, perception, fault) for index in range(2))
-        self.session = InsertionSession(models, left, right, controller_name=controller.service_controller)
-        if not controller.uses_networks:
+        self.session = InsertionSession(
+            models, left, right, controller_name="belief" if controller == "oracle" else controller
+        )
+        if self.oracle:  # nobody listens to the networks
             self.session.submit = self._skip_networks
         self.client = client
-        self.state = State(plan_of(cell, self._pose(), FAR if chooser else Limits(), reach_mm, client))
+        self.state = State(plan_of(cell, self._pose(), FAR if self.oracle else Limits(), reach_mm, client))
         self.seconds = Seconds()
         self.trials: list[dict[str, Any]] = []
         self.until: frozenset[Phase] = frozenset()  # phases in which to stop playing
@@ -173,11 +171,11 @@ class Insertion:
             self._post(FromService(at_s=self.cell.now_s, message=noted))
 
     def _note(self, message: Correction | NoDecision) -> Correction | NoDecision:
-        """Log the attempt beside the truth; a baseline puts its own move in the correction's place."""
-        if self.chooser and self.session.decider:
-            self.session.decider.consistency = None  # the arm follows another's moves
-        if self.chooser and (isinstance(message, Correction) or not self.controller.uses_networks):
-            message = self._chosen(self.chooser, message)
+        """Log the attempt beside the truth; the oracle puts its own move in the correction's place."""
+        if self.oracle:
+            if self.session.decider:
+                self.session.decider.consistency = None  # the arm follows another's moves
+            message = self._by_the_truth(message)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
         frames_s = seconds_of_frames(self.session.attempt)
         wrench = [round(float(v), 3) for v in self.cell.state.wrench_n_nmm]
@@ -185,24 +183,20 @@ class Insertion:
         self.trials.append({"error_before": error, "wrench": wrench, "decision": decision, "frames_s": frames_s})
         return message
 
-    def _chosen(self, chooser: Chooser, message: Correction | NoDecision) -> Correction:
-        scene, estimate, classes = self.cell.scene, None, None
-        if isinstance(message, Correction) and self.controller.uses_networks:
-            estimate = (message.estimate.dx_mm, message.estimate.dtheta_deg)
-            classes = message.class_probabilities
-        felt = np.asarray(self.cell.state.wrench_n_nmm - self.before.wrench_n_nmm, np.float64)
-        view = View(
-            message.attempt,
-            self.before.object_error,
-            felt,
-            self.state.plan.gap_width_mm,
-            self.state.plan.grasp_height_mm or scene.grasp.height_mm,
-            classes,
-            estimate,
+    def _by_the_truth(self, message: Correction | NoDecision) -> Correction:
+        dx, dtheta = (-error for error in self.before.object_error)
+        return Correction(
+            insertion_id=message.insertion_id,
+            attempt=message.attempt,
+            dx_mm=dx,
+            dtheta_deg=dtheta,
+            class_probabilities={},
+            estimate=Estimate(dx_mm=0.0, dtheta_deg=0.0),
+            confidence=0.0,
+            controller="heuristic",
+            reason="oracle step",
+            latency_ms={},
         )
-        dx, dtheta = chooser.choose(view)
-        correction = message if isinstance(message, Correction) else empty_correction(message)
-        return correction.model_copy(update={"dx_mm": dx, "dtheta_deg": dtheta, "reason": self.controller.title})
 
     def _post(self, event: Event) -> None:
         self._events.append(event)
@@ -258,21 +252,16 @@ def stage(job: Job, models: ModelSet) -> Insertion:
     scene, client = job.build_scene(), client_of(job)
     if client is not None:
         scene = scene.varied({"speed_mm_s": client.ramps.descend.speed_mm_s})
-    controller = CONTROLLERS[job.controller]
-    perception: Perception = job.perception if controller.uses_networks else "fields"
+    perception: Perception = "fields" if job.controller == "oracle" else job.perception
     draws = perception == "pictures"
     unstated = Unstated.model_validate(job.unstated)
     cell = LockstepCell.build(
         scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, make=job.mechanics()
     )
-    cell.dead = job.dead
-    reach = (scene.x_range_mm, scene.theta_range_deg)
-    chooser = controller.make(hash_seed(job.seed, job.index), reach) if controller.make else None
     return Insertion(
         cell,
         models,
-        controller,
-        chooser=chooser,
+        job.controller,
         perception=perception,
         fault=Fault(**job.fault) if job.fault else None,
         reach_mm=job.measured_reach_mm(scene),

@@ -6,7 +6,6 @@ to draw a trial's frames (gel states, optics, seed) is in its row: the same row 
 This module is all of the simulator that training may import.
 """
 
-import dataclasses
 import fcntl
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
@@ -175,15 +174,9 @@ class Dataset:
         splits: Iterable[Split] | None = None,
         *,
         verify: bool = True,
-        noise_scale: float = 1.0,
     ) -> None:
-        """Open ``path``, keep only ``splits`` if given.
-
-        ``verify`` compares every shard's SHA-256 (0.1 s each); ``noise_scale`` multiplies the cameras' noise, to see
-        what depends on it.
-        """
+        """Open ``path``, keep only ``splits`` if given; ``verify`` compares every shard's SHA-256 (0.1 s each)."""
         self.path = Path(path)
-        self.noise_scale = noise_scale
         self.manifest = read_manifest(self.path)
         wanted = set(SPLITS if splits is None else splits)
         self.labels: dict[str, NDArray[Any]] = {}
@@ -230,8 +223,7 @@ class Dataset:
         from simulation.optics.renderer import Renderer
 
         if look not in self._renderers:
-            noise = look.noise_sigma_grey * self.noise_scale
-            self._renderers[look] = Renderer(dataclasses.replace(look, noise_sigma_grey=noise))
+            self._renderers[look] = Renderer(look)
             if len(self._renderers) > _CACHED_RENDERERS:
                 self._renderers.popitem(last=False)
         return self._renderers[look]

@@ -4,12 +4,11 @@ import json
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reporting.figure import confusion, drawing, label
+from reporting.figure import drawing, label
 from reporting.files import read_json, write_durably
 from reporting.machine import best_cpu_ms, commit, machine
 from reporting.page import COLUMNS, page, publish
@@ -61,7 +60,6 @@ def test_the_same_figure_has_the_same_bytes_and_names_no_maker(tmp_path):
             panels[0, 0].plot([1, 2], [3, 4])
             panels[0, 0].set(xlabel="time, ms", ylabel="error, um", xlim=(0, 3), yscale="log")
             label(panels[0, 0], (1, 3), "a point")
-            confusion(panels[0, 1], np.array([[3, 0], [1, 2]]), ["A", "B"], "trials", "chosen class")
         assert panels[0, 0].get_xlabel() == "time, ms"
         assert panels[0, 0].get_ylabel() == "error, um (log)"
     one = (tmp_path / "one.png").read_bytes()

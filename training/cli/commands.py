@@ -49,23 +49,6 @@ def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = No
     print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
 
 
-def share_backbone(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
-    """Put a finished recipe's two networks behind one AlexNet: trains the magnitude network's LSTM again, minutes.
-
-    Args:
-        config: the recipe's TOML file.
-        data: dataset folder, instead of the one the config names.
-    """
-    from training.config import RecipeConfig
-    from training.fit.shared import share_backbone as share
-
-    loaded = RecipeConfig.load(config)
-    if data is not None:
-        loaded = loaded.model_copy(update={"data": str(data)})
-    print_table(share(loaded).figures)
-    print(f"checkpoint: {loaded.folder}_shared/checkpoint.pt")
-
-
 def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
     """Print the figures that a checkpoint carries.
 
@@ -75,35 +58,6 @@ def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
     from training.fit.checkpoint import Checkpoint
 
     print_table(Checkpoint.load(checkpoint).figures)
-
-
-def stress(
-    run: Annotated[Path, tyro.conf.Positional], trials: int = 300, new: Path | None = None, layer: Path | None = None
-) -> None:
-    """Score a finished run under noise, on new objects and in the more accurate physics; `report` then includes it.
-
-    Args:
-        run: folder of the run, such as runs/compact-long.
-        trials: validation collisions to draw again at each noise (1/4 x to 4 x).
-        new: dataset of objects that training never saw.
-        layer: dataset of scenes with ``tier = "layer"`` in their ``[gel]``.
-    """
-    from training.report.stress import stress as run_stress
-
-    print_table(run_stress(run, trials, new, layer))
-
-
-def report(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs"), recipe: Path | None = None) -> None:
-    """Write the training report of a finished run: tables, confusion matrix, calibration curve.
-
-    Args:
-        run: folder of the run, such as runs/compact.
-        out: folder of training.md and training.png.
-        recipe: folder of a finished run of the paper's recipe, to stand beside.
-    """
-    from training.report.page import write_report
-
-    print(write_report(run, out, recipe=recipe))
 
 
 def depths(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs")) -> None:
@@ -187,10 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             {
                 "train": train,
                 "recipe": recipe,
-                "share-backbone": share_backbone,
                 "show": show,
-                "stress": stress,
-                "report": report,
                 "depths": depths,
                 "expect": expect,
                 "adapt": adapt,

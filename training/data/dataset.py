@@ -46,10 +46,9 @@ class Trials:
     """Collided trials. All arrays share their first axis except ``drawn``, found through ``picture``.
 
     ``error`` float32 [N, 2] (mm, deg); ``geometry`` float32 [N, 2], gap width and grasp height in mm, 0 where it is not
-    known; ``fields`` float16 [N, WINDOW, 2, rows, columns, 3] (du_mm, dv_mm, N/mm2) from one
-    frame before the onset; ``motion`` float32 [N, WINDOW, 6], pose of the object in the hand (mm, rad); ``drawn``
-    what a network is shown of the pictures: block sums uint16 [M, WINDOW, 2, 2, h, w], or markers tracked in them
-    float32 [M, WINDOW, 2, rows, columns, 3]; ``picture`` int64 [N] row or -1.
+    known; ``fields`` float16 [N, WINDOW, 2, rows, columns, 3] (du_mm, dv_mm, N/mm2) from one frame before the onset;
+    ``drawn`` what a network is shown of the pictures: block sums uint16 [M, WINDOW, 2, 2, h, w], or markers tracked in
+    them float32 [M, WINDOW, 2, rows, columns, 3]; ``picture`` int64 [N] row or -1.
     """
 
     error: NDArray[np.float32]
@@ -58,7 +57,6 @@ class Trials:
     objects: NDArray[np.str_]
     groups: NDArray[np.str_]
     fields: NDArray[np.float16]
-    motion: NDArray[np.float32]
     picture: NDArray[np.int64]
     drawn: NDArray[Any]
     sha256: str
@@ -73,12 +71,12 @@ class Trials:
         return np.flatnonzero(chosen & (self.picture >= 0) if rendered else chosen)
 
 
-def open_source(path: str, noise_scale: float = 1.0) -> Source:
-    """Open a collected dataset, its cameras' noise multiplied; raise ContractError naming the path if there is none."""
+def open_source(path: str) -> Source:
+    """Open a collected dataset; raise ContractError naming the path if there is none."""
     from simulation.data.dataset import Dataset
 
     try:
-        source: Source = Dataset(path, noise_scale=noise_scale)
+        source: Source = Dataset(path)
     except (OSError, ValueError) as error:
         raise ContractError(f"cannot read the dataset {path}: {error}") from error
     return source
@@ -132,7 +130,6 @@ def load_trials(config: DataConfig, source: Source | None = None, reads: Reads =
         objects=table["objects"],
         groups=table["groups"],
         fields=table["fields"],
-        motion=table["motion"],
         picture=picture,
         drawn=drawn,
         sha256=digest,
@@ -162,7 +159,7 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
     rows: dict[str, list[Any]] = {
         name: [] for name in ("key", "index", "start", "error", "geometry", "split", "objects", "groups")
     }
-    fields, motion = [], []
+    fields = []
     for index in track(range(count), description="reading trials", transient=True):
         trial = source.trial(index)
         if trial.outcome != "blocked" or trial.onset_frame is None or trial.onset_frame < 0:
@@ -177,10 +174,9 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
         rows["objects"].append(trial.object_name)
         rows["groups"].append(f"{trial.object_name}/{trial.group}")
         fields.append(np.asarray(trial.gel[start : start + WINDOW], np.float16))
-        motion.append(np.asarray(trial.in_hand[start : start + WINDOW], np.float32))
     if not fields:
         raise ContractError(f"none of the {count} trials is a collision; expected outcome 'blocked' with an onset")
-    table = _as_arrays(rows) | {"fields": np.stack(fields), "motion": np.stack(motion)}
+    table = _as_arrays(rows) | {"fields": np.stack(fields)}
     _check(table)
     _write(path, table)
     return table
@@ -192,7 +188,7 @@ def _as_arrays(rows: dict[str, list[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def _check(table: dict[str, NDArray[Any]]) -> None:
-    for name in ("error", "geometry", "fields", "motion"):
+    for name in ("error", "geometry", "fields"):
         if not np.isfinite(table[name]).all():
             bad = int(np.flatnonzero(~np.isfinite(table[name].reshape(len(table[name]), -1)).all(1))[0])
             raise ContractError(f"trial {int(table['index'][bad])}: {name} is not finite")

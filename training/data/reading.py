@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import ContractError
 from training.config import DataConfig
 from training.data import batches
 from training.data.batches import Batch
@@ -20,14 +19,6 @@ def load(config: DataConfig, kind: str, source: Source | None = None) -> Samples
     """What networks of a kind train on; ContractError as `load_trials`."""
     shown = reads(kind)
     return load_pressed(config, source) if shown == "steps" else load_trials(config, source, shown)
-
-
-def load_drawn(config: DataConfig, kind: str, source: Source | None = None) -> Trials:
-    """What networks that see pictures train on; ContractError for a kind that sees none."""
-    samples = load(config, kind, source)
-    if isinstance(samples, Pressed):
-        raise ContractError(f"a {kind} network reads steps of depth; `python -m training depths` reports on it")
-    return samples
 
 
 def decisions(samples: Samples, chosen: NDArray[np.int64], rng: np.random.Generator | None, *, pictures: bool) -> Batch:

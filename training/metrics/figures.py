@@ -129,13 +129,6 @@ def expected_calibration_error(p: NDArray[np.float64], labels: NDArray[np.int64]
     return float(np.abs(confidence - accuracy) @ count / count.sum())
 
 
-def confusion(p: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Counts [true class, chosen class]."""
-    table = np.zeros((len(CLASSES), len(CLASSES)), np.int64)
-    np.add.at(table, (labels, p.argmax(1)), 1)
-    return table
-
-
 def figures(predictions: Predictions) -> dict[str, float]:
     """Every figure of one sample of calibrated predictions; shares in [0, 1], errors in mm and deg."""
     labels = class_of(predictions.truth.astype(np.float32))

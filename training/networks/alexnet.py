@@ -133,70 +133,16 @@ class AlexNetPair(nn.Module):
 
     reads_markers = False
     reads_steps = False
-    roles: tuple[Role, ...] = ("direction", "magnitude", "pair")
+    roles: tuple[Role, ...] = ("direction", "magnitude")
 
     def __init__(self, _settings: NetworkConfig, classes: int, _sensor: Sensor | None = None) -> None:
         super().__init__()
         self.direction = AlexNetLstm(classes)
         self.magnitude = AlexNetLstm(2)
 
-    def of(self, role: Role) -> "AlexNetLstm | SharedBackbone":
-        """The network of one role, or both behind one backbone; the paper has no joint density."""
-        if role == "pair":
-            return SharedBackbone(self)
+    def of(self, role: Role) -> AlexNetLstm:
+        """The network of one role; the paper has no joint density."""
         return self.direction if role == "direction" else self.magnitude
-
-
-class SharedBackbone(nn.Module):
-    """Both networks behind one backbone: the same decisions as apart, bit for bit.
-
-    The recipe froze the convolutions alike; the fully connected layers are shared, too, where they are equal
-    (``python -m training share-backbone``). Raises ContractError if the convolutions differ. The state is the direction
-    network's, then the magnitude network's.
-    """
-
-    state_size = 2 * AlexNetLstm.state_size
-    uses_geometry = False
-    reads_markers = False
-    state_reach: Tensor
-
-    def __init__(self, pair: AlexNetPair) -> None:
-        super().__init__()
-        ours, theirs = (network.alexnet.features.state_dict() for network in (pair.direction, pair.magnitude))
-        if not all(torch.equal(ours[name], theirs[name]) for name in ours):
-            raise ContractError("the two networks' convolutions differ; expected the recipe's, which are frozen alike")
-        self.direction, self.magnitude = pair.direction, pair.magnitude
-        ours, theirs = (network.alexnet.classifier.state_dict() for network in (pair.direction, pair.magnitude))
-        both = [pair.direction, pair.magnitude]
-        reach = torch.cat([network.state_reach for network in both])
-        self.register_buffer("state_reach", reach, persistent=False)
-        self.readers = both[:1] if all(torch.equal(ours[name], theirs[name]) for name in ours) else both
-
-    def features(self, frame: Tensor, reference: Tensor) -> Tensor:
-        """Frames uint8 [B, 2, H, W, 3] -> features of either finger, [B, 8192] for each reader."""
-        convolved = self.direction.convolved(difference_images(frame.flatten(0, 1), reference.flatten(0, 1)))
-        read = [network.alexnet.classifier(convolved) for network in self.readers]
-        return torch.cat([features.reshape(-1, 2 * HIDDEN) for features in read], 1)
-
-    def advance(self, features: Tensor, geometry: Tensor | None, state: Tensor) -> Tensor:
-        """One step of both LSTMs."""
-        ours, *others = features.chunk(len(self.readers), 1)
-        theirs = others[0] if others else ours
-        first, second = state.chunk(2, 1)
-        moved = self.direction.advance(ours, geometry, first), self.magnitude.advance(theirs, geometry, second)
-        return torch.cat(moved, 1)
-
-    def logits(self, state: Tensor) -> Tensor:
-        """Class logits."""
-        return self.direction.logits(state.chunk(2, 1)[0])
-
-    def error(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Error (mm, deg) and its log sigma."""
-        return self.magnitude.error(state.chunk(2, 1)[1])
-
-    def log_density(self, state: Tensor) -> Tensor:
-        """The paper has none; raises ContractError."""
-        return self.direction.log_density(state)
 
 
 def load_imagenet(network: AlexNetLstm, path: Path) -> None:

@@ -1,1 +1,1 @@
-"""The training report of a finished run, with its stress and oracle rows."""
+"""What pressing further tells a finished network, and the limit of any."""

@@ -1,6 +1,8 @@
 """The information limit of pressing: a decision from the object's true motion in the hand at each step of depth.
 
-As :mod:`training.report.oracle`, of drawn cells: the network is told all conditions exactly.
+A perfect reader of the gel knows how the object moved in the fingers and no more. A recurrent network of the same size
+reads that motion (6 degrees of freedom, exact), and is told all conditions exactly. How well it decides is the limit of
+any tactile network.
 """
 
 from pathlib import Path
@@ -10,17 +12,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from rich.progress import track
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn import functional
 
 from training.config import StageConfig
 from training.data.dataset import SPLITS, Source
-from training.data.labels import HALF_TURN_SIGNS, MIRROR_SIGNS
+from training.data.labels import CLASSES, HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
 from training.fit.loop import Stage, fit
 from training.metrics.figures import Predictions, by_split
+from training.networks.decider import ERROR_SCALE
 from training.networks.pressing import DECISION_STEPS, STEP_MM, USUAL
-from training.report.oracle import HALF_TURNED, MIRRORED, MotionOracle, loss_of
 
 STAGE = StageConfig(epochs=40, batch=64, learning_rate=3e-3, patience=40)
+# Hand frame: place x, y, z in mm, turn about x, y, z in rad
+MIRRORED = np.array([-1, 1, 1, 1, -1, -1], np.float32)
+HALF_TURNED = np.array([-1, -1, 1, -1, -1, 1], np.float32)
 Floats = NDArray[np.float32]
 Rows = dict[str, dict[str, float]]
 
@@ -70,6 +76,38 @@ def _motion(trial: Any) -> tuple[Any, ...] | None:
     known = (trial.gap_width_mm, trial.grasp_height_mm, trial.grip_n, trial.shear_reach_mm, trial.speed_mm_s)
     told = np.log(np.maximum(known, 1e-3) / np.array(USUAL[: len(known)]))
     return moved, told, (trial.x_mm, trial.theta_deg), SPLITS.index(trial.split), str(trial.group)
+
+
+class MotionOracle(nn.Module):
+    """True in-hand motion [B, T, 6] since the first frame, and what else is known [B, told] -> decision state."""
+
+    spread: Tensor
+
+    def __init__(self, spread: Tensor, told: int, width: int = 128) -> None:
+        super().__init__()
+        self.read = nn.Sequential(nn.Linear(6, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.cell = nn.GRUCell(width + told, width)
+        self.direction = nn.Linear(width, len(CLASSES))
+        self.magnitude = nn.Linear(width, 4)
+        self.register_buffer("spread", spread)
+
+    def forward(self, motion: Tensor, told: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Class logits, error in (mm, deg) and its log sigma."""
+        features = self.read(motion / self.spread)
+        state = torch.zeros(len(motion), self.cell.hidden_size)
+        for step in range(motion.shape[1]):
+            state = self.cell(torch.cat([features[:, step], told], 1), state)
+        out = self.magnitude(state)
+        return self.direction(state), out[:, :2] * ERROR_SCALE, out[:, 2:].clamp(-4.0, 4.0)
+
+
+def loss_of(said: tuple[Tensor, Tensor, Tensor], error: Tensor) -> Tensor:
+    """Cross-entropy of the direction and half the normal likelihood of the error."""
+    logits, estimate, log_sigma = said
+    z = (estimate - error) * torch.exp(-log_sigma)
+    label = torch.from_numpy(class_of(error.numpy()))
+    total: Tensor = functional.cross_entropy(logits, label) + 0.5 * (0.5 * z.square() + log_sigma).mean()
+    return total
 
 
 def oracle_rows(source: Source, folder: Path, seed: int = 0) -> Rows:

@@ -73,14 +73,19 @@ POINTS = (
     Point("brisk, fast, 60 Hz", client(fast_mm_s=25.0), 60.0),
     Point("brisk, fast, 60 Hz, probes at 15 mm/s", client(15.0, fast_mm_s=25.0), 60.0),
     Point("the same from 5 mm, then 3 mm up", client(15.0, clearance_mm=5.0, lift_mm=3.0, fast_mm_s=25.0), 60.0),
-    Point("the same, joint density", client(15.0, fast_mm_s=25.0), 60.0, "joint"),
+    Point("the same, joint density", client(15.0, fast_mm_s=25.0), 60.0, folder="joint"),
     Point("the same, heuristic", client(15.0, fast_mm_s=25.0), 60.0, "heuristic"),
-    Point("probes at 10 mm/s, 80 mm/s in the air, joint density", client(fast_mm_s=25.0, air_mm_s=80.0), 60.0, "joint"),
+    Point(
+        "probes at 10 mm/s, 80 mm/s in the air, joint density",
+        client(fast_mm_s=25.0, air_mm_s=80.0),
+        60.0,
+        folder="joint",
+    ),
     Point(
         "probes at 12 mm/s, 80 mm/s in the air, joint density",
         client(12.0, fast_mm_s=25.0, air_mm_s=80.0),
         60.0,
-        "joint",
+        folder="joint",
     ),
     Point("as shipped, networks of eight frames", client(brisk=False, clearance_mm=5.0), folder=".."),
 )
@@ -97,7 +102,7 @@ def tasks(
     starts = {name: drawn_starts(scene, count, seed + scene.number) for name, scene in objects.items()}
     return [
         Task(
-            models / point.folder / ("joint" if point.controller == "joint" else "."),
+            models / point.folder,
             {
                 "scene": name,
                 "index": index,

@@ -62,7 +62,7 @@ def _point(point: Point, rows: Sequence[Row], first: Sequence[Row]) -> Row:
         "name": point.name,
         "client": point.client,
         "fps": point.fps,
-        "controller": point.controller,
+        "controller": "joint" if point.folder == "joint" else point.controller,
         "inserted": sum(row["inserted"] for row in rows),
         "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
         "attempts": float(np.mean([row["attempts"] for row in rows])),

@@ -12,7 +12,6 @@ from export.cli.commands import main
         ("quantize models --decisions 0", "--decisions 0: expected at least 1"),
         ("benchmark --seconds nan", "--seconds nan"),
         ("benchmark --seconds -1", "--seconds -1"),
-        ("benchmark --compare nope", "no peer nope, expected some of torch"),
     ],
 )
 def test_what_cannot_be_measured_is_refused_at_once_by_name(command, named, monkeypatch, capsys):

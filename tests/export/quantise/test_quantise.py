@@ -1,21 +1,15 @@
-from pathlib import Path
-
 import numpy as np
 import onnx
 import pytest
 
-from export.bench.paper import PAIR, export_random
 from export.onnx.decisions import Decision
 from export.onnx.golden import golden_frames
 from export.onnx.model import open_model
 from export.onnx.verify import decide, verify_model
-from export.quantise.agreement import Agreement
-from export.quantise.candidates import find_candidates
-from export.quantise.quantise import MODES, FarOffError, quantise, store_fp16
-from export.quantise.scores import agreements, score
+from export.quantise.agreement import Agreement, compare
+from export.quantise.quantise import MODES, FarOffError, quantise
 from service.contract import ContractError
 
-RELEASED = Path("models/pictures")
 WITHIN = {"static": 0.2, "dynamic": 0.05, "blocked": 0.05}
 
 
@@ -57,9 +51,9 @@ def test_a_build_that_computes_something_else_is_refused(models, decisions, tmp_
 
 
 def test_commands_of_a_build_are_compared_with_those_of_its_source(blocked, models, decisions):
-    candidates = find_candidates([models / "pair", blocked])
-    (row,) = agreements(candidates, score(candidates, decisions))
-    assert (row["same_command"], row["sign_flips"]) == (1.0, 0)
+    source, build = (open_model(folder / "pair.step.onnx") for folder in (models / "pair", blocked))
+    agreement = compare([source], [build], decisions)
+    assert (agreement.same_commands, agreement.decisions, agreement.sign_flips) == (3, 3, 0)
 
 
 def test_commands_that_point_the_other_way_are_counted():
@@ -80,32 +74,3 @@ def test_a_blocked_build_decides_alike_in_a_batch_on_two_threads_and_stays_bound
     lines = verify_model(open_model(blocked / "pair.step.onnx"), stream_steps=20)
     assert any("1 against 64 in a batch" in line for line in lines)
     assert any("bounded on" in line for line in lines)
-
-
-def test_half_width_storage_halves_the_file_and_keeps_the_decision(decisions, tmp_path):
-    source = open_model(RELEASED / "direction.step.onnx")
-    build = open_model(store_fp16(source.file, tmp_path / source.file.name))
-    assert build.card.quantisation == "fp16"
-    expected, actual = (decide(model, decisions[0].frames[None])["logits"] for model in (source, build))
-    assert np.abs(expected - actual).max() < 0.02
-    with pytest.raises(ContractError, match="already fp16"):
-        store_fp16(build.file, tmp_path / "again.onnx")
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_alexnet_in_blocks_decides_as_in_fp32(decisions, tmp_path):
-    export_random(tmp_path, shared=True)
-    exact, build = (
-        open_model(tmp_path / PAIR),
-        open_model(quantise(tmp_path / PAIR, tmp_path / "a.onnx", decisions[:1])),
-    )
-    frames = golden_frames(exact.card.frame, 8, 5)[None]
-    expected, actual = decide(exact, frames), decide(build, frames)
-    for name, value in expected.items():
-        np.testing.assert_allclose(actual[name], value, atol=0.02 * max(1.0, float(np.abs(value).max())))
-
-
-def test_nothing_is_scored_on_no_decision():
-    with pytest.raises(ContractError, match="no decision"):
-        score(find_candidates([RELEASED]), [])

@@ -17,16 +17,14 @@ REFUSED = [
     ("export-dataset DATA --out OUT --first -3", "--first -3"),
     ("view DATA --out OUT --count -1", "--count -1"),
     ("view DATA --out OUT --first -3", "--first -3"),
-    ("robustness --models MODELS --out OUT --docs OUT --count 0", "--count 0"),
-    ("robustness --models MODELS --out OUT --docs OUT --objects", "nothing to play"),
-    ("robustness --models MODELS --out OUT --docs OUT --tiers", "nothing to play"),
-    ("evaluate --models MODELS --paper-models OUT --controllers paper --out OUT --docs OUT", "nothing to play"),
-    ("evaluate --models MODELS --out OUT --docs OUT --objects", "nothing to play"),
+    ("evaluate --models MODELS --json OUT/rows.json --count 0", "--count 0"),
+    ("evaluate --models OUT --json OUT/rows.json", "no *.step.onnx there"),
+    ("evaluate --models MODELS --json OUT/rows.json --objects", "nothing to play"),
     ("run --timeout-s nan --out OUT", "--timeout-s nan"),
     ("cell --seed -1 --out OUT", "--seed -1"),
     ("probe rectangle --x-mm 1e308", "--x-mm 1e+308"),
     ("probe rectangle --seed -1", "--seed -1"),
-    ("evaluate --models MODELS --out OUT --docs OUT --seed=-1", "--seed -1"),
+    ("evaluate --models MODELS --json OUT/rows.json --seed=-1", "--seed -1"),
 ]
 
 
@@ -41,7 +39,7 @@ def folders(tmp_path_factory) -> dict[str, Path]:
 @pytest.mark.parametrize(("line", "named"), REFUSED, ids=[line for line, _ in REFUSED])
 def test_a_number_that_cannot_be_is_named_and_nothing_is_written(folders, tmp_path, capsys, line, named) -> None:
     places = {**folders, "OUT": tmp_path / "out"}
-    assert main([str(places.get(word, word)) for word in line.split()]) == 2
+    assert main([str(places.get(word, word.replace("OUT", str(places["OUT"])))) for word in line.split()]) == 2
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
     assert named in said[0]

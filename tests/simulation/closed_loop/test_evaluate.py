@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from service.decision.models import load_models
-from simulation.closed_loop.baselines import Oracle, error_from_levers, lever_arms_mm
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.closed_loop.play import insert, stage
@@ -68,28 +67,6 @@ def test_nothing_is_claimed_of_an_object_that_left_the_simulated_grasp(models):
     assert "out of the grasp" in ended.reason
 
 
-class FeltError(Exception):
-    """Ends an insertion after its first attempt."""
-
-
-class Felt:
-    """A chooser that keeps what it is shown."""
-
-    def choose(self, view):
-        self.view = view
-        raise FeltError
-
-
-def test_force_alone_tells_where_a_heavy_object_is_pressed(models):
-    """A wrist sensor is tared before the descent: its reading is the contact, not the 0.6 kg of the mustard bottle."""
-    play = stage(job("mustard", 8.0, 4.0, 3, "force"), models)
-    play.chooser = felt = Felt()
-    with pytest.raises(FeltError):
-        play.run()
-    lever = lever_arms_mm(felt.view.wrench, felt.view.grasp_height_mm)
-    assert error_from_levers(lever, felt.view.gap_mm)[0] == pytest.approx(felt.view.error[0], abs=1.5)
-
-
 def test_the_blocks_are_free(models):
     assert stage(job("circle"), models).cell.physics.active.free_blocks
 
@@ -111,23 +88,6 @@ def test_drawing_late_gives_the_bits_of_drawing_now():
     assert np.array_equal(pair.right.pixels, late.picture_later(1)())
 
 
-@pytest.mark.slow
-def test_looking_at_the_gel_stops_where_looking_at_pictures_stops(models):
-    forces = []
-    for perception in ("pictures", "fields"):
-        play = stage(job("hexagon", 9.0, 4.0, 3, "direction", perception=perception), models)
-        play.chooser = Oracle()
-        forces.append(play.run().trials[0]["wrench"][2])
-    assert forces[1] == pytest.approx(forces[0], rel=0.3)
-
-
-def test_a_dark_camera_arms_nothing_and_moves_nothing(models):
-    row = insert(job(dead="dark", controller="heuristic"), models)
-    assert not row["inserted"]
-    assert row["trials"] == []
-    assert row["course"]["force_n"] < 2.0
-
-
 def test_dropped_frames_still_end_in_an_answer(models):
     play = stage(job(changes={"camera.dropped_share": 0.2}), models)
     assert play.run().inserted
@@ -135,7 +95,7 @@ def test_dropped_frames_still_end_in_an_answer(models):
 
 
 def test_a_row_says_which_job_it_came_from(models):
-    asked = job("circle", 0.0, controller="grid", condition="layer: as trained", changes={"gel.tier": "layer"})
+    asked = job("circle", 0.0, condition="layer: as trained", changes={"gel.tier": "layer"})
     assert insert(asked, models).items() >= dataclasses.asdict(asked).items()
 
 

@@ -1,16 +1,15 @@
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulation.closed_loop import report, statistics
+from simulation.closed_loop import benchmark, statistics
+from simulation.scene.worlds import load_scene
 
 COURSE = {"block_mm": 0.2, "block_tilt_deg": 0.1, "in_hand_mm": 1.0, "slipped_mm": 0.3, "force_n": 9.0, "unsolved": 0}
 DECISION = {
     "type": "correction",
     "class_probabilities": {"5": 0.8, "6": 0.2},
-    "estimate": {"dx_mm": 4.0, "dtheta_deg": 7.0, "sigma_x_mm": 1.0, "sigma_theta_deg": 2.0},
+    "estimate": {"dx_mm": 4.0, "dtheta_deg": 7.0, "interval_x_mm": [4.5, 6.0], "interval_theta_deg": [6.0, 7.5]},
 }
 ROW = {
     "scene": "rectangle",
@@ -23,6 +22,7 @@ ROW = {
     "claimed": True,
     "void": False,
     "attempts": 3,
+    "reason": "",
     "grasp_kept": True,
     "course": COURSE,
     "x_mm": 5.0,
@@ -31,44 +31,28 @@ ROW = {
 }
 
 
-def page_of(rows):
-    return report.closed_loop_page(report.report_of(rows, {}))
-
-
 def test_a_failure_counts_as_sixteen_trials():
-    rows = [ROW, ROW | {"inserted": False, "attempts": 15}]
-    (summary,) = statistics.summarise(rows)
-    assert summary["mean_trials"] == pytest.approx((3 + 16) / 2)
-    assert summary["success"] == 0.5
-    assert ">15" in page_of([ROW, ROW | {"inserted": False, "attempts": 15}])
+    ends = statistics.ends([ROW, ROW | {"inserted": False, "claimed": False, "attempts": 15}])
+    assert ends["mean_trials"] == pytest.approx((3 + 16) / 2)
+    assert (ends["inserted"], ends["insertions"], ends["refused"]) == (1, 2, 0)
 
 
 def test_an_insertion_that_is_only_claimed_is_none():
-    (summary,) = statistics.summarise([ROW | {"inserted": False}])
-    assert (summary["inserted"], summary["claimed_wrongly"]) == (0, 1)
+    ends = statistics.ends([ROW | {"inserted": False}])
+    assert (ends["inserted"], ends["claimed_wrongly"]) == (0, 1)
 
 
-def test_the_table_says_whose_figures_are_simulated():
-    text = page_of([ROW])
-    assert "inserted (simulated)" in text
-    assert "real robot" in text
-    assert "100 %, 4.7, 11" in text
+def test_an_insertion_without_an_equilibrium_is_not_said_to_be_refused():
+    failed = ROW | {"inserted": False, "claimed": False}
+    ends = statistics.ends([failed | {"attempts": 2, "void": True}, failed | {"attempts": 1}])
+    assert (ends["void"], ends["refused"]) == (1, 1)
 
 
-def test_a_shortfall_is_named_with_its_cause():
-    failed = ROW | {"inserted": False, "attempts": 15}
-    oracle = ROW | {"controller": "oracle", "attempts": 2}
-    text = page_of([failed, oracle])
-    assert "99.0 points of success, 12.70 trials" in text
-    assert "controller" in text
-
-
-def test_starts_are_the_four_extremes_then_uniform_and_repeat_by_seed():
-    starts = statistics.start_errors(30, 7, (18.0, 15.0))
-    assert {(abs(x), abs(t)) for x, t in starts[:4]} == {(18.0, 15.0)}
-    assert len({(math.copysign(1, x), math.copysign(1, t)) for x, t in starts[:4]}) == 4
-    assert all(abs(x) <= 18.0 and abs(t) <= 15.0 for x, t in starts)
-    assert starts == statistics.start_errors(30, 7, (18.0, 15.0)) != statistics.start_errors(30, 8, (18.0, 15.0))
+def test_starts_are_uniform_in_the_range_of_the_object_and_repeat_by_seed():
+    scene = load_scene("rectangle")
+    starts = benchmark.drawn_starts(scene, 30, 7)
+    assert all(abs(x) <= scene.x_range_mm and abs(theta) <= scene.theta_range_deg for x, theta in starts)
+    assert benchmark.drawn_starts(scene, 5, 7) == starts[:5] != benchmark.drawn_starts(scene, 5, 8)
 
 
 @given(st.floats(-20, 20), st.floats(-20, 20))
@@ -77,31 +61,14 @@ def test_every_error_has_one_class(x, theta):
     assert mirror[statistics.class_of(x, theta)] == statistics.class_of(-x, -theta)
 
 
-def test_the_confusion_matrix_counts_truth_by_row():
-    counts = statistics.confusion([ROW])
-    assert counts.sum() == 1
-    assert counts[4, 4] == 1
+def test_first_answers_are_judged_against_the_truth():
+    answers = benchmark.first_answers([ROW])
+    assert (answers["direction_right"], answers["direction_n"]) == (1, 1)
+    assert (answers["mae_x_mm"], answers["mae_theta_deg"]) == (1.0, 1.0)
+    assert (answers["covered_x"], answers["covered_theta"]) == (1.0, 0.0)
 
 
-def test_first_estimates_are_judged_against_the_truth():
-    found = statistics.estimates([ROW])
-    assert found is not None
-    assert (found["rmse_x_mm"], found["rmse_theta_deg"]) == (1.0, 1.0)
-
-
-def test_baselines_are_compared_on_the_starts_that_they_played():
-    """The extremes come first: of 4 starts they are all, of 8 half."""
-    mine = [ROW | {"index": index, "attempts": 3 if index < 4 else 1} for index in range(8)]
-    theirs = [ROW | {"index": index, "controller": "oracle", "attempts": 2} for index in range(4)]
-    shared = report.on_shared_starts(mine + theirs)
-    table = report.baseline_table(statistics.summarise(mine + theirs), shared).markdown()
-    assert "our networks (8) | 100 %, 2.00 " in table
-    assert "on the starts of the rows below (4) | 100 %, 3.00 " in table
-    assert not report.on_shared_starts(mine[:4] + theirs)
-
-
-@given(st.integers(1, 5000), st.data())
-def test_a_hundred_per_cent_is_said_of_all_alone(count, data):
-    inserted = data.draw(st.integers(0, count))
-    row = {"success": inserted / count, "mean_trials": 2.0, "mean_trials_standard_error": None}
-    assert report._reached(row).startswith("100") == (inserted == count)
+def test_an_object_whose_file_is_gone_keeps_its_row(tmp_path):
+    rows = benchmark.table([ROW, ROW | {"scene": str(tmp_path / "gone.toml")}])
+    assert [row["object"] for row in rows] == ["rectangle", "gone"]
+    assert statistics.in_order([str(tmp_path / "gone.toml"), "rectangle"])[0] == "rectangle"

@@ -72,12 +72,6 @@ def test_another_process_draws_the_same_bits(folder: Path) -> None:
     assert other == hashlib.sha256(Dataset(folder).frames(13, count=2).tobytes()).hexdigest()
 
 
-def test_noise_can_be_scaled_on_reading(folder: Path) -> None:
-    clean, noisy = (Dataset(folder, noise_scale=scale).frames(3, count=1).astype(float) for scale in (0.0, 4.0))
-    assert np.array_equal(clean, Dataset(folder, noise_scale=0.0).frames(3, count=1))
-    assert np.std(noisy - clean) > 2.5 * np.std(Dataset(folder).frames(3, count=1) - clean)
-
-
 def test_splits_are_kept_apart_and_cover_everything(folder: Path) -> None:
     sizes = [len(Dataset(folder, [split])) for split in ("train", "validation", "test")]
     assert sizes == [12, 6, 6]

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulation.closed_loop import baselines, statistics
+from simulation.closed_loop import statistics
 from training.data.labels import (
     CLASSES,
     HALF_TURN_SIGNS,
@@ -61,7 +61,7 @@ def test_symmetries_map_the_classes_as_stated(signs, pairs):
 
 
 def test_the_simulators_copy_of_the_classes_is_this_table():
-    assert dict(baselines.SIGNS) == {entry.name: (entry.sign_x, entry.sign_theta) for entry in CLASSES}
+    assert dict(statistics.SIGNS) == {entry.name: (entry.sign_x, entry.sign_theta) for entry in CLASSES}
     for x_mm in (-THRESHOLD_X_MM - 0.01, -THRESHOLD_X_MM, 0.0, THRESHOLD_X_MM + 0.01):
         for theta_deg in (-THRESHOLD_THETA_DEG - 0.01, 0.0, THRESHOLD_THETA_DEG, THRESHOLD_THETA_DEG + 0.01):
             assert statistics.class_of(x_mm, theta_deg) == name_of(x_mm, theta_deg)

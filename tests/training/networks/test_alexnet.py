@@ -9,12 +9,9 @@ from training.data.dataset import load_table
 from training.data.recipe_data import _convolved
 from training.fit.checkpoint import Checkpoint
 from training.fit.recipe import train_recipe
-from training.fit.shared import share_backbone
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
 from training.networks.forms import SequenceForm, StepForm
-from training.networks.settings import NetworkConfig
 
-NETWORK = NetworkConfig(kind="alexnet_lstm")
 TORCHVISION = {
     "features.0": (64, 3, 11, 11),
     "features.3": (192, 64, 5, 5),
@@ -128,32 +125,3 @@ def test_the_recipe_trains_resumes_and_keeps_both_networks(tmp_path):
     shared, own = pair.direction.alexnet.features[0].weight, pair.magnitude.alexnet.features[0].weight
     assert torch.equal(shared, own)
     assert not torch.equal(pair.direction.lstm.weight_hh, pair.magnitude.lstm.weight_hh)
-    assert len(pair.of("pair").readers) == 2
-    behind_one = share_backbone(config, source)
-    both = behind_one.build().of("pair")
-    assert both.readers == [both.direction]
-    assert all(
-        torch.equal(value, behind_one.weights[f"direction.{name}"])
-        for name, value in pair.direction.state_dict().items()
-    )
-
-
-def test_networks_behind_one_backbone_decide_as_apart():
-    pair = AlexNetPair(NETWORK, 9).eval()
-    pair.magnitude.alexnet.load_state_dict(pair.direction.alexnet.state_dict())
-    both = pair.of("pair")
-    frames = torch.randint(
-        0, 256, (2, 1, 2, 320, 327, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0)
-    )
-    with torch.no_grad():
-        together = StepForm(both, "pair")(frames[0], frames[1], torch.zeros(1, both.state_size))
-        zeros = torch.zeros(1, pair.direction.state_size)
-        logits, _ = StepForm(pair.direction, "direction")(frames[0], frames[1], zeros)
-        error, _, _ = StepForm(pair.magnitude, "magnitude")(frames[0], frames[1], zeros)
-    assert torch.allclose(together[0], logits, atol=1e-6)
-    assert torch.allclose(together[1], error, atol=1e-6)
-
-
-def test_different_convolutions_are_not_shared():
-    with pytest.raises(ContractError, match="convolutions differ"):
-        AlexNetPair(NETWORK, 9).of("pair")

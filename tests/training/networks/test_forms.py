@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from service.contract import Sensor
 from training.data.labels import CLASSES
 from training.networks import build
-from training.networks.alexnet import LSTM, AlexNetLstm, AlexNetPair, SharedBackbone
+from training.networks.alexnet import LSTM, AlexNetLstm
 from training.networks.decider import STATE_REACH
 from training.networks.forms import StepForm, within_reach
 from training.networks.settings import NetworkConfig
@@ -58,17 +58,6 @@ def test_no_hidden_unit_of_the_papers_cell_leaves_its_reach():
             state = network.advance(10.0 * torch.randn(4, 2 * 4096), None, state)
             assert state[:, :LSTM].abs().max() <= network.state_reach[0]
             assert state[:, LSTM:].abs().max() <= steps
-
-
-def test_both_networks_behind_one_backbone_keep_either_ones_reach():
-    pair = AlexNetPair(NetworkConfig(kind="alexnet_lstm"), len(CLASSES))
-    pair.magnitude.load_state_dict({**pair.magnitude.state_dict(), **_backbone(pair)})
-    shared = SharedBackbone(pair)
-    assert torch.equal(shared.state_reach, torch.cat([pair.direction.state_reach, pair.magnitude.state_reach]))
-
-
-def _backbone(pair):
-    return {name: value for name, value in pair.direction.state_dict().items() if name.startswith("alexnet.features")}
 
 
 def test_a_step_from_a_state_no_cell_can_reach_equals_one_from_the_end_of_its_reach():

@@ -27,8 +27,8 @@ def test_it_trains_on_true_fields_and_is_scored_on_tracked_pictures(config, sour
 
 
 def test_tracked_markers_read_as_the_true_field_does(config, source):
-    run = config.model_copy(update={"network": KIND})
-    trials = load_trials(run.data, source, "markers")
+    few = {"rendered_training": 0, "rendered_validation": 3, "rendered_test": 0}
+    trials = load_trials(config.data.model_copy(update=few), source, "markers")
     network = build(KIND, len(CLASSES), Sensor.load())
     chosen = trials.of("validation", rendered=True)
     seen = network.read_drawn(torch.from_numpy(trials.drawn[trials.picture[chosen]]))
