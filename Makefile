@@ -157,8 +157,8 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 	$(BIN)/python -m simulation theory --out docs
 	$(BIN)/python -m simulation accuracy
 
-slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md (REAL=folder adds recordings)
-	$(RUN) -m simulation slip-report $(if $(REAL),--real $(REAL))
+slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md
+	$(RUN) -m simulation slip-report
 
 trust-live: $(RUN_VENV)/ready ## break live insertions on purpose: docs/motion_bounds.md, .json; goes on after an interruption (TOGETHER=1)
 	$(RUN) -m simulation motion-bounds $(if $(TOGETHER),--together $(TOGETHER))

@@ -62,16 +62,6 @@ def bootstrap(value: float, resampled: Sequence[float]) -> Estimate:
     return Estimate(value, float(low), float(high))
 
 
-def poisson_upper(count: int) -> float:
-    """One-sided 95 % upper bound of a Poisson mean of which ``count`` events were observed (Garwood 1936)."""
-    low, high = float(count), count + 20.0
-    for _ in range(60):
-        middle = (low + high) / 2
-        tail = sum(math.exp(-middle) * middle**k / math.factorial(k) for k in range(count + 1))
-        low, high = (middle, high) if tail > 0.05 else (low, middle)
-    return high
-
-
 def percentiles(values: ArrayLike, *shares: float) -> list[float]:
     """Percentiles in 0..100, in the order asked for; NaN of nothing."""
     sample = np.asarray(values, float)

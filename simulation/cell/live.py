@@ -245,7 +245,6 @@ class LiveCell:
             "egm": {f.name: getattr(self.egm.counters, f.name) for f in fields(self.egm.counters)},
             "wsg": {f.name: getattr(self.wsg.counters, f.name) for f in fields(self.wsg.counters)},
             "course": {f.name: getattr(course, f.name) for f in fields(course)},
-            "frames_sent_ns": {finger: list(camera.sent_ns) for finger, camera in self.cameras.items()},
             "left_behind": [
                 {"inserted": bool(s.inserted), "shortfalls": list(s.shortfalls)} for s in self.world.left_behind
             ],

@@ -13,6 +13,7 @@ from reporting.statistics import wilson
 from reporting.table import table
 from simulation.closed_loop.benchmark import first_answers
 from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, ends
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import SceneError
@@ -65,19 +66,17 @@ def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int, percep
     return [
         Task(
             variant.models,
-            {
-                "scene": start.scene,
-                "index": index,
-                "x_mm": start.x_mm,
-                "theta_deg": start.theta_deg,
-                "seed": seed * 1_000_000 + index,
-                "controller": variant.controller,
-                "perception": perception,
-                "condition": f"{start.world.name}: {variant.title}",
-                "changes": dict(start.world.changes),
-                "unstated": start.world.unstated.model_dump(mode="json", exclude_defaults=True),
-                "told_reach": variant.told_reach,
-            },
+            job_in(
+                start.world,
+                start.scene,
+                index,
+                (start.x_mm, start.theta_deg),
+                seed * 1_000_000 + index,
+                controller=variant.controller,
+                perception=perception,
+                condition=f"{start.world.name}: {variant.title}",
+                told_reach=variant.told_reach,
+            ),
         )
         for index, start in enumerate(begun)
         for variant in variants
