@@ -24,6 +24,7 @@ EMULATORS = "tests/simulation/cell/emulators"
 EGM = "tests/robot_client/robots/abb_egm/test_third_party.py"
 RUNTIMES = "tests/export/onnx/test_runtimes.py"
 RECORDINGS = "tests/service/recordings"
+EXPORT = "tests/simulation/data/test_export_dataset.py"
 
 
 @dataclass(frozen=True)
@@ -88,10 +89,7 @@ PEERS = (
     Peer(
         "lerobot",
         "an exported dataset: its own loader, and statistics by episode",
-        (
-            "tests/simulation/data/test_export_dataset.py"
-            "::test_lerobot_s_own_loader_reads_every_frame_and_agrees_with_the_statistics",
-        ),
+        (f"{EXPORT}::test_lerobot_s_own_loader_reads_every_frame_and_agrees_with_the_statistics",),
         "LEROBOT_PYTHON",
     ),
     Peer(

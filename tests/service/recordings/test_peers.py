@@ -143,7 +143,16 @@ def apart(folder: Path, models: Path, rate_hz: float) -> Iterator[Apart]:
     fingers = FakeFinger("left", rate_hz), FakeFinger("right", rate_hz)
     drawn.calibration().save(folder / "calibration.toml")
     cameras = ("--camera-left", fingers[0].url, "--camera-right", fingers[1].url, "--max-frame-age-ms", "20000")
-    patience = ("--reference-timeout-s", "30", "--frames-timeout-s", "30", "--decision-timeout-s", "60")
+    patience = (
+        "--reference-timeout-s",
+        "30",
+        "--frames-timeout-s",
+        "30",
+        "--decision-timeout-s",
+        "60",
+        "--client-timeout-s",
+        "60",
+    )
     options = (*cameras, *patience, "--calibration", str(folder / "calibration.toml"))
     try:
         with service_process(models, folder / "recordings", *options) as service:
