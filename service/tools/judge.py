@@ -22,9 +22,9 @@ from service.perception.slip.open_gel import OpenGel, shrunk
 from service.perception.slip.phases import Grasp, Phase
 from service.perception.slip.slide import SlideWitness, slide_score
 from service.tools.open_frame import open_frame
-from service.tools.replay import VIDEOS
 
 FRAME_NS = 125_000_000  # headers lie about the rate; these sensors deliver about eight frames a second
+VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost")
 _LEAST_PX = 64
 _BUFFERED_N = 16  # first frames, in which a camera may still hand out what it had seen of an earlier grasp
