@@ -21,6 +21,17 @@ from simulation.scene.worlds import World, load_scene
 
 NAME = "drawn_worlds"
 DECILES = 10
+COLUMNS: tuple[Any, ...] = (
+    ("mean trials", "mean_trials", ".2f"),
+    ("refused", "refused", "d"),
+    ("direction", lambda row: wilson(row["direction_right"], row["direction_n"]), ".0%"),
+    ("MAE x mm", "mae_x_mm", ".2f"),
+    ("MAE yaw deg", "mae_theta_deg", ".2f"),
+    ("90 % holds x", "covered_x", ".0%"),
+    ("90 % holds yaw", "covered_theta", ".0%"),
+    ("largest force N", "worst_force_n", ".0f"),
+)
+"""Of a table of insertions that were played, beside how many were claimed and inserted."""
 _TRIES = 50
 
 
@@ -146,7 +157,7 @@ def drawn_worlds_page(data: Row) -> str:
             ("variant", "variant"),
             ("claimed, not true", "claimed_wrongly", "d"),
             ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
-            *_COLUMNS,
+            *COLUMNS,
             ("void", "void", "d"),
         ),
         "## By decile of the shear reach, first variant",
@@ -155,7 +166,7 @@ def drawn_worlds_page(data: Row) -> str:
             ("reach, marker pitches", lambda row: f"{row['low']:.2f} .. {row['high']:.2f}"),
             ("claimed, not true", "claimed_wrongly", "d"),
             ("inserted", lambda row: f"{row['inserted']} of {row['insertions']}"),
-            *_COLUMNS,
+            *COLUMNS,
         ),
         "## By tier of the simulated gel, first variant",
         table(
@@ -163,21 +174,9 @@ def drawn_worlds_page(data: Row) -> str:
             ("tier", "tier"),
             ("claimed, not true", "claimed_wrongly", "d"),
             ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
-            *_COLUMNS,
+            *COLUMNS,
         ),
     )
-
-
-_COLUMNS: tuple[Any, ...] = (
-    ("mean trials", "mean_trials", ".2f"),
-    ("refused", "refused", "d"),
-    ("direction", lambda row: wilson(row["direction_right"], row["direction_n"]), ".0%"),
-    ("MAE x mm", "mae_x_mm", ".2f"),
-    ("MAE yaw deg", "mae_theta_deg", ".2f"),
-    ("90 % holds x", "covered_x", ".0%"),
-    ("90 % holds yaw", "covered_theta", ".0%"),
-    ("largest force N", "worst_force_n", ".0f"),
-)
 
 
 def write(rows: Sequence[Row], variants: Sequence[Variant], begun: Sequence[Start], setup: Row, docs: Path) -> str:
