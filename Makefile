@@ -6,6 +6,8 @@ READERS_VENV ?= .venv-readers
 OLD_RUNTIME_VENV ?= .venv-old-runtime
 OPS_VENV ?= .venv-ops
 PEERS_VENV ?= .venv-peers
+GRAPH_VENV ?= .venv-graph
+LEROBOT_VENV ?= .venv-lerobot
 DOCS_VENV ?= .venv-docs
 LOWEST_VENV ?= .venv-lowest
 MINUTES ?= 30
@@ -52,6 +54,16 @@ $(READERS_VENV)/ready: pyproject.toml
 $(OLD_RUNTIME_VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(OLD_RUNTIME_VENV)
 	$(OLD_RUNTIME_VENV)/bin/pip install -q 'onnxruntime==1.17.3' 'numpy<2'
+	@touch $@
+
+$(GRAPH_VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(GRAPH_VENV)
+	$(GRAPH_VENV)/bin/pip install -q openvino onnxsim
+	@touch $@
+
+$(LEROBOT_VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(LEROBOT_VENV)
+	$(LEROBOT_VENV)/bin/pip install -q lerobot
 	@touch $@
 
 $(DOCS_VENV)/ready: requirements/docs.txt
@@ -163,8 +175,10 @@ bench: $(VENV)/ready ## what a decision of each released network costs on this m
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
 
-peers: $(VENV)/ready $(READERS_VENV)/ready $(OLD_RUNTIME_VENV)/ready ## foreign software against this one, a row a package: docs/peers.md, .json
+PEERS_OF_THEIR_OWN = $(READERS_VENV) $(OLD_RUNTIME_VENV) $(GRAPH_VENV) $(if $(LEROBOT),$(LEROBOT_VENV))
+peers: $(VENV)/ready $(addsuffix /ready,$(PEERS_OF_THEIR_OWN)) ## foreign software against this one, a row a package: docs/peers.md, .json (LEROBOT=1: its loader too, 8 GB)
 	PEERS_PYTHON=$(CURDIR)/$(READERS_VENV)/bin/python OLD_RUNTIME_PYTHON=$(CURDIR)/$(OLD_RUNTIME_VENV)/bin/python \
+	  GRAPH_PYTHON=$(CURDIR)/$(GRAPH_VENV)/bin/python $(if $(LEROBOT),LEROBOT_PYTHON=$(CURDIR)/$(LEROBOT_VENV)/bin/python) \
 	  $(BIN)/python -m tests.peers
 
 bench-hostile: $(VENV)/ready ## what floods of pages, inference, bodies and connections cost the robot: docs/hostile_load.json
@@ -232,4 +246,4 @@ requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
 clean: ## remove what the commands above made, but no data and no runs
-	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(READERS_VENV) $(OLD_RUNTIME_VENV) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(READERS_VENV) $(OLD_RUNTIME_VENV) $(GRAPH_VENV) $(LEROBOT_VENV) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -12,6 +12,7 @@ from service.perception.markers.field import BoolArray, FloatArray
 _STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
 _LINK = 0.33  # a neighbour lies within this share of a pitch of where the last step points
 _AROUND = 12  # spots around one among which its neighbours in the grid are sought
+_LEAST_PX = 32
 DIAMETERS_PX = (4.0, 5.0, 6.5, 8.5, 11.0, 14.5, 19.0, 25.0)
 
 
@@ -115,10 +116,11 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
 def find_lattice(image: NDArray[np.uint8], diameters_px: tuple[float, ...] = DIAMETERS_PX) -> Lattice | None:
     """The marker grid of a frame at the scale that explains it best, or None if there is none of at least 5 x 5.
 
-    The grid's columns must run within 40 deg of the image's. About 40 ms; run once a recording.
+    The grid's columns must run within 40 deg of the image's, which must be 32 px a side. About 40 ms; run once a
+    recording.
     """
     best: Lattice | None = None
-    for diameter in diameters_px:
+    for diameter in diameters_px if min(image.shape[:2]) >= _LEAST_PX else ():
         shrink = max(1, int(diameter / 6))
         detected = _at_scale(image, diameter, shrink)
         if detected is not None and (best is None or _merit(detected) > _merit(best)):
