@@ -51,7 +51,6 @@ GROUPS: dict[str, dict[str, Command]] = {
         "depths": Command("training", "depths", "write what pressing further tells a run"),
         "export": Command("export", "onnx", "write a checkpoint as ONNX with its cards"),
         "verify": Command("export", "verify", "verify every network of a folder"),
-        "quantize": Command("export", "quantize", "write int8 versions of the networks"),
         "bench": Command("export", "benchmark", "measure networks on this machine, offline"),
     },
     "study the simulation": {
