@@ -47,6 +47,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "adapt": Command("training", "adapt", "fit the release to a cell's own recordings"),
         "recipe": Command("training", "recipe", "train the paper's own recipe, the baseline"),
         "checkpoint": Command("training", "show", "print the figures that a checkpoint carries"),
+        "board": Command("training", "board", "show a run's scalars on TensorBoard or Trackio"),
         "depths": Command("training", "depths", "write what pressing further tells a run"),
         "export": Command("export", "onnx", "write a checkpoint as ONNX with its cards"),
         "verify": Command("export", "verify", "verify every network of a folder"),

@@ -59,11 +59,20 @@ PEERS = (
     ),
     Peer(
         "ABBRobotEGM",
-        "EGM guidance of the emulated arm",
-        (f"{EGM}::test_abbrobotegm_guides_what_our_rws_client_started",),
+        "EGM guidance of the emulated arm; the fields of RobotWare 7",
+        (
+            f"{EGM}::test_abbrobotegm_guides_what_our_rws_client_started",
+            f"{EGM}::test_what_abbrobotegm_knows_of_robotware_7_is_read_and_a_collision_ends_guidance",
+        ),
     ),
     Peer(
         "tritonclient", "Open Inference Protocol: every endpoint, JSON and binary", ("tests/service/web/test_oip.py",)
+    ),
+    Peer(
+        "kserve",
+        "Open Inference Protocol: its models of the protocol read our answers, and write a request",
+        ("tests/service/web/test_kserve.py",),
+        "KSERVE_PYTHON",
     ),
     Peer(
         "schemathesis",
