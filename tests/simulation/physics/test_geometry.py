@@ -1,6 +1,5 @@
 """The geometry table of the paper: what inserts, how far off it may be, and the lever arm about the block's edge."""
 
-
 import numpy as np
 import pytest
 
