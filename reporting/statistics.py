@@ -44,32 +44,18 @@ def wilson(hits: float, count: int) -> Estimate:
     return Estimate(share, max(0.0, min(share, middle - half)), min(1.0, max(share, middle + half)))
 
 
-def normal(value: float, standard_error: float) -> Estimate:
-    """An estimate whose error is normal."""
-    return Estimate(value, value - Z95 * standard_error, value + Z95 * standard_error)
-
-
 def mean(values: Sequence[float]) -> Estimate:
     """Mean of a sample, with the normal interval of its standard error; a point for a single value."""
     sample = np.asarray(values, float)
     error = sample.std(ddof=1) / math.sqrt(len(sample)) if len(sample) > 1 else 0.0
-    return normal(float(sample.mean()), float(error))
+    value, half = float(sample.mean()), Z95 * float(error)
+    return Estimate(value, value - half, value + half)
 
 
 def bootstrap(value: float, resampled: Sequence[float]) -> Estimate:
     """An estimate beside its values on resampled data: the percentile interval (Efron 1979)."""
     low, high = np.percentile(resampled, (2.5, 97.5))
     return Estimate(value, float(low), float(high))
-
-
-def poisson_upper(count: int) -> float:
-    """One-sided 95 % upper bound of a Poisson mean of which ``count`` events were observed (Garwood 1936)."""
-    low, high = float(count), count + 20.0
-    for _ in range(60):
-        middle = (low + high) / 2
-        tail = sum(math.exp(-middle) * middle**k / math.factorial(k) for k in range(count + 1))
-        low, high = (middle, high) if tail > 0.05 else (low, middle)
-    return high
 
 
 def percentiles(values: ArrayLike, *shares: float) -> list[float]:

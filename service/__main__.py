@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 COMMANDS = {
     "run": "serve: cameras in, slip and corrections out, dashboard at /",
-    "replay": "run perception over a clip, or re-decide a recorded insertion (.mcap)",
+    "replay": "decide a recorded insertion (.mcap) again",
     "calibrate": "fit the rectification of a camera from frames of a resting gel",
     "judge": "find contact, hold, slip and loss in recorded grasps, run by run",
     "models": "check a folder of models and print their cards",

@@ -8,7 +8,7 @@ import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Self, get_args
 
 from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import (
@@ -28,7 +28,6 @@ from service.contract.token import check_token, state_folder
 from service.contract.toml import read_toml
 from service.contract.wire import ControllerName, Limits
 
-Exporter = Literal["off", "console", "otlp"]
 HELP = "python -m service run --help"
 OTHER_VARIABLES = ("TACTILE_INSERTION_", "TACTILE_REAL_DATA", "TACTILE_SCREENSHOTS", "TACTILE_TRACEBACK")
 """Variables that start alike: of the robot client (or Kubernetes), of tests, of every command."""
@@ -96,7 +95,6 @@ class Settings(BaseSettings):
     allowed_origins: tuple[str, ...] = Field((), description="browser origins allowed besides our own pages")
     allowed_hosts: tuple[str, ...] = Field((), description="names of this service in requests, besides its own")
     requests_per_s: float = Field(1000.0, ge=0, description="most requests a second of one address; 0 for any number")
-    tracing: Exporter = Field("off", description="OpenTelemetry spans: off, console or otlp (OTEL_EXPORTER_OTLP_*)")
     log_json: bool = Field(False, description="one JSON object a log line")
 
     @field_validator("token_drive", "token_watch", "token_admin")

@@ -27,15 +27,13 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "collect": ("dataset:collect", "poke on all cores and keep the collisions as a dataset"),
     "view": ("dataset:view", "trials of a dataset as pictures"),
     "export-dataset": ("dataset:export_dataset", "trials as a LeRobot v3.0 dataset or as MCAP files"),
-    "slip-report": ("slip:slip_report", "how well slip is detected, and the cost: table, JSON, plot"),
+    "slip-report": ("slip:slip_report", "how well slip is detected, and the cost: table, JSON"),
     "grasps": ("slip:real_grasps", "recorded grasps of real objects, judged: table run by run"),
-    "stop-report": ("slip:stop_report", "how soon the arm stops for slip, through the whole live loop: table"),
     "motion-bounds": ("cell:motion_bounds", "how far the arm goes on after nobody looks: live faults, table, JSON"),
     "hard-probes": ("physics:hard_probes", "10,000 random hard contacts: solved, lost or refused by name"),
     "foreign-check": ("physics:foreign_check", "the foreign cell's finite elements beside CalculiX: table, JSON"),
     "pace": ("pace:main", "what settings of the client cost in seconds a box, played on the same starts"),
     "choose": ("pace:choose", "the client's settings for a time a box, a success and a force, as a file"),
-    "theory": ("physics:theory", "errors beside Hertz, Mindlin, Winkler and the paper: table"),
     "accuracy": ("physics:accuracy", "what physics accuracy costs in time: table, JSON, plot"),
 }
 

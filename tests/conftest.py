@@ -1,8 +1,8 @@
 """For every test: properties are judged by what holds, never by how fast the machine shows it.
 
-The fast tests draw the same examples on every machine, so that a change is judged by what it changed. `make test-all`
-sets HYPOTHESIS_PROFILE=explore and draws new ones each time. Each process computes on one thread: workers and services
-share the machine's cores.
+The fast tests draw the same 50 examples on every machine, so that a change is judged by what it changed. `make
+test-all` sets HYPOTHESIS_PROFILE=explore and draws 100 new ones each time. Each process computes on one thread: workers
+and services share the machine's cores.
 """
 
 import os
@@ -14,5 +14,5 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy and torch are i
 os.environ["TACTILE_STATE"] = tempfile.mkdtemp(prefix="tactile-state-")  # never the token of who runs the tests
 
 settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("same everywhere", parent=settings.get_profile("explore"), derandomize=True)
+settings.register_profile("same everywhere", parent=settings.get_profile("explore"), derandomize=True, max_examples=50)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same everywhere"))

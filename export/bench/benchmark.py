@@ -1,5 +1,6 @@
 """``python -m export benchmark``: what a decision costs here, whether int8 pays, and what the paper's networks cost."""
 
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from export.onnx.decisions import Decision
 from export.onnx.golden import golden_frames
 from export.onnx.model import Model, open_model
 from export.quantise.agreement import compare
-from export.quantise.quantise import MODES, quantise
+from export.quantise.quantise import CALIBRATION_DECISIONS, MODES, quantise
 from reporting.machine import commit, cpu_name
 from service.contract import ContractError, Sensor
 
@@ -42,7 +43,8 @@ def benchmark(
         print(f"{model.file} ...", flush=True)
         report["models"].append(measure(model, seconds))
     if int8 is not None:
-        report["int8"] = precisions(int8, docs / "int8", list(decisions) or golden_decisions(), seconds)
+        with tempfile.TemporaryDirectory() as folder:
+            report["int8"] = precisions(int8, Path(folder), list(decisions) or golden_decisions(), seconds)
         report["int8_recorded"] = bool(decisions)
     if alexnet is not None:
         steps = [model for model in models if model.card.form == "step"]
@@ -70,7 +72,7 @@ def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: 
     for mode in MODES:
         try:
             sets[f"int8 {mode}"] = [
-                open_model(quantise(model.file, out / mode / model.file.name, decisions[:16], mode))
+                open_model(quantise(model.file, out / mode / model.file.name, decisions[:CALIBRATION_DECISIONS], mode))
                 for model in sources
             ]
         except ContractError as error:

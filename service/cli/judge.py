@@ -2,19 +2,26 @@
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from service.tools.judge import judged, runs_of
+from service.tools.judge import JudgeError, judged, runs_of
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Judge every run and write the rows; raises JudgeError in one line."""
+    """Judge every run and write the rows, 1 if a run could not be read; raises JudgeError where there is none."""
     options = _parse(arguments)
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    rows, evidence = [], {}
+    options.out.write_text("[]\n", encoding="utf-8")
+    rows, evidence, unread_n = [], {}, 0
     for folder in runs_of(options.folder):
-        run = judged(folder)
+        try:
+            run = judged(folder)
+        except JudgeError as error:
+            print(f"{folder.name}: {error}", file=sys.stderr)
+            unread_n += 1
+            continue
         rows.append(row := run.row)
         evidence[row["run"]] = run.evidence
         phases = ", ".join(f"{name} {row[f'{name}_frame']}" for name in ("contact", "hold", "slip", "lost"))
@@ -23,7 +30,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.evidence is not None:
         options.evidence.write_text(json.dumps(evidence) + "\n", encoding="utf-8")
     print(f"wrote {options.out}")
-    return 0
+    return int(unread_n > 0)
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:

@@ -14,7 +14,6 @@ import structlog
 from service.contract.text import printable
 from service.observability.event_log import log_events
 from service.observability.log_lines import LogLines
-from service.observability.tracing import Spans, make_tracer
 from service.session.memory import stop_searching_what_stays, use_few_arenas
 from service.session.station import open_station
 from service.settings import Settings, read_settings
@@ -85,8 +84,6 @@ def main(arguments: Sequence[str]) -> int:
     ):
         station = open_station(settings)
         log_events(station.hub)
-        if settings.tracing != "off":
-            Spans(make_tracer(settings.tracing), station.hub)
         station.start()
         try:
             station.wait_for_cameras(settings.camera_wait_s)

@@ -22,10 +22,11 @@ from service.perception.slip.open_gel import OpenGel, shrunk
 from service.perception.slip.phases import Grasp, Phase
 from service.perception.slip.slide import SlideWitness, slide_score
 from service.tools.open_frame import open_frame
-from service.tools.replay import VIDEOS
 
 FRAME_NS = 125_000_000  # headers lie about the rate; these sensors deliver about eight frames a second
+VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost")
+_LEAST_PX = 64
 _BUFFERED_N = 16  # first frames, in which a camera may still hand out what it had seen of an earlier grasp
 
 
@@ -47,22 +48,26 @@ class FingerRun:
     def touches(self, opened: int | None) -> list[float | None]:
         """How strongly the gel is touched in each frame, compared with the open one.
 
-        Touched throughout where no frame shows the gel open: then nothing can be said to be lost.
+        Touched wherever its markers are seen if no frame shows the gel open: then nothing can be said to be lost.
         """
         if opened is None:
-            return [1.0] * len(self.fields)
-        gel = OpenGel()
+            return [1.0 if seen.usable else None for seen in self.fields]
+        begun, gel = time.process_time(), OpenGel()
         gel.learn(self.fields[opened], self.pictures[opened].astype(np.float32))
-        return [
+        touches = [
             gel.touch(seen, picture.astype(np.float32))
             for seen, picture in zip(self.fields, self.pictures, strict=True)
         ]
+        self.spent_s += time.process_time() - begun
+        return touches
 
 
 def watched(clip: Path) -> FingerRun:
-    """One finger's recording through tracker and grasp watch. Raises JudgeError if it holds no frame."""
+    """One finger's recording through tracker, grasp watch and imprint. JudgeError: no frames, or too small ones."""
     run, tracker, watch, imprint = FingerRun(), MarkerTracker(), GraspWatch(), ImprintWatch()
     for k, (image, _) in enumerate(clip_images(clip)):
+        if min(image.shape[:2]) < _LEAST_PX:
+            raise JudgeError(f"{clip} is {image.shape[1]} x {image.shape[0]}, expected {_LEAST_PX} px a side or more")
         begun = time.process_time()
         seen = tracker.update(image, k * FRAME_NS)
         state = watch.update(seen)
@@ -88,10 +93,8 @@ class Judged:
 
 
 def judged(folder: Path) -> Judged:
-    """One run; raises JudgeError if it is none."""
-    clips = sorted(child for child in folder.iterdir() if child.suffix.lower() in VIDEOS)
-    if not clips:
-        raise JudgeError(f"{folder} holds no video, expected one a finger")
+    """One run, up to where its shortest video ends; raises JudgeError if a video of it cannot be used."""
+    clips = clips_of(folder)
     fingers = [watched(clip) for clip in clips]
     frames_n = min(len(finger.fields) for finger in fingers)
     opened = open_frame([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
@@ -104,7 +107,10 @@ def judged(folder: Path) -> Judged:
         "run": folder.name,
         "frames_n": frames_n,
         **whole,
-        "fingers": {clip.stem: story for clip, story in zip(clips, alone, strict=True)},
+        "fingers": {
+            clip.stem: {"frames_n": len(finger.fields), **story}
+            for clip, finger, story in zip(clips, fingers, alone, strict=True)
+        },
         "open_frame": opened,
         "ambiguous_n": statuses.count("ambiguous"),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
@@ -170,11 +176,15 @@ def _largest(phases: list[Phase], fingers: Sequence[FingerRun]) -> dict[str, flo
 
 
 def runs_of(folder: Path) -> Iterator[Path]:
-    """The folders of runs below ``folder``: those that hold videos, in its own folders or one level further down."""
+    """The folders that hold videos: ``folder``, those in it and those one level further down. JudgeError: none."""
     if not folder.is_dir():
         raise JudgeError(f"no folder {folder}: expected runs of one video a finger")
-    runs = sorted({clip.parent for clip in folder.glob("*/*") if clip.suffix.lower() in VIDEOS})
-    deeper = sorted({clip.parent for clip in folder.glob("*/*/*") if clip.suffix.lower() in VIDEOS})
-    if not runs and not deeper:
+    runs = [run for run in (folder, *sorted(folder.glob("*")), *sorted(folder.glob("*/*"))) if clips_of(run)]
+    if not runs:
         raise JudgeError(f"{folder}: expected runs, folders of one video a finger")
-    yield from deeper or runs
+    yield from runs
+
+
+def clips_of(folder: Path) -> list[Path]:
+    """The videos that lie in a folder, by name."""
+    return sorted(clip for clip in folder.glob("*") if clip.suffix.lower() in VIDEOS and clip.is_file())

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, class_of, ends, first_decisions, title_of
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
@@ -34,23 +35,11 @@ def tasks(
             world.around(scene)
     starts = {name: drawn_starts(scene, count, seed + scene.number) for name, scene in objects.items()}
     return [
-        Task(models, {**job, **_start(name, index, starts[name][index], seed), **_conditions(world)}, made_by)
+        Task(models, job_in(world, name, index, starts[name][index], seed * 100_000 + index, **job), made_by)
         for index in range(count)
         for world in worlds
         for name in objects
     ]
-
-
-def _start(name: str, index: int, error: tuple[float, float], seed: int) -> dict[str, Any]:
-    return {"scene": name, "index": index, "x_mm": error[0], "theta_deg": error[1], "seed": seed * 100_000 + index}
-
-
-def _conditions(world: World) -> dict[str, Any]:
-    return {
-        "condition": world.name,
-        "changes": dict(world.changes),
-        "unstated": world.unstated.model_dump(mode="json", exclude_defaults=True),
-    }
 
 
 def table(rows: Sequence[Row]) -> list[Row]:

@@ -13,7 +13,7 @@ from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import Scene
 from simulation.scene.state import Cell
-from simulation.scene.worlds import load_scene
+from simulation.scene.worlds import World, load_scene
 
 Perception = Literal["pictures", "fields"]
 Who = Literal["belief", "heuristic", "oracle"]
@@ -72,6 +72,23 @@ class Job:
         from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem
 
         return ForeignCell
+
+
+def job_in(world: World, scene: str, index: int, start: tuple[float, float], seed: int, **more: Any) -> dict[str, Any]:
+    """Fields of a `Job` in a world, as plain data: the belief on true fields, unless ``more`` says otherwise."""
+    return {
+        "scene": scene,
+        "index": index,
+        "x_mm": float(start[0]),
+        "theta_deg": float(start[1]),
+        "seed": seed,
+        "controller": "belief",
+        "perception": "fields",
+        "condition": world.name,
+        "changes": dict(world.changes),
+        "unstated": world.unstated.model_dump(mode="json", exclude_defaults=True),
+        **more,
+    }
 
 
 @dataclass(slots=True)

@@ -20,6 +20,7 @@ from reporting.files import write_json
 from robot_client.session.commission import SIDES
 from service.contract import ContractError
 from simulation.closed_loop import benchmark
+from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, ends
 from simulation.data.parallel import results
 from simulation.data.progress import progress
@@ -52,19 +53,9 @@ class Cell:
     def _job(self, name: str, index: int, rng: np.random.Generator, purpose: int) -> Row:
         scene = self.objects[name]
         shares = rng.uniform(-1.0, 1.0, 2)
-        return {
-            "scene": name,
-            "index": index,
-            "x_mm": float(shares[0] * scene.x_range_mm),
-            "theta_deg": float(shares[1] * scene.theta_range_deg),
-            "seed": int(np.random.SeedSequence((self.seed, purpose, index)).generate_state(1)[0]),
-            "controller": "belief",
-            "perception": "fields",
-            "condition": self.world.name,
-            "changes": dict(self.world.changes),
-            "unstated": self.world.unstated.model_dump(mode="json", exclude_defaults=True),
-            "cell": self.cell,
-        }
+        start = (shares[0] * scene.x_range_mm, shares[1] * scene.theta_range_deg)
+        seed = int(np.random.SeedSequence((self.seed, purpose, index)).generate_state(1)[0])
+        return job_in(self.world, name, index, start, seed, cell=self.cell)
 
 
 @dataclass(frozen=True)

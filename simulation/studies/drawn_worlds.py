@@ -13,6 +13,7 @@ from reporting.statistics import wilson
 from reporting.table import table
 from simulation.closed_loop.benchmark import first_answers
 from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, ends
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import SceneError
@@ -20,6 +21,17 @@ from simulation.scene.worlds import World, load_scene
 
 NAME = "drawn_worlds"
 DECILES = 10
+COLUMNS: tuple[Any, ...] = (
+    ("mean trials", "mean_trials", ".2f"),
+    ("refused", "refused", "d"),
+    ("direction", lambda row: wilson(row["direction_right"], row["direction_n"]), ".0%"),
+    ("MAE x mm", "mae_x_mm", ".2f"),
+    ("MAE yaw deg", "mae_theta_deg", ".2f"),
+    ("90 % holds x", "covered_x", ".0%"),
+    ("90 % holds yaw", "covered_theta", ".0%"),
+    ("largest force N", "worst_force_n", ".0f"),
+)
+"""Of a table of insertions that were played, beside how many were claimed and inserted."""
 _TRIES = 50
 
 
@@ -65,19 +77,17 @@ def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int, percep
     return [
         Task(
             variant.models,
-            {
-                "scene": start.scene,
-                "index": index,
-                "x_mm": start.x_mm,
-                "theta_deg": start.theta_deg,
-                "seed": seed * 1_000_000 + index,
-                "controller": variant.controller,
-                "perception": perception,
-                "condition": f"{start.world.name}: {variant.title}",
-                "changes": dict(start.world.changes),
-                "unstated": start.world.unstated.model_dump(mode="json", exclude_defaults=True),
-                "told_reach": variant.told_reach,
-            },
+            job_in(
+                start.world,
+                start.scene,
+                index,
+                (start.x_mm, start.theta_deg),
+                seed * 1_000_000 + index,
+                controller=variant.controller,
+                perception=perception,
+                condition=f"{start.world.name}: {variant.title}",
+                told_reach=variant.told_reach,
+            ),
         )
         for index, start in enumerate(begun)
         for variant in variants
@@ -147,7 +157,7 @@ def drawn_worlds_page(data: Row) -> str:
             ("variant", "variant"),
             ("claimed, not true", "claimed_wrongly", "d"),
             ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
-            *_COLUMNS,
+            *COLUMNS,
             ("void", "void", "d"),
         ),
         "## By decile of the shear reach, first variant",
@@ -156,7 +166,7 @@ def drawn_worlds_page(data: Row) -> str:
             ("reach, marker pitches", lambda row: f"{row['low']:.2f} .. {row['high']:.2f}"),
             ("claimed, not true", "claimed_wrongly", "d"),
             ("inserted", lambda row: f"{row['inserted']} of {row['insertions']}"),
-            *_COLUMNS,
+            *COLUMNS,
         ),
         "## By tier of the simulated gel, first variant",
         table(
@@ -164,21 +174,9 @@ def drawn_worlds_page(data: Row) -> str:
             ("tier", "tier"),
             ("claimed, not true", "claimed_wrongly", "d"),
             ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
-            *_COLUMNS,
+            *COLUMNS,
         ),
     )
-
-
-_COLUMNS: tuple[Any, ...] = (
-    ("mean trials", "mean_trials", ".2f"),
-    ("refused", "refused", "d"),
-    ("direction", lambda row: wilson(row["direction_right"], row["direction_n"]), ".0%"),
-    ("MAE x mm", "mae_x_mm", ".2f"),
-    ("MAE yaw deg", "mae_theta_deg", ".2f"),
-    ("90 % holds x", "covered_x", ".0%"),
-    ("90 % holds yaw", "covered_theta", ".0%"),
-    ("largest force N", "worst_force_n", ".0f"),
-)
 
 
 def write(rows: Sequence[Row], variants: Sequence[Variant], begun: Sequence[Start], setup: Row, docs: Path) -> str:

@@ -19,6 +19,7 @@ from reporting.statistics import wilson
 from reporting.table import table
 from service.contract import FINGERS, Finger
 from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row
 from simulation.closed_loop.true_fields import Fault, Kind
 from simulation.scene.scene import Scene, SceneError
@@ -46,19 +47,12 @@ def tasks(
             scene = world.around(objects[name])
         except SceneError:
             continue  # this object cannot be held in this world
-        job = {
-            "scene": name,
-            "index": len(todo),
-            "x_mm": float(shares[0] * scene.x_range_mm),
-            "theta_deg": float(shares[1] * scene.theta_range_deg),
-            "seed": seed * 1_000_000 + len(todo),
-            "controller": "belief",
-            "perception": "fields",
+        start = (shares[0] * scene.x_range_mm, shares[1] * scene.theta_range_deg)
+        told = {
             "condition": f"{world.name}: {fault.kind if fault else 'no fault'}",
-            "changes": dict(world.changes),
-            "unstated": world.unstated.model_dump(mode="json", exclude_defaults=True),
             "fault": {**asdict(fault), "fingers": list(fault.fingers)} if fault else {},
         }
+        job = job_in(world, name, len(todo), start, seed * 1_000_000 + len(todo), **told)
         todo.append(Task(models, job, made_by))
     return todo
 

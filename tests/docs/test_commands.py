@@ -1,11 +1,15 @@
 """Every command in the documentation exists, takes the options shown, and runs, or says why no test can run it."""
 
+import contextlib
+import importlib
+import io
 import os
 import re
 import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
@@ -19,14 +23,16 @@ OWN = {"service", "robot_client", "simulation", "training", "export"}
 
 @cache
 def help_of(*words: str) -> str:
-    """What `python -m PACKAGE [COMMAND] --help` prints; the command must end with 0."""
-    environment = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1"}
-    command = [sys.executable, "-m", *words, "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, timeout=60, check=False)
-    assert done.returncode == 0, (
-        f"python -m {' '.join(words)} --help ended with {done.returncode}: {done.stderr[-300:]}"
-    )
-    return done.stdout
+    """What `python -m PACKAGE [COMMAND] --help` prints, here in one process; the command must end with 0."""
+    package, *rest = words
+    screen, status = io.StringIO(), 0
+    with contextlib.redirect_stdout(screen), mock.patch.dict(os.environ, COLUMNS="200", NO_COLOR="1"):
+        try:
+            status = importlib.import_module(f"{package}.__main__").main([*rest, "--help"])
+        except SystemExit as end:
+            status = end.code
+    assert not status, f"python -m {' '.join(words)} --help ended with {status}"
+    return screen.getvalue()
 
 
 def check_module(words: list[str]) -> None:

@@ -13,7 +13,7 @@ from service.contract import ContractError, ModelCard, Sensor
 from service.contract.model_card import CARD_KEY
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
 from service.recordings.reader import Recording, RecordingError
-from service.tools.replay import ReplayError, ReplayOptions, read_clip
+from service.tools.judge import FingerRun, JudgeError, watched
 from simulation.scene.parts import Gel
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import load_scene
@@ -182,20 +182,12 @@ def scenes_that_cannot_be(_seed: int) -> float:
 
 @case(
     "data",
-    why="a clip may be a text file, an empty folder or claim no frame rate",
+    why="a clip may be a text file or an empty folder",
     holds="each is refused in one line: not refused",
-    guard=Guard(
-        "service.tools.replay:read_clip", "a clip that cannot be read is empty", lambda _: lambda _path, _fps: iter(())
-    ),
+    guard=Guard("service.tools.judge:watched", "a clip that cannot be read is empty", lambda _: lambda _: FingerRun()),
 )
 def clips_that_hold_nothing(_seed: int) -> float:
     with tempfile.TemporaryDirectory() as scratch:
         text = Path(scratch) / "x.avi"
         text.write_text("no video")
-        options = ReplayOptions(path=text)
-        calls = [
-            lambda: list(read_clip(text, options.fps)),
-            lambda: list(read_clip(text, 0.0)),
-            lambda: list(read_clip(text, float("nan"))),
-        ]
-        return not_refused(calls, ReplayError)
+        return not_refused([lambda: watched(text), lambda: watched(Path(scratch) / "none.avi")], JudgeError)

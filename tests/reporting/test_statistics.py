@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from reporting.statistics import Estimate, bootstrap, mean, normal, number, percentiles, poisson_upper, wilson
+from reporting.statistics import Estimate, bootstrap, mean, number, percentiles, wilson
 
 COUNTS = st.integers(1, 10_000).flatmap(lambda count: st.tuples(st.integers(0, count), st.just(count)))
 
@@ -59,12 +59,6 @@ def test_a_mean_has_the_interval_of_its_standard_error(values):
 
 def test_one_value_has_no_spread():
     assert mean([3.0]) == (3.0, 3.0, 3.0)
-    assert normal(2.0, 1.0).low == pytest.approx(2 - stats.norm.ppf(0.975))
-
-
-@given(st.integers(0, 60))
-def test_the_bound_of_rare_events_is_garwoods(count):
-    assert poisson_upper(count) == pytest.approx(stats.chi2.ppf(0.95, 2 * count + 2) / 2, abs=1e-6)
 
 
 def test_a_bootstrap_interval_is_of_percentiles():

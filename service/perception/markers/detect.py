@@ -6,15 +6,13 @@ response is the maximum-likelihood position under white noise; a paraboloid over
 """
 
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from service.perception.markers.field import FloatArray
-
-Kernel = Literal["gauss", "box"]
 
 
 def _paraboloid(side: int) -> tuple[NDArray[np.intp], FloatArray]:
@@ -25,7 +23,7 @@ def _paraboloid(side: int) -> tuple[NDArray[np.intp], FloatArray]:
     return offsets, np.linalg.pinv(terms).astype(np.float32)
 
 
-_WINDOWS = {side: _paraboloid(side) for side in (3, 5)}
+_OFFSETS, _OPERATOR = _paraboloid(3)
 SIGMA_PER_DIAMETER = 0.32  # flat optimum between 0.26 and 0.4 for a disk seen through a lens of 0.35 px
 
 
@@ -48,17 +46,11 @@ class Candidates:
 
 @dataclass(frozen=True, slots=True)
 class MarkerDetector:
-    """Finds markers of ``diameter_px`` on a grid of about ``pitch_px``.
-
-    ``shrink`` reduces the image first; ``kernel`` "box" replaces the Gaussian by a mean (cheaper, coarser);
-    ``window`` is the side of the paraboloid in pixels.
-    """
+    """Finds markers of ``diameter_px`` on a grid of about ``pitch_px``; ``shrink`` reduces the image first."""
 
     diameter_px: float
     pitch_px: float
     shrink: int = 1
-    kernel: Kernel = "gauss"
-    window: Literal[3, 5] = 3
 
     def response(self, image: NDArray[np.uint8]) -> FloatArray:
         """Matched-filter response float32 [height / shrink, width / shrink], grey levels, positive on dark markers."""
@@ -70,13 +62,9 @@ class MarkerDetector:
             )
         sigma = SIGMA_PER_DIAMETER * self.diameter_px / self.shrink
         cell = 2 * round(self.pitch_px / self.shrink / 2) + 1
-        if self.kernel == "box":
-            side = 2 * round(sigma) + 1
-            peak = cv2.boxFilter(grey, cv2.CV_32F, (side, side))
-        else:
-            taps = 2 * int(np.ceil(2.5 * sigma)) + 1
-            weights = cv2.getGaussianKernel(taps, sigma, cv2.CV_32F)
-            peak = cv2.sepFilter2D(grey, cv2.CV_32F, weights, weights)
+        taps = 2 * int(np.ceil(2.5 * sigma)) + 1
+        weights = cv2.getGaussianKernel(taps, sigma, cv2.CV_32F)
+        peak = cv2.sepFilter2D(grey, cv2.CV_32F, weights, weights)
         around = cv2.boxFilter(grey, cv2.CV_32F, (cell, cell))
         return np.asarray(cv2.subtract(around, peak), np.float32)
 
@@ -86,9 +74,8 @@ class MarkerDetector:
         reach = max(1, round(0.3 * self.pitch_px / self.shrink))
         tallest = cv2.dilate(response, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
         peaks = (response >= tallest) & (response > threshold)
-        rim = self.window // 2
-        peaks[:rim] = peaks[-rim:] = False
-        peaks[:, :rim] = peaks[:, -rim:] = False
+        peaks[:1] = peaks[-1:] = False
+        peaks[:, :1] = peaks[:, -1:] = False
         flat = np.flatnonzero(peaks)
         strength = response.ravel()[flat]
         flat = flat[np.argsort(-strength, kind="stable")]
@@ -96,9 +83,8 @@ class MarkerDetector:
 
     def _refine(self, response: FloatArray, flat: NDArray[np.intp]) -> Candidates:
         width = response.shape[1]
-        offsets, operator = _WINDOWS[self.window]
-        values = response.ravel()[flat[:, None] + offsets[:, 1] * width + offsets[:, 0]]
-        _, gx, gy, xx, xy, yy = (values @ operator.T).T
+        values = response.ravel()[flat[:, None] + _OFFSETS[:, 1] * width + _OFFSETS[:, 0]]
+        _, gx, gy, xx, xy, yy = (values @ _OPERATOR.T).T
         determinant = 4 * xx * yy - xy * xy
         sound = determinant > 1e-9
         safe = np.where(sound, determinant, 1)
@@ -107,6 +93,6 @@ class MarkerDetector:
         centre = np.stack([flat % width, flat // width], 1) + shift
         # With INTER_AREA the centre of small pixel i is that of the block of `shrink` pixels it averages.
         full = (centre + 0.5) * self.shrink - 0.5
-        strength = values[:, self.window**2 // 2]
+        strength = values[:, len(_OFFSETS) // 2]
         flattest = -(xx + yy) - np.hypot(xx - yy, xy)
         return Candidates(full.astype(np.float32), strength, flattest / np.maximum(strength, 1e-6))

@@ -1,7 +1,7 @@
 """The marker field: what one finger's markers did, indexed by their grid, from an image or from the simulator."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -107,6 +107,15 @@ def field_from_gel(
     contact: BoolArray = valid & (state[..., 2] > contact_pressure_n_per_mm2)
     rest_px, pitch_px = sensor.marker_rest_px(), sensor.marker_pitch_px
     return MarkerField(rest_px, displacement.astype(np.float32), valid, contact, pitch_px, captured_ns)
+
+
+def median(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Median of finite values [n, ...] along the first axis: what numpy's says, at a quarter of its cost."""
+    half = len(values) // 2
+    if len(values) % 2:
+        return np.asarray(np.partition(values, half, axis=0)[half])
+    middle = np.partition(values, (half - 1, half), axis=0)
+    return np.asarray((middle[half - 1] + middle[half]) / 2)
 
 
 def neighbour_mean(values: FloatArray, valid: BoolArray) -> FloatArray:

@@ -1,22 +1,22 @@
 """Which spot is which marker: candidates linked to a grid by their topology, without knowing its size or pitch."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import Sensor
 from service.perception.markers.detect import Candidates, MarkerDetector
 from service.perception.markers.field import BoolArray, FloatArray
 
 _STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
 _LINK = 0.33  # a neighbour lies within this share of a pitch of where the last step points
 _AROUND = 12  # spots around one among which its neighbours in the grid are sought
+_LEAST_PX = 32
 DIAMETERS_PX = (4.0, 5.0, 6.5, 8.5, 11.0, 14.5, 19.0, 25.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Lattice:
     """A grid of markers: ``xy_px`` float32 [rows, cols, 2], finite everywhere, measured where ``detected``.
 
@@ -29,7 +29,7 @@ class Lattice:
     diameter_px: float
     strength: float
 
-    @property
+    @cached_property
     def pitch_px(self) -> float:
         """Mean distance of neighbours in pixels."""
         return float(np.linalg.norm(self.basis_px, axis=1).mean())
@@ -45,7 +45,7 @@ def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.
     index = np.zeros((count, 2), np.intp)
     reached = np.zeros(count, np.bool_)
     local = np.repeat(basis[None].astype(np.float32), count, 0)
-    taken = {(0, 0)}
+    taken: set[tuple[int, ...]] = {(0, 0)}
     reached[seed] = True
     wave = np.array([seed])
     while wave.size:
@@ -57,22 +57,25 @@ def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.
         distance = np.take_along_axis(squared, which[..., None], 2).reshape(-1)
         reach = _LINK**2 * (step[..., 0] ** 2 + step[..., 1] ** 2).reshape(-1)
         hits = np.flatnonzero((distance < reach) & ~reached[nearest])
-        fresh = []
-        for hit in hits[np.argsort(distance[hits])].tolist():
-            child, parent, way = int(nearest[hit]), int(wave[hit // 4]), hit % 4
-            cell = index[parent] + _STEPS[way]
-            key = (int(cell[0]), int(cell[1]))
-            if reached[child] or key in taken:
-                continue
-            reached[child] = True
-            taken.add(key)
-            index[child] = cell
-            local[child] = local[parent]
-            sign = _STEPS[way].sum()
-            local[child, way // 2] = 0.5 * local[parent, way // 2] + 0.5 * sign * (points[child] - points[parent])
-            fresh.append(child)
-        wave = np.array(fresh, np.intp)
+        hits = hits[np.argsort(distance[hits])]
+        hits = hits[_unclaimed(nearest[hits], index[wave[hits // 4]] + _STEPS[hits % 4], taken)]
+        child, parent, way = nearest[hits], wave[hits // 4], hits % 4
+        reached[child], index[child], local[child] = True, index[parent] + _STEPS[way], local[parent]
+        gone = 0.5 * _STEPS[way].sum(1)[:, None] * (points[child] - points[parent])
+        local[child, way // 2] = 0.5 * local[parent, way // 2] + gone
+        wave = child
     return index, reached
+
+
+def _unclaimed(points: NDArray[np.intp], cells: NDArray[np.intp], taken: set[tuple[int, ...]]) -> list[int]:
+    """Which claims of a point [n] to a cell [n, 2] come first; their cells are ``taken`` from then on."""
+    chosen, placed = [], set()
+    for k, (point, cell) in enumerate(zip(points.tolist(), map(tuple, cells.tolist()), strict=True)):
+        if point not in placed and cell not in taken:
+            placed.add(point)
+            taken.add(cell)
+            chosen.append(k)
+    return chosen
 
 
 def _neighbours(points: FloatArray) -> NDArray[np.intp]:
@@ -89,14 +92,13 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
     """
     if len(points) < 9:
         return None
-    apart = points[None] - points[:, None]
-    length = np.hypot(apart[..., 0], apart[..., 1])
+    apart_u, apart_v = (points[None, :, axis] - points[:, None, axis] for axis in (0, 1))
+    length = np.sqrt(apart_u * apart_u + apart_v * apart_v)
     np.fill_diagonal(length, np.inf)
-    nearest = length.argmin(1)
-    steps = apart[np.arange(len(points)), nearest]
+    steps = points[length.argmin(1)] - points
     pitch = float(np.median(np.linalg.norm(steps, axis=1)))
     near = np.abs(length - pitch) < 0.45 * pitch
-    around = apart[near]
+    around = np.stack([apart_u[near], apart_v[near]], 1)
     angle = np.arctan2(around[:, 1], around[:, 0])
     quarter = float(np.angle(np.exp(4j * np.arctan2(steps[:, 1], steps[:, 0])).sum())) / 4
     start = 0.0 if like is None else float(np.arctan2(like[0, 1], like[0, 0]))
@@ -114,10 +116,11 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
 def find_lattice(image: NDArray[np.uint8], diameters_px: tuple[float, ...] = DIAMETERS_PX) -> Lattice | None:
     """The marker grid of a frame at the scale that explains it best, or None if there is none of at least 5 x 5.
 
-    The grid's columns must run within 40 deg of the image's. About 40 ms; run once a recording.
+    The grid's columns must run within 40 deg of the image's, which must be 32 px a side. About 40 ms; run once a
+    recording.
     """
     best: Lattice | None = None
-    for diameter in diameters_px:
+    for diameter in diameters_px if min(image.shape[:2]) >= _LEAST_PX else ():
         shrink = max(1, int(diameter / 6))
         detected = _at_scale(image, diameter, shrink)
         if detected is not None and (best is None or _merit(detected) > _merit(best)):
@@ -210,19 +213,3 @@ def fill_gaps(xy: FloatArray, detected: BoolArray) -> tuple[FloatArray, FloatArr
     filled = np.where(detected[..., None], xy, smooth)
     basis = np.stack([np.diff(smooth, axis=1).mean((0, 1)), np.diff(smooth, axis=0).mean((0, 1))])
     return filled, basis.astype(np.float32)
-
-
-def resting_px(lattice: Lattice, sensor: Sensor) -> NDArray[np.float64]:
-    """Where the nodes [rows, cols, 2] rest in the sensor's rectified frame; those not detected lie all around."""
-    rows, cols = lattice.detected.shape
-    middle = np.array([sensor.marker_columns - 1, sensor.marker_rows - 1]) / 2 * sensor.marker_pitch_px
-    grid = np.stack(np.meshgrid(np.arange(cols) - (cols - 1) / 2, np.arange(rows) - (rows - 1) / 2), -1)
-    return np.asarray(grid * sensor.marker_pitch_px + (sensor.first_marker_px + middle))
-
-
-def rectifying_homography(lattice: Lattice, rest_px: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Homography [3, 3] that maps the nodes' image to ``rest_px``; None if the nodes do not determine one."""
-    matrix, _ = cv2.findHomography(
-        lattice.xy_px[lattice.detected], rest_px[lattice.detected].astype(np.float32), cv2.RANSAC, 2.0
-    )
-    return None if matrix is None or not np.isfinite(matrix).all() else np.asarray(matrix, np.float64)

@@ -15,8 +15,10 @@ from service.perception.markers.lattice import fill_gaps, flood, lattice_basis
 _SEARCH = 0.46  # pitch; the spot that belongs to a node lies within this of its prediction
 _TEAR = 0.5  # pitch; a node that moved this much otherwise than its neighbours is a wrong match
 _FINGERPRINT = 0.03  # pitch; scatter of a right match about its neighbours
+_FLAT = 1e-9  # of the spread squared; nodes spread less the other way lie on one line
 _CAP = 25.0  # cost of a node without a spot, or of one five sigma off
 _STEPS = [np.array([col, row]) for row in range(-3, 4) for col in range(-3, 4)]
+_AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
 _NEAR = [step for step in _STEPS if np.abs(step).max() <= 2]
 _FAR = [step for step in _STEPS if np.abs(step).max() == 3]
 
@@ -48,7 +50,8 @@ class View:
     def room_px(self, xy: FloatArray) -> FloatArray:
         """How far ``xy`` [..., 2] lies inside the image's border, negative outside."""
         far = np.array([self.width_px - 1, self.height_px - 1], np.float32)
-        return np.asarray(np.minimum(xy, far - xy).min(-1), np.float32)
+        room = np.minimum(xy, far - xy)
+        return np.asarray(np.minimum(room[..., 0], room[..., 1]))
 
 
 def nearest_spot(predicted: FloatArray, points: FloatArray, reach: float) -> NDArray[np.intp]:
@@ -63,19 +66,19 @@ def nearest_spot(predicted: FloatArray, points: FloatArray, reach: float) -> NDA
     table = np.full((shape[1], shape[0]), -1, np.intp)
     order = np.arange(len(points))[::-1]  # strongest last, so that it stays where two share a cell
     table[cell[order, 1], cell[order, 0]] = order
-    around = np.stack([table[node[:, 1] + j, node[:, 0] + i] for j in (-1, 0, 1) for i in (-1, 0, 1)], 1)
-    offset = points[around] - predicted.reshape(-1, 1, 2)
-    squared = np.where(around >= 0, np.square(offset).sum(-1), np.inf)
-    best = squared.argmin(1)
-    rank = np.arange(len(best))
-    nearest, cost = around[rank, best], squared[rank, best]
-    nearest = np.where(cost < reach * reach, nearest, -1)
-    # A spot claimed twice belongs to the nearer node.
-    claim = np.full(len(points), np.inf)
-    hit = nearest >= 0
-    np.minimum.at(claim, nearest[hit], cost[hit])
-    nearest[hit] = np.where(cost[hit] <= claim[nearest[hit]], nearest[hit], -1)
-    return nearest.reshape(rows, cols)
+    around = table.ravel()[(node[:, 1] * shape[0] + node[:, 0]) + (_AROUND[:, :1] * shape[0] + _AROUND[:, 1:])]
+    off_u, off_v = points[:, 0][around] - predicted[..., 0].ravel(), points[:, 1][around] - predicted[..., 1].ravel()
+    squared = np.where(around >= 0, off_u * off_u + off_v * off_v, np.float32(np.inf))
+    best, rank = squared.argmin(0), np.arange(rows * cols)
+    nearest, cost = around[best, rank], squared[best, rank]
+    nearest[cost >= reach * reach] = -1
+    hit = np.flatnonzero(nearest >= 0)
+    claimed = nearest[hit]
+    if hit.size and np.bincount(claimed).max() > 1:  # a spot claimed twice belongs to the nearer node
+        claim = np.full(len(points), np.inf)
+        np.minimum.at(claim, claimed, cost[hit])
+        nearest[hit] = np.where(cost[hit] <= claim[claimed], claimed, -1)
+    return np.asarray(nearest.reshape(rows, cols))
 
 
 def match(
@@ -98,29 +101,45 @@ def score_match(
         return Match(previous, valid, _CAP, 0, spot)
     xy = np.where(valid[..., None], points[spot], previous)
     displacement = xy - _affine(rest, xy, valid)  # of a twisted grid, neighbours move very differently
-    typical, around = neighbour_median(displacement, valid)
-    torn = valid & (around >= 3) & (np.square(displacement - typical).sum(-1) > (_TEAR * pitch) ** 2)
+    torn = _torn(displacement, valid, _TEAR * pitch)
     valid = valid & ~torn
     step = xy - previous
     smooth = neighbour_mean(step, valid)
     guess = previous + smooth
     xy = np.where(valid[..., None], xy, guess).astype(np.float32)
-    scatter = np.square(step - smooth).sum(-1) / (_FINGERPRINT * pitch) ** 2
-    in_view = view.contains(xy)
-    cost = np.where(valid, np.minimum(scatter, _CAP), _CAP)[in_view | valid].sum()
-    stray = len(points) - int(valid.sum())
-    total = max(1, int((in_view | valid).sum()))
+    scatter = _squared(step - smooth) / (_FINGERPRINT * pitch) ** 2
+    counts = view.contains(xy) | valid
+    cost = np.where(valid, np.minimum(scatter, _CAP), _CAP)[counts].sum()
+    stray = len(points) - int(np.count_nonzero(valid))
+    total = max(1, int(np.count_nonzero(counts)))
     return Match(xy, valid, float((cost + 0.5 * _CAP * stray) / total), int(torn.sum()), np.where(valid, spot, -1))
+
+
+def _torn(displacement: FloatArray, valid: BoolArray, limit: float) -> BoolArray:
+    """Which valid nodes [rows, cols] moved further than ``limit`` from the median of their neighbours."""
+    moved = displacement[valid]
+    if not len(moved) or np.hypot(*np.ptp(moved, axis=0)) <= limit:
+        return np.zeros_like(valid)  # a median lies between the extremes
+    typical, around = neighbour_median(displacement, valid)
+    return np.asarray(valid & (around >= 3) & (_squared(displacement - typical) > limit**2), np.bool_)
+
+
+def _squared(off: FloatArray) -> FloatArray:
+    """Squared length of vectors [..., 2]."""
+    return np.asarray(off[..., 0] * off[..., 0] + off[..., 1] * off[..., 1])
 
 
 def _affine(rest: FloatArray, xy: FloatArray, valid: BoolArray) -> FloatArray:
     """``rest`` carried along by the affine map that fits the valid nodes best; ``rest`` itself if there are few."""
-    if valid.sum() < 12:
+    seen = rest[valid]
+    if len(seen) < 12:
         return rest
-    middle = rest[valid].mean(0)
-    x = np.concatenate([rest[valid] - middle, np.ones((int(valid.sum()), 1), np.float32)], 1).astype(np.float64)
+    middle = seen.mean(0)
+    x = np.ones((len(seen), 3))
+    x[:, :2] = seen - middle
     normal = x.T @ x
-    if np.linalg.cond(normal) > 1e10:
+    uu, vv, uv = normal[0, 0], normal[1, 1], normal[0, 1]
+    if uu * vv - uv * uv <= _FLAT * (uu + vv) ** 2:  # all on one line
         return rest
     linear = np.linalg.solve(normal, x.T @ xy[valid])
     return np.asarray((rest - middle) @ linear[:2] + linear[2], np.float32)

@@ -1,14 +1,13 @@
 """The marker tracker: rectified frames in, a grid-indexed marker field out."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.markers.detect import Candidates, Kernel, MarkerDetector
-from service.perception.markers.field import BoolArray, FloatArray, MarkerField, TrackStatus, empty_field
+from service.perception.markers.detect import Candidates, MarkerDetector
+from service.perception.markers.field import BoolArray, FloatArray, MarkerField, TrackStatus, empty_field, median
 from service.perception.markers.lattice import Lattice, find_lattice
 from service.perception.markers.matching import Match, View, match, reindex
 
@@ -30,17 +29,12 @@ _SETTLED = 0.6  # and above that level from which on a placement is looked for f
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
-    """What the tracker may spend.
+    """What the tracker asks of a frame.
 
-    ``shrink`` halves (or more) the image before detection; None chooses by marker size. ``kernel`` and ``window`` are
-    those of :class:`MarkerDetector`. ``recover`` allows the topology match on suspicion. ``threshold`` is the weakest
-    spot, as a share of the typical marker's strength.
+    ``threshold`` is the weakest spot, as a share of the typical marker's strength; below ``lost_share`` of the markers
+    in sight the grid is lost, below ``partial_share`` the field says so.
     """
 
-    shrink: int | None = None
-    recover: bool = True
-    kernel: Kernel = "gauss"
-    window: Literal[3, 5] = 3
     threshold: float = 0.3
     lost_share: float = 0.2
     partial_share: float = 0.6
@@ -82,7 +76,7 @@ class MarkerTracker:
         self._check(image)
         if self._last_ns is not None and captured_ns <= self._last_ns:
             return self._repeat(captured_ns, f"stamp {captured_ns} is not after {self._last_ns}")
-        if self._last_image is not None and float(cv2.absdiff(image[::7], self._last_image[::7]).mean()) < _SAME_GREY:
+        if self._last_image is not None and _repeats(image[::7], self._last_image[::7]):
             return self._repeat(captured_ns, "the frame repeats the one before")
         self._last_image = image
         if self._lattice is None and not self._start(image):
@@ -99,11 +93,8 @@ class MarkerTracker:
         lattice = find_lattice(image)
         if lattice is None:
             return False
-        shrink = self.settings.shrink or max(1, int(lattice.diameter_px / 6))
         self._lattice = lattice
-        self._detector = MarkerDetector(
-            lattice.diameter_px, lattice.pitch_px, shrink, self.settings.kernel, self.settings.window
-        )
+        self._detector = MarkerDetector(lattice.diameter_px, lattice.pitch_px, max(1, int(lattice.diameter_px / 6)))
         self._shape = image.shape
         self._xy = lattice.xy_px
         self._velocity = np.zeros_like(self._xy)
@@ -124,8 +115,9 @@ class MarkerTracker:
         share = best.valid.sum() / max(1, min(int(visible.sum()), best.valid.size))
         if share < self.settings.lost_share or not visible.any():
             return self._lost(captured_ns, f"{best.valid.sum()} of {best.valid.size} markers matched")
-        rival = self._rival(best, spots.xy_px, view)
-        if rival is not None or self._leaps(best):
+        jump_px = _typical(best.xy_px - self._xy, best.valid)
+        rival = self._rival(best, jump_px, spots.xy_px, view)
+        if rival is not None or self._leaps(best, jump_px):
             self._xy = best.xy_px if rival is None else rival.xy_px
             self._last_ns = captured_ns
             return self._stale(captured_ns, "ambiguous", "the grid jumped by what may be a whole pitch")
@@ -138,11 +130,11 @@ class MarkerTracker:
         self._last_field = field
         return field
 
-    def _rival(self, best: Match, points: FloatArray, view: View) -> Match | None:
+    def _rival(self, best: Match, jump_px: float, points: FloatArray, view: View) -> Match | None:
         """After a jump, a placement whole steps nearer to where the markers rest that explains the frame as well."""
         assert self._lattice is not None
         rest, pitch = self._lattice.xy_px, self._lattice.pitch_px
-        if not best.valid.any() or _typical(best.xy_px - self._xy, best.valid) < _JUMP * pitch:
+        if jump_px < _JUMP * pitch:
             return None
         home = _typical(best.xy_px - rest, best.valid)
         rivals = []
@@ -153,11 +145,10 @@ class MarkerTracker:
                 rivals.append(place)
         return min(rivals, key=lambda place: place.misfit, default=None)
 
-    def _leaps(self, best: Match) -> bool:
+    def _leaps(self, best: Match, jump_px: float) -> bool:
         """Whether the whole grid was carried far by a match that is not certain."""
         assert self._lattice is not None
-        far = best.valid.any() and _typical(best.xy_px - self._xy, best.valid) > _LEAP * self._lattice.pitch_px
-        return bool(far and best.misfit > self._level + _DOUBTFUL)
+        return jump_px > _LEAP * self._lattice.pitch_px and best.misfit > self._level + _DOUBTFUL
 
     def _measured(self, best: Match, spots: Candidates, view: View) -> BoolArray:
         """Which markers [rows, cols] have a reliable position: followed, not carried to the image's border, and round.
@@ -170,7 +161,7 @@ class MarkerTracker:
         room = view.room_px(best.xy_px)
         cut = (room < _WHOLE * diameter) & (room < view.room_px(rest) - _NEARER * diameter)
         tight = spots.tightness[best.spot]
-        typical = float(np.median(tight[best.valid]))
+        typical = float(median(tight[best.valid]))
         return np.asarray(best.valid & ~cut & (tight > _ROUND * typical), np.bool_)
 
     def _bright_enough(self, spots: Candidates) -> Candidates:
@@ -187,7 +178,7 @@ class MarkerTracker:
         rest, pitch = self._lattice.xy_px, self._lattice.pitch_px
         best = match(self._xy, rest, points, pitch, view, self._xy)
         calm = self._level + _CALM
-        if best.misfit < calm or not self.settings.recover:
+        if best.misfit < calm:
             return best
         if self._last_ns is not None:
             elapsed_s = min((captured_ns - self._last_ns) * 1e-9, 0.1)
@@ -203,7 +194,7 @@ class MarkerTracker:
             self._velocity = (best.xy_px - self._xy) / np.float32(elapsed_s)
         self._xy = best.xy_px
         self._level += 0.1 * (min(best.misfit, self._level + 1.0) - self._level)
-        strength = float(np.median(spots.strength))
+        strength = float(median(spots.strength))
         self._strength += 0.3 * (strength - self._strength)
         self._last_ns = captured_ns
 
@@ -233,4 +224,8 @@ def _whole(match: Match, spots_n: int) -> bool:
 
 def _typical(step: FloatArray, valid: BoolArray) -> float:
     """Length in px of the median step [rows, cols, 2] of the valid nodes."""
-    return float(np.linalg.norm(np.median(step[valid], axis=0)))
+    return float(np.linalg.norm(median(step[valid]))) if valid.any() else 0.0
+
+
+def _repeats(image: NDArray[np.uint8], before: NDArray[np.uint8]) -> bool:
+    return cv2.norm(image, before, cv2.NORM_L1) < _SAME_GREY * image.size

@@ -14,7 +14,7 @@ from collections import deque
 import numpy as np
 
 from service.perception.markers.field import BoolArray, MarkerField
-from service.perception.slip.rigid import MIN_NODES, Float64, Motion, carried_px, moving_patch, refine
+from service.perception.slip.rigid import MIN_NODES, Float64, Motion, carried_px, length, moving_patch, refine
 from service.perception.slip.state import FingerState, SlipSettings, SlipState
 
 __all__ = ["FingerState", "SlipDetector", "SlipSettings", "SlipState", "untouched"]
@@ -140,8 +140,7 @@ class SlipDetector:
         limits, pitch = self.settings, field.pitch_px
         carried = motion.apply(before)
         residual = np.where(may[..., None], after - carried, 0.0)
-        lag = np.linalg.norm(residual, axis=-1)
-        moved = np.linalg.norm(carried - before, axis=-1)
+        lag, moved = length(residual), length(carried - before)
         limit = max(limits.slip_pitch * pitch, limits.stand_out * self._unsteady(field, lag, moved, may))
         excess = self._excess(lag, moved, may, pitch)
         slipping = excess > limit
@@ -240,4 +239,4 @@ def untouched(field: MarkerField) -> bool:
 
 def _followers(motion: Motion, before: Float64, after: Float64, tolerance: float) -> float:
     """Share of the points that follow the motion within twice the tolerance."""
-    return float((np.square(motion.apply(before) - after).sum(1) < (2 * tolerance) ** 2).mean())
+    return float((length(motion.apply(before) - after) < 2 * tolerance).mean())

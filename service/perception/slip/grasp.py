@@ -25,8 +25,8 @@ class GraspSettings:
     settle_s: float = 0.4
 
 
-# The least limit that raises no alarm on real held objects, and a margin. `python -m simulation slip-report --real`
-# fits it and reports what it does on those it was not fitted on.
+# The least limit that raised no alarm while 11 real objects were held and shaken (3,048 finger frames), and a quarter
+# more; half of the recordings chose the same limit as the other half.
 WATCH_SLIP_PITCH = 0.0625
 
 

@@ -6,6 +6,7 @@ object that moves against the gel, or is pressed otherwise. Markers themselves a
 
 from collections import deque
 from dataclasses import dataclass
+from functools import reduce
 
 import cv2
 import numpy as np
@@ -121,7 +122,8 @@ class _Grid:
             for sigma, weight in ((_FINE, self._fine), (_SLOW, self._slow))
         )
         imprint = 100 * (fine / np.maximum(slow, _DARK) - 1) * self.seen[..., None]
-        power = cv2.boxFilter(np.square(imprint).mean(-1), cv2.CV_32F, self._box) / self._boxed
+        squared = reduce(np.add, np.square(imprint).transpose(2, 0, 1)) / imprint.shape[-1]
+        power = cv2.boxFilter(squared, cv2.CV_32F, self._box) / self._boxed
         return _Look(imprint.astype(np.float32), np.sqrt(power).astype(np.float32))
 
     def changed(self, before: _Look, now: _Look) -> float:

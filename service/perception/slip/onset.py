@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.perception.markers.field import MarkerField
+from service.perception.markers.field import MarkerField, median
 from service.perception.slip.rigid import carried_px
 
 
@@ -72,5 +72,6 @@ class OnsetDetector:
         if len(self._rest) < self.settings.learn_n:
             return 1.5 * floor
         rest = np.array(self._rest)
-        spread = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
-        return max(floor, float(np.median(rest)) + self.settings.sigmas * max(spread, 0.1 * floor))
+        middle = float(median(rest))
+        spread = 1.4826 * float(median(np.abs(rest - middle)))
+        return max(floor, middle + self.settings.sigmas * max(spread, 0.1 * floor))

@@ -32,9 +32,9 @@ class SlideWitness:
         return None if terms is None else slide_score(terms)
 
     def terms(self, fingers: Sequence[ImprintChange | None]) -> NDArray[np.float64] | None:
-        """What the logistic reads, float64 [TERMS]."""
+        """What the logistic reads, float64 [TERMS]; None of one finger, whose grip looks half as strong as it is."""
         seen = [finger for finger in fingers if finger is not None]
-        if len(seen) < len(fingers) or not seen:
+        if len(seen) < max(2, len(fingers)):
             return None
         most = max(seen, key=lambda finger: finger.changed)
         twice, self._changed = min(self._changed, most.changed), most.changed

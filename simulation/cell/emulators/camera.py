@@ -9,8 +9,6 @@ import asyncio
 import contextlib
 import random
 import socket
-import time
-from collections import deque
 from dataclasses import dataclass
 
 import cv2
@@ -66,7 +64,6 @@ class CameraEmulator:
         self.finger = finger
         self._dropped_share = dropped_share
         self.published = 0
-        self.sent_ns: deque[tuple[int, int]] = deque(maxlen=1000)  # capture stamp, when the frame went to the streams
         self._board = board
         self._newest: Shot | None = None
         self._fresh = asyncio.Condition()
@@ -120,7 +117,6 @@ class CameraEmulator:
         async with self._fresh:
             self._newest = shot
             self.published += 1
-            self.sent_ns.append((shot.captured_ns, time.monotonic_ns()))
             self._fresh.notify_all()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from simulation.closed_loop.benchmark import drawn_starts
 from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.job import job_in
 from simulation.scene.drawn import fastest_mm_s
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World
@@ -103,19 +104,17 @@ def tasks(
     return [
         Task(
             models / point.folder,
-            {
-                "scene": name,
-                "index": index,
-                "x_mm": starts[name][index][0],
-                "theta_deg": starts[name][index][1],
-                "seed": seed * 100_000 + index,
-                "controller": point.controller,
-                "perception": "fields",
-                "condition": point.name,
-                "changes": {**world.changes, "camera.fps": point.fps},
-                "unstated": world.unstated.model_dump(mode="json", exclude_defaults=True),
-                "client": with_care(point, world),
-            },
+            job_in(
+                world,
+                name,
+                index,
+                starts[name][index],
+                seed * 100_000 + index,
+                controller=point.controller,
+                condition=point.name,
+                changes={**world.changes, "camera.fps": point.fps},
+                client=with_care(point, world),
+            ),
         )
         for index in range(count)
         for place, (name, scene) in enumerate(objects.items())

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +31,6 @@ from simulation.studies.slip.trials import NO_SLIP_SHARE, SlipTrial, draw_trials
 LATE_N = 3
 STANDING = "images, arm also standing still"
 Image = NDArray[np.uint8]
-
-
-class Tracker(Protocol):
-    """What the report compares."""
-
-    def update(self, image: Image, captured_ns: int) -> MarkerField:
-        """One rectified frame in, the marker field out."""
 
 
 @dataclass(slots=True)
@@ -93,14 +86,12 @@ def pictures(trial: SlipTrial) -> list[list[Image]]:
     return drawn
 
 
-def track(
-    trial: SlipTrial, images: list[list[Image]], make: Callable[[], Tracker], tally: Tally
-) -> list[list[MarkerField]]:
-    """Marker fields of both fingers by one tracker; the CPU time of each frame after the first goes to the tally."""
+def track(trial: SlipTrial, images: list[list[Image]], tally: Tally) -> list[list[MarkerField]]:
+    """Marker fields of both fingers; the CPU time of each frame after the first goes to the tally."""
     fields = []
     stamp_ns = round(1e9 / trial.scene.fps)
     for frames in images:
-        tracker, tracked = make(), []
+        tracker, tracked = MarkerTracker(), []
         for k, image in enumerate(frames):
             begun = time.process_time()
             tracked.append(tracker.update(image, k * stamp_ns))
@@ -150,7 +141,7 @@ def evaluate(count: int, seed: int, fps: int, show: Callable[[int], None]) -> di
     objects: dict[str, Tally] = {}
     for done, trial in enumerate(draw_trials(count, seed, fps), 1):
         images = pictures(trial)
-        fields = track(trial, images, MarkerTracker, tallies["images"])
+        fields = track(trial, images, tallies["images"])
         alarm, onset = alarm_of(fields), onset_of(fields)
         for tally in (tallies["images"], objects.setdefault(trial.name, Tally())):
             tally.add(trial, alarm)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from simulation.closed_loop.benchmark import first_answers
 from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, ends
 from simulation.scene import drawn
 from simulation.scene.worlds import load_scene
@@ -82,19 +83,10 @@ def tasks(sealed: str, models: Path, begun: Sequence[Opened], cells: Sequence[st
 
 def _job(seed: int, index: int, start: Start, cell: str) -> dict[str, Any]:
     own = cell != WITNESS
-    return {
-        "scene": start.scene,
-        "index": index,
-        "x_mm": start.x_mm,
-        "theta_deg": start.theta_deg,
-        "seed": seed,
-        "controller": "belief",
-        "perception": "fields",
-        "condition": f"{start.world.name}: {cell}",
-        "changes": dict(start.world.changes) | ({"gel.tier": cell} if own else {}),
-        "unstated": start.world.unstated.model_dump(mode="json", exclude_defaults=True),
-        "cell": "" if own else "foreign",
-    }
+    changes = {**start.world.changes, **({"gel.tier": cell} if own else {})}
+    at, title = (start.x_mm, start.theta_deg), f"{start.world.name}: {cell}"
+    told = {"condition": title, "changes": changes, "cell": "" if own else "foreign"}
+    return job_in(start.world, start.scene, index, at, seed, **told)
 
 
 def report_of(rows: Sequence[Row], begun: Sequence[Opened], cells: Sequence[str], setup: Row) -> Row:

@@ -9,6 +9,7 @@ from typing import Any
 from reporting.page import page
 from reporting.statistics import number, wilson
 from reporting.table import table
+from simulation.studies.drawn_worlds import COLUMNS
 from simulation.studies.witness.sealed import WITNESS
 
 Row = dict[str, Any]
@@ -69,15 +70,8 @@ _FIGURES: tuple[Any, ...] = (
     ("family", "family"),
     ("claimed, not true", lambda row: f"{row['claimed_wrongly']} of {row['insertions']}"),
     ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
-    ("mean trials", "mean_trials", ".2f"),
-    ("refused", "refused", "d"),
+    *COLUMNS,
     ("void", "void", "d"),
-    ("direction", lambda row: wilson(row["direction_right"], row["direction_n"]), ".0%"),
-    ("MAE x mm", "mae_x_mm", ".2f"),
-    ("MAE yaw deg", "mae_theta_deg", ".2f"),
-    ("90 % holds x", "covered_x", ".0%"),
-    ("90 % holds yaw", "covered_theta", ".0%"),
-    ("largest force N", "worst_force_n", ".0f"),
 )
 
 

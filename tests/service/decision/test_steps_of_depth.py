@@ -1,6 +1,7 @@
 """Networks that read depth, in the service: it stops the arm when they have seen enough, and refuses by name."""
 
 from collections.abc import Callable
+from functools import cache
 
 import pytest
 import torch
@@ -29,12 +30,15 @@ class AnsweredError(Exception):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
-    """An untrained network whose card states what a test says."""
+    """An untrained network whose card states what a test says; each is exported once."""
 
-    def make(**stated: object) -> ModelSet:
+    @cache
+    def make(**stated: float) -> ModelSet:
         torch.manual_seed(0)
         folder, weights = tmp_path_factory.mktemp("pressing"), build(SMALL, len(CLASSES), Sensor.load()).state_dict()
-        card = {"lattice": LATTICE, "step_mm": STEP_MM, "steps_n": DECISION_STEPS, "trained": {}, **stated}
+        slowest_mm_s = stated.pop("slowest_mm_s", None)
+        trained = {} if slowest_mm_s is None else {"speed_mm_s": Span(low=slowest_mm_s, high=40)}
+        card = {"lattice": LATTICE, "step_mm": STEP_MM, "steps_n": DECISION_STEPS, "trained": trained, **stated}
         Checkpoint(
             "tiny", SMALL, weights, Scales(), Scales(), {}, "0" * 64, "abc", pressing=Pressing.model_validate(card)
         ).save(folder / "c.pt")
@@ -92,7 +96,7 @@ def test_what_moves_the_markers_too_little_for_a_press_stops_nothing(
 
 
 def test_a_speed_that_nobody_trained_for_is_refused_by_name(made: Callable[..., ModelSet]) -> None:
-    _, said = first_attempt(made(trained={"speed_mm_s": Span(low=20, high=40)}))
+    _, said = first_attempt(made(slowest_mm_s=20))
     refused = next(message for message in said if isinstance(message, wire.NoDecision))
     assert refused.reason == "out_of_distribution"
     assert "speed_mm_s is 10" in refused.detail

@@ -48,13 +48,13 @@ def metric(url: str, name: str) -> float:
     return float(line.split(" ")[1])
 
 
-@pytest.mark.parametrize("content", ["", "[]", "null", '{"outcome": 3}', "{" * 9, "\udcff", '{"attempts": 1}'])
-def test_one_bad_recording_is_named_and_the_others_are_listed(own: LiveService, content: str) -> None:
+def test_one_bad_recording_is_named_and_the_others_are_listed(own: LiveService) -> None:
     good, bad = inserted(own, "good"), inserted(own, "bad")
-    (bad / "summary.json").write_bytes(content.encode("utf-8", "surrogateescape"))
-    names, problems = listed(own)
-    assert names == ["good"]
-    assert [problem.startswith(f"{bad.name}: summary.json: ") for problem in problems] == [True]
+    for content in (b"", b"[]", b"null", b'{"outcome": 3}', b"{" * 9, b"\xff", b'{"attempts": 1}'):
+        (bad / "summary.json").write_bytes(content)
+        names, problems = listed(own)
+        assert names == ["good"], content
+        assert [problem.startswith(f"{bad.name}: summary.json: ") for problem in problems] == [True], content
     assert httpx.get(own.url(f"/v1/recordings/{good.name}")).status_code == 200
     (bad / "attempt_01.npz").write_bytes(b"no archive")
     assert httpx.get(own.url(f"/v1/recordings/{bad.name}/attempts/1")).status_code == 404

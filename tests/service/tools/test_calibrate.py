@@ -39,10 +39,10 @@ def test_the_homography_of_a_simulated_camera_is_found(seed: int):
     assert np.abs(found - true).max() < 1.5
 
 
-@pytest.mark.parametrize("image", [np.zeros((320, 427, 3), np.uint8), np.full((320, 427, 3), 255, np.uint8)])
-def test_a_frame_without_markers_is_refused_by_finger(image: np.ndarray):
+@pytest.mark.parametrize(("size", "grey"), [((320, 427, 3), 0), ((320, 427, 3), 255), ((2, 1, 3), 90)])
+def test_a_frame_without_markers_is_refused_by_finger(size: tuple[int, ...], grey: int):
     with pytest.raises(CalibrationError, match="right: no marker grid"):
-        fit_camera(image, "right", Sensor.load())
+        fit_camera(np.full(size, grey, np.uint8), "right", Sensor.load())
 
 
 def test_a_pressed_gel_is_refused():

@@ -50,7 +50,7 @@ def _fixed(place):
     return tuple(int(value) for value in np.round(np.asarray(place) * SCALE))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 @pytest.mark.parametrize(("k1", "hidden"), [(0.0, (0, 0)), (-0.12, (0, 0)), (0.15, (7, 5))])
 def test_the_grid_is_found_where_it_truly_is(seed, k1, hidden):
     rng = np.random.default_rng(seed)

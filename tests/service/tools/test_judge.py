@@ -50,6 +50,24 @@ def test_a_folder_without_runs_is_refused_in_one_line(tmp_path, capsys):
     assert "expected runs, folders of one video a finger" in capsys.readouterr().err
 
 
+def test_pictures_without_markers_show_no_grasp_and_a_run_that_cannot_be_read_is_named(tmp_path, capsys):
+    for run in ("black", "unreadable"):
+        (tmp_path / run).mkdir()
+        for name in ("camera_0", "camera_2"):
+            clip = tmp_path / run / f"{name}.avi"
+            out = cv2.VideoWriter(str(clip), cv2.VideoWriter_fourcc(*"MJPG"), 25, (320, 240))
+            for _ in range(6):
+                out.write(np.zeros((240, 320, 3), np.uint8))
+            out.release()
+    clip.write_bytes(b"no video")
+    rows = tmp_path / "rows.json"
+    assert main(["judge", str(tmp_path), "--json", str(rows)]) == 1
+    assert "unreadable" in capsys.readouterr().err
+    (row,) = json.loads(rows.read_text())
+    assert (row["run"], row["refused_n"]) == ("black", 12)
+    assert {row[f"{phase}_frame"] for phase in ("contact", "hold", "slip", "lost")} == {None}
+
+
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_real_objects_that_leave_the_hand_are_lost(tmp_path):

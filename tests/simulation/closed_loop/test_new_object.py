@@ -15,7 +15,7 @@ size_x_mm = 60.0
 size_y_mm = 90.0
 texture = "label"
 """
-WEAK = '[gel]\ntier = "layer"\n[grasp]\nforce_n = 15.0\n[world]\ntold_gap_error_mm = 1.0\nstop_lag_s = 0.05\n'
+WEAK = "[gel]\nfriction = 0.6\n[grasp]\nforce_n = 15.0\n[world]\ntold_gap_error_mm = 1.0\nstop_lag_s = 0.05\n"
 UNKNOWN = "swapped_finger: unknown key; did you mean 'swapped_fingers'? (given: True)"
 ROW_KEYS = {
     *("world", "object", "insertions", "inserted", "claimed_wrongly", "refused", "void", "mean_trials"),
@@ -63,7 +63,7 @@ def test_every_world_is_played_with_every_object_and_continued(box, models, tmp_
     assert all(row["insertions"] == 2 for row in json.loads(out.read_text()))
     played = json.loads(before.splitlines()[0])
     assert played["unstated"] == {"told_gap_error_mm": 1.0, "stop_lag_s": 0.05}
-    assert played["changes"] == {"gel.tier": "layer", "grasp.force_n": 15.0}
+    assert played["changes"] == {"gel.friction": 0.6, "grasp.force_n": 15.0}
 
 
 def test_a_world_that_cannot_be_played_is_one_line_and_nothing_is_written(box, models, tmp_path, capsys):
