@@ -2,7 +2,7 @@
 
 `python -m simulation evaluate` runs the paper's test protocol in lock step: rendered frames go through the service's
 perception, the shipped ONNX files and its controller; what it answers goes through the client's insertion machine.
-With `client`, this is the one module of the simulator that imports them.
+With `client` and `session`, this is the one module of the simulator that imports them.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ from service.decision.work import Work
 from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, seconds_of_frames, trip_s, walk_of
 from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.lockstep import GraspEndError, LockstepCell
-from simulation.closed_loop.true_fields import Fault, TrueFieldFinger, session_of
+from simulation.closed_loop.session import session_of
+from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
 from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 

@@ -15,16 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS, Finger, TactileFrame
-from service.decision.models import ModelSet
-from service.perception.finger import TactileFinger
 from service.perception.markers.field import MarkerField, empty_field, field_from_gel
-from service.perception.observation import FingerWatch, Observation
+from service.perception.observation import Observation
 from service.perception.rectification import Rectifier
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.open_gel import OpenGel
-from service.session.state_machine import InsertionSession
-from simulation.closed_loop.job import Perception, Who
 from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
 
 # RMS per axis at 2 grey levels of camera noise, and what each grey level more adds (docs/slip_report.md).
@@ -149,19 +145,3 @@ class TrueFieldFinger:
             exposed = exposed.copy()
             exposed[..., :2] = exposed[..., :2] @ unstated.turned_and_scaled(self._index).T
         return exposed
-
-
-def session_of(
-    models: ModelSet, cell: LockstepCell, controller: Who, perception: Perception, fault: Fault | None
-) -> InsertionSession:
-    """The service's session of an insertion, with fingers that see pictures or the gel itself."""
-    left, right = (_finger(models, cell, index, perception, fault) for index in range(2))
-    return InsertionSession(models, left, right, controller_name="belief" if controller == "oracle" else controller)
-
-
-def _finger(
-    models: ModelSet, cell: LockstepCell, index: int, perception: Perception, fault: Fault | None
-) -> FingerWatch:
-    if perception == "fields":
-        return TrueFieldFinger(cell, FINGERS[index], fault)
-    return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))
