@@ -6,6 +6,9 @@ READERS_VENV ?= .venv-readers
 OLD_RUNTIME_VENV ?= .venv-old-runtime
 OPS_VENV ?= .venv-ops
 PEERS_VENV ?= .venv-peers
+GRAPH_VENV ?= .venv-graph
+KSERVE_VENV ?= .venv-kserve
+LEROBOT_VENV ?= .venv-lerobot
 DOCS_VENV ?= .venv-docs
 LOWEST_VENV ?= .venv-lowest
 MINUTES ?= 30
@@ -54,6 +57,21 @@ $(OLD_RUNTIME_VENV)/ready: pyproject.toml
 	$(OLD_RUNTIME_VENV)/bin/pip install -q 'onnxruntime==1.17.3' 'numpy<2'
 	@touch $@
 
+$(GRAPH_VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(GRAPH_VENV)
+	$(GRAPH_VENV)/bin/pip install -q openvino onnxsim
+	@touch $@
+
+$(KSERVE_VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(KSERVE_VENV)
+	$(KSERVE_VENV)/bin/pip install -q kserve
+	@touch $@
+
+$(LEROBOT_VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(LEROBOT_VENV)
+	$(LEROBOT_VENV)/bin/pip install -q lerobot
+	@touch $@
+
 $(DOCS_VENV)/ready: requirements/docs.txt
 	$(PYTHON) -m venv $(DOCS_VENV)
 	$(DOCS_VENV)/bin/pip install -q --require-hashes --no-deps -r requirements/docs.txt
@@ -61,9 +79,14 @@ $(DOCS_VENV)/ready: requirements/docs.txt
 
 # ---- the main job -------------------------------------------------------------------------------------------------
 
-run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= WORLD= X_MM= THETA_DEG= SEED=; OBJECT and WORLD may be TOML files)
+run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= WORLD= X_MM= THETA_DEG= SEED=; OBJECT and WORLD may be TOML files; CELL=foreign: in the cell of finite elements, not in real time)
+ifeq ($(CELL),foreign)
+	@$(RUN) -m simulation evaluate --cell foreign --perception fields --count 1 --objects $(or $(OBJECT),rectangle) \
+	  $(if $(WORLD),--worlds $(WORLD)) $(if $(SEED),--seed $(SEED)) --json "$$(mktemp -d)/foreign.json"
+else
 	@$(RUN) -m simulation run --out $(OUT) $(if $(OBJECT),--object $(OBJECT)) $(if $(WORLD),--world $(WORLD)) \
 	  $(if $(X_MM),--x-mm=$(X_MM)) $(if $(THETA_DEG),--theta-deg=$(THETA_DEG)) $(if $(SEED),--seed $(SEED))
+endif
 
 demo: $(RUN_VENV)/ready ## a simulated cell at work, one object after another, with its page, until Ctrl-C (OBJECT= WORLD= SEED= PORT=)
 	@$(RUN) -m simulation demo --out $(OUT) $(if $(OBJECT),--object $(OBJECT)) $(if $(WORLD),--world $(WORLD)) \
@@ -142,7 +165,7 @@ export: $(VENV)/ready ## write CHECKPOINT and PICTURES as ONNX files with their 
 	for folder in $(MODELS) $(MODELS)/joint $(MODELS)/pictures; do $(BIN)/python -m export verify $$folder || exit 1; done
 
 accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png; errors beside theory: docs/theory.md
-	$(BIN)/python -m simulation theory --out docs
+	$(BIN)/python -m tests.simulation.physics.theory docs
 	$(BIN)/python -m simulation accuracy
 
 slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md
@@ -163,8 +186,10 @@ bench: $(VENV)/ready ## what a decision of each released network costs on this m
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
 
-peers: $(VENV)/ready $(READERS_VENV)/ready $(OLD_RUNTIME_VENV)/ready ## foreign software against this one, a row a package: docs/peers.md, .json
+PEERS_OF_THEIR_OWN = $(READERS_VENV) $(OLD_RUNTIME_VENV) $(GRAPH_VENV) $(KSERVE_VENV) $(if $(LEROBOT),$(LEROBOT_VENV))
+peers: $(VENV)/ready $(addsuffix /ready,$(PEERS_OF_THEIR_OWN)) ## foreign software against this one, a row a package: docs/peers.md, .json (LEROBOT=1: its loader too, 8 GB)
 	PEERS_PYTHON=$(CURDIR)/$(READERS_VENV)/bin/python OLD_RUNTIME_PYTHON=$(CURDIR)/$(OLD_RUNTIME_VENV)/bin/python \
+	  GRAPH_PYTHON=$(CURDIR)/$(GRAPH_VENV)/bin/python KSERVE_PYTHON=$(CURDIR)/$(KSERVE_VENV)/bin/python $(if $(LEROBOT),LEROBOT_PYTHON=$(CURDIR)/$(LEROBOT_VENV)/bin/python) \
 	  $(BIN)/python -m tests.peers
 
 bench-hostile: $(VENV)/ready ## what floods of pages, inference, bodies and connections cost the robot: docs/hostile_load.json
@@ -232,4 +257,4 @@ requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
 clean: ## remove what the commands above made, but no data and no runs
-	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(READERS_VENV) $(OLD_RUNTIME_VENV) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(READERS_VENV) $(OLD_RUNTIME_VENV) $(GRAPH_VENV) $(KSERVE_VENV) $(LEROBOT_VENV) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -44,16 +44,12 @@ def wilson(hits: float, count: int) -> Estimate:
     return Estimate(share, max(0.0, min(share, middle - half)), min(1.0, max(share, middle + half)))
 
 
-def normal(value: float, standard_error: float) -> Estimate:
-    """An estimate whose error is normal."""
-    return Estimate(value, value - Z95 * standard_error, value + Z95 * standard_error)
-
-
 def mean(values: Sequence[float]) -> Estimate:
     """Mean of a sample, with the normal interval of its standard error; a point for a single value."""
     sample = np.asarray(values, float)
     error = sample.std(ddof=1) / math.sqrt(len(sample)) if len(sample) > 1 else 0.0
-    return normal(float(sample.mean()), float(error))
+    value, half = float(sample.mean()), Z95 * float(error)
+    return Estimate(value, value - half, value + half)
 
 
 def bootstrap(value: float, resampled: Sequence[float]) -> Estimate:

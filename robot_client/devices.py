@@ -5,9 +5,12 @@ its port without connecting it:
 
 - an arm: ``make(settings, limits, ramps, frame) -> Arm``,
 - a gripper: ``make(settings) -> Gripper``.
+
+A name with a dot is a module of the user's own, wherever Python finds it.
 """
 
 from importlib import import_module
+from types import ModuleType
 
 from robot_client.insertion.geometry import CellFrame
 from robot_client.insertion.limits import Limits
@@ -28,19 +31,26 @@ GRIPPERS = {
 
 def settings_of(registry: dict[str, str], name: object) -> type[DeviceSettings]:
     """The settings of a registered device; raises ValueError for an unknown name."""
-    if not isinstance(name, str) or name not in registry:
+    if not isinstance(name, str) or (name not in registry and "." not in name):
         raise ValueError(f"device: {name!r} is unknown{nearest(str(name), registry)}")
-    settings: type[DeviceSettings] = import_module(registry[name]).Settings
+    try:
+        settings: type[DeviceSettings] = _module(registry, name).Settings
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"device: {name!r} is no module with Settings and make: {error}") from error
     return settings
+
+
+def _module(registry: dict[str, str], name: str) -> ModuleType:
+    return import_module(registry.get(name, name))
 
 
 def make_arm(settings: DeviceSettings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
     """The arm that ``settings`` belong to, behind its port; nothing is connected yet."""
-    arm: Arm = import_module(ROBOTS[settings.device]).make(settings, limits, ramps, frame)
+    arm: Arm = _module(ROBOTS, settings.device).make(settings, limits, ramps, frame)
     return arm
 
 
 def make_gripper(settings: DeviceSettings) -> Gripper:
     """The gripper that ``settings`` belong to, behind its port; nothing is connected yet."""
-    gripper: Gripper = import_module(GRIPPERS[settings.device]).make(settings)
+    gripper: Gripper = _module(GRIPPERS, settings.device).make(settings)
     return gripper

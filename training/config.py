@@ -1,14 +1,15 @@
 """One run of training, read from one TOML file; every value that shapes a network is here and nowhere else."""
 
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from pydantic import Field, JsonValue, ValidationError
 
-from service.contract.frames import Contract, ContractError, first_error
+from service.contract.frames import Contract, ContractError
+from service.contract.refusals import describe
 from service.contract.toml import read_toml
 from training.networks import network_class
-from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig, nearest
+from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
 
 JITTER = 1
 WINDOW = FRAMES_PER_DECISION + 2 * JITTER
@@ -66,7 +67,7 @@ class _Run(Contract):
         except OSError as error:
             raise ContractError(f"cannot read the run config {path}: {error.strerror}") from error
         except ValidationError as error:
-            raise ContractError(f"{path}: {_explained(error, cls)}") from error
+            raise ContractError(f"{path}: {describe(error, cls)}") from error
 
     @property
     def folder(self) -> Path:
@@ -122,18 +123,6 @@ class RecipeConfig(_Run):
         """All that shaped the networks, for their card; places on this machine are left out."""
         stated: dict[str, JsonValue] = self.model_dump(mode="json", exclude={"runs", "data", "cache", "imagenet"})
         return stated | {"imagenet": self.imagenet is not None}
-
-
-def _explained(error: ValidationError, config: type[Contract]) -> str:
-    """The first thing that is wrong, with the nearest allowed key where one is unknown."""
-    first = error.errors()[0]
-    if first["type"] != "extra_forbidden":
-        return first_error(error)
-    *tables, key = (str(part) for part in first["loc"])
-    table: Any = config
-    for name in tables:
-        table = table.model_fields[name].annotation
-    return f"{'.'.join([*tables, key])}: the key is unknown; {nearest(key, table.model_fields)}"
 
 
 def refuse_another(folder: Path, config: Contract) -> None:

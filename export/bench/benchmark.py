@@ -1,10 +1,9 @@
 """``python -m export benchmark``: what a decision costs here, whether int8 pays, and what the paper's networks cost."""
 
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from export.bench import paper
 from export.bench.fresh import measure_fresh
@@ -13,8 +12,8 @@ from export.bench.report import write
 from export.onnx.decisions import Decision
 from export.onnx.golden import golden_frames
 from export.onnx.model import Model, open_model
-from export.quantise.agreement import compare
-from export.quantise.quantise import MODES, quantise
+from export.quantise.agreement import same_commands
+from export.quantise.quantise import CALIBRATION_DECISIONS, MODES, quantise
 from reporting.machine import commit, cpu_name
 from service.contract import ContractError, Sensor
 
@@ -32,7 +31,7 @@ def benchmark(
 ) -> Row:
     """Measure every file, write ``benchmark`` .md and .json into ``docs``; returns the report.
 
-    ``int8``: folder of released fp32 step models that are built in int8, too, to be compared on ``decisions``.
+    ``int8``: folder of both released fp32 step models, which are built in int8, too, to be compared on ``decisions``.
     ``alexnet``: folder of the paper's networks. Raises ContractError on a bad file.
     """
     models = [open_model(file) for file in files]
@@ -42,7 +41,8 @@ def benchmark(
         print(f"{model.file} ...", flush=True)
         report["models"].append(measure(model, seconds))
     if int8 is not None:
-        report["int8"] = precisions(int8, docs / "int8", list(decisions) or golden_decisions(), seconds)
+        with tempfile.TemporaryDirectory() as folder:
+            report["int8"] = precisions(int8, Path(folder), list(decisions) or golden_decisions(), seconds)
         report["int8_recorded"] = bool(decisions)
     if alexnet is not None:
         steps = [model for model in models if model.card.form == "step"]
@@ -70,7 +70,7 @@ def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: 
     for mode in MODES:
         try:
             sets[f"int8 {mode}"] = [
-                open_model(quantise(model.file, out / mode / model.file.name, decisions[:16], mode))
+                open_model(quantise(model.file, out / mode / model.file.name, decisions[:CALIBRATION_DECISIONS], mode))
                 for model in sources
             ]
         except ContractError as error:
@@ -79,9 +79,8 @@ def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: 
     times = time_in_turn(calls, seconds=len(calls) * seconds, warm=True)
     rows = []
     for name, models in sets.items():
-        agreement = compare(sources, models, decisions)
         size_mb = sum(model.file.stat().st_size for model in models) / 1e6
-        shares = {"same_commands": agreement.same_commands, "decisions": agreement.decisions}
+        shares = {"same_commands": same_commands(sources, models, decisions), "decisions": len(decisions)}
         rows.append({"precision": name, "cpu_p50_ms": times[name][0].cpu_p50_ms, "size_mb": size_mb, **shares})
     return rows + [{"precision": name, "refused": why} for name, why in refused.items()]
 
@@ -93,5 +92,4 @@ def _together(models: Sequence[Model]) -> Any:
 
 def golden_decisions() -> list[Decision]:
     """What calibrates and compares the int8 builds where no collected data is named: the speed is the same."""
-    truth = np.zeros(2, np.float32)
-    return [Decision(golden_frames(Sensor.load().rectified, 8, seed), 56.0, 30.0, truth, "golden") for seed in range(2)]
+    return [Decision(golden_frames(Sensor.load().rectified, 8, seed), 56.0, 30.0) for seed in range(2)]

@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -47,40 +47,6 @@ def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models"), strea
     print("\n".join(check(folder, stream_steps)))
 
 
-def quantize(
-    folder: Annotated[Path, tyro.conf.Positional] = Path("models"),
-    out: Path = Path("runs"),
-    data: Path = Path("data/probes"),
-    decisions: int = 300,
-    mode: Literal["static", "dynamic", "blocked"] = "blocked",
-) -> None:
-    """Make int8 builds of released step models and say how many robot commands they would change.
-
-    Args:
-        folder: folder of released fp32 step models that decide together.
-        out: folder in which int8-MODE is made.
-        data: collected dataset; its training split calibrates, its validation split compares the commands.
-        decisions: how many collisions are compared.
-        mode: ONNX Runtime's static or dynamic int8, or weights in blocks of 16.
-    """
-    from export.onnx.decisions import read_split
-    from export.onnx.model import open_model
-    from export.quantise.agreement import compare
-    from export.quantise.quantise import CALIBRATION_DECISIONS, quantise
-
-    compared = list(read_split(str(data), "validation", decisions))
-    calibrating = list(read_split(str(data), "train", CALIBRATION_DECISIONS))
-    sources = [open_model(file) for file in sorted(folder.glob("*.step.onnx"))]
-    if not sources:
-        raise ContractError(f"{folder} holds no *.step.onnx; expected the folder of released step models")
-    home = out / f"int8-{mode}"
-    builds = [open_model(quantise(model.file, home / model.file.name, calibrating, mode)) for model in sources]
-    for model, build in zip(sources, builds, strict=True):
-        megabytes = (each.file.stat().st_size / 1e6 for each in (build, model))
-        print(f"{build.file}  {next(megabytes):.2f} MB of {next(megabytes):.2f}")
-    print(compare(sources, builds, compared))
-
-
 def benchmark(
     models: Annotated[list[Path], tyro.conf.Positional] = [],  # noqa: B006 - tyro copies it
     seconds: float = 1.0,
@@ -117,7 +83,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commands: dict[str, Callable[..., None]] = {
             "onnx": onnx,
             "verify": verify,
-            "quantize": quantize,
             "benchmark": benchmark,
         }
         tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion")

@@ -17,7 +17,7 @@ from torch import nn
 from export.onnx.golden import golden_frames, golden_markers
 from export.onnx.model import open_model
 from export.onnx.runtime import session
-from export.onnx.verify import OPSET, verify_forms
+from export.onnx.verify import verify_forms
 from reporting.machine import cpu_name
 from service.contract import Calibration, ContractError, ModelCard
 from service.contract.self_test import CONDITIONS, make_self_test
@@ -29,7 +29,7 @@ from training.networks.preprocessing import CHANNELS, selector
 from training.networks.settings import FRAMES_PER_DECISION
 
 TOLERANCE = 1e-5
-IR = 8  # the graphs need no newer form; onnxruntime 1.17 and all since read it
+IR, OPSET = 8, 18  # the graphs need no newer form; onnxruntime 1.17 and all since read it
 FLOAT = onnx.TensorProto.FLOAT
 LARGEST_SHARED = 10**7
 """Constants of up to this many elements are stored once, however often the graph names them."""

@@ -2,7 +2,7 @@
 
 ``static`` multiplies in int8 with scales from calibration decisions, ``dynamic`` with scales of every call;
 ``blocked`` stores the weights of the fully connected and recurrent layers in blocks of 16 that share a scale. Which of
-them pay is what ``python -m export quantize`` shows, by the robot commands that they would change.
+them pay is what ``python -m export benchmark --int8`` shows, by the robot commands that they would change.
 """
 
 import logging

@@ -110,7 +110,7 @@ class DryService:
         )
         return wire.ServiceHello(
             insertion_id=self.insertion_id,
-            clock=clock(message, time.monotonic_ns()),
+            clock=clock(message, message.sent_ns or time.monotonic_ns()),  # one process, one clock: nothing to guess
             models=(),
             cameras=(),
             controller="heuristic",

@@ -197,7 +197,7 @@ class ModelCard(Contract):
     training_data_sha256: str
     git_commit: str
     training_run: dict[str, JsonValue] = Field(default_factory=dict)
-    quantisation: Literal["none", "fp16", "int8"] = "none"
+    quantisation: Literal["none", "int8"] = "none"
     validation: dict[str, float]
     verified_on_cpu: str
     self_test: SelfTest | None = None

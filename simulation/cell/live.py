@@ -72,6 +72,7 @@ class Sockets(NamedTuple):
     admin: socket.socket
     rapid_motion: socket.socket
     rapid_guard: socket.socket
+    gripper_udp: socket.socket
 
 
 def bind_all(options: CellOptions) -> Sockets:
@@ -88,6 +89,7 @@ def bind_all(options: CellOptions) -> Sockets:
     with contextlib.ExitStack() as taken:
         bound = [taken.enter_context(bind_udp(0, "EGM"))]
         bound += [taken.enter_context(bind_tcp(port, name)) for port, name in wanted]
+        bound.append(taken.enter_context(bind_udp(options.gripper_udp_port, "the gripper")))
         taken.pop_all()
     return Sockets(*bound)
 
@@ -122,7 +124,7 @@ class LiveCell:
         self.world.on_unsolved = self._supervise
         self.part = HeldPart(self.world, plant.part_width_mm, self._pose, at_start, fed=options.feed)
         self.gripper = Gripper(self.part, self.board, holding=held)
-        self.wsg = Wsg50Emulator(self.gripper, self.board)
+        self.wsg = Wsg50Emulator(self.gripper, self.board, options.gripper_udp_remote_port)
         self.cameras = {finger: CameraEmulator(finger, self.board, plant.dropped_share) for finger in FINGERS}
         readings = {"truth": self.truth, "glance": self.glance, "trace": self.way}
         self.admin = HttpServer(create_admin(readings, self.board), self.sockets.admin)
@@ -165,7 +167,7 @@ class LiveCell:
             await self.cameras[finger].start(self.sockets.left if finger == "left" else self.sockets.right)
         await self.rapid.start(self.sockets.rapid_motion, self.sockets.rapid_guard)
         await self.egm.start(self.sockets.egm)
-        await self.wsg.start(self.sockets.gripper)
+        await self.wsg.start(self.sockets.gripper, self.sockets.gripper_udp)
         await self.rws.start()
         await self.admin.start()
         for feed in self.feeds:
@@ -207,6 +209,7 @@ class LiveCell:
             "rws_url": f"http://{HOST}:{ports[1]}",
             "rapid": {"host": HOST, "motion_port": ports[6], "guard_port": ports[7]},
             "gripper": f"{HOST}:{ports[2]}",
+            "gripper_udp": f"{HOST}:{ports[8]}",
             "cameras": urls,
             "admin_url": f"http://{HOST}:{ports[5]}",
             "calibration": str(calibration),

@@ -47,6 +47,10 @@ class CellOptions:
     """RWS over HTTP; 0 picks a free one, as for all below."""
     gripper_port: int = 0
     """WSG-50 over TCP."""
+    gripper_udp_port: int = 0
+    """WSG-50 over UDP."""
+    gripper_udp_remote_port: int = 0
+    """Where it sends its answers to datagrams (the gripper's own is 1501); 0 sends them back to the sender."""
     camera_left_port: int = 0
     """MJPEG of the left finger."""
     camera_right_port: int = 0
@@ -73,7 +77,7 @@ class CellOptions:
         for name, (low, high) in _RANGES.items():
             if not low <= getattr(self, name) <= high:
                 raise CellError(f"--{name.replace('_', '-')} {getattr(self, name)}: expected {low:g} to {high:g}")
-        names = ("egm_guide", "rws", "gripper", "camera_left", "camera_right", "admin", "rapid_motion", "rapid_guard")
-        for name in names:
+        names = ("egm_guide", "rws", "gripper", "gripper_udp", "gripper_udp_remote", "camera_left", "camera_right")
+        for name in (*names, "admin", "rapid_motion", "rapid_guard"):
             if not 0 <= getattr(self, f"{name}_port") <= 65535:
                 raise CellError(f"--{name.replace('_', '-')}-port: expected 0 to 65535")

@@ -47,8 +47,6 @@ class CollectOptions:
     """Collisions in a shard, what a kill can cost each worker; the folder's own, or 250 and no more than are asked."""
     held_out_share: float = 0.12
     """Share of re-fixtures drawn from held-out ranges (the test split)."""
-    slip_truth: bool = False
-    """Also store where each gel slips (Trial.slipping); the other columns stay as they are."""
     ray: str = ""
     """Address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)."""
 
@@ -103,7 +101,7 @@ def collect(arguments: list[str]) -> int:
         manifest = writer.manifest
         size, seed, share = manifest.trials_per_shard, manifest.seed, manifest.held_out_share
         plans = [
-            Plan(options.out, scene, shard, size, seed, share, options.slip_truth, manifest.sensor)
+            Plan(options.out, scene, shard, size, seed, share, manifest.sensor)
             for scene, shard in manifest.missing_shards()
         ]
         with progress("collisions", sum(plan.trials for plan in plans)) as show:

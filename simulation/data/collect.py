@@ -48,7 +48,6 @@ class Plan:
     trials: int
     seed: int
     held_out_share: float
-    slip_truth: bool = False
     sensor: Sensor | None = None
 
     @property
@@ -175,9 +174,7 @@ class Hand:
         cell.move_to(x, y, top_z_mm, math.degrees(yaw))
 
 
-def trial_of(
-    fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: str, *, slip_truth: bool = False
-) -> Trial:
+def trial_of(fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: str) -> Trial:
     """What is logged of a poke."""
     x_mm, theta_deg = probe.error_before
     return Trial(
@@ -200,7 +197,6 @@ def trial_of(
         depth_mm=np.asarray(probe.depth_mm, np.float32),
         wrench=np.asarray(probe.wrench, np.float32),
         in_hand=np.asarray(probe.in_hand, np.float32),
-        slipping=probe.slipping if slip_truth else None,
         drawn=fixture.drawn,
         **(drawn_cells.stated(fixture.scene) if fixture.drawn else {}),
     )
@@ -226,7 +222,7 @@ def shard_of(plan: Plan) -> tuple[ShardEntry, bytes]:
         outcome = "no_equilibrium" if probe is None else probe.outcome
         outcomes[outcome if usable or outcome != "blocked" else "no_motion"] += 1
         if probe is not None and usable:
-            kept.append(trial_of(fixture, poke, seed, probe, base.name, slip_truth=plan.slip_truth))
+            kept.append(trial_of(fixture, poke, seed, probe, base.name))
         if len(kept) == plan.trials:
             break
         if outcomes.total() >= _MAX_POKES_PER_TRIAL * plan.trials:

@@ -27,7 +27,6 @@ from simulation.data.trial import (
     from_row,
     parquet_schema,
     render_frames,
-    scalars,
     split_of,
     to_row,
 )
@@ -149,9 +148,8 @@ def encode_shard(
     for trial in trials:
         trial.check()
     sensor = trials[0].sensor if trials else Sensor.load()
-    slip_truth = bool(trials) and all(trial.slipping is not None for trial in trials)
     drawn = bool(trials) and all(trial.drawn for trial in trials)
-    schema = parquet_schema(sensor, slip_truth=slip_truth, drawn=drawn)
+    schema = parquet_schema(sensor, drawn=drawn)
     table = pa.Table.from_pylist([to_row(trial) for trial in trials], schema=schema)
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, row_group_size=_ROWS_PER_GROUP, compression="zstd", use_dictionary=["appearances"])
@@ -210,14 +208,13 @@ class Dataset:
         shard, row = self._where[index]
         return from_row(self._row_group(shard, row // _ROWS_PER_GROUP)[row % _ROWS_PER_GROUP], self.manifest.sensor)
 
-    def frames(self, index: int, start: int | None = None, count: int = 8, *, jpeg: bool = False) -> NDArray[np.uint8]:
+    def frames(self, index: int, start: int | None = None, count: int = 8) -> NDArray[np.uint8]:
         """Uint8 [count, 2, H, W, 3]: rectified frames from ``start`` (the onset if None), both fingers.
 
-        The same (dataset, index, frame) gives the same bits in every process. ``jpeg`` adds the coding of a camera
-        that streams MJPEG at quality 95.
+        The same (dataset, index, frame) gives the same bits in every process.
         """
         trial = self.trial(index)
-        return render_frames(trial, self._renderer, trial.onset_frame if start is None else start, count, jpeg=jpeg)
+        return render_frames(trial, self._renderer, trial.onset_frame if start is None else start, count)
 
     def _renderer(self, look: Appearance) -> Any:
         from simulation.optics.renderer import Renderer
@@ -239,21 +236,13 @@ class Dataset:
             except (pa.ArrowException, OSError) as error:
                 raise DatasetError(f"{path}: not a Parquet shard: {error}") from error
             schema = self._files[shard].schema_arrow
-            version, sensor = self.manifest.schema_version, self.manifest.sensor
-            known = [
-                parquet_schema(sensor, slip_truth=slip, drawn=drawn, schema_version=version)
-                for slip in (False, True)
-                for drawn in (False, True)
-            ]
-            if not any(schema.equals(other) for other in known):
-                raise DatasetError(f"{path}: its columns are not those of schema {version} and sensor {sensor}")
+            sensor = self.manifest.sensor
+            if not any(schema.equals(parquet_schema(sensor, drawn=drawn)) for drawn in (False, True)):
+                raise DatasetError(f"{path}: its columns are not those of sensor {sensor}")
         return self._files[shard]
 
     def _label_columns(self, shard: int) -> dict[str, list[Any]]:
-        columns: dict[str, list[Any]] = (
-            self._file(shard).read(columns=scalars(self.manifest.schema_version)).to_pydict()
-        )
-        columns.setdefault("grasp_height_mm", [0.0] * len(columns["x_mm"]))
+        columns: dict[str, list[Any]] = self._file(shard).read(columns=list(SCALARS)).to_pydict()
         name = self.path / self.manifest.shards[shard].name
         for label in LABELS:
             if not np.isfinite(np.asarray(columns[label], float)).all():

@@ -64,8 +64,10 @@ def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[
             task = tasks.setdefault(text, len(tasks))
             frames = dataset.frames(number, 0, FRAMES)
             rows += _rows(trial, frames, episode, task)
-            stats.add(rows[-FRAMES:], frames)
-            episodes.append(_episode(episode, text, place))
+            own = _Stats()
+            own.add(rows[-FRAMES:], frames)
+            stats.merge(own)
+            episodes.append(_episode(episode, text, place) | own.columns())
             show(len(episodes))
         _write(
             out / _DATA.format(chunk_index=place[0], file_index=place[1]), rows, _data_schema(dataset.manifest.sensor)
@@ -173,30 +175,42 @@ def _write_meta(
 
 
 class _Stats:
-    """Minimum, maximum, mean and standard deviation of every feature over all frames; images per channel in 0..1."""
+    """Minimum, maximum, mean and standard deviation of every feature over frames; images per channel in 0..1."""
 
     def __init__(self) -> None:
-        self._sums: dict[str, list[NDArray[np.float64]]] = {}
-        self._count: dict[str, int] = {}
+        self.sums: dict[str, list[NDArray[np.float64]]] = {}
+        self.counts: dict[str, int] = {}
+
+    def merge(self, other: "_Stats") -> None:
+        """Take in what another one has added up."""
+        for name, new in other.sums.items():
+            self._one(name, new, other.counts[name])
 
     def add(self, rows: list[dict[str, Any]], frames: NDArray[np.uint8]) -> None:
         """One trial: its rows and its frames [30, 2, H, W, 3] BGR."""
         for finger, camera in enumerate(CAMERAS):
-            self._one(camera, frames[:, finger, ::4, ::4, ::-1].reshape(-1, 3) / 255)
+            self._values(camera, frames[:, finger, ::4, ::4, ::-1].reshape(-1, 3) / 255)
         for name in rows[0].keys() - set(CAMERAS):
-            self._one(name, np.asarray([np.atleast_1d(row[name]) for row in rows], np.float64))
+            self._values(name, np.asarray([np.atleast_1d(row[name]) for row in rows], np.float64))
 
-    def _one(self, name: str, values: NDArray[np.float64]) -> None:
-        new = [values.min(0), values.max(0), values.sum(0), (values**2).sum(0)]
-        old = self._sums.get(name, [new[0], new[1], 0 * new[2], 0 * new[3]])
+    def _values(self, name: str, values: NDArray[np.float64]) -> None:
+        self._one(name, [values.min(0), values.max(0), values.sum(0), (values**2).sum(0)], len(values))
+
+    def _one(self, name: str, new: list[NDArray[np.float64]], count: int) -> None:
+        old = self.sums.get(name, [new[0], new[1], 0 * new[2], 0 * new[3]])
         merged = [np.minimum(old[0], new[0]), np.maximum(old[1], new[1]), old[2] + new[2], old[3] + new[3]]
-        self._sums[name], self._count[name] = merged, self._count.get(name, 0) + len(values)
+        self.sums[name], self.counts[name] = merged, self.counts.get(name, 0) + count
+
+    def columns(self) -> dict[str, Any]:
+        """The result as columns of the table of episodes: ``stats/FEATURE/FIGURE``."""
+        found = self.result()
+        return {f"stats/{name}/{key}": value for name, figures in found.items() for key, value in figures.items()}
 
     def result(self) -> dict[str, dict[str, Any]]:
         """Feature -> min, max, mean, std, count; channels of images as [3, 1, 1]."""
         results = {}
-        for name, (low, high, total, squares) in self._sums.items():
-            count = self._count[name]
+        for name, (low, high, total, squares) in self.sums.items():
+            count = self.counts[name]
             mean = total / count
             spread = np.sqrt(np.maximum(squares / count - mean**2, 0))
             shape = (-1, 1, 1) if name in CAMERAS else (-1,)

@@ -56,7 +56,7 @@ class Manifest(Contract):
     the field. ``sensor``: the fingers' profile.
     """
 
-    schema_version: Literal[1, 2] = SCHEMA_VERSION
+    schema_version: Literal[2] = SCHEMA_VERSION
     made_by: str
     seed: int
     trials_per_object: int = Field(ge=1)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import Sensor
-from simulation.data.manifest import SCHEMA_VERSION, DatasetError
+from simulation.data.manifest import DatasetError
 from simulation.optics.appearance import Appearance
 
 Split = Literal["train", "validation", "test"]
@@ -23,10 +23,9 @@ class Trial:
     """One poke that collided, as logged.
 
     ``x_mm``/``theta_deg``: position error before the descent (truth). ``group``: re-fixture group, the unit of the
-    split. ``grasp_height_mm``: TCP above the object's bottom, 0 where the dataset does not say (schema 1).
+    split. ``grasp_height_mm``: TCP above the object's bottom.
     ``gel`` float16 [30, 2, rows, columns, 3]: (du_mm, dv_mm, pressure N/mm2) per frame and finger (left, right).
     ``onset_frame``: first frame that shows motion of the object; a decision uses 8 frames from there.
-    ``slipping`` bool [30, 2, rows, columns], where the gel slid on the object, or None where it was not collected.
     ``drawn``: of a drawn cell, all that was drawn, as JSON by dotted key; then ``speed_mm_s``, ``grip_n`` and
     ``shear_reach_mm`` are stated, too, and frames are so many steps of depth; else 0.
     ``wrench`` float32 [30, 6] (N, N mm) at the TCP; ``depth_mm`` float32 [30]; ``in_hand`` float32 [30, 6] (mm, rad).
@@ -51,7 +50,6 @@ class Trial:
     depth_mm: NDArray[np.float32]
     wrench: NDArray[np.float32]
     in_hand: NDArray[np.float32]
-    slipping: NDArray[np.bool_] | None = None
     drawn: str = ""
     speed_mm_s: float = 0.0
     grip_n: float = 0.0
@@ -73,9 +71,6 @@ class Trial:
             array = getattr(self, name)
             if array.shape != shape or not np.isfinite(array).all():
                 raise DatasetError(f"trial {name} has shape {list(array.shape)}, expected finite {list(shape)}")
-        grid = slip_shape(self.sensor)
-        if self.slipping is not None and self.slipping.shape != grid:
-            raise DatasetError(f"trial slipping has shape {list(self.slipping.shape)}, expected {list(grid)}")
         if not 0 <= self.onset_frame <= FRAMES - 8:
             raise DatasetError(f"trial onset_frame {self.onset_frame}, expected 0..{FRAMES - 8} (8 frames follow it)")
 
@@ -111,48 +106,33 @@ DRAWN = {"drawn": "", "speed_mm_s": 0.0, "grip_n": 0.0, "shear_reach_mm": 0.0}
 """Columns of drawn cells, and what they are of others."""
 
 
-def slip_shape(sensor: Sensor) -> tuple[int, int, int, int]:
-    """Of ``Trial.slipping``."""
-    return (FRAMES, FINGER_COUNT, sensor.marker_rows, sensor.marker_columns)
-
-
 def arrays(sensor: Sensor) -> dict[str, tuple[tuple[int, ...], Any]]:
     """Shape and dtype of each array of a trial."""
     return {
-        "gel": ((*slip_shape(sensor), 3), np.float16),
+        "gel": ((FRAMES, FINGER_COUNT, sensor.marker_rows, sensor.marker_columns, 3), np.float16),
         "depth_mm": ((FRAMES,), np.float32),
         "wrench": ((FRAMES, 6), np.float32),
         "in_hand": ((FRAMES, 6), np.float32),
     }
 
 
-def parquet_schema(
-    sensor: Sensor, *, slip_truth: bool = False, drawn: bool = False, schema_version: int = SCHEMA_VERSION
-) -> Any:
+def parquet_schema(sensor: Sensor, *, drawn: bool = False) -> Any:
     """The Arrow schema of a shard: scalars, optics as JSON, arrays as fixed-size little-endian bytes.
 
-    slip_truth: with ``slipping``, one bit a marker. drawn: with the columns of drawn cells. Schema 1 has no
-    ``grasp_height_mm``.
+    drawn: with the columns of drawn cells.
     """
     import pyarrow as pa
 
     kinds = dict.fromkeys(LABELS, pa.float64())
     kinds |= dict.fromkeys(("object_name", "outcome", "split", "scene_sha256"), pa.string())
-    fields = [pa.field(name, kinds.get(name, pa.int64()), nullable=False) for name in scalars(schema_version)]
+    fields = [pa.field(name, kinds.get(name, pa.int64()), nullable=False) for name in SCALARS]
     fields.append(pa.field("appearances", pa.string(), nullable=False))
     sizes = {name: int(np.prod(shape)) * np.dtype(kind).itemsize for name, (shape, kind) in arrays(sensor).items()}
     fields += [pa.field(name, pa.binary(size), nullable=False) for name, size in sizes.items()]
-    if slip_truth:
-        fields.append(pa.field("slipping", pa.binary(-(-int(np.prod(slip_shape(sensor))) // 8)), nullable=False))
     if drawn:
         fields.append(pa.field("drawn", pa.string(), nullable=False))
         fields += [pa.field(name, pa.float64(), nullable=False) for name in list(DRAWN)[1:]]
     return pa.schema(fields)
-
-
-def scalars(schema_version: int) -> list[str]:
-    """Names of a shard's scalar columns."""
-    return [name for name in SCALARS if schema_version > 1 or name != "grasp_height_mm"]
 
 
 def to_row(trial: Trial) -> dict[str, Any]:
@@ -161,8 +141,6 @@ def to_row(trial: Trial) -> dict[str, Any]:
     row["appearances"] = json.dumps([look.as_dict() for look in trial.appearances], sort_keys=True)
     for name, (_, kind) in arrays(trial.sensor).items():
         row[name] = np.ascontiguousarray(getattr(trial, name), kind).tobytes()
-    if trial.slipping is not None:
-        row["slipping"] = np.packbits(trial.slipping).tobytes()
     if trial.drawn:
         row |= {name: getattr(trial, name) for name in DRAWN}
     return row
@@ -171,12 +149,8 @@ def to_row(trial: Trial) -> dict[str, Any]:
 def from_row(row: dict[str, Any], sensor: Sensor) -> Trial:
     """Inverse of :func:`to_row`; arrays are read-only views of the row's bytes."""
     left, right = (Appearance.from_dict(look, sensor) for look in json.loads(row["appearances"]))
-    values: dict[str, Any] = {name: row.get(name, 0.0) for name in SCALARS}
+    values: dict[str, Any] = {name: row[name] for name in SCALARS}
     values |= {name: np.frombuffer(row[name], kind).reshape(shape) for name, (shape, kind) in arrays(sensor).items()}
-    if "slipping" in row:
-        grid = slip_shape(sensor)
-        bits = np.unpackbits(np.frombuffer(row["slipping"], np.uint8), count=int(np.prod(grid)))
-        values["slipping"] = bits.astype(bool).reshape(grid)
     values |= {name: row.get(name, missing) for name, missing in DRAWN.items()}
     return Trial(appearances=(left, right), **values)
 
@@ -186,12 +160,8 @@ def frame_seed(trial_seed: int, frame: int, finger: int) -> int:
     return int(np.random.SeedSequence([trial_seed, frame, finger]).generate_state(1, np.uint64)[0])
 
 
-def render_frames(
-    trial: Trial, renderer_of: Callable[[Appearance], Any], start: int, count: int, *, jpeg: bool = False
-) -> NDArray[np.uint8]:
+def render_frames(trial: Trial, renderer_of: Callable[[Appearance], Any], start: int, count: int) -> NDArray[np.uint8]:
     """Uint8 [count, 2, H, W, 3] of ``trial`` from frame ``start``; DatasetError outside 0..30."""
-    from simulation.optics.renderer import jpeg_round_trip
-
     if not 0 <= start <= start + count <= FRAMES:
         raise DatasetError(f"frames {start}..{start + count - 1} asked for, a trial has 0..{FRAMES - 1}")
     out = np.empty((count, FINGER_COUNT, *trial.sensor.rectified.shape), np.uint8)
@@ -201,5 +171,5 @@ def render_frames(
             frame = start + k
             before = trial.gel[max(0, frame - 1), finger]
             raw = renderer.raw(trial.gel[frame, finger], frame_seed(trial.seed, frame, finger), before)
-            out[k, finger] = renderer.rectify(jpeg_round_trip(raw) if jpeg else raw)
+            out[k, finger] = renderer.rectify(raw)
     return out

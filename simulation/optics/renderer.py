@@ -17,7 +17,7 @@ from simulation.optics import texture as tx
 from simulation.optics.appearance import Appearance
 from simulation.optics.lighting import illumination
 
-__all__ = ["Appearance", "Renderer", "jpeg_round_trip"]
+__all__ = ["Appearance", "Renderer"]
 
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
@@ -188,12 +188,6 @@ class Renderer:
         if not np.isfinite(gel).all():
             raise ValueError("gel state holds a non-finite number")
         return gel.astype(np.float32)
-
-
-def jpeg_round_trip(frame: Image, quality: int = 95) -> Image:
-    """The frame after the camera's JPEG coding and decoding."""
-    _, data = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
 
 
 def _refined(lattice: Floats) -> Floats:

@@ -27,7 +27,7 @@ YOUNGER_KEYS = {
     "grasp": ("finger_stiffness_n_per_mm",),
     "effects": ("inertia", "rolling_shutter", "poisson", "gel_edges", "relaxation", "finger_compliance"),
 }
-RECORD = ("training", "order", "paper", "target")  # keys that change nothing of the cell
+RECORD = ("training", "order", "paper")  # keys that change nothing of the cell
 FIRST_SENSOR_KEYS = (
     *("mm_per_px", "raw_width_px", "raw_height_px", "width_px", "height_px"),
     *("marker_columns", "marker_rows", "marker_pitch_px", "marker_diameter_px"),
@@ -42,14 +42,13 @@ class Scene(Part):
     """One simulated cell. Frozen; make variants with `varied` or `randomisation.randomised`.
 
     ``training``: the released networks were trained on this object. ``order``: its place in tables, which seeds follow.
-    ``paper``: what the paper measured on the real robot. ``target``: what this project set out to reach.
+    ``paper``: what the paper measured on the real robot.
     """
 
     name: str = Field(min_length=1)
     training: bool = False
     order: int | None = Field(default=None, ge=0)
     paper: Figures | None = None
-    target: Figures | None = None
     object: HeldObject
     blocks: Blocks
     gel: Gel = Gel()

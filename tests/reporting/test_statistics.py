@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from reporting.statistics import Estimate, bootstrap, mean, normal, number, percentiles, wilson
+from reporting.statistics import Estimate, bootstrap, mean, number, percentiles, wilson
 
 COUNTS = st.integers(1, 10_000).flatmap(lambda count: st.tuples(st.integers(0, count), st.just(count)))
 
@@ -59,7 +59,6 @@ def test_a_mean_has_the_interval_of_its_standard_error(values):
 
 def test_one_value_has_no_spread():
     assert mean([3.0]) == (3.0, 3.0, 3.0)
-    assert normal(2.0, 1.0).low == pytest.approx(2 - stats.norm.ppf(0.975))
 
 
 def test_a_bootstrap_interval_is_of_percentiles():

@@ -206,7 +206,7 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", 
     """``omnicore``: files of a certificate and its key, for a controller of RobotWare 7."""
     board = FaultBoard()
     start = Pose((5.0, 0.0, 40.0), tool_down(0.0))
-    delays = Delays(motors_s=0.02, program_start_s=0.02, program_stop_s=0.05)
+    delays = Delays(motors_s=0.02, program_start_s=0.02, program_stop_s=0.05, communication_timeout_s=1.0)
     cabinet = Cabinet(Follower(start, MotionLimits(lag_s=lag_ms / 1000.0)), board, delays)
     frames = CellFrames()
     guide_port = free_port(socket.SOCK_DGRAM)

@@ -65,7 +65,7 @@ def collected(profile: str, tmp_path_factory: pytest.TempPathFactory) -> Dataset
     folder = tmp_path_factory.mktemp("collected")
     asked = asked_manifest(CollectOptions(folder, 2, ("circle",), profile, trials_per_shard=2))
     with DatasetWriter(folder, asked) as writer:
-        writer.commit(make_shard(Plan(folder, "circle", 0, 2, 0, 0.0, slip_truth=True, sensor=asked.sensor)))
+        writer.commit(make_shard(Plan(folder, "circle", 0, 2, 0, 0.0, sensor=asked.sensor)))
         assert writer.finish()
     return Dataset(folder)
 
@@ -77,8 +77,6 @@ def test_its_frames_are_tracked_to_a_quarter_of_a_pixel(collected: Dataset, prof
         trial, frames = collected.trial(index), collected.frames(index)
         grid = (2, sensor.marker_rows, sensor.marker_columns)
         assert trial.gel.shape == (30, *grid, 3)
-        assert trial.slipping is not None
-        assert trial.slipping.shape == (30, *grid)
         assert frames.shape == (8, 2, sensor.height_px, sensor.width_px, 3)
         tracked = track_pairs(frames, sensor.markers, sensor.fps)
         gel = trial.gel[trial.onset_frame : trial.onset_frame + 8, ..., :2].astype(np.float64)

@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -58,6 +58,23 @@ def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
     from training.fit.checkpoint import Checkpoint
 
     print_table(Checkpoint.load(checkpoint).figures)
+
+
+def board(
+    name: Annotated[Literal["tensorboard", "trackio"], tyro.conf.Positional],
+    run: Annotated[Path, tyro.conf.Positional],
+    follow: bool = False,
+) -> None:
+    """Show a run's scalars on TensorBoard or Trackio, which need not be installed for anything else.
+
+    Args:
+        name: whose board.
+        run: folder of the run, such as runs/pressing.
+        follow: go on as the run does, until Ctrl-C.
+    """
+    from training.report.boards import show_on
+
+    print(f"{show_on(name, run, follow=follow)} epochs of {run} on {name}")
 
 
 def depths(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs")) -> None:
@@ -142,6 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "train": train,
                 "recipe": recipe,
                 "show": show,
+                "board": board,
                 "depths": depths,
                 "expect": expect,
                 "adapt": adapt,

@@ -3,12 +3,13 @@
 from typing import Any, Literal
 
 from service.contract import ContractError, Sensor
+from service.contract.refusals import nearest
 from training.networks.alexnet import AlexNetPair
 from training.networks.compact import CompactNetwork
 from training.networks.decider import Decider
 from training.networks.markers import MarkerNetwork
 from training.networks.pressing import PressingNetwork
-from training.networks.settings import NetworkConfig, nearest
+from training.networks.settings import NetworkConfig
 
 NETWORKS: dict[str, type[Decider | AlexNetPair]] = {
     "alexnet_lstm": AlexNetPair,
@@ -21,7 +22,7 @@ NETWORKS: dict[str, type[Decider | AlexNetPair]] = {
 def network_class(kind: str) -> type[Decider | AlexNetPair]:
     """The class of a kind; raises ContractError on an unknown one, naming the nearest."""
     if kind not in NETWORKS:
-        raise ContractError(f"network.kind: {kind!r} is unknown; {nearest(kind, NETWORKS)}")
+        raise ContractError(f"network.kind: {kind!r} is unknown{nearest(kind, NETWORKS)}")
     return NETWORKS[kind]
 
 

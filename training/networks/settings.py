@@ -1,8 +1,5 @@
 """Which network, and how large."""
 
-import difflib
-from collections.abc import Iterable
-
 from pydantic import Field
 
 from service.contract.frames import Contract
@@ -23,10 +20,3 @@ class NetworkConfig(Contract):
     state_size: int = Field(default=128, ge=8)
     dropout: float = Field(default=0.1, ge=0, lt=1)
     affine_fit: bool = False
-
-
-def nearest(name: str, allowed: Iterable[str]) -> str:
-    """The end of a refusal of ``name``: the nearest allowed name, or all of them where none is near."""
-    allowed = sorted(allowed)
-    near = difflib.get_close_matches(name, allowed, 1)
-    return f"nearest allowed: {near[0]}" if near else f"allowed: {', '.join(allowed)}"

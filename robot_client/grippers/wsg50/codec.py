@@ -124,7 +124,6 @@ def _unpack(layout: str, payload: bytes, name: str) -> tuple[Value, ...]:
     size = struct.calcsize(layout)
     if len(payload) != size:
         status = Status.CMD_FORMAT_ERROR if size else Status.NO_PARAM_EXPECTED
-        status = Status.NOT_ENOUGH_PARAMS if len(payload) < size else status
         raise WsgError(f"{name} with {len(payload)} payload bytes, expected {size}", status)
     values: tuple[Value, ...] = struct.unpack(layout, payload)
     if any(isinstance(value, float) and not math.isfinite(value) for value in values):

@@ -45,11 +45,12 @@ class RobotState:
     rapid_running: bool = True
     mc_state: McState = "running"
     converged: bool = False
+    collided: bool = False  # RobotWare 7: its motion supervision has triggered
 
     @property
     def moving_allowed(self) -> bool:
-        """Motors on, RAPID running and motion control in EGM: the robot follows targets."""
-        return self.motors_on and self.rapid_running and self.mc_state == "running"
+        """Motors on, RAPID running, motion control in EGM and no collision: the robot follows targets."""
+        return self.motors_on and self.rapid_running and self.mc_state == "running" and not self.collided
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +168,8 @@ def encode_robot(state: RobotState) -> bytes:
         pb.EgmRapidCtrlExecState.RAPID_RUNNING if running else pb.EgmRapidCtrlExecState.RAPID_STOPPED
     )
     message.utilizationRate = 0.0
+    if state.collided:
+        message.CollisionInfo.collsionTriggered = True
     return bytes(message.SerializeToString())
 
 
@@ -187,6 +190,7 @@ def decode_robot(datagram: bytes) -> RobotState:
         rapid_running=message.rapidExecState.state == pb.EgmRapidCtrlExecState.RAPID_RUNNING,
         mc_state=_MC_STATES[message.mciState.state],
         converged=message.mciConvergenceMet,
+        collided=message.CollisionInfo.collsionTriggered,
     )
 
 

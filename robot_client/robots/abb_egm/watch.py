@@ -110,4 +110,4 @@ def _missing(state: RobotState) -> str:
         return "the RAPID program does not run"
     if state.mc_state != "running":
         return f"motion control reports EGM {state.mc_state}"
-    return ""
+    return "motion supervision has seen a collision" if state.collided else ""

@@ -151,9 +151,12 @@ def _server_routes(routes: APIRouter, served: Served, access: Access) -> None:
         return {"name": "tactile-insertion", "version": __version__, "extensions": extensions}
 
     @routes.get("/health/live")
+    async def alive() -> dict[str, bool]:
+        return {"live": True}
+
     @routes.get("/health/ready")
-    async def healthy() -> dict[str, str]:
-        return {}  # models are loaded and warm before anything listens
+    async def ready() -> dict[str, bool]:
+        return {"ready": True}  # models are loaded and warm before anything listens
 
     @routes.get("/models/stats", dependencies=watch)
     async def all_statistics() -> dict[str, Any]:
@@ -186,7 +189,7 @@ def _model_routes(routes: APIRouter, served: Served, access: Access) -> None:
     @routes.get("/models/{name}/versions/{version}/ready")
     async def model_ready(name: str, version: str = VERSION) -> dict[str, Any]:
         served.model(name, version)
-        return {}
+        return {"name": name, "ready": True}
 
     @routes.get("/models/{name}/config", dependencies=watch)
     @routes.get("/models/{name}/versions/{version}/config", dependencies=watch)

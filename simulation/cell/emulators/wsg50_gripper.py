@@ -1,9 +1,10 @@
 """The WSG-50-110 as a mechanism: fingers with ramps, a part that blocks them, the grasping state machine, faults.
 
 Widths in mm, speeds in mm/s, forces in N. A spindle drive locks itself: power or program stops leave a held part held;
-only opening the fingers lets go of it.
+only opening the fingers lets go of it. Cited by section: [M] WSG Command Set Reference Manual, firmware 4.0.0.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -16,6 +17,7 @@ SPEED_MM_S = (5.0, 420.0)
 ACCELERATION_MM_S2 = (100.0, 5000.0)
 FORCE_N = (5.0, 80.0)
 CLAMPING_TRAVEL_MM = 5.0
+CLAMP_N = FORCE_N[1] / 2  # [M] 3.2.2: a move that clamps does so with half of the nominal force
 _FORCE_RISE_S = 0.04
 _GIVE_MM = 0.3  # how far the pads' surface lets the fingers beyond the part's width when it is opened again
 
@@ -69,8 +71,16 @@ class Gripper:
         self.soft_limits_mm: tuple[float, float] | None = None
         self.grasps_n = self.empty_n = self.lost_n = 0
         self.tag = b""
+        self.overdrive = False
+        self.powered = [True, True]  # supply of the fingers
         self._motion: _Motion | None = None
+        self._clamping_to_mm: float | None = None
         self._squeeze_s: float | None = None
+
+    @property
+    def homed(self) -> bool:
+        """Whether the fingers know where they are."""
+        return self.referenced and not self._board.faults.gripper.not_homed
 
     # ---- commands: the immediate status; PENDING means that ``finish`` gets the final one --------------------
 
@@ -88,21 +98,26 @@ class Gripper:
     def move(
         self, command: Command, width_mm: float, speed_mm_s: float, finish: Finish, *, clamps: bool = True
     ) -> Status:
-        """MOVE, GRASP or RELEASE towards a width; ``clamps``: a MOVE that meets a part goes on pressing it."""
+        """MOVE, GRASP or RELEASE towards a width; ``clamps``: a MOVE that meets a part goes on pressing it.
+
+        [M] 3.2.2: beyond the physical limits, width and speed are taken as the limit; beyond soft limits, refused.
+        """
         denied = self._denied()
-        if denied is Status.SUCCESS and not (self.referenced and not self._board.faults.gripper.not_homed):
+        if denied is Status.SUCCESS and not self.homed:
             denied = Status.NOT_INITIALIZED
-        if denied is Status.SUCCESS and not self._in_range(width_mm, speed_mm_s):
+        if denied is Status.SUCCESS and not self._allowed(width_mm):
             denied = Status.RANGE_ERROR
         if denied is not Status.SUCCESS:
             return denied
+        width_mm = min(max(width_mm, 0.0), STROKE_MM)
+        speed_mm_s = min(max(speed_mm_s, SPEED_MM_S[0]), SPEED_MM_S[1])
         states = {Command.GRASP: GraspingState.GRASPING, Command.RELEASE: GraspingState.RELEASING}
         self.state = states.get(command, GraspingState.POSITIONING)
         target = max(0.0, width_mm - CLAMPING_TRAVEL_MM) if command is Command.GRASP else width_mm
         return self._go(_Motion(command, target, speed_mm_s, finish, clamps))
 
     def limit(self, minus_mm: float, plus_mm: float) -> Status:
-        """Set the soft limits, if they are within the stroke and in order."""
+        """Set the soft limits ([M] 3.3.5), if they are within the stroke and in order."""
         if not 0.0 <= minus_mm < plus_mm <= STROKE_MM:
             return Status.RANGE_ERROR
         self.soft_limits_mm = (minus_mm, plus_mm)
@@ -111,14 +126,14 @@ class Gripper:
     def stop(self) -> Status:
         """End a motion (its command is aborted) and the part's monitoring; a held part stays held."""
         self._abort()
-        self.stopped = True
+        self.stopped, self.blocked = True, False
         if self.state is not GraspingState.ERROR:
             self.state = GraspingState.IDLE
         return Status.SUCCESS
 
-    def fast_stop(self) -> Status:
-        """Stop and latch: nothing moves until the operator acknowledges."""
-        self._abort()
+    def fast_stop(self, why: Status = Status.CMD_ABORTED) -> Status:
+        """Stop and latch: nothing moves until the operator acknowledges; ``why`` ends the motion's command."""
+        self._abort(why)
         self.fast_stopped = True
         self.state = GraspingState.ERROR
         return Status.SUCCESS
@@ -131,18 +146,18 @@ class Gripper:
         return Status.SUCCESS
 
     def system_state(self) -> SystemState:
-        """The bits of query 0x40."""
+        """The bits of query 0x40 ([M] appendix B); true force control needs a finger that measures force."""
         faults = self._board.faults.gripper
         moving = self._motion is not None
         bits = {
-            SystemState.REFERENCED: self.referenced and not faults.not_homed,
+            SystemState.REFERENCED: self.homed,
             SystemState.MOVING: moving,
             SystemState.BLOCKED_MINUS: self.blocked or self.holding,
             SystemState.AXIS_STOPPED: self.stopped,
             SystemState.TARGET_POS_REACHED: self.reached,
             SystemState.SOFT_LIMIT_MINUS: self.width_mm <= (self.soft_limits_mm or (-1.0, 0.0))[0],
             SystemState.SOFT_LIMIT_PLUS: self.width_mm >= (self.soft_limits_mm or (0.0, 2 * STROKE_MM))[1],
-            SystemState.FORCE_CONTROL_MODE: self.holding or self.force_n > 0.0,
+            SystemState.OVERDRIVE_MODE: self.overdrive,
             SystemState.FAST_STOP: self.fast_stopped,
             SystemState.TEMP_WARNING: faults.temperature_warning,
         }
@@ -161,6 +176,8 @@ class Gripper:
             self.fast_stop()
         if self.holding and (faults.part_lost or self._part.lost()):
             self._lose_part()
+        if self._clamping_to_mm is not None and self._part.width_mm() is None:
+            self._snap(self._clamping_to_mm)
         if self._squeeze_s is not None:
             self._squeeze(elapsed_s)
         elif self._motion is not None:
@@ -171,12 +188,18 @@ class Gripper:
             return Status.ACCESS_DENIED
         return Status.ALREADY_RUNNING if self._motion is not None else Status.SUCCESS
 
-    def _in_range(self, width_mm: float, speed_mm_s: float) -> bool:
-        low, high = self.soft_limits_mm or (0.0, STROKE_MM)
-        return low <= width_mm <= high and SPEED_MM_S[0] <= speed_mm_s <= SPEED_MM_S[1]
+    def _allowed(self, width_mm: float) -> bool:
+        """Whether the soft limits let the fingers stand there."""
+        low, high = self.soft_limits_mm or (-math.inf, math.inf)
+        return low <= width_mm <= high
+
+    def _snap(self, width_mm: float) -> None:
+        """[M] 3.2.2: what a move clamped is gone, and the fingers snap to where they were sent."""
+        self.width_mm, self.force_n, self.blocked, self._clamping_to_mm = width_mm, 0.0, False, None
 
     def _go(self, motion: _Motion) -> Status:
         self.stopped = self.reached = self.blocked = False
+        self._clamping_to_mm = None
         self.force_n = self.force_n if self.holding else 0.0
         self.grasps_n += motion.command is Command.GRASP
         self._motion = motion
@@ -190,9 +213,9 @@ class Gripper:
         if motion is not None:
             motion.finish(status)
 
-    def _abort(self) -> None:
+    def _abort(self, why: Status = Status.CMD_ABORTED) -> None:
         if self._motion is not None:
-            self._end(Status.CMD_ABORTED, GraspingState.IDLE)
+            self._end(why, GraspingState.IDLE)
 
     def _lose_part(self) -> None:
         self.holding, self.force_n = False, 0.0
@@ -214,6 +237,9 @@ class Gripper:
             self.width_mm = part_mm
             self._meet_part(motion)
             return
+        if motion.command is not Command.HOMING and self._allowed(self.width_mm) and not self._allowed(width):
+            self.fast_stop(Status.RANGE_ERROR)  # [M] 3.3.5: moving into the restricted area
+            return
         self.width_mm = width
         if self.holding and part_mm is not None and width > part_mm + _GIVE_MM:
             self.holding, self.force_n = False, 0.0
@@ -226,7 +252,8 @@ class Gripper:
         if motion.command is Command.GRASP:
             self._squeeze_s = 0.0
         else:  # the vendor's flag: clamp on block is the default, stop on block takes the force away
-            self.force_n = self.force_limit_n if motion.clamps else 0.0
+            self.force_n = CLAMP_N if motion.clamps else 0.0
+            self._clamping_to_mm = motion.target_mm if motion.clamps else None
             self._end(Status.AXIS_BLOCKED, GraspingState.IDLE)
 
     def _squeeze(self, elapsed_s: float) -> None:

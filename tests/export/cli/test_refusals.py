@@ -9,7 +9,6 @@ from export.cli.commands import main
     ("command", "named"),
     [
         ("verify models --stream-steps -1", "--stream-steps -1"),
-        ("quantize models --decisions 0", "--decisions 0: expected at least 1"),
         ("benchmark --seconds nan", "--seconds nan"),
         ("benchmark --seconds -1", "--seconds -1"),
     ],

@@ -4,19 +4,26 @@ Both are large and not needed to run anything: ``PEERS_PYTHON`` names an interpr
 """
 
 import base64
+import contextlib
 import json
 import os
-import re
 import subprocess
-from collections import Counter
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
+import httpx
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.reader import make_reader
 
+from tests.service import drawn
 from tests.service.client import Driver
 from tests.service.conftest import LiveService
+from tests.service.mjpeg import FakeFinger
+from tests.service.process import ServiceProcess, service_process
 
 PICTURES = {"/left/image", "/right/image"}
 SCRIPT = """
@@ -32,6 +39,23 @@ for line in sys.stdin:
     same += made.encode() == base64.b64decode(said["recorded"])
 schema = CompressedImage.get_schema()
 print(json.dumps([same, schema.name, schema.encoding]))
+"""
+RERUN = """
+import collections, io, json, sys
+from PIL import Image
+from rerun.chunk import McapReader
+found, sizes = collections.Counter(), set()
+for chunk in McapReader(sys.argv[1]).stream().to_chunks():
+    batch = chunk.to_record_batch()
+    for name in batch.schema.names:
+        if name.endswith("EncodedImage:blob"):
+            for row in batch.column(name).to_pylist():
+                image = Image.open(io.BytesIO(bytes(row[0])))
+                image.load()
+                sizes.add(image.size)
+                found[str(chunk.entity_path)] += 1
+assert len(sizes) == 1, sizes
+print(json.dumps(found))
 """
 
 
@@ -62,22 +86,99 @@ def pictures(recording: Path) -> dict[str, list[bytes]]:
     return found
 
 
-def test_rerun_has_every_frame_of_both_fingers_as_a_picture(python: str, recording: Path, tmp_path: Path) -> None:
-    rerun = str(Path(python).with_name("rerun"))
+def decoded_by_rerun(python: str, recording: Path) -> dict[str, int]:
+    """How many pictures Rerun finds under each topic, each of which it can decode to pixels of one size."""
+    done = subprocess.run([python, "-c", RERUN, str(recording)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, int] = json.loads(done.stdout)
+    return found
 
-    def run(*arguments: object) -> str:
-        return subprocess.run([rerun, *map(str, arguments)], check=True, capture_output=True, text=True).stdout
 
-    run("mcap", "convert", recording, "-o", tmp_path / "out.rrd")
-    run("rrd", "verify", tmp_path / "out.rrd")
-    decoded: Counter[str] = Counter()
-    for line in run("rrd", "print", "-v", tmp_path / "out.rrd").splitlines():
-        chunk = re.search(r"with (\d+) rows .* - (\S+) - data columns: .*@EncodedImage:blob", line)
-        if chunk:
-            decoded[chunk[2]] += int(chunk[1])
+def test_rerun_has_every_frame_of_both_fingers_as_a_picture(python: str, recording: Path) -> None:
     recorded = {topic: len(messages) for topic, messages in pictures(recording).items()}
     assert min(recorded.values()) > 20
-    assert decoded == recorded
+    assert decoded_by_rerun(python, recording) == recorded
+
+
+@dataclass
+class Apart:
+    """A service in a process of its own, and its cameras in this one: what a driver needs of both."""
+
+    service: ServiceProcess
+    fingers: tuple[FakeFinger, FakeFinger]
+
+    def url(self, path: str, scheme: str = "http") -> str:
+        return self.service.url(path, scheme)
+
+    @property
+    def bearer(self) -> dict[str, str]:
+        return self.service.bearer
+
+    probe = LiveService.probe
+
+
+@contextlib.contextmanager
+def watched(live: Apart) -> Iterator[None]:
+    """Two viewers of each camera."""
+    stop = threading.Event()
+
+    def look(finger: str) -> None:
+        with httpx.stream("GET", live.url(f"/v1/cameras/{finger}/stream.mjpg"), timeout=30.0) as stream:
+            for _ in stream.iter_bytes():
+                if stop.is_set():
+                    return
+
+    with ThreadPoolExecutor(4) as pool:
+        viewers = [pool.submit(look, finger) for finger in ("left", "right", "left", "right")]
+        try:
+            yield
+        finally:
+            stop.set()
+        for viewer in viewers:
+            viewer.result(60.0)
+
+
+@contextlib.contextmanager
+def apart(folder: Path, models: Path, rate_hz: float) -> Iterator[Apart]:
+    fingers = FakeFinger("left", rate_hz), FakeFinger("right", rate_hz)
+    drawn.calibration().save(folder / "calibration.toml")
+    cameras = ("--camera-left", fingers[0].url, "--camera-right", fingers[1].url, "--max-frame-age-ms", "20000")
+    patience = (
+        "--reference-timeout-s",
+        "30",
+        "--frames-timeout-s",
+        "30",
+        "--decision-timeout-s",
+        "60",
+        "--client-timeout-s",
+        "60",
+    )
+    options = (*cameras, *patience, "--calibration", str(folder / "calibration.toml"))
+    try:
+        with service_process(models, folder / "recordings", *options) as service:
+            yield Apart(service, fingers)
+    finally:
+        for finger in fingers:
+            finger.close()
+
+
+@pytest.mark.slow
+def test_rerun_has_every_frame_recorded_at_60_hz_with_four_viewers(
+    python: str, tmp_path: Path, models_folder: Path
+) -> None:
+    with apart(tmp_path, models_folder, 60.0) as live, watched(live):
+        driver = Driver(live, "under-load")
+        driver.until("hello")
+        for attempt in range(1, 9):
+            driver.attempt(attempt)
+        rates = {one["finger"]: one["frame_rate_hz"] for one in httpx.get(live.url("/v1/cameras")).json()["cameras"]}
+        path = Path(driver.insert(9).recording)
+        driver.close()
+    recorded = {topic: len(messages) for topic, messages in pictures(path).items()}
+    found = decoded_by_rerun(python, path)
+    print(f"at {rates} Hz, recorded {recorded}, decoded by Rerun {found}")
+    assert min(recorded.values()) > 100
+    assert found == recorded
 
 
 def test_foxglove_s_sdk_writes_the_same_bytes(python: str, recording: Path) -> None:

@@ -12,14 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simulation.__main__ import main
 from simulation.cli.dataset import CollectOptions, asked_manifest
-from simulation.data.collect import POKES_PER_FIXTURE, Plan, make_shard, pokes, shard_of
+from simulation.data.collect import POKES_PER_FIXTURE, Plan, make_shard, pokes
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.data.manifest import read_manifest
 from simulation.scene.worlds import load_scene
-from tests.simulation.strategies import made_up_manifest
 
-COLLECT = [sys.executable, "-m", "simulation", "collect", "--objects", "circle", "--trials-per-shard", "3"]
+WORDS = ["collect", "--objects", "circle", "--trials-per-shard", "3"]
+COLLECT = [sys.executable, "-m", "simulation", *WORDS]
 
 
 def plan(folder: Path, **changes: object) -> Plan:
@@ -28,10 +29,9 @@ def plan(folder: Path, **changes: object) -> Plan:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One finished collection of 6 collisions by two processes, through the command line."""
+    """One finished collection of 6 collisions, through the command line."""
     folder = tmp_path_factory.mktemp("collected")
-    command = [*COLLECT, "--out", str(folder), "--trials-per-object", "6", "--workers", "2"]
-    subprocess.run(command, check=True, capture_output=True)
+    assert main([*WORDS, "--out", str(folder), "--trials-per-object", "6", "--workers", "1"]) == 0
     return folder
 
 
@@ -73,28 +73,9 @@ def test_a_group_is_one_fixture_of_at_most_five_pokes(tmp_path: Path) -> None:
     assert len({next(iter(drawn)) for drawn in looks.values()}) == len(seen)
 
 
-def test_knowing_the_slip_changes_nothing_else(tmp_path: Path) -> None:
-    base = load_scene("circle")
-    one = shard_of(plan(tmp_path))
-    other = shard_of(plan(tmp_path, slip_truth=True))
-    assert one[1] == shard_of(plan(tmp_path))[1]
-    assert base.name == one[0].object_name == other[0].object_name
-    for name, (entry, data) in (("plain", one), ("known", other)):
-        (tmp_path / name).mkdir()
-        with DatasetWriter(tmp_path / name, made_up_manifest(scenes={"circle": "0" * 64})) as writer:
-            (tmp_path / name / entry.name).write_bytes(data)
-            writer.commit(entry)
-    plain, known = Dataset(tmp_path / "plain").trial(1), Dataset(tmp_path / "known").trial(1)
-    assert np.array_equal(plain.gel, known.gel)
-    assert plain.slipping is None
-    at = known.true_slip_frame
-    assert known.slipping[at].mean((1, 2)).max() > 0.1
-
-
 @pytest.mark.slow
 def test_number_of_processes_does_not_change_the_data(made: Path, tmp_path: Path) -> None:
-    command = [*COLLECT, "--out", str(tmp_path), "--trials-per-object", "6", "--workers", "1"]
-    subprocess.run(command, check=True, capture_output=True)
+    assert main([*WORDS, "--out", str(tmp_path), "--trials-per-object", "6", "--workers", "2"]) == 0
     assert digests(tmp_path) == digests(made)
 
 
@@ -140,8 +121,7 @@ def test_kill_9_loses_nothing_and_doubles_nothing(made: Path, tmp_path: Path, wa
 
 def test_a_finished_collection_is_left_as_it_is(made: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in made.glob("*.parquet")}
-    command = [*COLLECT, "--out", str(made), "--trials-per-object", "6", "--workers", "1"]
-    subprocess.run(command, check=True, capture_output=True)
+    assert main([*WORDS, "--out", str(made), "--trials-per-object", "6", "--workers", "1"]) == 0
     assert before == {path: path.stat().st_mtime_ns for path in made.glob("*.parquet")}
 
 
@@ -153,12 +133,11 @@ def test_a_finished_collection_is_left_as_it_is(made: Path) -> None:
         (["--seed", "5"], "seed is 0, asked for 5"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_2(made: Path, arguments: list[str], message: str) -> None:
+def test_bad_input_is_one_line_and_exit_2(made: Path, arguments: list[str], message: str, capsys) -> None:
     before = digests(made)
-    result = subprocess.run([*COLLECT, "--out", str(made), *arguments], capture_output=True, text=True, check=False)
-    assert result.returncode == 2
-    assert message in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
+    assert main([*WORDS, "--out", str(made), *arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
     assert digests(made) == before
 
 

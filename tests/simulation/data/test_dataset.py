@@ -36,20 +36,6 @@ def test_trials_come_back_exactly(folder: Path) -> None:
             assert np.array_equal(getattr(read, name), getattr(written, name)), name
 
 
-def test_where_the_gel_slips_comes_back_exactly_where_it_was_collected(tmp_path: Path) -> None:
-    slipping = np.random.default_rng(0).random((12, 30, 2, 20, 21)) < 0.3
-    with DatasetWriter(tmp_path, made_up_manifest()) as writer:
-        known = [made_up_trial(k, slipping=slipping[k]) for k in range(12)]
-        writer.commit(writer.write_shard("rectangle-00000.parquet", known))
-        writer.commit(writer.write_shard("rectangle-00001.parquet", [made_up_trial(12 + k) for k in range(12)]))
-        writer.finish()
-    dataset = Dataset(tmp_path)
-    for index in (0, 11):
-        assert np.array_equal(dataset.trial(index).slipping, slipping[index])
-        assert np.array_equal(dataset.trial(index).gel, made_up_trial(index).gel)
-    assert dataset.trial(12).slipping is None
-
-
 def test_frames_are_the_same_every_time(folder: Path) -> None:
     first, second = Dataset(folder), Dataset(folder)
     frames = first.frames(13, count=2)

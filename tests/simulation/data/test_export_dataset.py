@@ -2,6 +2,8 @@
 
 import base64
 import json
+import os
+import subprocess
 from pathlib import Path
 
 import cv2
@@ -54,6 +56,64 @@ def test_lerobot_tables_agree_with_info(lerobot: Path) -> None:
     stats = json.loads((lerobot / "meta/stats.json").read_text())
     assert set(stats) == set(info["features"])
     assert np.asarray(stats["observation.images.left"]["mean"]).shape == (3, 1, 1)
+
+
+def test_the_statistics_of_an_episode_are_of_its_own_frames(source: Path, lerobot: Path) -> None:
+    episodes = pq.read_table(lerobot / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    features = json.loads((lerobot / "meta/info.json").read_text())["features"]
+    for number, episode in enumerate(episodes):
+        told = {name: episode[f"stats/{name}/mean"] for name in features}
+        trial = made_up_trial(number)
+        assert told["error"] == pytest.approx([trial.x_mm, trial.theta_deg])
+        assert told["observation.wrench"] == pytest.approx(trial.wrench.mean(0), rel=1e-4, abs=1e-5)
+        blue_last = Dataset(source).frames(number, 0, 30)[:, 0, ::4, ::4, ::-1].mean((0, 1, 2)) / 255
+        assert np.ravel(told["observation.images.left"]) == pytest.approx(blue_last)
+        assert episode["stats/error/count"] == [30]
+
+
+LOADED = """
+import json, sys
+import numpy as np, torch
+from lerobot.datasets.compute_stats import aggregate_stats
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.datasets.utils import flatten_dict, unflatten_dict
+import pandas
+from importlib.metadata import version
+data = LeRobotDataset("local/trials", root=sys.argv[1])
+rows = pandas.read_parquet(sys.argv[1] + "/meta/episodes/chunk-000/file-000.parquet").to_dict("records")
+def flat(value):
+    return np.array([flat(one) for one in value]) if isinstance(value, (list, np.ndarray)) else value
+each = [unflatten_dict({k[6:]: flat(v) for k, v in row.items() if k.startswith("stats/")}) for row in rows]
+total = aggregate_stats(each)
+gaps = [float(np.abs(np.asarray(data.meta.stats[n][k]) - total[n][k]).max()) for n in total for k in ("mean", "std")]
+item = data[72]
+print(json.dumps({
+    "version": version("lerobot"), "frames": len(data), "episodes": data.num_episodes, "fps": data.fps,
+    "gap": max(gaps), "image": list(item["observation.images.left"].shape), "task": item["task"],
+    "mean": item["observation.images.left"].mean((1, 2)).tolist(), "error": item["error"].tolist(),
+    "loaded": [int(one["frame_index"]) for one in torch.utils.data.DataLoader(data, batch_size=None)][:31],
+}))
+"""
+
+
+def test_lerobot_s_own_loader_reads_every_frame_and_agrees_with_the_statistics(source: Path, lerobot: Path) -> None:
+    python = os.environ.get("LEROBOT_PYTHON")
+    if not python:
+        pytest.skip("set LEROBOT_PYTHON to a Python with lerobot (make peers LEROBOT=1 does; it is gigabytes)")
+    offline = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(lerobot / "cache")}
+    done = subprocess.run(
+        [python, "-c", LOADED, str(lerobot)], capture_output=True, text=True, env=offline, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert (told["frames"], told["episodes"], told["fps"]) == (90, 3, 30)
+    assert told["gap"] < 1e-6
+    trial, frames = made_up_trial(2), Dataset(source).frames(2, 12, 1)
+    assert told["image"] == [3, *frames.shape[2:4]]
+    assert told["mean"] == pytest.approx(frames[0, 0, ..., ::-1].mean((0, 1)) / 255, abs=1e-6)
+    assert told["error"] == pytest.approx([trial.x_mm, trial.theta_deg])
+    assert told["task"] == "insert the rectangle into the gap"
+    assert told["loaded"] == [*range(30), 0]
 
 
 def test_lerobot_frames_are_the_dataset_s_without_loss(source: Path, lerobot: Path) -> None:

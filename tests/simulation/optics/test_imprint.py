@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from service.contract import Sensor
-from simulation.optics.renderer import Appearance, Renderer, jpeg_round_trip
+from simulation.optics.renderer import Appearance, Renderer
 
 SENSOR = Sensor.load()
 
@@ -174,11 +174,6 @@ def test_the_rolling_shutter_shows_the_top_rows_earlier() -> None:
     assert lag[-1] < 0.35
     assert np.all(np.diff(lag) < 0.1)
     assert np.array_equal(rolling.rectified(moved, 0), Renderer(QUIET).rectified(moved, 0))
-
-
-def test_jpeg_costs_little_at_quality_95() -> None:
-    frame = Renderer(Appearance()).rectified(still(), 0)
-    assert np.abs(jpeg_round_trip(frame).astype(int) - frame).mean() < 4
 
 
 @pytest.mark.parametrize(("shape", "value"), [((20, 20, 3), 0.0), ((20, 21, 3), np.nan), ((20, 21, 3), np.inf)])

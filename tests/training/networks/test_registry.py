@@ -98,14 +98,14 @@ STAGES = "".join(f"[{stage}]\nepochs = 1\n" for stage in ("convolutions", "direc
 @pytest.mark.parametrize(
     ("text", "refusal"),
     [
-        (RUN + "[network]\nkind = 'compakt'", "network.kind: 'compakt' is unknown; nearest allowed: compact"),
+        (RUN + "[network]\nkind = 'compakt'", "network.kind: 'compakt' is unknown; did you mean 'compact'?"),
         (
             RUN + "[network]\nkind = 'q'",
             "network.kind: 'q' is unknown; allowed: alexnet_lstm, compact, markers, pressing",
         ),
-        (RUN + "[network]\nfront_widht = 8", "network.front_widht: the key is unknown; nearest allowed: front_width"),
-        ("treads = 2" + RUN, "treads: the key is unknown; nearest allowed: threads"),
-        (RUN + "epoch = 1", "trunk.epoch: the key is unknown; nearest allowed: epochs"),
+        (RUN + "[network]\nfront_widht = 8", "network.front_widht: unknown key; did you mean 'front_width'?"),
+        ("treads = 2" + RUN, "treads: unknown key; did you mean 'threads'?"),
+        (RUN + "epoch = 1", "trunk.epoch: unknown key; did you mean 'epochs'?"),
     ],
 )
 def test_an_unknown_kind_or_key_of_a_run_is_refused_with_file_key_and_the_nearest(tmp_path, text, refusal):
@@ -113,13 +113,13 @@ def test_an_unknown_kind_or_key_of_a_run_is_refused_with_file_key_and_the_neares
     path.write_text(text)
     with pytest.raises(ContractError) as refused:
         RunConfig.load(path)
-    assert str(refused.value) == f"{path}: {refusal}"
+    assert str(refused.value).startswith(f"{path}: {refusal}")
 
 
 def test_an_unknown_key_of_a_recipe_is_refused_with_the_nearest(tmp_path):
     path = tmp_path / "recipe.toml"
     path.write_text(f"name = 'a'\ndata = 'x'\nimagnet = 'y'\n{STAGES}")
-    with pytest.raises(ContractError, match=r"recipe\.toml: imagnet: the key is unknown; nearest allowed: imagenet"):
+    with pytest.raises(ContractError, match=r"recipe\.toml: imagnet: unknown key; did you mean 'imagenet'\?"):
         RecipeConfig.load(path)
 
 

@@ -32,7 +32,7 @@ class Delays:
     motors_s: float = 0.20
     program_start_s: float = 0.10
     program_stop_s: float = 0.12
-    communication_timeout_s: float = 1.0
+    communication_timeout_s: float = 0.25  # silenceLimit of TactileEgm.mod
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,11 @@ class Cabinet:
     egm: EgmPhase = "off"
     speed_ratio: int = 100
     cycle: str = "forever"
-    signals: dict[str, float] = field(default_factory=lambda: {"doSlipStop": 0.0, "diObjectFixed": 1.0})
+    signals: dict[str, float] = field(
+        default_factory=lambda: {"doSlipStop": 0.0, "diObjectFixed": 1.0, "aoClampForce": 0.0}
+    )
+    ranges: dict[str, tuple[float, float]] = field(default_factory=lambda: {"aoClampForce": (0.0, 20.0)})
+    """Of the analog signals: all others are digital."""
     symbols: dict[str, str] = field(default_factory=dict)
     log: deque[LogEntry] = field(default_factory=lambda: deque(maxlen=1000))
     _motors_due_s: float | None = None
@@ -117,11 +121,14 @@ class Cabinet:
         self._stop_due_s = self._now_s + self.delays.program_stop_s
 
     def set_signal(self, name: str, value: str) -> None:
-        """Set a signal, all of which are digital; raises KeyError for an unknown one, ValueError for no bit."""
+        """Set a signal; raises KeyError for an unknown one, ValueError for a value that it cannot have."""
         if name not in self.signals:
             raise KeyError(name)
-        if value not in ("0", "1"):
+        if name not in self.ranges and value not in ("0", "1"):
             raise ValueError(f"lvalue {value!r} of the digital signal {name}, expected 0 or 1")
+        low, high = self.ranges.get(name, (0.0, 1.0))
+        if not low <= float(value) <= high:
+            raise ValueError(f"lvalue {value} of {name}, expected {low:g} to {high:g}")
         self.signals[name] = float(value)
 
     # ---- what EGM reports -------------------------------------------------------------------------------------

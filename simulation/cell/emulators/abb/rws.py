@@ -1,7 +1,8 @@
 """Robot Web Services 1.0 of the emulated IRC5 over HTTP: digest access, the ABBCX cookie, states, actions, event log.
 
 An action answers 204 when it is accepted, not when it is done: poll the state. The resources are those that clients of
-this cell use; any other path answers 404 as the controller does.
+this cell use; any other path answers 404 as the controller does. ABB's reference (3HAC050973-001 rev M) lists them by
+service and address; each group names its service there.
 """
 
 import asyncio
@@ -32,6 +33,7 @@ from simulation.cell.emulators.abb.rws_subscriptions import add_subscriptions
 from simulation.cell.emulators.faults import FaultBoard, take
 
 MAX_SESSIONS = 70
+COOKIES = ("-http-session-", "ABBCX")  # both must be kept; the second one names the session
 _SESSION_IDLE_S = 300.0
 NOT_FOUND, BAD_ARGUMENT = -1073445859, -1073445865
 
@@ -109,7 +111,8 @@ class Gate:
         if take(faults, "garbage_next"):
             response = Response(secrets.token_bytes(64), media_type=JSON_TYPE)
         if session != cookie:
-            response.set_cookie("ABBCX", session, path="/", httponly=True)
+            for name in COOKIES:
+                response.set_cookie(name, session, path="/", httponly=True)
         if request.url.path == "/logout":
             self._sessions.pop(session, None)
         return response
@@ -123,7 +126,7 @@ def create_app(cabinet: Cabinet, frames: CellFrames, gate: Gate) -> FastAPI:
     _add_execution(app, cabinet)
     _add_symbols(app, cabinet)
     _add_motion_and_signals(app, cabinet, frames)
-    _add_users_and_log(app, cabinet)
+    _add_log_and_mastership(app, cabinet)
     add_more(app, _answer)
     add_subscriptions(app, cabinet, fields, gate.admits)
 
@@ -154,6 +157,8 @@ def _expect(request: Request, *actions: str) -> str:
 
 
 def _add_panel(app: FastAPI, cabinet: Cabinet) -> None:
+    """RobotWare Services, Panel Service."""
+
     @app.get("/rw/panel/{what}")
     async def panel(request: Request, what: str) -> Response:
         return _answer(request, rws_states.panel(cabinet, what))
@@ -202,6 +207,8 @@ def execute(cabinet: Cabinet, action: str, form: dict[str, str]) -> None:
 
 
 def _add_execution(app: FastAPI, cabinet: Cabinet) -> None:
+    """RobotWare Services, RAPID Service: execution and tasks."""
+
     @app.get("/rw/rapid/execution")
     async def execution(request: Request) -> Response:
         return _answer(request, rws_states.execution(cabinet))
@@ -224,6 +231,8 @@ def _add_execution(app: FastAPI, cabinet: Cabinet) -> None:
 
 
 def _add_symbols(app: FastAPI, cabinet: Cabinet) -> None:
+    """RobotWare Services, RAPID Service: symbols."""
+
     @app.get("/rw/rapid/symbol/data/RAPID/{path:path}")
     async def symbol(request: Request, path: str) -> Response:
         return _answer(request, [State("rap-data", path, {"value": cabinet.symbols[path.rsplit("/", 1)[-1]]})])
@@ -245,6 +254,8 @@ def _add_symbols(app: FastAPI, cabinet: Cabinet) -> None:
 
 
 def _add_motion_and_signals(app: FastAPI, cabinet: Cabinet, frames: CellFrames) -> None:
+    """RobotWare Services: System Service, Motion Service, I/O Service."""
+
     @app.get("/rw/system")
     async def system(request: Request) -> Response:
         return _answer(request, rws_states.SYSTEM)
@@ -264,7 +275,9 @@ def _add_motion_and_signals(app: FastAPI, cabinet: Cabinet, frames: CellFrames) 
         return _done()
 
 
-def _add_users_and_log(app: FastAPI, cabinet: Cabinet) -> None:
+def _add_log_and_mastership(app: FastAPI, cabinet: Cabinet) -> None:
+    """RobotWare Services: Elog Service, Mastership; Controller Service: environment variables; logout."""
+
     @app.get("/rw/elog/{domain}/")
     @app.get("/rw/elog/{domain}")
     async def event_log(request: Request, domain: str) -> Response:

@@ -15,6 +15,7 @@ from simulation.cell.emulators.abb.cabinet import Cabinet, RefusedError
 from simulation.cell.emulators.abb.frames import CellFrames
 from simulation.cell.emulators.abb.rws import BAD_ARGUMENT, NOT_FOUND, Gate, execute, fields, motors, speed_ratio
 from simulation.cell.emulators.abb.rws_format import State, as_hal, as_xhtml
+from simulation.cell.emulators.abb.rws_more import add_core, modules
 from simulation.cell.emulators.abb.rws_subscriptions import add_subscriptions
 
 PROTOCOL = "rws_subscription"  # [L], [P]
@@ -37,8 +38,10 @@ def create_app2(cabinet: Cabinet, frames: CellFrames, gate: Gate) -> FastAPI:
     held: dict[str, str] = {}
     _add_panel(app, cabinet, held)
     _add_rapid(app, cabinet, held)
+    _add_symbols(app, cabinet, held)
     _add_motion_and_signals(app, cabinet, frames)
     _add_mastership(app, held)
+    add_core(app, _listed, XHTML)  # [D]
     add_subscriptions(app, cabinet, fields, gate.admits, PROTOCOL)
 
     async def refused(request: Request, error: Exception) -> Response:
@@ -64,6 +67,10 @@ def _answer(request: Request, states: list[State], *, listed: bool = False) -> R
     if _wants_json(request):
         return Response(as_hal(base, states, listed=listed), media_type=HAL)
     return Response(as_xhtml(base, states), media_type=XHTML)
+
+
+def _listed(request: Request, states: list[State]) -> Response:
+    return _answer(request, states, listed=True)
 
 
 def _refusal(request: Request, status: int, code: int, text: str) -> Response:
@@ -143,6 +150,14 @@ def _add_rapid(app: FastAPI, cabinet: Cabinet, held: dict[str, str]) -> None:
     async def tasks(request: Request) -> Response:
         return _answer(request, rws_states.tasks(cabinet), listed=True)
 
+    @app.get("/rw/rapid/tasks/{task}/modules")  # [L]; of the task, no longer beside it
+    async def of_task(request: Request, task: str) -> Response:
+        if task != rws_states.TASK:
+            raise KeyError(task)
+        return _answer(request, modules(), listed=True)
+
+
+def _add_symbols(app: FastAPI, cabinet: Cabinet, held: dict[str, str]) -> None:
     @app.get("/rw/rapid/symbol/RAPID/{path:path}/data")  # [P]
     async def symbol(request: Request, path: str) -> Response:
         value = cabinet.symbols[path.rsplit("/", 1)[-1]]

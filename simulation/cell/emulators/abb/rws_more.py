@@ -1,19 +1,24 @@
-"""What foreign clients of Robot Web Services 1.0 ask for beyond this cell's own: users, files, modules, configuration.
+"""What foreign clients of Robot Web Services 1.0 ask for beyond this cell's own: users, files, modules, CFG, queues.
 
 Each route cites its page of ABB's reference (3HAC050973-001, by its name there). Files live in memory.
 """
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from urllib.parse import parse_qsl
 
 from fastapi import FastAPI, Request, Response
 
 from simulation.cell.emulators.abb import rws_states
+from simulation.cell.emulators.abb.cabinet import RefusedError
 from simulation.cell.emulators.abb.rws_format import XHTML_TYPE, State
 
 Answer = Callable[[Request, list[State]], Response]
 MAX_FILE_BYTES, MAX_FILES = 1 << 20, 64
 NO_SUCH_REQUEST = -1073445870  # user_rmmp_poll_page
+QUEUE_EXISTS = -1073445879  # as abb-robot-client knows it
+MAX_QUEUES, MAX_MESSAGES = 16, 256
 MODULES = {"TactileEgm": "ProgMod", "BASE": "SysMod"}
 ROBOT = {"name": "ROB_1", "use_robot_type": "ROB1_1600_1.45_6", "use_joint_0": "rob1_1"}
 CFG = {"moc": {"ROBOT": [ROBOT]}, "sys": {"CAB_TASKS": [{"Name": rws_states.TASK, "Type": "NORMAL"}]}}
@@ -43,13 +48,24 @@ class Disk:
 
 def add_more(app: FastAPI, answer: Answer) -> None:
     """Add the routes; errors are answered by the app's handlers of KeyError (404) and ValueError (400)."""
-    _add_users(app, answer)
-    _add_files(app, answer)
+    add_core(app, answer)
     _add_modules(app, answer)
+    _add_queues(app, answer)
+
+
+def add_core(app: FastAPI, answer: Answer, media: str = XHTML_TYPE) -> None:
+    """Users, files and configuration, which both generations have at the same addresses."""
+    _add_users(app, answer, media)
+    _add_files(app, answer, media)
     _add_configuration(app, answer)
 
 
-def _add_users(app: FastAPI, answer: Answer) -> None:
+def modules() -> list[State]:
+    """The modules of the one task."""
+    return [State("rap-module-info-li", name, {"name": name, "type": kind}) for name, kind in MODULES.items()]
+
+
+def _add_users(app: FastAPI, answer: Answer, media: str) -> None:
     asked: list[str] = []
 
     @app.get("/users")  # user_page: the users who are logged in
@@ -58,7 +74,7 @@ def _add_users(app: FastAPI, answer: Answer) -> None:
 
     @app.post("/users")  # user_register_page: 201 with the user's resource
     async def register() -> Response:
-        return Response(status_code=201, headers={"Location": "/users/1"}, media_type=XHTML_TYPE)
+        return Response(status_code=201, headers={"Location": "/users/1"}, media_type=media)
 
     @app.get("/users/rmmp")  # user_rmmp_resource_page
     async def granted(request: Request) -> Response:
@@ -68,7 +84,7 @@ def _add_users(app: FastAPI, answer: Answer) -> None:
     @app.post("/users/rmmp")  # user_rmmp_request_page: 202 accepted, with the media of the answer
     async def ask(request: Request) -> Response:
         asked[:] = [] if request.query_params.get("action") == "cancel" else ["modify"]
-        return Response(status_code=202, media_type=XHTML_TYPE)
+        return Response(status_code=202, media_type=media)
 
     @app.get("/users/rmmp/poll")  # user_rmmp_poll_page: without a request there is none to poll
     async def poll(request: Request) -> Response:
@@ -76,7 +92,7 @@ def _add_users(app: FastAPI, answer: Answer) -> None:
         return answer(request, [State("user-rmmp-poll", "state", fields)])
 
 
-def _add_files(app: FastAPI, answer: Answer) -> None:
+def _add_files(app: FastAPI, answer: Answer, media: str) -> None:
     disk = Disk()
 
     @app.get("/fileservice/{path:path}")  # fs_file_get_page, fs_directory_get_page
@@ -87,7 +103,7 @@ def _add_files(app: FastAPI, answer: Answer) -> None:
 
     @app.put("/fileservice/{path:path}")  # fs_file_upload_page: 201 for a new file, 200 for one replaced
     async def write(request: Request, path: str) -> Response:
-        return Response(status_code=201 if disk.put(path, await request.body()) else 200, media_type=XHTML_TYPE)
+        return Response(status_code=201 if disk.put(path, await request.body()) else 200, media_type=media)
 
     @app.delete("/fileservice/{path:path}")  # fs_file_actions_page: fs-delete
     async def delete(path: str) -> Response:
@@ -97,10 +113,10 @@ def _add_files(app: FastAPI, answer: Answer) -> None:
 
 def _add_modules(app: FastAPI, answer: Answer) -> None:
     @app.get("/rw/rapid/modules")  # rapid_modules_get_page; the task is required
-    async def modules(request: Request) -> Response:
+    async def listed(request: Request) -> Response:
         if request.query_params.get("task") != rws_states.TASK:
             raise ValueError(f"task {request.query_params.get('task')!r}, expected {rws_states.TASK}")
-        return answer(request, [State("rap-module-info-li", n, {"name": n, "type": t}) for n, t in MODULES.items()])
+        return answer(request, modules())
 
 
 def _add_configuration(app: FastAPI, answer: Answer) -> None:
@@ -118,3 +134,36 @@ def _add_configuration(app: FastAPI, answer: Answer) -> None:
     async def instances(request: Request, domain: str, kind: str) -> Response:
         found = CFG[domain.lower()][kind.upper()]
         return answer(request, [State("cfg-dt-instance-li", next(iter(fields.values())), fields) for fields in found])
+
+
+def _add_queues(app: FastAPI, answer: Answer) -> None:
+    """Message queues of option 616-1 (ABB's pages on dipc). No RAPID task here reads one: clients meet each other."""
+    queues: dict[str, deque[dict[str, str]]] = {}
+
+    @app.post("/rw/dipc")  # dipc-create
+    async def create(request: Request) -> Response:
+        name = _form(await request.body())["dipc-queue-name"]
+        if name in queues:
+            raise RefusedError(f"the queue {name} exists", QUEUE_EXISTS)
+        if len(queues) >= MAX_QUEUES:
+            raise ValueError(f"more than {MAX_QUEUES} queues")
+        queues[name] = deque(maxlen=MAX_MESSAGES)
+        return Response(status_code=201, media_type=XHTML_TYPE)
+
+    @app.post("/rw/dipc/{name}")  # dipc-send
+    async def send(request: Request, name: str) -> Response:
+        form = _form(await request.body())
+        keys = ("dipc-data", "dipc-userdef", "dipc-msgtype", "dipc-cmd")
+        queues[name].append({key: form[key] for key in keys} | {"queue-name": form["dipc-src-queue-name"]})
+        return Response(status_code=204)
+
+    @app.get("/rw/dipc/{name}/")  # dipc-read: messages are read once
+    @app.get("/rw/dipc/{name}")
+    async def read(request: Request, name: str) -> Response:
+        rows = [State("dipc-read-li", name, message) for message in queues[name]]
+        queues[name].clear()
+        return answer(request, rows)
+
+
+def _form(body: bytes) -> dict[str, str]:
+    return dict(parse_qsl(body[:65536].decode("utf-8", "replace"), keep_blank_values=True))

@@ -10,6 +10,7 @@ TASK = "T_ROB1"
 SYSTEM = [
     State("sys-system-li", "system", {"major": "6", "minor": "13", "rwversion": "6.13.00.00", "name": "TactileCell"}),
     State("sys-option-li", "0", {"option": "689-1 Externally Guided Motion (EGM)"}),
+    State("sys-option-li", "1", {"option": "616-1 PC Interface"}),
 ]
 _JOINTS = tuple(f"rax_{k}" for k in range(1, 7))
 _NO_AXES = "abcdef"
@@ -66,7 +67,7 @@ def signal(cabinet: Cabinet, path: str) -> list[State]:
     """One signal by its last path part; raise KeyError if there is none."""
     name = path.rsplit("/", 1)[-1]
     value = cabinet.signals[name]
-    kind = "DI" if name.startswith("di") else "DO"
+    kind = name[:2].upper()  # di, do, ao
     fields = {"name": name, "type": kind, "category": "", "lvalue": f"{value:g}", "lstate": "not simulated"}
     return [State("ios-signal", path, fields)]
 

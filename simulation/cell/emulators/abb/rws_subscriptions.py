@@ -1,4 +1,4 @@
-"""Subscriptions of Robot Web Services 1.0: a resource list becomes a WebSocket that tells each change.
+"""Subscription Service (ABB's reference, 3HAC050973-001 rev M): a resource list becomes a WebSocket that tells changes.
 
 As on the controller they are slow: states are compared every 0.2 s. What EGM and polling tell is newer.
 """

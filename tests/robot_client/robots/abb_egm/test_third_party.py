@@ -5,11 +5,15 @@ Subprocesses: the EGM messages of the two libraries cannot be loaded into one pr
 
 import asyncio
 import os
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from robot_client.insertion.geometry import Pose
+from robot_client.robots.abb_egm import tactile_insertion_egm_pb2 as pb
+from robot_client.robots.abb_egm.codec import decode_robot
 from robot_client.robots.abb_rws.client import RwsClient
 from tests.robot_client.live_cell import bench
 
@@ -65,3 +69,36 @@ def test_abbrobotegm_guides_what_our_rws_client_started():
             return out
 
     assert "followed" in asyncio.run(story())
+
+
+ROBOTWARE_7 = """
+import sys
+from ABBRobotEGM._egm_protobuf import egm_pb2 as pb
+said = pb.EgmRobot()
+said.header.seqno, said.header.tm, said.header.mtype = 7, 28, pb.EgmHeader.MSGTYPE_DATA
+for block in (said.feedBack, said.planned):
+    block.cartesian.pos.x, block.cartesian.pos.y, block.cartesian.pos.z = 1.0, 2.0, 3.0
+    block.cartesian.orient.u0, block.cartesian.orient.u1 = 1.0, 0.0
+    block.cartesian.orient.u2, block.cartesian.orient.u3 = 0.0, 0.0
+    block.timeStamp.sec, block.timeStamp.nsec = 12, 345
+said.motorState.state = pb.EgmMotorState.MOTORS_ON
+said.rapidExecState.state = pb.EgmRapidCtrlExecState.RAPID_RUNNING
+said.mciState.state = pb.EgmMCIState.MCI_RUNNING
+said.CollisionInfo.collsionTriggered = True
+said.CollisionInfo.collDetQuota.append(1.5)
+said.RAPIDfromRobot.digVal = True
+said.RAPIDfromRobot.dnum.append(0.5)
+said.torqueRef.joints.extend([0.1] * 6)
+sys.stdout.buffer.write(said.SerializeToString())
+"""
+
+
+def test_what_abbrobotegm_knows_of_robotware_7_is_read_and_a_collision_ends_guidance():
+    pytest.importorskip("ABBRobotEGM")
+    done = subprocess.run([sys.executable, "-c", ROBOTWARE_7], check=True, capture_output=True)
+    state = decode_robot(done.stdout)
+    assert (state.sequence, state.feedback, state.collided) == (7, Pose(1.0, 2.0, 3.0), True)
+    assert not state.moving_allowed
+    read = pb.EgmRobot.FromString(done.stdout)
+    assert (read.feedBack.timeStamp.nsec, list(read.RAPIDfromRobot.dnum)) == (345, [0.5])
+    assert read.SerializeToString() == done.stdout

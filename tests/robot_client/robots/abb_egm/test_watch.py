@@ -50,7 +50,12 @@ def test_an_hour_of_clock_drift_is_not_lateness():
 
 @pytest.mark.parametrize(
     ("changes", "expect"),
-    [({"motors_on": False}, "motors"), ({"rapid_running": False}, "RAPID"), ({"mc_state": "error"}, "EGM error")],
+    [
+        ({"motors_on": False}, "motors"),
+        ({"rapid_running": False}, "RAPID"),
+        ({"mc_state": "error"}, "EGM error"),
+        ({"collided": True}, "collision"),
+    ],
 )
 def test_a_controller_that_does_not_follow_is_named(changes, expect):
     w = watch()

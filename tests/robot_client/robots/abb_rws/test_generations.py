@@ -80,6 +80,22 @@ def test_signals_are_read_and_switched_with_either_generation(omnicore):
     assert story_of(work, omnicore=omnicore) == (False, True)
 
 
+def test_the_emulated_omnicore_answers_the_core_that_foreign_clients_ask_for(certificate):
+    async def work(rws, _cell):
+        auth, head = ("Default User", "robotics"), {"Accept": "application/hal+json;v=2.0"}
+        async with httpx.AsyncClient(base_url=rws.url, auth=auth, headers=head, verify=rws.trusted) as client:
+            written = {"Content-Type": "text/plain;v=2.0"}
+            put = await client.put("/fileservice/$home/a.mod", content=b"MODULE a", headers=written)
+            paths = ("/fileservice/$home", "/rw/rapid/tasks/T_ROB1/modules", "/rw/cfg/moc/robot/instances", "/users")
+            answers = [await client.get(path) for path in paths]
+            return put.status_code, [answer.json()["_embedded"]["resources"][0] for answer in answers]
+
+    code, (file, module, robot, user) = story_of(work, omnicore=certificate)
+    assert code == 201
+    assert file["_title"] == "a.mod"
+    assert (module["_type"], robot["name"], user["_type"]) == ("rap-module-info-li", "ROB_1", "user-li")
+
+
 def error_of(changes, call=RwsClient.status, **options):
     async def work(rws, cell):
         settings = rws.model_copy(update=changes(rws))

@@ -1,12 +1,15 @@
 """The robot's side of EGM, over a real UDP socket."""
 
+import re
 import socket
 import struct
 import time
+from pathlib import Path
 
 import pytest
 
 from robot_client.robots.abb_egm import codec
+from robot_client.robots.abb_egm.settings import Settings
 from simulation.cell.emulators.abb.egm import CYCLE_S
 from simulation.cell.emulators.net import free_port
 from tests.simulation.physics.bench import bench, forever
@@ -108,7 +111,10 @@ def test_silence_of_the_guide_ends_the_run_and_holds(up):
     guide.descend(10.0, 0.2)
     silent_s = cell.cell.egm.controller_s
     cell.wait(lambda: not cell.cell.cabinet.running, 30.0)
-    assert cell.cell.egm.controller_s - silent_s > 0.9
+    module = Path(codec.__file__).with_name("TactileEgm.mod").read_text()
+    limit_s = float(re.search(r"silenceLimit := ([0-9.]+);", module)[1])
+    assert Settings().silence_s == limit_s, "guide and module have one time-out"
+    assert cell.cell.egm.controller_s - silent_s >= limit_s
     z = cell.cell.cabinet.arm.pose.position_mm[2]
     time.sleep(0.2)
     assert cell.cell.cabinet.arm.pose.position_mm[2] == z

@@ -99,17 +99,24 @@ def test_a_second_motion_is_refused_while_one_runs(gripper):
     gripper.ask(Command.STOP)
 
 
-@pytest.mark.parametrize(("width", "speed"), [(120.0, 50.0), (-1.0, 50.0), (50.0, 4.0), (50.0, 421.0)])
-def test_what_exceeds_the_reported_limits_is_refused(gripper, width, speed):
-    limits = gripper.ask(Command.SYSTEM_LIMITS).values
-    assert limits[:3] == (110.0, 5.0, 420.0)
-    assert gripper.ask(Command.MOVE, 0, width, speed).status is Status.RANGE_ERROR
+@pytest.mark.parametrize(("asked", "reached"), [((120.0, 9999.0), 110.0), ((85.0, 421.0), 85.0)])
+def test_a_move_beyond_the_physical_limits_goes_to_the_limit(gripper, asked, reached):
+    assert gripper.ask(Command.SYSTEM_LIMITS).values[:3] == (110.0, 5.0, 420.0)
+    assert gripper.do(Command.MOVE, 0, *asked) is Status.SUCCESS
+    assert gripper.ask(Command.WIDTH, 0, 0).values[0] == pytest.approx(reached)
+
+
+def test_fingers_snap_to_their_target_when_what_they_clamped_is_gone(cell, gripper):
+    assert gripper.do(Command.MOVE, 0, 60.0, 200.0) is Status.AXIS_BLOCKED
+    cell.call(setattr, cell.cell.part, "_there", False)
+    cell.wait(lambda: cell.cell.gripper.width_mm == 60.0)
+    assert gripper.ask(Command.FORCE, 0, 0).values[0] == 0.0
 
 
 def test_a_move_that_meets_the_part_clamps_it_unless_it_was_told_to_stop(gripper):
     assert gripper.do(Command.MOVE, 0, 60.0, 200.0) is Status.AXIS_BLOCKED
-    assert gripper.ask(Command.FORCE, 0, 0).values[0] > 0.0
-    assert SystemState.FORCE_CONTROL_MODE in bits(gripper)
+    assert gripper.ask(Command.FORCE, 0, 0).values[0] == 40.0, "half of the nominal force"
+    assert SystemState.FORCE_CONTROL_MODE not in bits(gripper), "no finger here measures force"
     gripper.do(Command.RELEASE, 100.0, 400.0)
     assert gripper.do(Command.MOVE, 2, 60.0, 200.0) is Status.AXIS_BLOCKED
     assert gripper.ask(Command.FORCE, 0, 0).values[0] == 0.0
@@ -118,7 +125,7 @@ def test_a_move_that_meets_the_part_clamps_it_unless_it_was_told_to_stop(gripper
 @pytest.mark.parametrize("limits", [(80.0, 20.0), (50.0, 50.0), (-1.0, 50.0), (10.0, 111.0)])
 def test_soft_limits_out_of_order_or_beyond_the_stroke_are_refused(gripper, limits):
     assert gripper.ask(Command.SET_SOFT_LIMITS, *limits).status is Status.RANGE_ERROR
-    assert gripper.ask(Command.GET_SOFT_LIMITS).values == (0.0, 110.0)
+    assert gripper.ask(Command.GET_SOFT_LIMITS).status is Status.NOT_AVAILABLE
 
 
 def test_soft_limits_bound_the_moves_until_they_are_cleared(gripper):
@@ -126,8 +133,17 @@ def test_soft_limits_bound_the_moves_until_they_are_cleared(gripper):
     assert gripper.ask(Command.MOVE, 0, 84.0, 100.0).status is Status.RANGE_ERROR
     assert gripper.do(Command.MOVE, 0, 105.0, 400.0) is Status.SUCCESS
     assert SystemState.SOFT_LIMIT_PLUS in bits(gripper)
+    assert gripper.ask(Command.GET_SOFT_LIMITS).values == (85.0, 105.0)
     assert gripper.ask(Command.CLEAR_SOFT_LIMITS).status is Status.SUCCESS
     assert not bits(gripper) & (SystemState.SOFT_LIMIT_PLUS | SystemState.SOFT_LIMIT_MINUS)
+
+
+def test_a_grasp_that_runs_into_the_restricted_area_is_a_fast_stop(cell, gripper):
+    cell.call(setattr, cell.cell.part, "_there", False)
+    gripper.ask(Command.SET_SOFT_LIMITS, 85.0, 110.0)
+    assert gripper.do(Command.GRASP, 86.0, 200.0) is Status.RANGE_ERROR
+    assert SystemState.FAST_STOP in bits(gripper)
+    gripper.ask(Command.CLEAR_SOFT_LIMITS)
 
 
 @pytest.mark.parametrize(("asked", "taken"), [(1000.0, 80.0), (1.0, 5.0), (33.0, 33.0)])
@@ -149,30 +165,77 @@ def raw(gripper, command, payload=b""):
 @pytest.mark.parametrize(
     ("command", "payload", "status"),
     [
-        (0x37, b"\0", Status.NOT_AVAILABLE),
+        (0x06, b"x" * 257, Status.CMD_FORMAT_ERROR),
+        (0x24, b"nak", Status.CMD_FORMAT_ERROR),
+        (0x37, b"\0", Status.SUCCESS),
         (0x38, b"", Status.NOT_AVAILABLE),
         (0x38, b"x", Status.NO_PARAM_EXPECTED),
-        (0x42, b"", Status.NOT_ENOUGH_PARAMS),
-        *((command, b"\0", Status.NOT_AVAILABLE) for command in range(0x60, 0x64)),
-        (0x60, b"\7", Status.INDEX_OUT_OF_BOUNDS),
-        (0x52, b"x" * 65, Status.RANGE_ERROR),
+        (0x42, b"", Status.CMD_FORMAT_ERROR),
+        (0x46, bytes(3), Status.NO_PARAM_EXPECTED),
+        (0x51, b"x" * 65, Status.OVERRUN),
+        (0x51, b"\x1b[2J", Status.INVALID_PARAMETER),
+        (0x52, b"", Status.NOT_AVAILABLE),
+        *((command, b"\0", Status.CMD_FORMAT_ERROR) for command in (0x60, 0x61, 0x63, 0x70, 0x71, 0x73)),
+        *((command, b"", Status.NOT_AVAILABLE) for command in (0x63, 0x73)),
+        (0x64, b"", Status.CMD_UNKNOWN),
     ],
 )
-def test_what_foreign_drivers_ask_is_answered_by_name(gripper, command, payload, status):
+def test_what_foreign_drivers_ask_is_answered_as_in_the_manual(gripper, command, payload, status):
     assert raw(gripper, command, payload)[0] is status
 
 
 def test_temperature_tag_and_statistics_are_told(gripper):
-    assert raw(gripper, 0x46, bytes(3)) == (Status.SUCCESS, struct.pack("<h", 365))
-    assert raw(gripper, 0x52, b"left of two") == (Status.SUCCESS, b"")
-    assert raw(gripper, 0x51) == (Status.SUCCESS, b"left of two")
+    assert raw(gripper, 0x46) == (Status.SUCCESS, struct.pack("<h", 365))
+    assert raw(gripper, 0x51, b"left of two\0") == (Status.SUCCESS, b"")
+    assert raw(gripper, 0x52) == (Status.SUCCESS, b"left of two")
+    raw(gripper, 0x51)
     raw(gripper, 0x42, b"\1")
     gripper.do(Command.GRASP, 80.0, 200.0)
     assert raw(gripper, 0x42, b"\0") == (Status.SUCCESS, struct.pack("<IHH", 1, 0, 0))
 
 
+@pytest.mark.parametrize("finger", [0x60, 0x70])
+def test_a_generic_finger_is_switched_off_at_once_and_on_in_two_steps(gripper, finger):
+    assert raw(gripper, finger) == (Status.SUCCESS, bytes(3))
+    assert raw(gripper, finger + 2, b"\0")[0] is Status.SUCCESS
+    assert raw(gripper, finger + 1) == (Status.SUCCESS, bytes(2))
+    assert raw(gripper, finger + 2, b"\1")[0] is Status.CMD_PENDING
+    assert gripper.reply(finger + 2).status is Status.SUCCESS
+    assert raw(gripper, finger + 1) == (Status.SUCCESS, b"\1\0")
+
+
+def test_overdrive_shows_in_the_state(gripper):
+    raw(gripper, 0x37, b"\1")
+    assert SystemState.OVERDRIVE_MODE in bits(gripper)
+    raw(gripper, 0x37, b"\0")
+    assert SystemState.OVERDRIVE_MODE not in bits(gripper)
+
+
+def test_after_the_goodbye_nothing_is_accepted(gripper):
+    gripper.ask(Command.DISCONNECT)
+    assert gripper.ask(Command.WIDTH, 0, 0).status is Status.ACCESS_DENIED
+
+
+def test_datagrams_are_answered_like_the_stream_and_cannot_say_goodbye(cell, gripper):
+    """The bytes are those that drake-schunk-driver's demo sends."""
+    gripper.close()
+    cell.wait(lambda: cell.cell.wsg.connection is None)
+    host, port = cell.told["gripper_udp"].split(":")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.settimeout(30.0)
+        udp.sendto(bytes.fromhex("AAAAAA 21 0900 00 0000A042 0000F041 8038"), (host, int(port)))
+        replies = [udp.recv(200) for _ in range(2)]
+        udp.sendto(encode_frame(Command.DISCONNECT), (host, int(port)))
+        assert [Status(struct.unpack("<H", reply[6:8])[0]) for reply in (*replies, udp.recv(200))] == [
+            Status.CMD_PENDING,
+            Status.AXIS_BLOCKED,
+            Status.NOT_AVAILABLE,
+        ]
+
+
 def test_nothing_moves_before_homing(cell, gripper):
     cell.faults(gripper={"not_homed": True})
+    assert gripper.ask(Command.WIDTH, 0, 0).values == (0.0,)
     assert gripper.ask(Command.GRASP, 80.0, 50.0).status is Status.NOT_INITIALIZED
     assert SystemState.REFERENCED not in bits(gripper)
 
