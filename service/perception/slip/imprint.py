@@ -33,8 +33,8 @@ class ImprintChange:
     """What one finger's imprint did since the last frames looked at.
 
     ``changed`` and ``changed_later`` 0 .. 2: share of the imprint that is another one than a frame, and three frames,
-    before, where it has changed most. ``let_go`` -1 .. 1: relief lost rather than won within three frames. ``relief``: of the imprint, percent of
-    the light. ``irregular_pitch``: how far the markers are from a regular print.
+    before, where it has changed most. ``let_go`` -1 .. 1: relief lost rather than won within three frames.
+    ``relief``: of the imprint, percent of the light. ``irregular_pitch``: how far the markers are from a regular print.
     """
 
     changed: float
@@ -122,8 +122,8 @@ class _Grid:
             cv2.GaussianBlur(lit, (0, 0), sigma * self._samples).reshape(lit.shape) / (weight + 1e-3)[..., None]
             for sigma, weight in ((_FINE, self._fine), (_SLOW, self._slow))
         )
-        imprint = 100 * (fine / np.maximum(slow, _DARK) - 1) * self.seen[..., None]
-        return _Look(imprint.astype(np.float32), np.sqrt(self._power(imprint)))
+        imprint = np.asarray(100 * (fine / np.maximum(slow, _DARK) - 1) * self.seen[..., None], np.float32)
+        return _Look(imprint, np.sqrt(self._power(imprint)))
 
     def changed(self, before: _Look, now: _Look) -> float:
         """Local power of the difference of two imprints, in shares of that of both; where it is largest."""

@@ -158,8 +158,8 @@ def _notes(data: Row, left_out: Row) -> str:
         {data["ambiguous"]}. Median run: {data["ms_a_frame"]:.1f} ms CPU a finger and frame, tracker and all.
 
         - **What is out of sample.** Where an object is said to be left out, the witness and its limit were fitted
-          without any run of it; the limit is the one that lets {witness.FALSE_RUNS} held runs of the others alarm. Which
-          five numbers it reads was chosen with all runs in sight, and so were the limits of the open gel.
+          without any run of it; the limit is the one that lets {witness.FALSE_RUNS} held runs of the others alarm.
+          Which five numbers it reads was chosen with all runs in sight, and so were the limits of the open gel.
         - **Told too late by its label.** {left_out["untellable"]} of the slides begin less than {AHEAD_N} frames
           before the loss, or with the recording itself: nobody could tell them.
         - **Two kinds of recordings.** {_kind(left_out, "short")} of the runs that were cut to the grasp, and
