@@ -57,11 +57,11 @@ def _events(log: Path) -> list[dict[str, Any]]:
 
 def _slips(events: list[dict[str, Any]]) -> list[int]:
     """Capture stamps (steady clock, ns) of the frames that showed slip, one an attempt."""
-    first: dict[int, int] = {}
+    first: dict[tuple[str, int], int] = {}
     for entry in events:
         message = entry.get("event", {}).get("message", {})
         if message.get("type") == "slip":
-            first.setdefault(int(message["attempt"]), int(message["captured_ns"]))
+            first.setdefault((message.get("insertion_id", ""), int(message["attempt"])), int(message["captured_ns"]))
     return list(first.values())
 
 
@@ -69,8 +69,10 @@ def collect(
     truth: dict[str, Any], log: Path, *, seconds: float, cores: tuple[float, float] = (math.nan, math.nan), **start: Any
 ) -> Result:
     """Put episode log and truth together; ``start``: ``object_name``, ``x_mm``, ``theta_deg`` and ``seed`` of it."""
-    events = _events(log)
-    end: dict[str, Any] = next((entry["end"] for entry in events if "end" in entry), {})
+    logs = [log, *sorted(log.parent.glob(f"{log.stem}-*{log.suffix}"), key=lambda path: path.stat().st_mtime)]
+    events = [entry for one in logs for entry in _events(one)]  # one for each time that the object was taken
+    ends = [entry["end"] for entry in events if "end" in entry] or [{}]
+    end, refused_n = ends[-1], len(ends) - 1  # of each earlier one the last attempt was not armed
     body, course = truth.get("object", {}), truth["course"]
     frozen, rest, over = [], [], []
     for slip_ns in _slips(events):
@@ -85,7 +87,7 @@ def collect(
     return Result(
         **start,
         inserted=claimed and bool(body.get("inserted", False)),
-        attempts=int(end.get("attempts", 0)),
+        attempts=sum(int(one.get("attempts", 0)) for one in ends) - refused_n,
         reason=contradiction or str(end.get("reason") or ""),
         seconds=seconds,
         final_x_mm=float(body.get("x_mm", math.nan)),
