@@ -165,7 +165,7 @@ export: $(VENV)/ready ## write CHECKPOINT and PICTURES as ONNX files with their 
 	for folder in $(MODELS) $(MODELS)/joint $(MODELS)/pictures; do $(BIN)/python -m export verify $$folder || exit 1; done
 
 accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png; errors beside theory: docs/theory.md
-	$(BIN)/python -m simulation theory --out docs
+	$(BIN)/python -m tests.simulation.physics.theory docs
 	$(BIN)/python -m simulation accuracy
 
 slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md

@@ -34,7 +34,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "foreign-check": ("physics:foreign_check", "the foreign cell's finite elements beside CalculiX: table, JSON"),
     "pace": ("pace:main", "what settings of the client cost in seconds a box, played on the same starts"),
     "choose": ("pace:choose", "the client's settings for a time a box, a success and a force, as a file"),
-    "theory": ("physics:theory", "errors beside Hertz, Mindlin, Winkler and the paper: table"),
     "accuracy": ("physics:accuracy", "what physics accuracy costs in time: table, JSON, plot"),
 }
 

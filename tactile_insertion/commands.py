@@ -55,7 +55,6 @@ GROUPS: dict[str, dict[str, Command]] = {
     },
     "study the simulation": {
         "accuracy": Command("simulation", "accuracy", "what physics accuracy costs in time"),
-        "theory": Command("simulation", "theory", "errors beside closed-form contact mechanics"),
         "hard-probes": Command("simulation", "hard-probes", "10,000 random extreme contacts"),
         "slip-report": Command("simulation", "slip-report", "how well slip is detected, and the cost"),
         "grasps": Command("simulation", "grasps", "recorded grasps of real objects, judged"),

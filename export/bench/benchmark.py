@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from export.bench import paper
 from export.bench.fresh import measure_fresh
 from export.bench.measure import example_inputs, time_in_turn, undisturbed
@@ -14,7 +12,7 @@ from export.bench.report import write
 from export.onnx.decisions import Decision
 from export.onnx.golden import golden_frames
 from export.onnx.model import Model, open_model
-from export.quantise.agreement import compare
+from export.quantise.agreement import same_commands
 from export.quantise.quantise import CALIBRATION_DECISIONS, MODES, quantise
 from reporting.machine import commit, cpu_name
 from service.contract import ContractError, Sensor
@@ -33,7 +31,7 @@ def benchmark(
 ) -> Row:
     """Measure every file, write ``benchmark`` .md and .json into ``docs``; returns the report.
 
-    ``int8``: folder of released fp32 step models that are built in int8, too, to be compared on ``decisions``.
+    ``int8``: folder of both released fp32 step models, which are built in int8, too, to be compared on ``decisions``.
     ``alexnet``: folder of the paper's networks. Raises ContractError on a bad file.
     """
     models = [open_model(file) for file in files]
@@ -81,9 +79,8 @@ def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: 
     times = time_in_turn(calls, seconds=len(calls) * seconds, warm=True)
     rows = []
     for name, models in sets.items():
-        agreement = compare(sources, models, decisions)
         size_mb = sum(model.file.stat().st_size for model in models) / 1e6
-        shares = {"same_commands": agreement.same_commands, "decisions": agreement.decisions}
+        shares = {"same_commands": same_commands(sources, models, decisions), "decisions": len(decisions)}
         rows.append({"precision": name, "cpu_p50_ms": times[name][0].cpu_p50_ms, "size_mb": size_mb, **shares})
     return rows + [{"precision": name, "refused": why} for name, why in refused.items()]
 
@@ -95,5 +92,4 @@ def _together(models: Sequence[Model]) -> Any:
 
 def golden_decisions() -> list[Decision]:
     """What calibrates and compares the int8 builds where no collected data is named: the speed is the same."""
-    truth = np.zeros(2, np.float32)
-    return [Decision(golden_frames(Sensor.load().rectified, 8, seed), 56.0, 30.0, truth, "golden") for seed in range(2)]
+    return [Decision(golden_frames(Sensor.load().rectified, 8, seed), 56.0, 30.0) for seed in range(2)]

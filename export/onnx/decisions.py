@@ -1,4 +1,4 @@
-"""Recorded collisions, and what a network decides on them: class, estimate and the command of the paper's rule."""
+"""Recorded collisions, and what two networks decide on them: the command of the paper's rule."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +12,6 @@ from export.onnx.model import Arrays, Model, geometry_inputs
 from service.contract import ContractError, ModelCard, Sensor
 from service.perception.markers.sequence import track_pairs
 from training.data.dataset import SPLITS, open_source
-from training.data.labels import class_of
 
 FRAMES = 8
 GAIN = 0.7
@@ -21,13 +20,11 @@ GAIN = 0.7
 
 @dataclass(frozen=True)
 class Decision:
-    """A recorded collision: ``frames`` uint8 [T, 2, H, W, 3] from the onset, the gap and the true error (mm, deg)."""
+    """A recorded collision: ``frames`` uint8 [T, 2, H, W, 3] from the onset, the gap and how high it was grasped."""
 
     frames: NDArray[np.uint8]
     gap_width_mm: float
     grasp_height_mm: float
-    truth: NDArray[np.float32]
-    name: str
     sensor: Sensor = field(default_factory=Sensor.load)
 
     @cached_property
@@ -40,56 +37,13 @@ class Decision:
         return self.markers if card.markers else self.frames
 
 
-@dataclass(frozen=True)
-class Answer:
-    """A network's decision: class index, error [2] and the command [2] that follows, in (mm, deg)."""
-
-    chosen: int
-    error: NDArray[np.float64]
-    command: NDArray[np.float64]
-
-
-def density_mean(card: ModelCard, log_density: NDArray[Any]) -> NDArray[np.float64]:
-    """Mean error [N, 2] in (mm, deg) of a joint density."""
-    weight = np.exp(log_density.astype(np.float64) - log_density.max((1, 2), keepdims=True))
-    weight /= weight.sum((1, 2), keepdims=True)
-    return np.stack([weight.sum(2) @ np.array(card.grid_x_mm), weight.sum(1) @ np.array(card.grid_theta_deg)], 1)
-
-
-def paper_rule(card: ModelCard, logits: NDArray[Any], error: NDArray[Any]) -> NDArray[np.float64]:
-    """Eq. 1 of the paper: -0.7 d, -0.3 d without a class, -3 S where class and estimate contradict."""
-    signs = np.array([(entry.sign_x, entry.sign_theta) for entry in card.classes])[logits.argmax(1)]
-    agreeing = signs * error > 0
-    stepped = np.where(agreeing, -GAIN * error, -3.0 * signs)
+def command(card: ModelCard, outputs: Arrays) -> NDArray[np.float64]:
+    """Eq. 1 of the paper, (mm, deg) [2]: -0.7 d, -0.3 d without a class, -3 S where class and estimate contradict."""
+    error = outputs["error"][0]
+    entry = card.classes[int(outputs["logits"][0].argmax())]
+    signs = np.array([entry.sign_x, entry.sign_theta])
+    stepped = np.where(signs * error > 0, -GAIN * error, -3.0 * signs)
     return np.asarray(np.where(signs == 0, -0.3 * error, stepped), np.float64)
-
-
-def most_likely_class(card: ModelCard, outputs: Arrays) -> int:
-    """Index of the class that a network's outputs hold for most likely; of an estimate alone, the class it lies in."""
-    if "logits" in outputs:
-        return int(outputs["logits"][0].argmax())
-    if "error" in outputs:
-        return int(class_of(outputs["error"])[0])
-    density = outputs["log_density"][0].astype(np.float64)
-    weight = np.exp(density - density.max())
-    x_mm, theta_deg = np.meshgrid(card.grid_x_mm, card.grid_theta_deg, indexing="ij")
-    cells = class_of(np.stack([x_mm, theta_deg], -1).reshape(-1, 2).astype(np.float32))
-    return int(np.bincount(cells, weight.ravel(), len(card.classes)).argmax())
-
-
-def answer(card: ModelCard, outputs: Arrays) -> Answer:
-    """Class, estimate and command of all outputs of a candidate; a joint density's command needs no class."""
-    error = estimate(card, outputs)
-    command = paper_rule(card, outputs["logits"], outputs["error"])[0] if "logits" in outputs else -GAIN * error
-    return Answer(most_likely_class(card, outputs), error, command)
-
-
-def estimate(card: ModelCard, outputs: Arrays) -> NDArray[np.float64]:
-    """Estimated error [2] in (mm, deg); a joint density's is its mean."""
-    if "error" in outputs:
-        return np.asarray(outputs["error"][0], np.float64)
-    mean: NDArray[np.float64] = density_mean(card, outputs["log_density"])[0]
-    return mean
 
 
 def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
@@ -112,9 +66,8 @@ def _drawn(path: str, split: str, count: int) -> Iterator[Decision]:
     for place in np.linspace(0, len(inside) - 1, min(count, len(inside))).astype(int):
         trial = source.trial(inside[place])
         frames = source.frames(inside[place], int(trial.onset_frame), FRAMES)
-        truth = np.array([trial.x_mm, trial.theta_deg], np.float32)
         told_mm = float(trial.gap_width_mm), float(trial.grasp_height_mm)
-        yield Decision(frames, *told_mm, truth, str(trial.object_name), source.manifest.sensor)
+        yield Decision(frames, *told_mm, source.manifest.sensor)
 
 
 def _collided(trial: object, split: str) -> bool:

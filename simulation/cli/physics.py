@@ -1,4 +1,4 @@
-"""Commands that hold the physics against references, theory and its own promises."""
+"""Commands that hold the physics against references and its own promises."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from simulation.studies import hard_probes as probes
 from simulation.studies.accuracy import PAST_TOUCHDOWN_MM, SETTINGS, THETA_DEG, X_MM, measure, probe_times
 from simulation.studies.accuracy_report import accuracy_page, draw
 from simulation.studies.hard_probes_report import hard_probes_page
-from simulation.studies.theory import theory_page
 from simulation.studies.witness import calculix, check, costs
 from simulation.studies.witness.check_page import foreign_check_page
 
@@ -45,32 +44,6 @@ def accuracy(arguments: list[str]) -> int:
     data = {"poke": poke, "costs": costs, "probe_ms": probe_times(options.repeats)}
     draw(costs, options.out / "accuracy.png")
     print(publish(options.out, "accuracy", accuracy_page(data), data))
-    return 0
-
-
-@dataclass(frozen=True)
-class TheoryOptions:
-    """Print errors beside Hertz, Mindlin, Winkler and the paper's task; write theory.md where asked."""
-
-    grids: tuple[int, ...] = (32, 64)
-    """nodes a side of a pad"""
-    draws: int = 20_000
-    """errors drawn for the geometry table"""
-    out: Path | None = None
-    """folder for theory.md; without it the page is only printed"""
-
-
-def theory(arguments: list[str]) -> int:
-    """Print the page, and write it where asked."""
-    options = tyro.cli(TheoryOptions, args=arguments, prog="tactile-insertion theory")
-    if not options.grids or min(options.grids) < 4 or options.draws < 1:
-        raise ValueError(f"expected --grids of at least 4 and --draws >= 1, got {options.grids} and {options.draws}")
-    if options.out is not None and not options.out.is_dir():
-        raise ValueError(f"--out {options.out}: no such folder")
-    text = theory_page(options.grids, options.draws)
-    print(text)
-    if options.out is not None:
-        publish(options.out, "theory", text)
     return 0
 
 

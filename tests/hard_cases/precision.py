@@ -54,8 +54,7 @@ def _small(name: str) -> Model:
 
 
 def _golden_decisions() -> list[Decision]:
-    truth = np.zeros(2, np.float32)
-    return [Decision(golden(seed), 56.0, 30.0, truth, "golden") for seed in range(4)]
+    return [Decision(golden(seed), 56.0, 30.0) for seed in range(4)]
 
 
 @case(

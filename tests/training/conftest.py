@@ -37,9 +37,9 @@ def tiny(folder, cache):
         data=DataConfig(
             path="unused",
             cache=str(cache),
-            rendered_training=10,
-            rendered_validation=5,
-            rendered_test=5,
+            rendered_training=4,
+            rendered_validation=3,
+            rendered_test=2,
         ),
         network=NetworkConfig(front_width=8, trunk_width=8, feature_size=16, state_size=16),
         front=stage,

@@ -24,6 +24,7 @@ _MARKER = 2.9 / 8  # pitch; radius of what is left out
 _FINE, _SLOW, _AROUND = 1.0 / 8, 5.0 / 8, 9.0 / 8  # pitch
 _DARK = 8.0  # grey
 _NOISE = 1.0  # variance of the imprint of two pictures of the same gel, in (percent of the light)^2
+_WHERE = 0.05  # of the gel, which a rim or a pen that slides changes
 _LITTLE = 0.15  # percent; relief won or lost that is none
 
 
@@ -32,8 +33,8 @@ class ImprintChange:
     """What one finger's imprint did since the last frames looked at.
 
     ``changed`` and ``changed_later`` 0 .. 2: share of the imprint that is another one than a frame, and three frames,
-    before. ``let_go`` -1 .. 1: relief lost rather than won within three frames. ``relief``: of the imprint, percent of
-    the light. ``irregular_pitch``: how far the markers are from a regular print.
+    before, where it has changed most. ``let_go`` -1 .. 1: relief lost rather than won within three frames.
+    ``relief``: of the imprint, percent of the light. ``irregular_pitch``: how far the markers are from a regular print.
     """
 
     changed: float
@@ -121,13 +122,17 @@ class _Grid:
             cv2.GaussianBlur(lit, (0, 0), sigma * self._samples).reshape(lit.shape) / (weight + 1e-3)[..., None]
             for sigma, weight in ((_FINE, self._fine), (_SLOW, self._slow))
         )
-        imprint = 100 * (fine / np.maximum(slow, _DARK) - 1) * self.seen[..., None]
-        squared = reduce(np.add, np.square(imprint).transpose(2, 0, 1)) / imprint.shape[-1]
-        power = cv2.boxFilter(squared, cv2.CV_32F, self._box) / self._boxed
-        return _Look(imprint.astype(np.float32), np.sqrt(power).astype(np.float32))
+        imprint = np.asarray(100 * (fine / np.maximum(slow, _DARK) - 1) * self.seen[..., None], np.float32)
+        return _Look(imprint, np.sqrt(self._power(imprint)))
 
     def changed(self, before: _Look, now: _Look) -> float:
-        """Power of the difference of two imprints, in shares of that of both."""
-        off = cv2.norm(now.imprint, before.imprint, cv2.NORM_L2SQR)
-        both = cv2.norm(before.imprint, cv2.NORM_L2SQR) + cv2.norm(now.imprint, cv2.NORM_L2SQR)
-        return float(off / (both + _NOISE * float(self.seen.sum()) * now.imprint.shape[-1]))
+        """Local power of the difference of two imprints, in shares of that of both; where it is largest."""
+        both = np.square(before.relief) + np.square(now.relief)
+        share = (self._power(now.imprint - before.imprint) / (both + _NOISE)).ravel()
+        rank = int((1 - _WHERE) * (share.size - 1))
+        return float(np.partition(share, rank)[rank])
+
+    def _power(self, imprint: FloatArray) -> FloatArray:
+        """Mean square [h, w] of what is seen around, of an imprint [h, w, channels]."""
+        squared = reduce(np.add, np.square(imprint).transpose(2, 0, 1)) / imprint.shape[-1]
+        return np.asarray(cv2.boxFilter(squared, cv2.CV_32F, self._box) / self._boxed, np.float32)

@@ -27,7 +27,6 @@ class Onset:
 
     captured_ns: int
     index: int
-    moved_px: float
 
 
 class OnsetDetector:
@@ -62,7 +61,7 @@ class OnsetDetector:
         may = field.valid & reference.valid
         moved = carried_px(np.asarray(field.displacement_px - reference.displacement_px, np.float64), may)
         if moved > self._threshold(field.pitch_px):
-            self._onset = Onset(field.captured_ns, self._index, moved)
+            self._onset = Onset(field.captured_ns, self._index)
         else:
             self._rest = [*self._rest[-15:], moved]
         return self._onset

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from service.perception.slip.imprint import ImprintChange
 
 TERMS = ("changed", "changed over three", "let go", "relief", "irregular")
-WEIGHTS = (0.9397, 0.8724, 2.3814, -2.2961, -2.6491)
-BIAS = 0.8055  # the limit included
+WEIGHTS = (0.6403, 1.0773, 3.5331, -1.9548, -2.7188)
+BIAS = -2.716  # the limit included
 _LITTLE = 0.01
 _IRREGULAR = 0.2  # pitch; more, or a grid that is not seen, says no more
 
@@ -36,15 +36,15 @@ class SlideWitness:
         seen = [finger for finger in fingers if finger is not None]
         if len(seen) < max(2, len(fingers)):
             return None
-        most = max(seen, key=lambda finger: finger.changed)
-        twice, self._changed = min(self._changed, most.changed), most.changed
+        most = max(finger.changed for finger in seen)
+        twice, self._changed = min(self._changed, most), most
         relief = math.hypot(*(finger.relief for finger in seen))
         irregular = sum(min(finger.irregular_pitch, _IRREGULAR) for finger in seen)
         return np.array(
             [
                 math.log(_LITTLE + twice),
                 math.log(_LITTLE + max(finger.changed_later for finger in seen)),
-                most.let_go,
+                sum(finger.let_go for finger in seen) / len(seen),
                 math.log(1 + relief),
                 math.log(_LITTLE + irregular),
             ]

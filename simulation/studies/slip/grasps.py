@@ -7,6 +7,7 @@ be checked. Runs are counted, not frames; a run whose label names no loss can on
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any
 
 from reporting.page import page
@@ -51,7 +52,7 @@ def figures(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]:
         "lead_s": sorted(_lead_s(slip) for slip in visible if _warned(slip["row"]["slip_frame"], slip)),
         "without_open_frame": sum(row["open_frame"] is None for row in holds),
         "ambiguous": sum(row["ambiguous_n"] for row in rows),
-        "ms_a_frame": max(row["ms_a_frame"] for row in rows),
+        "ms_a_frame": median(row["ms_a_frame"] for row in rows),
         "witness": _left_out(rows, labels, evidence),
     }
 
@@ -66,7 +67,7 @@ def _left_out(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]
         "witness_false": share(both["false"]),
         "imprint_warned": share(imprint["warned"]),
         "imprint_false": share(imprint["false"]),
-        **{name: both[name] for name in ("early", "false_runs", "false_frames_per_1000", "auc")},
+        **{name: both[name] for name in ("early", "untellable", "false_runs", "false_frames_per_1000", "auc")},
         **{kind: [share(one) for one in both[kind]] for kind in ("short", "long")},
         "model": witness.fitted(witness.runs_of(rows, labels, evidence)).round(4).tolist(),
     }
@@ -154,11 +155,13 @@ def _notes(data: Row, left_out: Row) -> str:
         than in 2 s of a held run with a chance of {left_out["auc"]:.2f}. It alarms in
         {left_out["false_frames_per_1000"]:.2f} of 1,000 held frames, and told {left_out["early"]} of the slides
         before they were seen to begin. Frames whose grid jumped by what may be a pitch, none of them evidence:
-        {data["ambiguous"]}. Slowest run: {data["ms_a_frame"]:.1f} ms CPU a finger and frame, tracker and all.
+        {data["ambiguous"]}. Median run: {data["ms_a_frame"]:.1f} ms CPU a finger and frame, tracker and all.
 
         - **What is out of sample.** Where an object is said to be left out, the witness and its limit were fitted
-          without any run of it; the limit is the one that lets one held run of the others alarm. Which five numbers
-          it reads was chosen with all runs in sight, and so were the limits of the open gel.
+          without any run of it; the limit is the one that lets {witness.FALSE_RUNS} held runs of the others alarm.
+          Which five numbers it reads was chosen with all runs in sight, and so were the limits of the open gel.
+        - **Told too late by its label.** {left_out["untellable"]} of the slides begin less than {AHEAD_N} frames
+          before the loss, or with the recording itself: nobody could tell them.
         - **Two kinds of recordings.** {_kind(left_out, "short")} of the runs that were cut to the grasp, and
           {_kind(left_out, "long")} of those of 450 frames, which mostly begin in a grip. The witness asks how
           strong the grip is, and that differs between the two kinds: compare within a kind.

@@ -20,7 +20,7 @@ Float64 = NDArray[np.float64]
 SETTLED_N = 4  # frames after contact, or after a recording begins in one
 AHEAD_N = 5  # frames by which a slide has to be told before the loss
 LET_GO_N = 6  # last frames before a held object is let go, which count as neither
-FALSE_RUNS = 1  # alarms in the held runs that a limit is chosen on
+FALSE_RUNS = 2  # alarms in the held runs that a limit is chosen on; one more may come from others
 WINDOW_N = 16  # frames in 2 s
 _RIDGE = 1.0
 _ROUNDS, _POSITIVE_N, _NEGATIVE_N, _EVERY = 8, 2, 4, 25
@@ -115,6 +115,7 @@ def without_each_object(runs: Sequence[Run]) -> dict[str, Any]:
     return {
         "warned": [alarmed[run.name] for run in slides],
         "early": sum(_first(margins[run.name]) + run.begin < (run.slide or 0) for run in slides if alarmed[run.name]),
+        "untellable": sum(max(run.begin, run.slide or 0) >= run.end for run in slides),
         "false": [alarmed[run.name] for run in holds],
         "false_runs": sorted(run.name for run in holds if alarmed[run.name]),
         "false_frames_per_1000": 1000 * sum(int((margins[run.name] > 0).sum()) for run in holds) / frames_n,

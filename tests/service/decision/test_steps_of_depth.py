@@ -1,12 +1,14 @@
 """Networks that read depth, in the service: it stops the arm when they have seen enough, and refuses by name."""
 
+import shutil
 from collections.abc import Callable
-from functools import cache
+from pathlib import Path
 
 import pytest
 import torch
 
-from export.onnx.to_onnx import export_checkpoint
+from export.onnx.model import open_model
+from export.onnx.to_onnx import attach_card, export_checkpoint
 from service.contract import Sensor, wire
 from service.contract.model_card import Pressing, Span
 from service.decision import network_input
@@ -30,19 +32,19 @@ class AnsweredError(Exception):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
-    """An untrained network whose card states what a test says; each is exported once."""
+    """An untrained network, exported once, whose card states what a test says."""
+    torch.manual_seed(0)
+    exported, weights = tmp_path_factory.mktemp("pressing"), build(SMALL, len(CLASSES), Sensor.load()).state_dict()
+    usual = {"lattice": LATTICE, "step_mm": STEP_MM, "steps_n": DECISION_STEPS, "trained": {}}
+    pressing = Pressing.model_validate(usual)
+    checkpoint = Checkpoint("tiny", SMALL, weights, Scales(), Scales(), {}, "0" * 64, "abc", pressing=pressing)
+    checkpoint.save(exported / "c.pt")
+    (file,) = export_checkpoint(exported / "c.pt", exported, ("pair.step",))
 
-    @cache
-    def make(**stated: float) -> ModelSet:
-        torch.manual_seed(0)
-        folder, weights = tmp_path_factory.mktemp("pressing"), build(SMALL, len(CLASSES), Sensor.load()).state_dict()
-        slowest_mm_s = stated.pop("slowest_mm_s", None)
-        trained = {} if slowest_mm_s is None else {"speed_mm_s": Span(low=slowest_mm_s, high=40)}
-        card = {"lattice": LATTICE, "step_mm": STEP_MM, "steps_n": DECISION_STEPS, "trained": trained, **stated}
-        Checkpoint(
-            "tiny", SMALL, weights, Scales(), Scales(), {}, "0" * 64, "abc", pressing=Pressing.model_validate(card)
-        ).save(folder / "c.pt")
-        export_checkpoint(folder / "c.pt", folder, ("pair.step",))
+    def make(**stated: object) -> ModelSet:
+        folder = tmp_path_factory.mktemp("stated")
+        card = open_model(file).card.model_copy(update={"pressing": Pressing.model_validate(usual | stated)})
+        attach_card(Path(shutil.copy(file, folder)), card)
         return load_models(folder)
 
     return make
@@ -96,7 +98,7 @@ def test_what_moves_the_markers_too_little_for_a_press_stops_nothing(
 
 
 def test_a_speed_that_nobody_trained_for_is_refused_by_name(made: Callable[..., ModelSet]) -> None:
-    _, said = first_attempt(made(slowest_mm_s=20))
+    _, said = first_attempt(made(trained={"speed_mm_s": Span(low=20, high=40)}))
     refused = next(message for message in said if isinstance(message, wire.NoDecision))
     assert refused.reason == "out_of_distribution"
     assert "speed_mm_s is 10" in refused.detail

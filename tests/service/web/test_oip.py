@@ -60,8 +60,14 @@ def client(live: LiveService):
         yield made
 
 
-@pytest.mark.parametrize("packing", [None, "gzip", "deflate"])
-@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize(
+    ("binary", "packing"),
+    [
+        *((True, packing) for packing in (None, "gzip", "deflate")),
+        (False, None),
+        *(pytest.param(False, packing, marks=pytest.mark.slow) for packing in ("gzip", "deflate")),
+    ],
+)
 def test_a_stock_client_gets_what_the_session_computes(
     live: LiveService, client, binary: bool, packing: str | None
 ) -> None:

@@ -23,8 +23,7 @@ DECISION: attempt_picture.Decision = {
 }
 
 
-@pytest.mark.parametrize("decision", [None, {}, DECISION, {"estimate": (1.0, 2.0)}])
-@pytest.mark.parametrize("count", [1, 8, 12])
+@pytest.mark.parametrize(("count", "decision"), [(8, None), (12, {}), (1, DECISION), (8, {"estimate": (1.0, 2.0)})])
 def test_a_picture_is_drawn_from_what_is_there(tmp_path: Path, decision: Decision | None, count: int) -> None:
     frames = np.full((count, 2, 320, 327, 3), 90, np.uint8)
     moved = np.full((2, 20, 21, 2), 2.0)

@@ -1,15 +1,12 @@
 """The geometry table of the paper: what inserts, how far off it may be, and the lever arm about the block's edge."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from simulation.__main__ import main
 from simulation.data.probe import QuasiStaticCell
 from simulation.scene.shapes import half_width_mm
 from simulation.scene.worlds import load_scene
-from simulation.studies.theory import INSERTS, inserting
+from tests.simulation.physics.theory import INSERTS, inserting, theory_page
 
 CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 
@@ -42,14 +39,10 @@ def test_as_many_random_errors_insert_as_the_table_says(name: str) -> None:
     assert abs(share - INSERTS[name]) < 3.0 * error + 0.0005
 
 
-def test_the_page_beside_theory_is_printed_and_written(tmp_path: Path, capsys) -> None:
-    assert main(["theory", "--grids", "8", "--draws", "50", "--out", str(tmp_path)]) == 0
-    page = (tmp_path / "theory.md").read_text()
-    assert page in capsys.readouterr().out
+def test_the_page_beside_theory_is_written() -> None:
+    page = theory_page((8,), 50)
     assert "| pressure, Hertz |" in page
     assert "| hexagon | 18.6 % |" in page
-    assert main(["theory", "--grids", "2"]) == 2
-    assert "expected --grids" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("x", [4.0, 10.0, -7.0])

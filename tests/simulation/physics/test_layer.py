@@ -14,7 +14,7 @@ from simulation.physics import elastic_layer
 from simulation.physics.quasistatic import PhysicsError
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import load_scene
-from simulation.studies import theory
+from tests.simulation.physics import theory
 
 CLEAN = theory.STRAIGHT
 

@@ -31,7 +31,8 @@ def test_finer_nodes_err_less_and_the_tiers_differ_by_a_model() -> None:
     assert accuracy.error_of(fine, layer).markers_um > 5.0 * accuracy.error_of(fine, reference).markers_um
 
 
-def test_table_and_picture_are_drawn_from_the_published_figures(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_the_picture_is_drawn_from_the_published_figures(tmp_path: Path) -> None:
     found = json.loads((DOCS / "accuracy.json").read_text())
     accuracy_report.draw(found["costs"], tmp_path / "accuracy.png")
     assert (tmp_path / "accuracy.png").stat().st_size > 20_000

@@ -4,12 +4,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from simulation.__main__ import main
 
 DOCS = Path(__file__).parents[3] / "docs"
 
 
+@pytest.mark.slow
 def test_the_published_imprints_are_drawn_by_the_command(tmp_path: Path) -> None:
     path = tmp_path / "imprint.png"
     assert main(["imprint", "--out", str(path)]) == 0

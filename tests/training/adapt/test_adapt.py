@@ -53,7 +53,7 @@ def keep(folder, attempts, purpose, outcome, x_mm, theta_deg):
 
 @pytest.fixture(scope="module")
 def release(tmp_path_factory):
-    """A network trained on 250 attempts of another gel."""
+    """A network trained on 150 attempts of another gel."""
     folder = tmp_path_factory.mktemp("release")
     config = tiny(folder, folder)
     config = config.model_copy(
@@ -62,7 +62,7 @@ def release(tmp_path_factory):
             "trunk": config.trunk.model_copy(update={"epochs": 8, "learning_rate": 5e-3}),
         }
     )
-    checkpoint = train(config, down(250))
+    checkpoint = train(config, down(150))
     path = folder / "checkpoint.pt"
     checkpoint.save(path)
     return path

@@ -23,7 +23,7 @@ def small():
 @pytest.fixture(scope="module")
 def drawing(tmp_path_factory):
     cache = str(tmp_path_factory.mktemp("cache"))
-    return DataConfig(path="unused", cache=cache, rendered_training=4, rendered_validation=3, rendered_test=1)
+    return DataConfig(path="unused", cache=cache, rendered_training=2, rendered_validation=1, rendered_test=1)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_an_interrupted_drawing_goes_on_where_it_stopped(trials, drawing, small,
 
     def dies(index, start, count):
         calls.append(index)
-        if len(calls) == 4:
+        if len(calls) == 3:
             raise KeyboardInterrupt
         return SyntheticSource.frames(small, index, start, count)
 

@@ -8,7 +8,7 @@ import pytest
 from service.contract import FrameSpec, TactileFrame
 from service.perception.finger import TactileFinger
 from service.perception.markers.tracker import MarkerTracker
-from service.perception.slip.imprint import ImprintWatch
+from service.perception.slip.imprint import ImprintChange, ImprintWatch
 from service.perception.slip.slide import SlideWitness
 from service.session.fingers import Fingers
 from tests.service.perception.synthetic import draw, grid
@@ -52,6 +52,20 @@ def test_an_imprint_that_walks_over_the_gel_slides_and_one_that_the_gel_carries_
 def test_the_same_slide_in_a_strong_grip_is_less_sure_to_end_in_a_loss():
     way = [*STILL, 4.0, 8.0, 12.0, 16.0]
     assert max(list(scores(way, [0.0] * 12, height=3.0))[8:]) < max(list(scores(way, [0.0] * 12))[8:])
+
+
+def test_a_rim_that_slides_is_seen_beside_an_imprint_that_stays():
+    rng, tracker, watch = np.random.default_rng(3), MarkerTracker(), ImprintWatch()
+    for k, way in enumerate([0.0, 0.0, 6.0]):
+        image = picture(rng, 0.0, 0.0, height=1.5)
+        image[70:95] = picture(rng, way, 0.0)[70:95]
+        change = watch.update(image, tracker.update(image, k * PERIOD_NS))
+    assert change is not None
+    assert change.changed > 0.06
+
+
+def test_one_finger_alone_tells_no_slide():
+    assert SlideWitness().update([ImprintChange(1.0, 1.0, 1.0, 3.0, 0.01)]) is None
 
 
 def test_frames_close_in_time_are_looked_at_once():

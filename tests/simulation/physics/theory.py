@@ -5,15 +5,15 @@ tangential load (Johnson, Contact Mechanics, 1985, 4.22-4.24 and 7.38-7.42; on b
 c / a = (1 - Q / (mu P))^(1/4)). Geometry: the share of uniformly drawn errors that insert at once.
 """
 
-from __future__ import annotations
-
 import math
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reporting.page import page
+from reporting.page import page, publish
 from reporting.statistics import Estimate, wilson
 from reporting.table import table
 from simulation.physics import elastic_layer
@@ -128,5 +128,9 @@ def theory_page(grids: tuple[int, ...], draws: int) -> str:
         ),
         "Share of uniform errors that insert at once, with the 95 % interval of as many draws.",
         table(shares, ("object", 0), ("computed from the task", 1, ".1%"), (f"drawn, {draws}", 2, ".2%")),
-        "Made by `python -m simulation theory --out docs`.",
+        "Made by `python -m tests.simulation.physics.theory docs`; `make test` holds the limits.",
     )
+
+
+if __name__ == "__main__":
+    publish(Path(sys.argv[1]), "theory", theory_page((32, 64), 20_000))
