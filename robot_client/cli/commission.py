@@ -4,7 +4,7 @@ import asyncio
 import time
 from pathlib import Path
 
-from robot_client.cli.insert import live_ports, make_plan
+from robot_client.cli.insert import fixture_of, live_ports, make_plan
 from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
 from robot_client.insertion.events import Event, FromService
 from robot_client.insertion.limits import check_pose
@@ -24,7 +24,6 @@ from robot_client.session.commission import (
 from robot_client.session.cycle import CycleSettings, is_empty, with_gripper
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
-from robot_client.session.travel import over_to, travel
 from robot_client.settings import Settings, SettingsError
 from service.contract import wire
 from service.contract.frames import Finger
@@ -114,10 +113,9 @@ class Probing:
 
     async def fetch(self) -> None:
         """Put the object back into the fixture, if it is held, and open; the next probe takes it afresh."""
-        settings, pick = self._settings, self._taught.pick
-        arm, motion_s = settings.make_arm(), settings.timeouts.motion_s
-        await travel(arm, over_to(pick), settings.limits, settings.ramps, motion_s, lambda _text: None)
-        await with_gripper(settings.make_gripper, lambda gripper: gripper.release(self._taught.open_mm))
+        fixture = fixture_of(self._settings)
+        assert fixture is not None
+        await fixture.put_back()
 
 
 async def _commission(probing: Probing, probes_n: int, path: Path, record: Record) -> Outcome:

@@ -4,13 +4,15 @@ import asyncio
 import contextlib
 import signal
 import sys
+from functools import partial
 from pathlib import Path
 
-from robot_client.cli.insert import live_ports, make_plan, with_commissioning
+from robot_client.cli.insert import fixture_of, live_ports, make_plan, with_commissioning
 from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
 from robot_client.insertion.limits import check_pose
-from robot_client.insertion.state import State
+from robot_client.insertion.state import Plan, State
 from robot_client.ports import DriverError
+from robot_client.session.afresh import upright
 from robot_client.session.cycle import Count, Cycle, CycleSettings, Pace
 from robot_client.session.handshake import Handshake
 from robot_client.session.recorder import Recorder
@@ -55,8 +57,13 @@ def _rehearse(settings: Settings, taught: CycleSettings) -> Outcome:
 async def _cycle(
     settings: Settings, taught: CycleSettings, parts_n: int | None, log: Path | None, gels: dict[Finger, str]
 ) -> Outcome:
+    fixture = fixture_of(settings)
+
     async def insert(number: int) -> State:
         plan = make_plan(settings, 0.0, 0.0, None, None).model_copy(update={"gels": gels})
+        return await upright(plan, partial(run, number), fixture, lambda text: show(f"  {text}"))
+
+    async def run(number: int, plan: Plan) -> State:
         arm, gripper, service = live_ports(settings, plan)
         report = Report(arm.position, lambda text: show(f"  {text}"))
         written = log / f"{plan.insertion_id}.jsonl" if log else None

@@ -1,15 +1,14 @@
 """`insert`: one insertion, rehearsed unless --live is typed."""
 
 import asyncio
-import secrets
-import time
 from pathlib import Path
 
 from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import PAUSE_S
-from robot_client.insertion.state import Phase, Plan
+from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import Arm, DecisionService, Gripper
+from robot_client.session.afresh import Fixture, new_id, upright
 from robot_client.session.commission import commissioned
 from robot_client.session.recorder import Recorder
 from robot_client.session.rehearsal import rehearsal_ports
@@ -27,7 +26,7 @@ def make_plan(
     task = settings.task
     approach = WorkPose(x_mm=x_mm, y_mm=task.approach_y_mm, z_mm=task.approach_z_mm, yaw_deg=theta_deg)
     return Plan(
-        insertion_id=insertion_id or f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}",
+        insertion_id=insertion_id or new_id(),
         approach=approach,
         clearance_mm=task.approach_clearance_mm,
         gap_width_mm=task.gap_width_mm,
@@ -76,16 +75,35 @@ def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> O
     return asyncio.run(_insert(settings, plan, live=live, log=log))
 
 
+def fixture_of(settings: Settings) -> Fixture | None:
+    """Where an object that has turned in the hand is taken afresh; None where nobody taught it."""
+    taught = settings.cycle
+    if taught is None:
+        return None
+    make, limits, ramps = (settings.make_arm, settings.make_gripper), settings.limits, settings.ramps
+    return Fixture(taught.pick, taught.open_mm, *make, limits, ramps, settings.timeouts.motion_s)
+
+
 async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> Outcome:
-    arm, gripper, service = live_ports(settings, plan) if live else rehearsal_ports(plan)
-    report = Report(arm.position, show)
-    runner = Runner(plan, arm, gripper, service, Recorder(log, plan), (report,))
+    ran: list[tuple[Runner, list[str]]] = []
+
+    async def run(plan: Plan) -> State:
+        arm, gripper, service = live_ports(settings, plan) if live else rehearsal_ports(plan)
+        report = Report(arm.position, show)
+        written = log.with_stem(f"{log.stem}-{len(ran) + 1}") if log and ran else log
+        runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,))
+        state = await runner.run()
+        ran.append((runner, report.final(state, runner.farewell, arm.statistics())))
+        return state
+
     stop_on_signals()
-    state = await runner.run()
-    for line in report.final(state, runner.farewell, arm.statistics()):
+    state = await upright(plan, run, fixture_of(settings) if live else None, show)
+    runner, lines = ran[-1]
+    for line in lines:
         show(line)
     if log is not None:
         lost = f", BROKEN OFF: {runner.recorder.lost}" if runner.recorder.lost else ""
         show(f"  log         {log}{lost}")
-    result = {"insertion_id": plan.insertion_id, "log": log and str(log), "live": live, **runner.summary()}
+    summary = runner.summary() | {"attempts": state.attempt, "grasps": len(ran)}
+    result = {"insertion_id": plan.insertion_id, "log": log and str(log), "live": live, **summary}
     return Outcome(state.phase is Phase.INSERTED, result)

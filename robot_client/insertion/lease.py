@@ -37,6 +37,10 @@ class Lease(Contract):
         """How old the newest judged frame may grow while the target still walks at ``speed_mm_s``."""
         return self.travel_mm / speed_mm_s - self.stop_lag_s
 
+    def at_most(self, speed_mm_s: float) -> "Lease":
+        """This lease, no longer than is allowed at that speed."""
+        return self.model_copy(update={"travel_mm": min(self.travel_mm, max(SLOW_MM, FAST_S * speed_mm_s))})
+
     def check(self, speed_mm_s: float) -> None:
         """Raise LimitError for a travel beyond what any cell may ask for, or a lag that leaves nothing of it."""
         most_mm = max(SLOW_MM, FAST_S * speed_mm_s)

@@ -112,6 +112,7 @@ def _on_begin(state: State, event: Begin) -> Result:
         client=plan.client,
         sent_ns=round(event.at_s * 1e9),
         controller=plan.controller,
+        continues=plan.continues,
     )
     deadline_s = event.at_s + plan.timeouts.greeting_s
     state = replace(state, phase=Phase.GREETING, pose=event.pose, held=event.held, deadline_s=deadline_s)

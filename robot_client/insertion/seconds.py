@@ -16,8 +16,11 @@ NAMES = {
     Phase.CORRECTING: "correct",
     Phase.CLOSING: "confirm",
 }
-FAST, DECIDE = "fast descent", "decide"
-PARTS = ("approach", "arm", FAST, "guarded descent", "stop", "wait for frames", DECIDE, "retract", "correct", "confirm")
+FAST, DECIDE, AFRESH = "fast descent", "decide", "take afresh"
+PARTS = (
+    *("approach", "arm", FAST, "guarded descent", "stop", "wait for frames", DECIDE),
+    *("retract", "correct", "confirm", AFRESH),
+)
 
 
 @dataclass(slots=True)
@@ -25,7 +28,7 @@ class Seconds:
     """Adds up the time in each phase as events come by; ``spent`` s by the names of PARTS.
 
     A fast leg of a descent counts as fast from the middle of the change to its speed. Of a decision, "decide" is what
-    came after the last frame that it read, as far as the service told.
+    came after the last frame that it read, as far as the service told. AFRESH is for whoever puts the object back.
     """
 
     spent: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))

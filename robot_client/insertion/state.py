@@ -38,6 +38,8 @@ class Phase(StrEnum):
 
 
 TERMINAL = frozenset({Phase.INSERTED, Phase.PROBED, Phase.FAILED})
+TURNED = "service: refused: turned_in_hand:"
+SLOWEST_MM_S = 3.0  # a descent after an object has turned in the hand becomes no slower
 
 
 class Timeouts(Contract):
@@ -55,6 +57,8 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
+    ``continues``: the insertion that this one goes on with, the object taken afresh.
+
     ``gels``: which gels the cell was commissioned with.
     ``pause_s``: how long a descent whose lease has ended may be taken up again; 0 where the arm cannot stand and go on.
     A probe ends above the gap again after its first decision, whatever that is: it moves by no correction.
@@ -65,6 +69,7 @@ class Plan(Contract):
     """
 
     insertion_id: wire.InsertionId
+    continues: wire.InsertionId | None = None
     approach: WorkPose
     clearance_mm: Positive = 5.0
     gap_width_mm: float = Field(gt=0, le=1000)  # these five have the bounds of the message `arm`
@@ -183,6 +188,29 @@ class State:
     def done(self) -> bool:
         """True once no command follows any more."""
         return self.phase in TERMINAL
+
+    def afresh(self, insertion_id: wire.InsertionId) -> Plan | None:
+        """How to go on once the object was put back and taken upright: from where it stood, with the attempts left.
+
+        Slower than before: the way that the arm goes on after its contact is what turned the object. None where the
+        insertion did not end because the object had turned in the hand, or no attempt is left.
+        """
+        tried_n, plan = self.attempt - 1, self.plan
+        left_n = plan.limits.max_attempts - tried_n
+        if not self.reason.startswith(TURNED) or self.armed is None or not tried_n or not left_n:
+            return None
+        slower_mm_s = min(plan.ramps.descend.speed_mm_s, max(SLOWEST_MM_S, 0.5 * plan.ramps.descend.speed_mm_s))
+        descend = plan.ramps.descend.model_copy(update={"speed_mm_s": slower_mm_s})
+        return plan.model_copy(
+            update={
+                "insertion_id": insertion_id,
+                "continues": plan.insertion_id,
+                "approach": self.armed.at_height(plan.approach.z_mm),
+                "limits": plan.limits.model_copy(update={"max_attempts": left_n}),
+                "ramps": plan.ramps.model_copy(update={"descend": descend}),
+                "lease": plan.lease.at_most(slower_mm_s),
+            }
+        )
 
     @property
     def bottom_mm(self) -> float:

@@ -74,7 +74,7 @@ MAX_TEXT_BYTES = 65536
 
 
 class ClientHello(_Message):
-    """First message. ``role`` watch receives everything and may send nothing but heartbeats."""
+    """First message. ``role`` watch receives everything and sends heartbeats alone. ``continues``: see `Refused`."""
 
     type: Literal["hello"] = "hello"
     protocol: int = PROTOCOL
@@ -82,6 +82,7 @@ class ClientHello(_Message):
     sent_ns: int | None = None
     role: Literal["drive", "watch"] = "drive"
     controller: ControllerName | None = None
+    continues: InsertionId | None = None
 
 
 class LearnOpen(_Message):
@@ -93,10 +94,9 @@ class LearnOpen(_Message):
 class Arm(_Message):
     """The arm stands above the gap, holding the object still: take the reference, watch for slip.
 
-    ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them; None if the
-    cell does not know it. It is the lever arm of the edge's friction: without it the size of an error is a guess.
-    ``gripper_width_mm``: how far apart the fingers are; None if the gripper does not tell. ``grip_n`` is their force,
-    ``shear_reach_mm`` how far the gel shears under it before it slides.
+    ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them, the lever arm
+    of the edge's friction; None if nobody knows it. ``gripper_width_mm``: how far apart the fingers are; None if the
+    gripper does not tell. ``grip_n`` is their force, ``shear_reach_mm`` how far the gel shears before it slides.
     """
 
     type: Literal["arm"] = "arm"
@@ -181,7 +181,7 @@ class Armed(_Message):
 
 
 class Refused(_Message):
-    """The attempt is not armed, for this reason; the client must not descend."""
+    """Not armed: no descent. What has turned in the hand is taken afresh, in an insertion that ``continues`` this."""
 
     type: Literal["refused"] = "refused"
     attempt: Attempt

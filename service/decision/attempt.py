@@ -22,7 +22,6 @@ from service.contract.wire import (
     Refused,
     Watching,
 )
-from service.decision.arming import implausible_width, nothing_held
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.network_input import Descent
 from service.decision.seating import Push, push_of
@@ -30,6 +29,7 @@ from service.perception.observation import FingerWatch, Observation, PairObserva
 from service.perception.slip.onset import OnsetDetector
 
 RING_PAIRS = 24  # onset is certain a few frames late; the ring reaches back past it
+LEAST_WIDTH_MM = 2.0  # fingers closer than this hold nothing but each other
 
 
 class Stage(Enum):
@@ -58,6 +58,22 @@ def unlike_grids(both: PairObservation) -> list[str]:
     if (rows, columns) == (right_rows, right_columns):
         return []
     return [f"the fingers show different grids: left {columns} x {rows} markers, right {right_columns} x {right_rows}"]
+
+
+def nothing_held(both: PairObservation) -> str:
+    """Why the hand counts as empty, or nothing: both gels lie as they do where nothing touches them.
+
+    One finger alone may look so: a flat object in a light grip hardly bulges it.
+    """
+    untouched = all(finger.bulge is not None and finger.bulge < 1.0 for finger in both.fingers)
+    return "both gels look as they do when nothing touches them" if untouched else ""
+
+
+def implausible_width(arm: Arm) -> str:
+    """Why the gripper's width cannot be that of a held object, or nothing."""
+    if arm.gripper_width_mm is None or arm.gripper_width_mm >= LEAST_WIDTH_MM:
+        return ""
+    return f"the fingers are {arm.gripper_width_mm:.1f} mm apart, a held object keeps them at least {LEAST_WIDTH_MM:g}"
 
 
 @dataclass(slots=True)

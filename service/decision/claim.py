@@ -13,15 +13,13 @@ import numpy as np
 from service.contract.wire import Doubt, DoubtReason
 from service.decision.attempt import Attempt
 from service.decision.seating import Push, seating_evidence, strongest_push
+from service.decision.turning import TURNED_DEG, lasting_turn_deg
 
 DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the depth that was asked for
 FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was not reached by one
 WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; gel gives way by less
 BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry
 PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
-LASTING_TURN = 0.26  # of the turn that markers show when the arm stops; what stays of it in the hand (simulated)
-LASTING_STIFF, LASTING_REACH_MM = 1.7, 0.35  # the same by shear reach: a gel that slides soon shows less, keeps more
-TURNED_DEG = 2.0  # an object that stays turned in the hand by this much does not stand upright in its gap
 
 
 @dataclass(slots=True)
@@ -43,18 +41,14 @@ class GraspRecord:
         """Take in an attempt that was blocked."""
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
-        self.turned_deg += lasting_share(attempt.arm.shear_reach_mm) * turn_deg(attempt)
+        self.turned_deg += lasting_turn_deg(attempt)
 
-
-def lasting_share(reach_mm: float | None) -> float:
-    """What stays in the hand of a turn that the markers show, by the grasp's shear reach if that is told.
-
-    Fitted on 6,992 presses of drawn cells by 1.65 mm (bristle tier, simulated); it errs by 0.9 deg where the reach is
-    0.2 mm, by 0.3 deg where it is 1 mm. A large reach never lowers what is expected without one.
-    """
-    if reach_mm is None:
-        return LASTING_TURN
-    return max(LASTING_TURN, min(1.0, LASTING_STIFF * math.exp(-reach_mm / LASTING_REACH_MM)))
+    @property
+    def turned(self) -> str:
+        """Why the object has to be taken afresh before the next attempt, or nothing."""
+        if abs(self.turned_deg) <= TURNED_DEG:
+            return ""
+        return f"the blocked attempts have turned the object in the hand by about {abs(self.turned_deg):.1f} deg"
 
 
 def pressed_mm(attempt: Attempt) -> float:
@@ -63,18 +57,6 @@ def pressed_mm(attempt: Attempt) -> float:
     if began is None or onset is None or stopped is None or not began < onset < stopped:
         return 0.0
     return (attempt.depth_mm - attempt.start_mm) * (stopped - onset) / (stopped - began)
-
-
-def turn_deg(attempt: Attempt) -> float:
-    """How far the object has turned in the plane of the gels when the arm stood, deg, as the left finger shows it.
-
-    Both fingers see the same turn from opposite sides. 0 where either does not know it.
-    """
-    if not attempt.ring:
-        return 0.0
-    left, right = (finger.slip.angle_rad for finger in attempt.ring[-1].fingers)
-    turn = math.degrees(0.5 * (left - right))
-    return turn if math.isfinite(turn) else 0.0
 
 
 # ---- at full depth ----------------------------------------------------------------------------------------------
@@ -155,11 +137,6 @@ def _moved_in_hand(_: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
     if not grasp.pressed_mm <= PRESSED_MM:
         detail = f"an attempt went on for {grasp.pressed_mm:.1f} mm after its contact: the object was moved in the hand"
         yield _doubt("moved_in_hand", detail, grasp.pressed_mm, PRESSED_MM)
-    if not abs(grasp.turned_deg) <= TURNED_DEG:
-        detail = (
-            f"the blocked attempts have left the object turned in the hand by about {abs(grasp.turned_deg):.1f} deg"
-        )
-        yield _doubt("moved_in_hand", detail, abs(grasp.turned_deg), TURNED_DEG)
 
 
 def newest_age_s(pushes: Sequence[Push], now_ns: int) -> float:

@@ -4,7 +4,7 @@ At full depth the answer is what keeps it from being claimed (:mod:`service.deci
 """
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from service.contract import wire
 from service.decision.attempt import Attempt, Stage
@@ -40,6 +40,10 @@ class Decider:
         if decision is not None:
             self.grasp.blocked(attempt)
         return decision
+
+    def afresh(self, insertion_id: str) -> "Decider":
+        """The decider of an insertion that goes on with the same object, taken afresh: it knows the error as before."""
+        return replace(self, insertion_id=insertion_id, command=None, grasp=GraspRecord())
 
     def doubts(self, attempt: Attempt, now_ns: int, max_age_ms: float) -> tuple[wire.Doubt, ...] | None:
         """What keeps full depth from being claimed, empty if nothing; None while frames may still show it."""

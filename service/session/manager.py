@@ -19,6 +19,7 @@ from service import __version__
 from service.cameras.capture import Camera, now_ns
 from service.contract import FINGERS, Finger, wire
 from service.contract.replies import beat, unspoken
+from service.decision.decider import Decider
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.hub import Hub
@@ -58,6 +59,7 @@ class InsertionManager:
     jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     unrecorded_n: int = 0
     _unrecorded: str = ""
+    _decided: Decider | None = None  # of the last insertion: the next one may go on with its object
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
     _calibration_text: str = field(init=False)
     _gels: dict[Finger, str] = field(init=False)
@@ -158,6 +160,9 @@ class InsertionManager:
             self.models, self.calibration, given.controller, given.limits, imprint=given.imprint_slip
         )
         session.cameras, session.submit = self.camera_entries, self.submit
+        before = self._decided
+        if before and before.insertion_id == hello.continues and before.models is session.models:
+            session.decider = before.afresh(hello.insertion_id)
         session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session)
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
@@ -212,6 +217,7 @@ class InsertionManager:
         if insertion is None:
             return
         self._ended[finished.insertion_id] = finished
+        self._decided = insertion.session.decider
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)
 

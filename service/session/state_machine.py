@@ -33,7 +33,7 @@ def ignore(_: Any) -> None:
 
 @dataclass(slots=True)
 class InsertionSession:
-    """State machine of one insertion (see :mod:`service.contract.wire` for the order of messages).
+    """State machine of one insertion; :mod:`service.contract.wire` has the order of messages.
 
     ``submit`` takes network work to another thread, whose result comes back through :meth:`on_result`; without it the
     work runs at once. ``on_observation`` sees each observation, ``on_attempt`` each attempt when it is decided or
@@ -123,13 +123,14 @@ class InsertionSession:
             state = "decided" if decided else "not decided yet"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
         if self.decider is None:
-            expected, height_mm = self.models.card.expectations, message.grasp_height_mm
-            controller = make_controller(self.controller_name, self.limits, height_mm, expected)
+            known = message.grasp_height_mm, self.models.card.expectations
+            controller = make_controller(self.controller_name, self.limits, *known)
             self.decider = Decider(message.insertion_id, self.models, controller, self.deadlines)
+        if message.attempt == 1:
             self.decider.grasp.width_mm = message.gripper_width_mm
         self._generation += 1
         self.attempt = Attempt(message, now_ns, self._generation)
-        return []
+        return [self.attempt.refusal("turned_in_hand", why)] if (why := self.decider.grasp.turned) else []
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:
         if self.attempt and self._is_current(message.attempt, {Stage.ARMED}):
@@ -295,6 +296,5 @@ class InsertionSession:
         return [self.finished]
 
     def _fault(self, code: wire.FaultCode, detail: str, insertion_id: str | None = None) -> wire.Fault:
-        return wire.Fault(
-            insertion_id=insertion_id or self.insertion_id or "none", code=code, detail=detail, fatal=False
-        )
+        named = insertion_id or self.insertion_id or "none"
+        return wire.Fault(insertion_id=named, code=code, detail=detail, fatal=False)

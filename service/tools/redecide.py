@@ -134,11 +134,25 @@ def trusted_models(recording: Recording, folder: Path) -> ModelSet:
     return load_models(folder)
 
 
+def _replayed(recording: Recording, models: ModelSet) -> Replay:
+    """A recording decided again; one that goes on with an object taken afresh needs the one before it, beside it."""
+    replay = open_replay(recording, models)
+    messages = (entry.json().get("message") or {} for entry in recording.of("/calls"))
+    hello: dict[str, Any] = next((message for message in messages if message.get("type") == "hello"), {})
+    if (continues := hello.get("continues")) is not None:
+        before = recording.path.with_name(f"{continues}{recording.path.suffix}")
+        if not before.exists():
+            raise RecordingError(f"{recording.path} goes on with insertion {continues}, which does not lie beside it")
+        decider = _replayed(Recording(before), models).session.decider
+        replay.session.decider = decider and decider.afresh(str(hello["insertion_id"]))
+    replay.run()
+    return replay
+
+
 def redecide(path: Path, models_folder: Path | None = None) -> int:
     """Decide a recording again and print what differs; 0 if every message comes out the same, 1 if not."""
     recording = Recording(path)
-    replay = open_replay(recording, trusted_models(recording, models_folder or released_models()))
-    replay.run()
+    replay = _replayed(recording, trusted_models(recording, models_folder or released_models()))
     recorded = [e.json()["message"] for e in recording.of("/messages") if e.json()["from"] == "service"]
     replayed = replay.replies[: len(recorded)] if recording.recovered else replay.replies
     differing = differences(recorded, replayed)

@@ -52,9 +52,12 @@ def build(scene: Scene, options: CellOptions) -> Plant:
     renderers = {finger: Renderer(Appearance.draw(scene, finger, options.seed)) for finger in FINGERS}
     calibration = Calibration(*(renderers[finger].calibration for finger in FINGERS))
 
+    fed: set[int] = set()  # parts that came; one that was put back comes again, to the same box
+
     def regrasp(_force_n: float, part_n: int) -> Pose:
         x_mm, theta_deg = options.x_mm, options.theta_deg
-        if options.feed:
+        if options.feed and part_n not in fed:
+            fed.add(part_n)
             cell.reset_blocks()
         if options.feed and options.fixture_spread:
             x_mm, theta_deg = draw_start(scene, options.seed + part_n)

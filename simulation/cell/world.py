@@ -123,11 +123,13 @@ class World:
 
         self._todo.put(do)
 
-    def let_go(self) -> None:
-        """The fingers open: the object stays where it is, the gels are free."""
+    def let_go(self, *, put_back: bool = False) -> None:
+        """The fingers open: the gels are free, and the object stays where it is; ``put_back``: to be taken again."""
 
         def do() -> None:
-            if self.held and self.state is not None:
+            if self.held and put_back:
+                self.part_n -= 1
+            elif self.held and self.state is not None:
                 self.left_behind.append(self.state)
             self.held = False
 
@@ -231,7 +233,7 @@ class HeldPart:
     def released(self) -> None:
         """The fingers opened, or it slipped out."""
         self._there = self._is_home()
-        self._world.let_go()
+        self._world.let_go(put_back=self._there)
 
     def _is_home(self) -> bool:
         at, home = self._pose(), self._home

@@ -18,6 +18,10 @@ ABOVE_MM = 30.0  # where a played client's arm starts, above its usual approach
 SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client takes the arm to stand still
 
 
+FIXTURE_MM, GRIPPER_S = 300.0, 1.0
+"""From the gap to where an object is taken afresh, and what opening or closing the fingers takes, as a cell may be."""
+
+
 def client_of(job: Job) -> Settings | None:
     """What the client is set to, None where the scene says how the arm moves. Raises SettingsError."""
     return load_settings(None, dict(job.client)) if job.client else None
@@ -76,3 +80,9 @@ def seconds_of_frames(attempt: Any) -> float | None:
     if attempt is None or attempt.onset_ns is None or not attempt.decision_pairs:
         return None
     return float(attempt.decision_pairs[-1].captured_ns - attempt.onset_ns) / 1e9
+
+
+def trip_s(plan: Plan) -> float:
+    """What it takes to put an object back into its fixture and to come again with it, s."""
+    away = plan.approach.model_copy(update={"y_mm": plan.approach.y_mm + FIXTURE_MM})
+    return 2.0 * (plan.ramps.duration_s(plan.approach, away, "travel") + GRIPPER_S)

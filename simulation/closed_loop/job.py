@@ -112,8 +112,8 @@ class Outcome:
     """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
 
     ``inserted`` is a claim that is true, ``claimed`` what the client believes, ``in_gap`` the ground truth whether
-    claimed or not, ``shortfalls`` what speaks against it; ``void``: the physics came to its end. ``seconds``: where the
-    time went, see `Seconds`.
+    claimed or not, ``shortfalls`` what speaks against it; ``grasps``: how often it was taken; ``void``: the physics
+    came to its end. ``seconds``: where the time went, see `Seconds`.
     """
 
     inserted: bool
@@ -128,6 +128,7 @@ class Outcome:
     in_gap: bool = False
     seconds: dict[str, float] = field(default_factory=dict)
     shortfalls: tuple[str, ...] = ()
+    grasps: int = 1
 
     @classmethod
     def never_held(cls, job: Job, reason: str) -> Outcome:

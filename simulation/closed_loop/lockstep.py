@@ -62,6 +62,7 @@ class LockstepCell:
     state: CellState = field(init=False)
     shots: deque[CellState] = field(init=False)
     course: Course = field(default_factory=Course)
+    speed_mm_s: float = field(init=False)
     _grasped: NDArray[np.float64] = field(init=False)
     _stuck: int = 0
     _law: Walk | None = None
@@ -69,7 +70,7 @@ class LockstepCell:
 
     def __post_init__(self) -> None:
         self.state = self.physics.look()
-        self._grasped = self.state.in_hand[:3].copy()
+        self._grasped, self.speed_mm_s = self.state.in_hand[:3].copy(), self.scene.speed_mm_s
         self.shots = deque(maxlen=2 + math.floor(self._late_periods))
         self._rest()
 
@@ -121,11 +122,18 @@ class LockstepCell:
         self.physics.pace_mm_s = max(time_at(way, 1.0) / max(duration_s, 1e-3), 1e-3)
         while not self._go(*target):
             pass
-        self.physics.pace_mm_s = self.scene.speed_mm_s
+        self.physics.pace_mm_s = self.speed_mm_s
         self._rest()
         if not self.state.in_contact:
             self.course.slipped_mm = max(self.course.slipped_mm, self._in_hand_mm())
         self.now_ns += round(duration_s * 1e9)
+
+    def take_afresh(self, x_mm: float, y_mm: float, yaw_deg: float, duration_s: float) -> None:
+        """Put the object back into its fixture, take it upright and stand above that place; raises PhysicsError."""
+        self.physics.regrasp(0.0, 0.0)
+        self.state = self.physics.look()
+        self._grasped = self.state.in_hand[:3].copy()
+        self.travel(x_mm, y_mm, self.misplaced.approach[2], yaw_deg, duration_s)
 
     def descend(self, bottom_z_mm: float, law: Walk | None = None) -> None:
         """Begin to go down at the scene's speed, or by ``law``; every `next_pair` shows what came of it.
@@ -207,7 +215,7 @@ class LockstepCell:
     def _way_mm(self, periods: float) -> float:
         """How far the arm goes down in a share of a frame period."""
         if self._law is None:
-            return periods * self.scene.speed_mm_s / self.scene.fps
+            return periods * self.speed_mm_s / self.scene.fps
         passed_s = periods / self.scene.fps
         way_mm = self._ahead_mm(passed_s)
         self.physics.pace_mm_s = max(way_mm / passed_s, 1e-3)
@@ -215,7 +223,7 @@ class LockstepCell:
 
     def _ahead_mm(self, passed_s: float) -> float:
         if self._law is None:
-            return self.scene.speed_mm_s * passed_s
+            return self.speed_mm_s * passed_s
         return self._law(self._walked_s + passed_s) - self._law(self._walked_s)
 
     def _seen(self, index: int) -> int:

@@ -2,14 +2,14 @@
 
 `python -m simulation evaluate` runs the paper's test protocol in lock step: rendered frames go through the service's
 perception, the shipped ONNX files and its controller; what it answers goes through the client's insertion machine.
-With `client`, this is the one module of the simulator that imports them.
+With `client` and `session`, this is the one module of the simulator that imports them.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import asdict
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,21 +33,19 @@ from robot_client.insertion.events import Tick as ClientTick
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.machine import step
-from robot_client.insertion.seconds import Seconds
+from robot_client.insertion.seconds import AFRESH, Seconds
 from robot_client.insertion.state import Phase, State
 from robot_client.settings import Settings
-from service.contract import FINGERS, FramePair
+from service.contract import FramePair
 from service.contract.wire import Correction, Estimate, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Evidence
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
-from service.perception.finger import TactileFinger
-from service.perception.observation import FingerWatch
-from service.session.state_machine import InsertionSession
-from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, seconds_of_frames, walk_of
+from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, seconds_of_frames, trip_s, walk_of
 from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.lockstep import GraspEndError, LockstepCell
+from simulation.closed_loop.session import session_of
 from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
 from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
@@ -73,13 +71,13 @@ class Insertion:
         self.cell = cell
         self.models = models
         self.oracle = controller == "oracle"
-        left, right = (_finger(models, cell, index, perception, fault) for index in range(2))
-        self.session = InsertionSession(
-            models, left, right, controller_name="belief" if controller == "oracle" else controller
-        )
+        self._make_session = partial(session_of, models, cell, controller, perception, fault)
+        self.session = self._make_session()
         if self.oracle:  # nobody listens to the networks
             self.session.submit = self._skip_networks
         self.client = client
+        self.grasps = 1
+        self._tried = 0  # attempts with the object as it was taken before
         self.state = State(plan_of(cell, self._pose(), FAR if self.oracle else Limits(), reach_mm, client))
         self.seconds = Seconds()
         self.trials: list[dict[str, Any]] = []
@@ -103,7 +101,8 @@ class Insertion:
         return Outcome(
             inserted=claimed and in_gap,
             claimed=claimed,
-            attempts=self.state.attempt,
+            attempts=self._tried + self.state.attempt,
+            grasps=self.grasps,
             reason=void or self.state.reason,
             void=bool(void),
             final_error=(float(cell.state.object_error[0]), float(cell.state.object_error[1])),
@@ -123,9 +122,26 @@ class Insertion:
         scene = self.cell.scene
         longer = max(1.0, scene.fps / 30.0) * max(1.0, 10.0 / scene.speed_mm_s)
         for _ in range(round(longer * MAX_FRAMES)):
-            if self.state.done or self.state.phase in self.until:
+            if self.state.phase in self.until or (self.state.done and not self._takes_afresh()):
                 break
             self._frame()
+
+    def _takes_afresh(self) -> bool:
+        """Whether the object is put into its fixture, taken upright and tried again, as by the client's cycle."""
+        plan = self.state.afresh(f"simulated-{self.grasps + 1}")
+        if plan is None:
+            return False
+        self.grasps, self._tried = self.grasps + 1, self._tried + self.state.attempt - 1
+        took_s = trip_s(plan)
+        self.cell.take_afresh(plan.approach.x_mm, plan.approach.y_mm, plan.approach.yaw_deg, took_s)
+        self.cell.speed_mm_s = plan.ramps.descend.speed_mm_s
+        self.seconds.spent[AFRESH] += took_s
+        before, self.session = self.session, self._make_session()
+        self.session.submit, self.session.on_attempt = before.submit, before.on_attempt
+        self.session.decider = before.decider and before.decider.afresh(plan.insertion_id)
+        self.state, self._standing = State(plan), False
+        self._post(Begin(at_s=self.cell.now_s, pose=self._pose()))
+        return True
 
     def _frame(self) -> None:
         was_moving = self.cell.moving
@@ -237,14 +253,6 @@ class Insertion:
     def _pose(self) -> WorkPose:
         x, y, z, yaw = self.cell.pose
         return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
-
-
-def _finger(
-    models: ModelSet, cell: LockstepCell, index: int, perception: Perception, fault: Fault | None
-) -> FingerWatch:
-    if perception == "fields":
-        return TrueFieldFinger(cell, FINGERS[index], fault)
-    return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))
 
 
 def stage(job: Job, models: ModelSet) -> Insertion:

@@ -51,11 +51,11 @@ def play(episode: Episode) -> Row | None:
 
 def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row | None) -> None:
     episode.folder.mkdir(parents=True, exist_ok=True)
-    for attempt in attempts:
+    for number, attempt in enumerate(attempts, 1):  # those of each grasp begin with 1
         arrays = attempt.arrays()
         kept = {name: arrays[name] for name in ("steps", "conditions", "decision") if name in arrays}
         if "steps" in kept:
-            np.savez(episode.folder / f"attempt_{attempt.arm.attempt:02d}.npz", **kept)  # type: ignore[arg-type]
+            np.savez(episode.folder / f"attempt_{number:02d}.npz", **kept)  # type: ignore[arg-type]
     summary = {
         "purpose": "probe" if episode.probe else "insert",
         "outcome": "inserted" if row and row["claimed"] else "failed",

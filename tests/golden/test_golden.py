@@ -127,6 +127,8 @@ def compare_insertions(rows: list[dict[str, Any]]) -> None:
         made, recorded = insert(job(row), models_of(MODELS)), dict(row["result"])
         # Recorded before the ground truth became strict: what it counts as inserted was counted then, too.
         assert recorded.pop("inserted") or not made["inserted"]
+        if made["grasps"] > 1:  # since then an object that has turned in the hand is taken afresh
+            made, recorded = made["trials"][0], recorded["trials"][0]
         agree(made, recorded, f"{row['job']['scene']}")
 
 

@@ -3,12 +3,16 @@
 import asyncio
 import contextlib
 import random
+from functools import partial
 
 import pytest
 
 from robot_client.cli.insert import live_ports, make_plan
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
+from robot_client.session.afresh import Fixture as Place
+from robot_client.session.afresh import upright
 from robot_client.session.cycle import Cycle, CycleHeldError, CycleSettings, Pace
 from robot_client.session.handshake import Handshake, HandshakeSettings
 from robot_client.session.recorder import Recorder
@@ -85,6 +89,15 @@ def cycle_of(cell, lines=None, **settings):
     return Cycle(taught, cell.settings.make_arm, cell.settings.make_gripper, insert, *given, plc=plc)
 
 
+async def insertion(cell, plan):
+    return await Runner(plan, *live_ports(cell.settings, plan), Recorder(None, plan)).run()
+
+
+def fixture(cell):
+    given = cell.settings.make_arm, cell.settings.make_gripper, cell.settings.limits, cell.settings.ramps
+    return Place(PICK, OPEN_MM, *given, 20.0)
+
+
 def run(work, timeout_s=110.0):
     return asyncio.run(asyncio.wait_for(work(), timeout_s))
 
@@ -109,6 +122,37 @@ def test_parts_are_picked_inserted_and_let_go_in_order():
     low = min(at[2] for at in last)
     column = [at for at in last if at[2] < low + 25.0]
     assert max(abs(at[0] - column[0][0]) for at in column) < 0.2, "it retreats along the vertical"
+
+
+def test_a_part_that_has_turned_in_the_hand_is_taken_afresh_and_tried_again_more_slowly_where_it_stood():
+    async def work():
+        async with cell_with() as (cell, part):
+            armed, speeds = [], []
+
+            def refuse_once(message):
+                if isinstance(message, wire.Descending):
+                    speeds.append(message.speed_mm_s)
+                if isinstance(message, wire.Arm):
+                    armed.append((message.insertion_id, message.attempt, cell.cabinet.arm.pose.position_mm[0]))
+                    if len(armed) == 2:
+                        name = {"insertion_id": message.insertion_id, "attempt": message.attempt}
+                        return [wire.Refused(**name, reason="turned_in_hand", detail="by about 1.4 deg")]
+                return None
+
+            cell.service.on_message = refuse_once
+            place, plan = fixture(cell), make_plan(cell.settings, 8.0, 0.0, "first", None)
+            await place.put_back()  # nothing yet: the arm stands there with open fingers
+            state = await upright(plan, partial(insertion, cell), place, print)
+            return state, armed, speeds, part.held
+
+    state, armed, speeds, held = run(work)
+    assert state.phase is Phase.INSERTED
+    assert state.attempt == len(armed) - 1, "an attempt that was not armed is none"
+    assert [name == "first" for name, _, _ in armed[:3]] == [True, True, False]
+    assert armed[2][1] == 1
+    assert armed[2][2] == pytest.approx(armed[1][2], abs=0.2)
+    assert speeds[1] < speeds[0]
+    assert held
 
 
 @pytest.mark.slow
@@ -258,8 +302,9 @@ def test_fifty_parts_in_a_row_with_faults_let_nothing_go_where_it_is_not_in():
                 except DriverError:
                     held_n += 1
                     cell.board.clear()
-                    cell.gripper.acknowledge()
                     cell.gripper.holding, part.held = False, False
+                    cell.gripper.stop()
+                    cell.gripper.acknowledge()
                 inserted_n += running.count.inserted_n
             return inserted_n, held_n, [one for one in part.left if one[2][2] < 30.0]
 

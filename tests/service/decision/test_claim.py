@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from service.contract import Sensor, wire
 from service.decision.attempt import Attempt, Stage
-from service.decision.claim import BLIND_S, GraspRecord, doubts, lasting_share, pressed_mm, turn_deg
+from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm
 from service.decision.seating import Push
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation, PairObservation
@@ -94,45 +94,20 @@ def test_a_descent_is_claimed_only_if_no_part_of_it_was_blind_for_long(first: in
         assert told == []
 
 
-def test_what_was_pressed_too_far_or_stays_turned_is_not_claimed() -> None:
+def test_what_was_pressed_too_far_is_not_claimed() -> None:
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=5.1)) == ["moved_in_hand"]
-    assert reasons(descent(), GraspRecord(50.0, turned_deg=-2.1)) == ["moved_in_hand"]
-    assert reasons(descent(), GraspRecord(50.0, pressed_mm=4.9, turned_deg=1.9)) == []
-    assert reasons(descent(), GraspRecord(50.0, turned_deg=math.nan)) == ["moved_in_hand"]
+    assert reasons(descent(), GraspRecord(50.0, pressed_mm=4.9)) == []
 
 
-def test_a_grasp_remembers_its_strongest_push_its_furthest_press_and_the_sum_of_its_turns() -> None:
+def test_a_grasp_remembers_its_strongest_push_and_its_furthest_press() -> None:
     grasp = GraspRecord(50.0)
     blocked = descent(depth_mm=8.0, onset_ns=FRAMES * PERIOD_NS // 2)
     blocked.pushes.append(Push(0, 0.3, 0.4))
-    blocked.ring.append(pair(turn_rad=math.radians(5.0)))
     grasp.blocked(blocked)
     grasp.blocked(descent(depth_mm=5.0))
     assert grasp.blocked_pitch == pytest.approx(0.4)
     assert grasp.pressed_mm == pytest.approx(4.0)
-    assert grasp.turned_deg == pytest.approx(0.26 * 5.0)
 
 
-def test_without_an_onset_nothing_was_pressed_and_without_a_pair_nothing_turned() -> None:
-    attempt = descent()
-    attempt.ring.clear()
-    assert (pressed_mm(attempt), turn_deg(attempt)) == (0.0, 0.0)
-
-
-@given(st.floats(0.01, 100.0), st.floats(0.01, 100.0))
-def test_a_gel_that_slides_sooner_is_expected_to_keep_more_of_a_turn_and_none_less_than_where_nothing_is_told(one, two):
-    short_mm, long_mm = sorted((one, two))
-    untold = lasting_share(None)
-    assert untold <= lasting_share(long_mm) <= lasting_share(short_mm) <= 1.0
-    assert lasting_share(0.2) > 2.0 * untold
-
-
-def test_a_blocked_attempt_counts_its_turn_by_the_reach_that_was_told():
-    turned = {}
-    for reach_mm in (None, 0.2):
-        attempt, grasp = descent(), GraspRecord()
-        attempt.arm = attempt.arm.model_copy(update={"shear_reach_mm": reach_mm})
-        attempt.ring.append(pair(turn_rad=math.radians(2.0)))
-        grasp.blocked(attempt)
-        turned[reach_mm] = grasp.turned_deg
-    assert turned == {reach_mm: pytest.approx(2.0 * lasting_share(reach_mm)) for reach_mm in turned}
+def test_without_an_onset_nothing_was_pressed() -> None:
+    assert pressed_mm(descent()) == 0.0

@@ -1,0 +1,94 @@
+"""What a blocked attempt leaves of a turn: what the core of the contact turned beyond what its rim carried along."""
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.decision.claim import GraspRecord
+from service.decision.turning import TURNED_DEG, lasting_turn_deg
+from service.perception.observation import PairObservation
+from service.perception.slip.detector import SlipDetector
+from tests.service.decision.test_claim import descent, observation
+from tests.service.perception.synthetic import patch_fields, twist
+
+CORE_PX = 60.0
+
+
+def finger(name, turn_rad, slid_rad=0.0):
+    """A finger whose object turned by ``turn_rad`` while markers beyond CORE_PX of the middle stayed behind."""
+    seen = observation(name)
+    place = seen.field.rest_px - seen.field.rest_px.reshape(-1, 2).mean(0)
+    rim = np.hypot(*np.moveaxis(place, -1, 0)) > CORE_PX
+    lag = np.where(rim[..., None], slid_rad * np.stack([place[..., 1], -place[..., 0]], -1), 0.0)
+    slip = replace(seen.slip, angle_rad=turn_rad, residual_px=lag, sticking=~rim, slipping=rim)
+    return replace(seen, slip=slip)
+
+
+def pressed(turn_rad, slid_rad):
+    attempt = descent()
+    attempt.ring.append(PairObservation(finger("left", turn_rad, slid_rad), finger("right", -turn_rad, -slid_rad)))
+    return attempt
+
+
+@given(st.floats(-0.2, 0.2))
+def test_a_contact_that_turns_as_one_turns_back(turn_rad):
+    assert lasting_turn_deg(pressed(turn_rad, 0.0)) == 0.0
+
+
+@given(st.floats(0.005, 0.2), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.sampled_from([-1.0, 1.0]))
+def test_the_more_of_a_turn_has_slid_the_more_of_it_stays_and_never_much_more_than_all(turn_rad, one, two, sign):
+    less, more = (lasting_turn_deg(pressed(sign * turn_rad, sign * share * turn_rad)) for share in sorted((one, two)))
+    assert 0.0 <= sign * less <= sign * more + 1e-9
+    assert sign * more <= 1.1 * math.degrees(turn_rad) + 1e-9
+
+
+def test_a_turn_whose_rim_did_not_follow_at_all_stays_nearly_whole():
+    assert lasting_turn_deg(pressed(0.1, 0.1)) > 0.8 * math.degrees(0.1)
+
+
+def test_what_no_finger_knows_counts_for_nothing_and_no_pair_for_no_turn():
+    attempt = descent()
+    attempt.ring.clear()
+    assert lasting_turn_deg(attempt) == 0.0
+    attempt = pressed(math.nan, 0.0)
+    assert lasting_turn_deg(attempt) == 0.0
+
+
+def test_a_grasp_adds_up_its_turns_until_the_object_has_to_be_taken_afresh():
+    grasp = GraspRecord(50.0)
+    grasp.blocked(pressed(0.1, 0.1))
+    assert abs(grasp.turned_deg) > TURNED_DEG
+    assert "turned the object in the hand" in grasp.turned
+    grasp.blocked(pressed(-0.1, -0.1))
+    assert grasp.turned_deg == pytest.approx(0.0)
+    assert not grasp.turned
+
+
+def test_a_sum_that_is_no_number_is_not_upright():
+    assert GraspRecord(turned_deg=math.nan).turned
+
+
+@pytest.mark.parametrize(("hold_px", "least_deg", "most_deg"), [(np.inf, 0.0, 0.3), (3.0, 0.5, 4.5)])
+def test_the_detector_tells_a_gel_that_slid_from_one_that_held(hold_px, least_deg, most_deg):
+    fingers = []
+    for name, sign in (("left", 1.0), ("right", -1.0)):
+        motion = partial(turning, sign * 4.0 / 19)
+        fields, _ = patch_fields(motion, hold_px=hold_px, centre=(163.0, 159.5))
+        detector = SlipDetector()
+        detector.rearm(fields[0])
+        for field in fields[1:]:
+            slip = detector.update(field)
+        fingers.append(replace(observation(name), field=fields[-1], slip=slip))
+    attempt = descent()
+    attempt.ring.append(PairObservation(*fingers))
+    assert least_deg <= lasting_turn_deg(attempt) <= most_deg
+
+
+def turning(step_deg, k, rest):
+    """The motion of an object that turns by 4 deg in 20 frames."""
+    return twist(rest, step_deg * k) - rest
