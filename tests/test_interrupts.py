@@ -1,5 +1,6 @@
 """Ctrl-C ends every long command within two seconds, with one line and no traceback, and what was done is kept."""
 
+import json
 import os
 import signal
 import subprocess
@@ -49,3 +50,55 @@ def test_an_interrupt_ends_it_at_once_in_one_line(name, tmp_path):
     assert output.rstrip().splitlines()[-1].startswith(f"{words[1]}: interrupted"), output[-500:]
     assert process.returncode == 130
     assert took_s < PATIENCE_S
+
+
+RUN = """name = "mine"
+runs = "{folder}"
+[data]
+path = "{folder}/probes"
+cache = "{folder}/cache"
+[network]
+kind = "markers"
+trunk_width = 8
+feature_size = 16
+state_size = 16
+[trunk]
+epochs = 100000
+patience = 100000
+"""
+
+
+def epochs_until_interrupted(run: Path, least_n: int) -> list[int]:
+    """Train until the log has so many epochs, interrupt, and return them; the end is as every command's."""
+    log = run.parent / "mine" / "log.jsonl"
+    command = [sys.executable, "-m", "training", "train", str(run)]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        until_s = time.monotonic() + 300
+        while not log.exists() or log.read_text().count("\n") < least_n:
+            assert time.monotonic() < until_s
+            assert process.poll() is None, process.stdout.read()[-500:]
+            time.sleep(0.05)
+        began = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=60)
+        took_s = time.monotonic() - began
+    finally:
+        process.kill()
+    assert "Traceback" not in output, output[-2000:]
+    assert output.rstrip().splitlines()[-1].startswith("train: interrupted")
+    assert process.returncode == 130
+    assert took_s < PATIENCE_S
+    return [json.loads(line)["epoch"] for line in log.read_text().splitlines()]
+
+
+def test_an_interrupted_training_goes_on_where_it_was(tmp_path):
+    made = ["--objects", "rectangle", "--trials-per-object", "24", "--trials-per-shard", "12"]
+    command = [sys.executable, "-m", "simulation", "collect", *made, "--out", str(tmp_path / "probes")]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    run = tmp_path / "mine.toml"
+    run.write_text(RUN.format(folder=tmp_path))
+    before = epochs_until_interrupted(run, 2)
+    after = epochs_until_interrupted(run, len(before) + 2)
+    assert after[: len(before)] == before == list(range(len(before)))
+    assert after[len(before)] in {before[-1], before[-1] + 1}, "the epoch that was not saved is trained again"

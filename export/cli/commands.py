@@ -89,4 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print(f"{(arguments or sys.argv[1:])[0]}: interrupted", file=sys.stderr)
+        return 130
     return 0

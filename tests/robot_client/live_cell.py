@@ -156,6 +156,7 @@ class TruthfulService:
         self.insertion_id = message.insertion_id
         match message:
             case wire.ClientHello():
+                self._attempt, self._watching = 0, False
                 replies = [self.hello(clock=clock(message, time.monotonic_ns()))]
             case wire.ClientHeartbeat() if not self.silent_heartbeat:
                 replies = [beat(message, time.monotonic_ns(), 10.0)]
@@ -172,6 +173,7 @@ class TruthfulService:
                 self._watching = False
                 replies = [wire.Finished(**name, outcome="inserted", attempts=message.attempt)]
             case wire.Abort():
+                self._watching = False
                 replies = [wire.Finished(**name, outcome="aborted", attempts=self._attempt)]
         return replies
 

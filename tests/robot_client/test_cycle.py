@@ -302,8 +302,9 @@ def test_fifty_parts_in_a_row_with_faults_let_nothing_go_where_it_is_not_in():
                 except DriverError:
                     held_n += 1
                     cell.board.clear()
-                    cell.gripper.acknowledge()
                     cell.gripper.holding, part.held = False, False
+                    cell.gripper.stop()
+                    cell.gripper.acknowledge()
                 inserted_n += running.count.inserted_n
             return inserted_n, held_n, [one for one in part.left if one[2][2] < 30.0]
 

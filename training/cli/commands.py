@@ -170,4 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print(f"{(arguments or sys.argv[1:])[0]}: interrupted; the same command goes on", file=sys.stderr)
+        return 130
     return int(status or 0)
