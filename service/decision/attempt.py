@@ -25,6 +25,7 @@ from service.contract.wire import (
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.network_input import Descent
 from service.decision.seating import Push, push_of
+from service.decision.turning import hangs_turned
 from service.perception.observation import FingerWatch, Observation, PairObservation
 from service.perception.slip.onset import OnsetDetector
 
@@ -145,6 +146,8 @@ class Attempt:
             return self.refusal("nothing_held", why)
         if why := implausible_width(self.arm):
             return self.refusal("implausible_width", why)
+        if why := hangs_turned(both):
+            return self.refusal("turned_in_hand", why)
         self.reference, self.stage = both, Stage.ARMED
         self.ring.append(both)
         self.watched_ns = min(o.captured_ns for o in both.fingers)

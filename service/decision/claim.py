@@ -41,7 +41,7 @@ class GraspRecord:
         """Take in an attempt that was blocked."""
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
-        self.turned_deg += lasting_turn_deg(attempt)
+        self.turned_deg += lasting_turn_deg(attempt.ring[-1] if attempt.ring else None)
 
     @property
     def turned(self) -> str:

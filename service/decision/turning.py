@@ -1,32 +1,44 @@
-"""How far a blocked attempt has left the object turned in the hand.
+"""How far an object hangs turned in the hand, and how far a blocked attempt has left it so.
 
 Where the gels still stick in the middle, the markers there turn with the object; nearer to the rim of the contact they
 have let go. What the object has turned beyond what the contact as a whole carries has slid: it stays when the arm goes
-up, and nothing shows it any more.
+up, and nothing shows it any more. What its own weight turns shows against the open gels, as long as it hangs.
 """
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from service.decision.attempt import Attempt
-from service.perception.observation import Observation
+from service.perception.observation import Observation, PairObservation
 
-TURNED_DEG = 1.0  # half of the tilt at which an object no longer counts as upright: the expectation errs by 0.3 deg
+TURNED_DEG = 0.6  # an object counts as upright up to 2 deg, and the expectation errs by 0.3 to 0.6 deg an attempt
+HANGS_DEG = 1.0  # shown by the markers; as much and more has slid. Upright ones in drawn cells show 0.15 deg at most
+CARRIED = 0.25  # of the largest motion: markers that move by more are carried by the object
 GIVEN_BACK, LASTS = 1.1, 1.1  # of what the contact carries, the gels turn back; of what is left, stays in the hand
 FEWEST_N = 4  # markers that determine a turn
 
 
-def lasting_turn_deg(attempt: Attempt) -> float:
+def hangs_turned(both: PairObservation) -> str:
+    """Why an object does not hang upright in the hand, or nothing: the gels show that its weight has turned it."""
+    turns_rad = [_shown_rad(finger) for finger in both.fingers]
+    turn_deg = math.degrees(0.5 * abs(turns_rad[0] - turns_rad[1]))
+    if not turn_deg > HANGS_DEG:
+        return ""
+    return f"it hangs turned by {turn_deg:.1f} deg or more: take it nearer to its centre of mass, or grip harder"
+
+
+def lasting_turn_deg(both: PairObservation | None) -> float:
     """What stays in the hand of the turn that the markers show at standstill, deg, signed as the left finger shows it.
 
-    Both fingers see the same turn from opposite sides. 0 where either does not know it. Against 1,131 presses of drawn
-    cells by 1.65 mm (bristle tier, simulated, which GIVEN_BACK and LASTS are fitted to) it correlates by 0.86 with what
-    stayed and errs by 0.33 deg, by 0.6 deg where the shear reach is below 0.3 mm. No reach has to be known.
+    ``both``: the last pair of a blocked attempt. Both fingers see the same turn from opposite sides. 0 where either
+    does not know it. Against 1,131 presses of drawn cells by 1.65 mm (bristle tier, simulated; GIVEN_BACK and LASTS are
+    fitted to them) it correlates by 0.86 with what stayed and errs by 0.33 deg, by 0.6 deg where the shear reach is
+    below 0.3 mm. No reach has to be known.
     """
-    if not attempt.ring:
+    if both is None:
         return 0.0
-    left, right = attempt.ring[-1].fingers
+    left, right = both.fingers
     object_rad = 0.5 * (left.slip.angle_rad - right.slip.angle_rad)
     carried_rad = 0.5 * (_carried_rad(left) - _carried_rad(right))
     if not math.isfinite(object_rad + carried_rad):
@@ -40,8 +52,21 @@ def _carried_rad(seen: Observation) -> float:
     slip, contact = seen.slip, seen.slip.sticking | seen.slip.slipping
     if contact.sum() < FEWEST_N:
         return math.nan
-    place = seen.field.rest_px[contact].astype(np.float64)
-    place -= place.mean(0)
-    lag = slip.residual_px[contact] - slip.residual_px[contact].mean(0)
-    lagging = (place[:, 0] * lag[:, 1] - place[:, 1] * lag[:, 0]).sum() / (place**2).sum()
-    return slip.angle_rad + float(lagging)
+    return slip.angle_rad + _turn_rad(seen.field.rest_px[contact], slip.residual_px[contact])
+
+
+def _shown_rad(seen: Observation) -> float:
+    """The mean turn of the markers that are away from where they lie in the open gel."""
+    field = seen.field
+    away = np.where(field.valid, np.hypot(*np.moveaxis(field.displacement_px, -1, 0)), 0.0)
+    carried = away > CARRIED * float(away.max(initial=0.0))
+    if carried.sum() < FEWEST_N:
+        return 0.0
+    return _turn_rad(field.rest_px[carried], field.displacement_px[carried])
+
+
+def _turn_rad(place_px: NDArray[np.float32], moved_px: NDArray[np.float32]) -> float:
+    """The turn of points [n, 2] that moved by [n, 2], by least squares, small angles."""
+    place = place_px - place_px.mean(0, dtype=np.float64)
+    moved = moved_px - moved_px.mean(0, dtype=np.float64)
+    return float((place[:, 0] * moved[:, 1] - place[:, 1] * moved[:, 0]).sum() / np.square(place).sum())

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.decision.claim import GraspRecord
-from service.decision.turning import TURNED_DEG, lasting_turn_deg
+from service.decision.turning import HANGS_DEG, TURNED_DEG, hangs_turned, lasting_turn_deg
 from service.perception.observation import PairObservation
 from service.perception.slip.detector import SlipDetector
 from tests.service.decision.test_claim import descent, observation
@@ -29,34 +29,60 @@ def finger(name, turn_rad, slid_rad=0.0):
     return replace(seen, slip=slip)
 
 
+def last(turn_rad, slid_rad):
+    """Both fingers' last frames of an attempt."""
+    return PairObservation(finger("left", turn_rad, slid_rad), finger("right", -turn_rad, -slid_rad))
+
+
 def pressed(turn_rad, slid_rad):
     attempt = descent()
-    attempt.ring.append(PairObservation(finger("left", turn_rad, slid_rad), finger("right", -turn_rad, -slid_rad)))
+    attempt.ring.append(last(turn_rad, slid_rad))
     return attempt
+
+
+def hanging(turn_deg):
+    """A pair whose markers lie turned against the open gels."""
+    fingers = []
+    for name, sign in (("left", 1.0), ("right", -1.0)):
+        seen = observation(name)
+        moved = twist(seen.field.rest_px, sign * turn_deg, seen.field.rest_px.mean((0, 1))) - seen.field.rest_px
+        field = replace(seen.field, displacement_px=moved.astype(np.float32), valid=np.ones(moved.shape[:2], np.bool_))
+        fingers.append(replace(seen, field=field))
+    return PairObservation(*fingers)
 
 
 @given(st.floats(-0.2, 0.2))
 def test_a_contact_that_turns_as_one_turns_back(turn_rad):
-    assert lasting_turn_deg(pressed(turn_rad, 0.0)) == 0.0
+    assert lasting_turn_deg(last(turn_rad, 0.0)) == 0.0
 
 
 @given(st.floats(0.005, 0.2), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.sampled_from([-1.0, 1.0]))
 def test_the_more_of_a_turn_has_slid_the_more_of_it_stays_and_never_much_more_than_all(turn_rad, one, two, sign):
-    less, more = (lasting_turn_deg(pressed(sign * turn_rad, sign * share * turn_rad)) for share in sorted((one, two)))
+    less, more = (lasting_turn_deg(last(sign * turn_rad, sign * share * turn_rad)) for share in sorted((one, two)))
     assert 0.0 <= sign * less <= sign * more + 1e-9
     assert sign * more <= 1.1 * math.degrees(turn_rad) + 1e-9
 
 
 def test_a_turn_whose_rim_did_not_follow_at_all_stays_nearly_whole():
-    assert lasting_turn_deg(pressed(0.1, 0.1)) > 0.8 * math.degrees(0.1)
+    assert lasting_turn_deg(last(0.1, 0.1)) > 0.8 * math.degrees(0.1)
 
 
 def test_what_no_finger_knows_counts_for_nothing_and_no_pair_for_no_turn():
-    attempt = descent()
-    attempt.ring.clear()
-    assert lasting_turn_deg(attempt) == 0.0
-    attempt = pressed(math.nan, 0.0)
-    assert lasting_turn_deg(attempt) == 0.0
+    assert lasting_turn_deg(None) == 0.0
+    assert lasting_turn_deg(last(math.nan, 0.0)) == 0.0
+
+
+@given(st.floats(-6.0, 6.0))
+def test_an_object_that_hangs_turned_is_told_from_one_that_hangs_upright(turn_deg):
+    told = hangs_turned(hanging(turn_deg))
+    if abs(turn_deg) > HANGS_DEG + 0.05:
+        assert "nearer to its centre of mass" in told
+    if abs(turn_deg) < HANGS_DEG - 0.05:
+        assert not told
+
+
+def test_gels_that_nothing_moves_show_no_turn():
+    assert not hangs_turned(last(0.0, 0.0))
 
 
 def test_a_grasp_adds_up_its_turns_until_the_object_has_to_be_taken_afresh():
@@ -84,9 +110,7 @@ def test_the_detector_tells_a_gel_that_slid_from_one_that_held(hold_px, least_de
         for field in fields[1:]:
             slip = detector.update(field)
         fingers.append(replace(observation(name), field=fields[-1], slip=slip))
-    attempt = descent()
-    attempt.ring.append(PairObservation(*fingers))
-    assert least_deg <= lasting_turn_deg(attempt) <= most_deg
+    assert least_deg <= lasting_turn_deg(PairObservation(*fingers)) <= most_deg
 
 
 def turning(step_deg, k, rest):
