@@ -15,7 +15,7 @@ from service.perception.observation import Observation, PairObservation
 TURNED_DEG = 0.6  # an object counts as upright up to 2 deg, and the expectation errs by 0.3 to 0.6 deg an attempt
 HANGS_DEG = 1.0  # shown by the markers; as much and more has slid. Upright ones in drawn cells show 0.15 deg at most
 CARRIED = 0.25  # of the largest motion: markers that move by more are carried by the object
-GIVEN_BACK, LASTS = 1.1, 1.1  # of what the contact carries, the gels turn back; of what is left, stays in the hand
+GIVEN_BACK = 1.1  # of what the contact carries, the gels turn back
 FEWEST_N = 4  # markers that determine a turn
 
 
@@ -31,20 +31,20 @@ def hangs_turned(both: PairObservation) -> str:
 def lasting_turn_deg(both: PairObservation | None) -> float:
     """What stays in the hand of the turn that the markers show at standstill, deg, signed as the left finger shows it.
 
-    ``both``: the last pair of a blocked attempt. Both fingers see the same turn from opposite sides. 0 where either
-    does not know it. Against 1,131 presses of drawn cells by 1.65 mm (bristle tier, simulated; GIVEN_BACK and LASTS are
-    fitted to them) it correlates by 0.86 with what stayed and errs by 0.33 deg, by 0.6 deg where the shear reach is
-    below 0.3 mm. No reach has to be known.
+    ``both``: the last pair of a blocked attempt. Both fingers see the same turn from opposite sides; one that has let
+    go shows less of it, so the larger counts. 0 where none knows it. Against 1,131 presses of drawn cells by 1.65 mm
+    (bristle tier, simulated; GIVEN_BACK is fitted to them) it correlates by 0.86 with what stayed and errs by 0.33 deg,
+    by 0.54 deg where the shear reach is below 0.3 mm. No reach has to be known.
     """
     if both is None:
         return 0.0
     left, right = both.fingers
-    object_rad = 0.5 * (left.slip.angle_rad - right.slip.angle_rad)
-    carried_rad = 0.5 * (_carried_rad(left) - _carried_rad(right))
-    if not math.isfinite(object_rad + carried_rad):
+    object_rad = max(left.slip.angle_rad, -right.slip.angle_rad, key=abs)
+    carried = [turn_rad for turn_rad in (_carried_rad(left), -_carried_rad(right)) if math.isfinite(turn_rad)]
+    if not carried or not math.isfinite(object_rad):
         return 0.0
-    slid_rad = abs(object_rad) - GIVEN_BACK * carried_rad * math.copysign(1.0, object_rad)
-    return math.degrees(math.copysign(LASTS * max(0.0, slid_rad), object_rad))
+    slid_rad = abs(object_rad) - GIVEN_BACK * math.copysign(1.0, object_rad) * sum(carried) / len(carried)
+    return math.degrees(math.copysign(max(0.0, slid_rad), object_rad))
 
 
 def _carried_rad(seen: Observation) -> float:
