@@ -148,9 +148,10 @@ def screen(
     return lines
 
 
-def newest_recording(folder: Path) -> Path | None:
-    """The insertion's folder of the service."""
-    return max((path for path in folder.glob("*") if path.is_dir()), default=None)
+def telling_recording(folder: Path) -> Path | None:
+    """The newest recording that holds an attempt: the last one of an object taken afresh is often inserted at once."""
+    entries = sorted(path for path in folder.glob("*") if path.is_dir())
+    return max(entries, key=lambda path: (any(path.glob("attempt_*.npz")), path), default=None)
 
 
 def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | None:

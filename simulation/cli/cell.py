@@ -102,7 +102,7 @@ def exit_status(command: str, work: Callable[[], int]) -> int:
 def _insert(start: Start, options: RunOptions) -> Result:
     folder = _folder(options, start)
     result = insert(start, options, folder)
-    recording = run_report.newest_recording(folder / "recordings")
+    recording = run_report.telling_recording(folder / "recordings")
     drawn = run_report.draw_last_attempt(recording, folder / "last_attempt.png", result) if recording else None
     filmed = film.draw(folder / "cell" / "course.npz", folder / "insertion.gif", load_scene(start.object).sensor)
     (folder / "result.json").write_text(result.as_json() + "\n")
