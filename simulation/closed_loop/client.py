@@ -6,7 +6,7 @@ from typing import Any
 
 from robot_client.insertion.events import Move
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.lease import FAST_S, SLOW_MM, Lease
+from robot_client.insertion.lease import FAST_S, PAUSE_S, SLOW_MM, Lease
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Plan
@@ -47,6 +47,7 @@ def plan_of(
         creep_allowance_mm=min(CREEP_ALLOWANCE_MM, max(0.0, room_mm)),
         limits=limits,
         ramps=ramps.model_copy(update={"descend": descend}),
+        pause_s=PAUSE_S,
         lease=Lease(travel_mm=max(SLOW_MM, FAST_S * scene.speed_mm_s)),
     )
     return plan if client is None else _as_set(plan, client)

@@ -63,6 +63,7 @@ class LockstepCell:
     shots: deque[CellState] = field(init=False)
     course: Course = field(default_factory=Course)
     speed_mm_s: float = field(init=False)
+    pausing: bool = False  # the arm stands in the midst of a descent
     _grasped: NDArray[np.float64] = field(init=False)
     _stuck: int = 0
     _law: Walk | None = None
@@ -202,7 +203,7 @@ class LockstepCell:
 
     def _pass(self, periods: float) -> None:
         """Advance by a share of a frame period."""
-        if self.moving:
+        if self.moving and not self.pausing:
             x, y, z, yaw = _pose_of(self.physics)
             bottom = self.misplaced.true((0.0, 0.0, self.bottom_z_mm, 0.0))[2]
             target = max(bottom, z - self._way_mm(periods))

@@ -144,7 +144,8 @@ class Insertion:
         return True
 
     def _frame(self) -> None:
-        was_moving = self.cell.moving
+        was_moving, state = self.cell.moving, self.state
+        self.cell.pausing = state.phase is Phase.DESCENDING and self.cell.now_s >= state.until_s
         pair = self.cell.next_pair(look=self.session.wants_frames)
         now_ns = self.cell.now_ns
         self._show(pair, now_ns)
@@ -237,7 +238,7 @@ class Insertion:
                 else:
                     self._standing = True
             case Renew():
-                pass  # the machine is asked at every frame whether the lease lasts
+                pass  # every frame asks the machine whether the lease lasts
             case Move() if command.motion == "descend":
                 self.before = self.cell.state
                 self.cell.descend(
