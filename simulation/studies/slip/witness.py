@@ -82,7 +82,7 @@ def fitted(runs: Sequence[Run]) -> Float64:
         weights = _logistic(np.concatenate([positive, negative, usual]), told, shares)
     raw = weights / spread
     highest = np.sort([float((one @ weights).max()) for one in holds])[::-1]
-    return np.append(raw, -raw @ mean - highest[FALSE_RUNS])
+    return np.append(raw, -raw @ mean - highest[min(FALSE_RUNS, len(highest) - 1)])
 
 
 def _most(frames: Float64, weights: Float64, count: int) -> Float64:
