@@ -59,7 +59,7 @@ async def upright(
         again = state.afresh(new_id()) if fixture else None
         if fixture is None or again is None:
             return replace(state, attempt=tried_n + state.attempt)
-        show(f"{state.reason}: back to the fixture")
+        show("back to the fixture, to be taken upright")
         tried_n += state.attempt - 1
         await fixture.put_back()
         plan = again
