@@ -10,8 +10,8 @@ from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Plan, State
 from robot_client.ports import Arm, Gripper
-from robot_client.session.runner import to_the_end
-from robot_client.session.travel import over_to, travel
+from robot_client.session.cycle import with_gripper
+from robot_client.session.travel import over_to, straight_up, travel
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,29 +20,18 @@ class Fixture:
 
     pick: WorkPose
     open_mm: float
+    retreat_mm: float
     make_arm: Callable[[], Arm]
     make_gripper: Callable[[], Gripper]
     limits: Limits
     ramps: Ramps
     motion_s: float
 
-    async def open(self) -> None:
-        """Open the fingers where the arm stands; raises DriverError."""
-        gripper = self.make_gripper()
-        try:
-            await gripper.connect()
-            await gripper.release(self.open_mm)
-        finally:
-            await to_the_end(gripper.close())
-
-    async def approach(self) -> None:
-        """Over to the fixture and down; raises DriverError, LimitError."""
-        await travel(self.make_arm(), over_to(self.pick), self.limits, self.ramps, self.motion_s, lambda _text: None)
-
     async def put_back(self) -> None:
-        """Stand the object in its fixture and open; raises DriverError, LimitError."""
-        await self.approach()
-        await self.open()
+        """Straight up from between its neighbours, over, down, and open; raises DriverError, LimitError."""
+        for way in (straight_up(self.retreat_mm), over_to(self.pick)):
+            await travel(self.make_arm(), way, self.limits, self.ramps, self.motion_s, lambda _text: None)
+        await with_gripper(self.make_gripper, lambda gripper: gripper.release(self.open_mm))
 
 
 async def upright(

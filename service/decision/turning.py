@@ -39,10 +39,11 @@ def lasting_turn_deg(both: PairObservation | None) -> float:
     if both is None:
         return 0.0
     left, right = both.fingers
-    object_rad = max(left.slip.angle_rad, -right.slip.angle_rad, key=abs)
+    turned = [turn_rad for turn_rad in (left.slip.angle_rad, -right.slip.angle_rad) if math.isfinite(turn_rad)]
     carried = [turn_rad for turn_rad in (_carried_rad(left), -_carried_rad(right)) if math.isfinite(turn_rad)]
-    if not carried or not math.isfinite(object_rad):
+    if not carried or not turned:
         return 0.0
+    object_rad = max(turned, key=abs)
     slid_rad = abs(object_rad) - GIVEN_BACK * math.copysign(1.0, object_rad) * sum(carried) / len(carried)
     return math.degrees(math.copysign(max(0.0, slid_rad), object_rad))
 

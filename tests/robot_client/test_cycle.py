@@ -95,7 +95,7 @@ async def insertion(cell, plan):
 
 def fixture(cell):
     given = cell.settings.make_arm, cell.settings.make_gripper, cell.settings.limits, cell.settings.ramps
-    return Place(PICK, OPEN_MM, *given, 20.0)
+    return Place(PICK, OPEN_MM, 30.0, *given, 20.0)
 
 
 def run(work, timeout_s=110.0):

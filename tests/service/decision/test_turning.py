@@ -72,6 +72,14 @@ def test_what_no_finger_knows_counts_for_nothing_and_no_pair_for_no_turn():
     assert lasting_turn_deg(last(math.nan, 0.0)) == 0.0
 
 
+@pytest.mark.parametrize("blind", ["left", "right"])
+def test_one_finger_alone_is_enough(blind):
+    both = last(0.1, 0.1)
+    seen = getattr(both, blind)
+    unknown = replace(both, **{blind: replace(seen, slip=replace(seen.slip, angle_rad=math.nan))})
+    assert lasting_turn_deg(unknown) == pytest.approx(lasting_turn_deg(both))
+
+
 @given(st.floats(-6.0, 6.0))
 def test_an_object_that_hangs_turned_is_told_from_one_that_hangs_upright(turn_deg):
     told = hangs_turned(hanging(turn_deg))
