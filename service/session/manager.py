@@ -166,6 +166,7 @@ class InsertionManager:
         session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session)
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
+        insertion.continues = hello.continues
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
         try:
