@@ -103,7 +103,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("cameras lose 9 of 10 frames", _cameras(*BOTH, drop_share=0.9)),
     *(Fault(f"cameras {ms} ms late", _cameras(*BOTH, delay_ms=ms)) for ms in (100, 200, 300)),
     Fault("left camera frozen, with noise", _cameras("left", frozen_noise=True)),
-    Fault("cameras frozen, with noise", _cameras(*BOTH, frozen_noise=True), hides_s=float("inf")),
+    Fault("cameras frozen, with noise", _cameras(*BOTH, frozen_noise=True), hides_s=float("inf"), bounded=False),
     *(
         Fault(
             f"cameras {ms} ms late, unstamped",

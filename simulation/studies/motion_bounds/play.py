@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import shutil
 import threading
 import time
@@ -71,12 +72,13 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
         logs = [child.log for child in (running.cell, running.service, running.client)]
         relays[0].close()
     entries = _entries(folder)
+    since_ns = min(truth["camera_drawn_ns"]) if injected_ns and math.isinf(fault.hides_s) else injected_ns
     end: dict[str, Any] = next((e["end"] for e in reversed(entries) if "end" in e), {})
     return Row(
         fault=fault.name,
         phase=phase,
         injected=injected_ns is not None,
-        travel_mm=_travel_mm(trace, entries, fault, injected_ns),
+        travel_mm=_travel_mm(trace, entries, fault, since_ns),
         force_n=truth["course"]["max_force_n"],
         moved_mm=_moved_mm(trace, entries),
         ended="hung" if hung else str(end.get("reason") or end.get("phase") or "killed")[:160],
