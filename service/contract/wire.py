@@ -216,7 +216,10 @@ class Slip(_Message):
 
 
 class Correction(_Message):
-    """Move by (dx_mm, dtheta_deg) in the work-object frame after retracting, then probe again. Apply once."""
+    """Move by (dx_mm, dtheta_deg) in the work-object frame after retracting, then probe again. Apply once.
+
+    ``turns_deg``: how far the left and the right finger saw the object turn, clockwise in their pictures.
+    """
 
     type: Literal["correction"] = "correction"
     attempt: Attempt
@@ -228,6 +231,7 @@ class Correction(_Message):
     controller: ControllerName
     reason: str
     latency_ms: dict[str, float]
+    turns_deg: tuple[float, float] | None = None
 
 
 class NoDecision(_Message):
