@@ -73,7 +73,10 @@ class Held(RuntimeError):  # noqa: N818 it says what is
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be inserted; ``stop_lag_s`` is how long your arm goes on after `stop`, measured."""
+    """What is to be inserted; ``stop_lag_s`` is how long your arm goes on after `stop`, measured.
+
+    ``continues`` names the insertion of the same object that a person has taken out of the hand and put back upright.
+    """
 
     name: str
     gap_width_mm: float
@@ -81,6 +84,7 @@ class Task:
     grasp_height_mm: float | None = None
     speed_mm_s: float = 10.0
     stop_lag_s: float = 0.04
+    continues: str | None = None
 
     @property
     def lease_s(self) -> float:
@@ -142,7 +146,7 @@ class Service:
 
 def insert(arm: Arm, token: str, task: Task, url: str = URL) -> Message:
     """One insertion from grasp to `finished`, which is returned. On any error the arm stands, and it is raised."""
-    with _connected(token, task.name, url) as service:
+    with _connected(token, task, url) as service:
         try:
             limits = _greet(service, task)
             service.say("learn_open")
@@ -157,12 +161,13 @@ def insert(arm: Arm, token: str, task: Task, url: str = URL) -> Message:
 
 
 @contextlib.contextmanager
-def _connected(token: str, name: str, url: str) -> Iterator[Service]:
-    head = {"Authorization": f"Bearer {token}"}
+def _connected(token: str, task: Task, url: str) -> Iterator[Service]:
+    head, client = {"Authorization": f"Bearer {token}"}, "examples/cell_controller.py"
     with connect(url, additional_headers=head, compression=None, open_timeout=READY_S, close_timeout=1.0) as link:
-        service, ended = Service(link, name), threading.Event()
+        service, ended = Service(link, task.name), threading.Event()
         beats = threading.Thread(target=service.beat, args=[ended], daemon=True)
-        service.say("hello", protocol=PROTOCOL, client="examples/cell_controller.py", sent_ns=time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        service.say("hello", protocol=PROTOCOL, client=client, sent_ns=now_ns, continues=task.continues)
         beats.start()
         try:
             yield service
@@ -227,12 +232,20 @@ def _attempt(arm: Arm, service: Service, task: Task, attempt: int) -> Message:
     )
     armed = service.wait("armed", "refused", timeout_s=READY_S)
     if armed["type"] == "refused":
-        raise Held("refused", f"{armed['reason']}: {armed['detail']}")
+        raise Held("refused", _refusal(task, armed))
     touched = _descend(arm, service, task, armed)
     depth_mm = arm.depth_mm()
     outcome = "inserted" if depth_mm >= task.depth_mm - 1.0 else "blocked" if touched else "stopped"
     service.say("stopped", attempt=attempt, depth_mm=depth_mm, outcome=outcome, gripper_width_mm=arm.width_mm())
     return service.wait("finished" if outcome == "inserted" else "correction", "no_decision", timeout_s=ANSWER_S)
+
+
+def _refusal(task: Task, refused: Message) -> str:
+    """Why nothing went down, and what a person does about what this controller, without a fixture, cannot mend."""
+    why = f"{refused['reason']}: {refused['detail']}"
+    if refused["reason"] != "turned_in_hand":
+        return why
+    return f"{why}; put it back upright into the open hand, and insert it with continues={task.name!r}, more slowly"
 
 
 def _descend(arm: Arm, service: Service, task: Task, armed: Message) -> bool:

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Callable
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "run": ("cell:run", "the whole loop: cell, service and robot client insert an object in real time"),
-    "demo": ("cell:demo", "a simulated cell at work, one object after another, with its page, until Ctrl-C"),
+    "run": ("run:run", "the whole loop: cell, service and robot client insert an object in real time"),
+    "demo": ("run:demo", "a simulated cell at work, one object after another, with its page, until Ctrl-C"),
     "cell": ("cell:cell", "the cell in real time on loopback: robot, gripper, cameras, truth"),
     "evaluate": ("evaluate:main", "every world with every object in lock step: rows, JSON"),
     "drawn-worlds": ("drawn_worlds:main", "the closed loop in drawn worlds with drawn objects, all variants"),

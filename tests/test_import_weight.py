@@ -11,6 +11,7 @@ LIGHT = {
     "service.web.app": ("torch", "numba", "simulation", "training"),
     "robot_client.__main__": ("torch", "numba", "cv2", "onnxruntime", "fastapi", "simulation", "service.perception"),
     "simulation.__main__": ("torch", "onnxruntime", "training"),
+    "simulation.cli.run": ("torch", "onnxruntime", "numba", "scipy", "fastapi"),  # `make demo` shows a picture soon
     "simulation.data.dataset": ("torch", "onnxruntime"),
 }
 

@@ -51,9 +51,11 @@ def cause_of(source: Source, code: str) -> wire.Cause:
 def fail(state: State, source: Source, code: str, detail: str) -> Result:
     reason = f"{source}: {code}: {detail}"[:500]
     stop = source in ("arm", "operator") or state.phase is Phase.STOPPING
-    abort = wire.Abort(insertion_id=state.plan.insertion_id, cause=cause_of(source, code), reason=reason)
-    held = Hold(reason=reason, stop=stop)
-    return replace(state, phase=Phase.FAILED, deadline_s=math.inf, path=(), reason=reason), (held, send(abort))
+    failed = replace(state, phase=Phase.FAILED, deadline_s=math.inf, path=(), reason=reason)
+    goes_on = state.plan.fixture and failed.afresh(state.plan.insertion_id) is not None
+    cause: wire.Cause = "afresh" if goes_on else cause_of(source, code)
+    abort = wire.Abort(insertion_id=state.plan.insertion_id, cause=cause, reason=reason)
+    return failed, (Hold(reason=reason, stop=stop), send(abort))
 
 
 def go(

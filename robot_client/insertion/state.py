@@ -57,7 +57,8 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
-    ``continues``: the insertion that this one goes on with, the object taken afresh.
+    ``continues``: the insertion that this one goes on with, the object taken afresh. ``fixture``: whether there is
+    one where an object that has turned in the hand is taken afresh.
 
     ``gels``: which gels the cell was commissioned with.
     ``pause_s``: how long a descent whose lease has ended may be taken up again; 0 where the arm cannot stand and go on.
@@ -70,6 +71,7 @@ class Plan(Contract):
 
     insertion_id: wire.InsertionId
     continues: wire.InsertionId | None = None
+    fixture: bool = False
     approach: WorkPose
     clearance_mm: Positive = 5.0
     gap_width_mm: float = Field(gt=0, le=1000)  # these five have the bounds of the message `arm`

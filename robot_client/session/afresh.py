@@ -42,7 +42,7 @@ async def upright(
     The state at the end counts the attempts of all of them; together they are no more than the plan allows. Without a
     fixture the first one is the last. Raises DriverError or LimitError where the arm cannot get there.
     """
-    tried_n = 0
+    plan, tried_n = plan.model_copy(update={"fixture": fixture is not None}), 0
     while True:
         state = await run(plan)
         again = state.afresh(new_id()) if fixture else None

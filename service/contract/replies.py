@@ -28,4 +28,4 @@ def ending(cause: Cause | None) -> Ending:
         return "inserted"
     if cause == "not_confirmed":
         return "not_confirmed"
-    return "aborted" if cause in {"operator", "probed"} else "failed"
+    return "aborted" if cause in {"operator", "probed", "afresh"} else "failed"

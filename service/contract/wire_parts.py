@@ -14,6 +14,7 @@ ControllerName = Literal["heuristic", "belief"]
 Cause = Literal[
     "operator",  # a person's wish
     "probed",  # a probe did what it was asked to; this and a person's wish are no failures
+    "afresh",  # the object has turned in the hand; the client takes it afresh and goes on in a new insertion
     "attempts",  # as many as allowed, and still blocked
     "unwatched",  # the newest judged frame grew older than the lease
     "part_lost",

@@ -13,12 +13,13 @@ import numpy as np
 from service.contract.wire import Doubt, DoubtReason
 from service.decision.attempt import Attempt
 from service.decision.seating import Push, seating_evidence, strongest_push
-from service.decision.turning import TURNED_DEG, lasting_turn_deg
+from service.decision.turning import TURNED_DEG, lasting_turn_deg, turned_going_in
 
 DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the depth that was asked for
 FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was not reached by one
 WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; gel gives way by less
-BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry
+BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry,
+BLIND_MM = 2.5  # or as long as a slow arm takes for this
 PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
 
 
@@ -48,6 +49,8 @@ class GraspRecord:
         """Why the object has to be taken afresh before the next attempt, or nothing."""
         if abs(self.turned_deg) <= TURNED_DEG:
             return ""
+        if math.isnan(self.turned_deg):
+            return "the gels do not show whether the last attempt has turned the object in the hand"
         return f"the blocked attempts have turned the object in the hand by about {abs(self.turned_deg):.1f} deg"
 
 
@@ -98,9 +101,10 @@ def _watched(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
     read = [push.captured_ns for push in attempt.pushes if math.isfinite(push.weaker_pitch)]
     on_the_way = [stamp for stamp in read if attempt.descending_ns < stamp < attempt.stopped_ns]
     blind_s = max(np.diff([attempt.descending_ns, *on_the_way, attempt.stopped_ns])) / 1e9
-    if not blind_s <= BLIND_S:
+    most_s = max(BLIND_S, BLIND_MM / attempt.speed_mm_s if attempt.speed_mm_s else 0.0)
+    if not blind_s <= most_s:
         detail = f"for {blind_s:.2f} s of the descent no pair showed what the gels carry"
-        yield _doubt("not_seen", detail, blind_s, BLIND_S)
+        yield _doubt("not_seen", detail, blind_s, most_s)
 
 
 def _held(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
@@ -133,7 +137,9 @@ def _pushed(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
         yield _doubt("push", str(seating), seating.push_pitch, seating.bound_pitch)
 
 
-def _moved_in_hand(_: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
+def _moved_in_hand(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
+    if attempt.ring and (why := turned_going_in(attempt.ring[-1])):
+        yield _doubt("moved_in_hand", why)
     if not grasp.pressed_mm <= PRESSED_MM:
         detail = f"an attempt went on for {grasp.pressed_mm:.1f} mm after its contact: the object was moved in the hand"
         yield _doubt("moved_in_hand", detail, grasp.pressed_mm, PRESSED_MM)

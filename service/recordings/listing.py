@@ -32,6 +32,7 @@ class Summary(BaseModel):
     attempts: int
     cause: str | None = None
     object: str | None = None
+    continues: str | None = None
     seconds: float | None = None
     decisions: list[Decided] = []
 

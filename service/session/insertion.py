@@ -45,6 +45,7 @@ class Insertion:
     episode: wire.Episode | None = None
     telemetry_lost_n: int = 0
     opened_ns: int = field(default_factory=now_ns)
+    continues: wire.InsertionId | None = None
     _decisions: list[dict[str, Any]] = field(default_factory=list)
     _client_ahead_ns: int | None = None
     _observed: list[Observation] = field(default_factory=list)
@@ -98,6 +99,7 @@ class Insertion:
         task = {} if told is None else told.model_dump(mode="json", include=_TASK)
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
+        task |= {"continues": self.continues} if self.continues else {}
         return {**task, "seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}
 
     def prime(self, frame: CameraFrame) -> None:

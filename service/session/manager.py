@@ -161,11 +161,13 @@ class InsertionManager:
         )
         session.cameras, session.submit = self.camera_entries, self.submit
         before = self._decided
-        if before and before.insertion_id == hello.continues and before.models is session.models:
-            session.decider = before.afresh(hello.insertion_id)
+        if before and (before.insertion_id != hello.continues or before.models is not session.models):
+            before = None
+        session.decider = before and before.afresh(hello.insertion_id)
         session.deadlines = self.settings.deadlines
-        recorder = self._recorder(hello.insertion_id, session)
+        recorder = self._recorder(hello.insertion_id, session, before.insertion_id if before else "")
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
+        insertion.continues = hello.continues
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
         try:
@@ -180,7 +182,7 @@ class InsertionManager:
         self.opened_n += 1
         return insertion
 
-    def _recorder(self, insertion_id: str, session: InsertionSession) -> Recorder | None:
+    def _recorder(self, insertion_id: str, session: InsertionSession, continues: str) -> Recorder | None:
         root = self.settings.recordings
         facts = {
             "controller": self.settings.controller,
@@ -189,6 +191,7 @@ class InsertionManager:
             "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
             "models_folder": str(self.settings.models),
             "calibration": self._calibration_text,
+            "continues": continues,
         }
         try:
             largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))

@@ -21,6 +21,7 @@ from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.perception.rectification import Calibration
 from service.recordings.reader import Recording, RecordingError
+from service.recordings.writer import FINAL, NAME
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
 
@@ -134,17 +135,25 @@ def trusted_models(recording: Recording, folder: Path) -> ModelSet:
     return load_models(folder)
 
 
+def _before(recording: Recording) -> Path | None:
+    """The recording of the insertion that this one goes on with; raises RecordingError where it is not beside it."""
+    if not (continues := recording.metadata.get("continues")):
+        return None
+    here = recording.path.resolve().parent
+    named = [f for f in here.parent.iterdir() if NAME.fullmatch(f.name) and f.name.partition("_")[2] == continues]
+    if not (earlier := [folder / FINAL for folder in named if folder.name < here.name and (folder / FINAL).is_file()]):
+        raise RecordingError(
+            f"{recording.path} goes on with insertion {continues}: expected its recording beside, in {here.parent}"
+        )
+    return max(earlier)
+
+
 def _replayed(recording: Recording, models: ModelSet) -> Replay:
-    """A recording decided again; one that goes on with an object taken afresh needs the one before it, beside it."""
+    """A recording decided again; one that goes on with an object taken afresh needs the one before it."""
     replay = open_replay(recording, models)
-    messages = (entry.json().get("message") or {} for entry in recording.of("/calls"))
-    hello: dict[str, Any] = next((message for message in messages if message.get("type") == "hello"), {})
-    if (continues := hello.get("continues")) is not None:
-        before = recording.path.with_name(f"{continues}{recording.path.suffix}")
-        if not before.exists():
-            raise RecordingError(f"{recording.path} goes on with insertion {continues}, which does not lie beside it")
+    if before := _before(recording):
         decider = _replayed(Recording(before), models).session.decider
-        replay.session.decider = decider and decider.afresh(str(hello["insertion_id"]))
+        replay.session.decider = decider and decider.afresh(recording.metadata["insertion_id"])
     replay.run()
     return replay
 

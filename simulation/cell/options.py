@@ -1,8 +1,13 @@
 """What a live cell can be asked for, checked before anything starts."""
 
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
+
+from simulation.scene.scene import Scene
 
 _RANGES = {"x_mm": (-60.0, 60.0), "theta_deg": (-45.0, 45.0), "egm_lag_ms": (1.0, 500.0), "lift_mm": (0.0, 100.0)}
 
@@ -81,3 +86,13 @@ class CellOptions:
         for name in (*names, "admin", "rapid_motion", "rapid_guard"):
             if not 0 <= getattr(self, f"{name}_port") <= 65535:
                 raise CellError(f"--{name.replace('_', '-')}-port: expected 0 to 65535")
+
+
+def draw_start(scene: Scene, seed: int) -> tuple[float, float]:
+    """A start error within the scene's ranges that collides; every scene has its own sequence."""
+    rng = np.random.default_rng([seed, zlib.crc32(scene.name.encode())])
+    while True:
+        x_mm = float(rng.uniform(-scene.x_range_mm, scene.x_range_mm))
+        theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))
+        if not scene.fits(x_mm, theta_deg):
+            return round(x_mm, 2), round(theta_deg, 2)

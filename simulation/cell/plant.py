@@ -1,7 +1,6 @@
 """The simulated plant behind the live cell: physics of one scene, optics of both fingers, their calibration."""
 
 import math
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from service.perception.rectification import Calibration
 from simulation.cell.cameras import Draw
 from simulation.cell.emulators.abb.motion import Pose, tool_down
 from simulation.cell.live import Plant
-from simulation.cell.options import CellOptions
+from simulation.cell.options import CellOptions, draw_start
 from simulation.cell.world import Gel
 from simulation.data.probe import QuasiStaticCell
 from simulation.optics.renderer import Appearance, Renderer
@@ -85,16 +84,6 @@ def _pose_of(cell: QuasiStaticCell) -> Pose:
     """Where the mechanics have the TCP."""
     x, y, z, yaw = (float(value) for value in cell.pose)
     return Pose((x, y, z), tool_down(math.degrees(yaw)))
-
-
-def draw_start(scene: Scene, seed: int) -> tuple[float, float]:
-    """A start error within the scene's ranges that collides; every scene has its own sequence."""
-    rng = np.random.default_rng([seed, zlib.crc32(scene.name.encode())])
-    while True:
-        x_mm = float(rng.uniform(-scene.x_range_mm, scene.x_range_mm))
-        theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))
-        if not scene.fits(x_mm, theta_deg):
-            return round(x_mm, 2), round(theta_deg, 2)
 
 
 def _compile(scene: Scene, options: CellOptions) -> None:

@@ -20,7 +20,7 @@ from simulation.cell import run_report
 from simulation.cell.children import Child, Compiling
 from simulation.cell.config import client_config
 from simulation.cell.emulators.net import HOST, free_port
-from simulation.cell.plant import draw_start
+from simulation.cell.options import draw_start
 from simulation.cell.run_report import Result
 from simulation.scene.worlds import load_scene, training_objects
 

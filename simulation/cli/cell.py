@@ -1,32 +1,19 @@
-"""Commands that run the cell in real time: alone, or with the service and the robot client around it."""
+"""Commands that run the cell in real time: alone, or broken on purpose."""
 
 from __future__ import annotations
 
 import asyncio
 import sys
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
 
 import tyro
 
 from reporting.page import publish
-from reporting.statistics import mean
-from reporting.table import table
-from simulation.cell import film, run_report
-from simulation.cell.children import ChildError, terminate_as_interrupt
-from simulation.cell.demo import DemoOptions, lines
 from simulation.cell.live import bind_all, serve
 from simulation.cell.options import CellOptions
 from simulation.cell.plant import build, load
-from simulation.cell.run import RunOptions, Start, insert, starts
-from simulation.cell.run_report import Result
-from simulation.scene.worlds import load_scene
+from simulation.cli.run import exit_status
 from simulation.studies.motion_bounds import report as bounds_report
 from simulation.studies.motion_bounds.campaign import BoundsOptions, measure
-
-FAILED_COUNTS_AS = 16
 
 
 def cell(arguments: list[str]) -> int:
@@ -37,34 +24,6 @@ def cell(arguments: list[str]) -> int:
     options.out.mkdir(parents=True, exist_ok=True)  # refused before there are sockets and threads
     sockets = bind_all(options)
     return asyncio.run(serve(options, build(scene, options), sockets))
-
-
-def run(arguments: list[str]) -> int:
-    """The whole loop: exit 0 if every insertion succeeded, 1 if one did not, 2 on wrong input."""
-    options = tyro.cli(RunOptions, args=arguments, prog="tactile-insertion run", description=run.__doc__)
-    todo = starts(options)
-
-    def insert_all() -> int:
-        results = [_insert(start, options) for start in todo]
-        if len(results) > 1:
-            print(_overview(results), flush=True)
-        return 0 if all(result.inserted for result in results) else 1
-
-    return exit_status("run", insert_all)
-
-
-def demo(arguments: list[str]) -> int:
-    """Insert one object after another until Ctrl-C, with the page; exit 1 if a process failed."""
-    options = tyro.cli(DemoOptions, args=arguments, prog="tactile-insertion demo", description=demo.__doc__)
-    (start,) = starts(replace(options, repeat=1))
-    folder = _folder(options, start)
-
-    def work() -> int:
-        for line in lines(options, folder):
-            print(line, flush=True)
-        return 0
-
-    return exit_status("demo", work)
 
 
 def motion_bounds(arguments: list[str]) -> int:
@@ -84,49 +43,3 @@ def motion_bounds(arguments: list[str]) -> int:
         return 1 if broken else 0
 
     return exit_status("motion-bounds", break_all)
-
-
-def exit_status(command: str, work: Callable[[], int]) -> int:
-    """The status of work done in child processes: 2 if a child refused its input, 1 if it failed, 130 on SIGINT."""
-    terminate_as_interrupt()
-    try:
-        return work()
-    except ChildError as error:
-        print(f"{command}: {error}", file=sys.stderr)
-        return 2 if error.code == 2 else 1
-    except KeyboardInterrupt:
-        print(f"{command}: interrupted, everything stopped", file=sys.stderr)
-        return 130
-
-
-def _insert(start: Start, options: RunOptions) -> Result:
-    folder = _folder(options, start)
-    result = insert(start, options, folder)
-    recording = run_report.telling_recording(folder / "recordings")
-    drawn = run_report.draw_last_attempt(recording, folder / "last_attempt.png", result) if recording else None
-    filmed = film.draw(folder / "cell" / "course.npz", folder / "insertion.gif", load_scene(start.object).sensor)
-    (folder / "result.json").write_text(result.as_json() + "\n")
-    print("", *run_report.screen(result, recording, drawn, folder, filmed), "", sep="\n", flush=True)
-    return result
-
-
-def _folder(options: RunOptions, start: Start) -> Path:
-    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(start.object).stem}-{start.seed}"
-    folder, k = options.out / stem, 1
-    while folder.exists():
-        folder, k = options.out / f"{stem}-{k}", k + 1
-    return folder
-
-
-def _overview(results: Sequence[Result]) -> str:
-    names = dict.fromkeys(result.object_name for result in results)
-    groups = [[result for result in results if result.object_name == name] for name in names]
-    attempts = [[row.attempts if row.inserted else FAILED_COUNTS_AS for row in rows] for rows in groups]
-    return table(
-        zip(names, groups, attempts, strict=True),
-        ("object", 0),
-        ("inserted", lambda row: f"{sum(result.inserted for result in row[1])}/{len(row[1])}"),
-        ("mean attempts", lambda row: mean(row[2]).value, ".2f"),
-        ("most", lambda row: max(row[2]), "d"),
-        ("blocks moved mm", lambda row: max(result.blocks_moved_mm for result in row[1]), ".2f"),
-    ).text()

@@ -1,17 +1,18 @@
-"""What the documentation tells people to type: every fenced shell block of the root's pages and docs/, with its marker.
+"""What the documentation tells people to type: every fenced shell block of all pages, with its marker.
 
 A block that a machine without a robot cannot run carries, on the line before the fence, `<!-- not executed: why -->`.
 """
 
 import re
 import shlex
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 SHELLS = {"sh", "bash", "shell", "console"}
-_FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
-_MARKER = re.compile(r"<!--\s*not executed:\s*(.*?)\s*-->\s*\Z", re.DOTALL)
+_FENCE = re.compile(r"^( *)```(\S*)[^\n]*\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
+_MARKER = re.compile(r"<!--\s*not executed:\s*((?:(?!-->).)*?)\s*-->\s*\Z", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class Block:
 
 
 def pages() -> list[Path]:
-    """The pages in the root and every page below docs/."""
-    return [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+    """The pages in the root, those of rooms, and every page below docs/."""
+    return [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("*/README.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks(page: Path) -> list[Block]:
@@ -56,11 +57,8 @@ def blocks(page: Path) -> list[Block]:
         before = text[: match.start()]
         marker = _MARKER.search(before.rstrip("\n"))
         line = before.count("\n") + 1
-        found.append(
-            Block(
-                str(page.relative_to(ROOT)), line, match[1], match[2], " ".join(marker[1].split()) if marker else None
-            )
-        )
+        why_not = " ".join(marker[1].split()) if marker else None
+        found.append(Block(str(page.relative_to(ROOT)), line, match[2], textwrap.dedent(match[3]), why_not))
     return found
 
 

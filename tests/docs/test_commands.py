@@ -13,6 +13,7 @@ from unittest import mock
 
 import pytest
 
+from robot_client.settings import Settings, load_settings
 from tests.docs.commands import ROOT, Block, blocks, pages, shell_blocks
 
 MAKEFILE = (ROOT / "Makefile").read_text()
@@ -116,14 +117,28 @@ def test_every_command_runs(block: Block, environment: dict[str, str]):
     assert done.returncode == 0, f"{block.name} ended with {done.returncode}:\n{(done.stdout + done.stderr)[-2000:]}"
 
 
-def test_the_robot_configuration_in_the_first_hour_is_accepted(tmp_path: Path):
-    from robot_client.settings import load_settings
+def configured(tmp_path: Path, *pages: str) -> Settings:
+    """The tables that these pages teach, in one file."""
+    tables = [b.text for page in pages for b in blocks(ROOT / page) if b.language == "toml"]
+    (tmp_path / "cell.toml").write_text("\n".join(tables))
+    return load_settings(tmp_path / "cell.toml")
 
-    text = "\n".join(b.text for b in blocks(ROOT / "docs" / "first_hour.md") if b.language == "toml")
-    (tmp_path / "cell.toml").write_text(text)
-    settings = load_settings(tmp_path / "cell.toml")
+
+def test_the_robot_configuration_in_the_first_hour_is_accepted(tmp_path: Path):
+    settings = configured(tmp_path, "docs/first_hour.md")
     assert settings.limits.max_attempts == 3
     assert settings.task.gap_width_mm == 56.0
+
+
+def test_the_tables_of_the_client_of_the_cycle_and_of_an_object_are_accepted(tmp_path: Path):
+    assert configured(tmp_path, "robot_client/README.md", "docs/cycle.md").cycle.plc.start == "diTactileStart"
+    assert configured(tmp_path, "docs/my_object.md").task.object == "soap"
+
+
+def test_no_command_stands_in_an_indented_block_that_nobody_tries():
+    for page in pages():
+        prose = re.sub(r"^( *)```.*?^\1```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+        assert not re.findall(r"^(?: {4,}|\t)(?:make|python|tactile-insertion|pip|sudo|curl) .*", prose, re.MULTILINE)
 
 
 def test_the_first_hour_calibrates_before_it_starts_the_service_that_refuses_raw_cameras():

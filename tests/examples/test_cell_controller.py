@@ -39,10 +39,11 @@ class Cell:
     def __init__(self, service: ServiceProcess, fingers: tuple[FakeFinger, FakeFinger]) -> None:
         self.service, self.fingers = service, fingers
 
-    def insert(self, arm: TinyArm, port: int | None = None, token: str | None = None, name: str | None = None) -> dict:
-        task = controller.Task(
-            name=name or f"box-{next(NUMBERS)}", gap_width_mm=56.0, depth_mm=4.0, speed_mm_s=SLOW_MM_S
-        )
+    def insert(
+        self, arm: TinyArm, port: int | None = None, token: str | None = None, name: str | None = None, **told: str
+    ) -> dict:
+        named = name or f"box-{next(NUMBERS)}"
+        task = controller.Task(name=named, gap_width_mm=56.0, depth_mm=4.0, speed_mm_s=SLOW_MM_S, **told)
         self.open_hand(True)
         arm.on_grasp = lambda: self.open_hand(False)
         url = f"ws://127.0.0.1:{port or self.service.port}/v1/insertion"
@@ -69,11 +70,14 @@ class Cell:
 
     def outcome(self, name: str) -> tuple[str, str | None]:
         """How the service's own record says that an insertion ended."""
+        summary = self.summary(name)
+        return summary["outcome"], summary["cause"]
+
+    def summary(self, name: str) -> dict:
         until_s = time.monotonic() + 10
         while time.monotonic() < until_s:
             for path in self.service.recordings.glob(f"*{name}*/summary.json"):
-                summary = json.loads(path.read_text())
-                return summary["outcome"], summary["cause"]
+                return json.loads(path.read_text())
             time.sleep(0.05)
         raise AssertionError(f"no record of {name}")
 
@@ -257,6 +261,25 @@ def test_nothing_moves_in_an_attempt_that_is_refused(cell):
         cell.insert(arm)
     stands(arm)
     assert arm.depth_mm() == 0.0
+
+
+def test_an_object_that_has_turned_in_the_hand_is_handed_over_to_a_person_and_gone_on_with(cell):
+    proxy, arm = Proxy(cell.service.port), TinyArm()
+    told = {"type": "refused", "reason": "turned_in_hand", "detail": "by about 1.4 deg"}
+    arm.width_mm = lambda: proxy.inject(json.dumps(told))
+    try:
+        with pytest.raises(controller.Held, match=r"turned_in_hand: .*continues='turning'"):
+            cell.insert(arm, proxy.port, name="turning")
+    finally:
+        proxy.close()
+    stands(arm)
+    assert arm.depth_mm() == 0.0
+    assert cell.outcome("turning") == ("failed", "refused")
+    again = TinyArm()
+    again.refuses = "enough for this test"
+    with pytest.raises(RuntimeError):
+        cell.insert(again, name="upright", continues="turning")
+    assert cell.summary("upright")["continues"] == "turning"
 
 
 def test_an_arm_that_refuses_is_stopped_and_the_record_says_who_gave_up(cell):

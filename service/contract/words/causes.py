@@ -15,6 +15,7 @@ class Told(NamedTuple):
 CAUSES: dict[Cause, Told] = {
     "operator": Told("stopped by a person", "Start a new insertion when the cell is clear."),
     "probed": Told("a probe, done", "Nothing is to be done: go on with the next one."),
+    "afresh": Told("it had turned in the hand and is taken afresh", "The arm does that by itself: keep clear."),
     "attempts": Told("all attempts used", "Look for a worn gel, a wrong gap width, or something in the gap."),
     "unwatched": Told("the pictures came too late", "Check the cameras' cables and the load of this PC."),
     "part_lost": Told("the object slipped out of the fingers", "Pick it up by hand. Check grip force and gel."),

@@ -1,5 +1,5 @@
 // Insertions of the past: a table with filters, and how attempts, intervals and reach have gone.
-import { at, element, withToken } from "/dashboard/dom.js";
+import { at, element, ending, withToken } from "/dashboard/dom.js";
 import { chart } from "/dashboard/charts.js";
 import { play } from "/dashboard/player.js";
 
@@ -14,10 +14,14 @@ export async function listPast() {
   if (!answer.ok) return;
   const { recordings, problems } = await answer.json();
   all = recordings;
+  for (const one of [...all].reverse()) one.attempts += earlier(one) - (one.cause === "afresh");
   at("problems").replaceChildren(...problems.map((textContent) => element("p", { className: "bad", textContent })));
   for (const [key, id] of Object.entries(FILTERS)) options(at(id), [...new Set(all.map((one) => one[key] ?? ""))].sort());
   show();
 }
+
+// Attempts before the object was taken afresh; the one that was refused for it is none.
+const earlier = ({ continues }) => (continues && all.find((one) => one.insertion_id === continues)?.attempts) || 0;
 
 function options(select, values) {
   const chosen = select.options.length ? select.value : "*";
@@ -28,16 +32,16 @@ function options(select, values) {
 
 function show() {
   const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value));
-  const inserted = chosen.filter(({ outcome }) => outcome === "inserted");
-  at("count").textContent = chosen.length ? `${inserted.length} of ${chosen.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : "none";
+  const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ cause }) => cause !== "afresh");
+  at("count").textContent = chosen.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : "none";
   at("past").replaceChildren(...chosen.slice(0, 500).map(row));
-  trend(chosen.slice(0, 500).reverse());
+  trend(ended.slice(0, 500).reverse());
 }
 
 function row(one) {
   const cell = (textContent, className = "") => element("td", { textContent, className });
   const button = element("button", { type: "button", textContent: "Play", ariaLabel: `play back ${one.insertion_id}`, title: one.insertion_id, onclick: () => play(one) });
-  return element("tr", {}, cell(one.started.slice(5, 16)), cell(words(one.object) || "–"), cell(words(one.outcome), one.outcome === "inserted" ? "good" : one.outcome === "aborted" ? "" : "bad"), cell(words(one.cause)), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
+  return element("tr", {}, cell(one.started.slice(5, 16)), cell(words(one.object) || "–"), cell(ending(one), one.outcome === "inserted" ? "good" : one.outcome === "aborted" ? "" : "bad"), cell(words(one.cause)), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
 }
 
 const mean = (values) => (values.length ? values.reduce((sum, value) => sum + value, 0) / values.length : NaN);

@@ -1,5 +1,5 @@
 // Playback of one insertion: what both fingers felt, and slip, push and depth, all at one moment of one time axis.
-import { at, withToken } from "/dashboard/dom.js";
+import { at, ending, withToken } from "/dashboard/dom.js";
 import { chart } from "/dashboard/charts.js";
 import { drawFelt } from "/dashboard/felt.js";
 
@@ -9,7 +9,7 @@ let asked = 0;
 
 export async function play(one) {
   const base = `/v1/recordings/${one.name}`;
-  at("player-title").textContent = `${one.started} UTC: ${one.object ?? "object"}, ${one.outcome.replaceAll("_", " ")} after ${one.attempts} attempt${one.attempts === 1 ? "" : "s"}`;
+  at("player-title").textContent = `${one.started} UTC: ${one.object ?? "object"}, ${ending(one)} after ${one.attempts} attempt${one.attempts === 1 ? "" : "s"}`;
   at("download").href = withToken(base);
   at("answer").hidden = true;
   at("curves").replaceChildren();

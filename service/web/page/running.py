@@ -1,7 +1,7 @@
 """The insertion under way, as the page shows it."""
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,13 +18,16 @@ class Running:
     """What is known of one insertion; poses are (x mm, yaw deg) of the object relative to the gap, None: not known.
 
     ``ghosts`` are poses drawn from the belief, evenly by probability: the more alike, the surer. ``target`` is where
-    the move leads. ``depth_mm`` is below the start of the descent.
+    the move leads. ``afresh_n``: how often the object was taken afresh, after ``earlier_n`` attempts in all, which
+    ``attempt`` counts, too. ``depth_mm`` is below the start of the descent.
     """
 
     insertion_id: str
     began_s: float = field(default_factory=time.time)
     phase: str = "start"
     attempt: int = 0
+    afresh_n: int = 0
+    earlier_n: int = 0
     object: str = ""
     gap_width_mm: float | None = None
     width_mm: float | None = None
@@ -36,13 +39,20 @@ class Running:
     move: dict[str, Any] | None = None
     problem: str = ""
 
+    def goes_on(self, insertion_id: str) -> "Running":
+        """The insertion that goes on with this one's object; what was not armed was no attempt."""
+        tried_n = self.attempt - 1
+        again = replace(self, insertion_id=insertion_id, phase="start", attempt=tried_n, problem="", depth_mm=None)
+        again.afresh_n, again.earlier_n = self.afresh_n + 1, tried_n
+        return again
+
     def told(self, message: Any) -> None:
         """A message of the client."""
         match message:
             case wire.Episode():
                 self.object = message.object.replace("_", " ")
             case wire.Arm():
-                self.phase, self.attempt = "arming", message.attempt
+                self.phase, self.attempt = "arming", self.earlier_n + message.attempt
                 self.gap_width_mm, self.expected_depth_mm = message.gap_width_mm, message.expected_depth_mm
                 self.width_mm = message.gripper_width_mm or self.width_mm
                 self.depth_mm = 0.0
@@ -73,7 +83,7 @@ class Running:
             case wire.Correction():
                 self._corrected(message)
             case wire.NoDecision() | wire.Refused():
-                self.phase, self.problem = "no_decision", message.detail
+                self.phase, self.problem = message.type, message.detail
             case wire.Fault():
                 self.problem = message.detail
 

@@ -20,8 +20,10 @@ PHASES = {
     "retracting": "Going up again",
     "correcting": "Moving to the corrected place",
     "no_decision": "Cannot trust what was felt, so it probes again",
+    "refused": "Not allowed to go down",
     "closing": "Down at full depth, checking that it is in",
 }
+TIMES = {1: "once", 2: "twice"}
 SURE = ((0.9, "very sure"), (0.7, "fairly sure"), (0.45, "unsure"), (0.0, "guessing"))
 
 
@@ -40,19 +42,20 @@ def shift(dx_mm: float, dtheta_deg: float) -> str:
     return ", ".join(parts) or "nothing"
 
 
-def ended(outcome: str, cause: str | None, attempts_n: int, named: str = "") -> str:
-    """How an insertion ended."""
+def ended(outcome: str, cause: str | None, attempts_n: int, named: str = "", afresh_n: int = 0) -> str:
+    """How an insertion ended; ``afresh_n``: how often the object was put back and taken afresh for it."""
     if outcome == "inserted":
         what = named[:1].upper() + named[1:] if named else "Object"
-        return f"{what} inserted after {attempts_n} attempt{'s' * (attempts_n != 1)}"
+        again = f", taken afresh {TIMES.get(afresh_n, f'{afresh_n} times')}" if afresh_n else ""
+        return f"{what} inserted after {attempts_n} attempt{'s' * (attempts_n != 1)}{again}"
     if outcome == "aborted":
-        return "Stopped by a person"
+        words = what_of(cause)
+        return words[:1].upper() + words[1:]
     return f"Holding: {what_of(cause)}"
 
 
 LINES: dict[type, Callable[[Any], str]] = {
     wire.ServiceHello: lambda _: "robot connected",
-    wire.Armed: lambda m: f"attempt {m.attempt} begins",
     wire.Enough: lambda m: f"pressed by {m.pressed_mm:.1f} mm, stopped",
     wire.Slip: lambda m: f"{m.finger} finger felt slip, stopped",
     wire.Correction: lambda m: f"moves {shift(m.dx_mm, m.dtheta_deg)}",
@@ -63,7 +66,12 @@ LINES: dict[type, Callable[[Any], str]] = {
 }
 
 
-def event(message: Any) -> str:
-    """One line for the list of what happened; empty for what a person need not know."""
+def event(message: Any, earlier_n: int = 0) -> str:
+    """One line for the list of what happened; empty for what a person need not know.
+
+    ``earlier_n``: attempts before the object was taken afresh.
+    """
+    if isinstance(message, wire.Armed):
+        return f"attempt {earlier_n + message.attempt} begins"
     line = LINES.get(type(message))
     return line(message) if line else ""

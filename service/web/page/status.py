@@ -17,6 +17,7 @@ from service.web.page.running import Running
 from service.web.page.sentences import PHASES, ended, event
 
 EVENTS_N = 30
+AFRESH_S = 90.0  # the way to the fixture and back takes some 17 s in the simulated cell
 SHOWN_ALARMS_N = 20
 CAMERA_REMEDY = "Check cable and power of that finger. It comes back by itself."
 
@@ -43,6 +44,8 @@ class Status:
         self._alarms = Alarms(station.settings.recordings / FILE)
         self._lock = threading.Lock()
         self._running: Running | None = None
+        self._put_back: Running | None = None  # its object is on the way to be taken afresh
+        self._continues: str | None = None
         self._last = _newest(station)
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
         self.changes_n = 0
@@ -80,9 +83,8 @@ class Status:
 
     def _on_message(self, message: Any) -> None:
         if isinstance(message, wire.ServiceHello) and not self._is_running(message.insertion_id):
-            self._running = Running(message.insertion_id)
-            self._events.clear()
-        if text := event(message):
+            self._begin(message.insertion_id)
+        if text := event(message, self._running.earlier_n if self._running else 0):
             self._events.append({"at_s": time.time(), "kind": message.type, "text": text})
         if not self._is_running(message.insertion_id):
             return
@@ -92,10 +94,21 @@ class Status:
         else:
             self._running.said(message)
 
+    def _begin(self, insertion_id: str) -> None:
+        """An insertion opens: a new one, or one that goes on with an object taken afresh."""
+        before, self._put_back = self._put_back, None
+        if before is not None and before.insertion_id == self._continues:
+            self._running = before.goes_on(insertion_id)
+        else:
+            self._running = Running(insertion_id)
+            self._events.clear()
+
     def _is_running(self, insertion_id: str) -> bool:
         return self._running is not None and self._running.insertion_id == insertion_id
 
     def _on_client(self, message: Any) -> None:
+        if isinstance(message, wire.ClientHello):
+            self._continues = message.continues
         if self._running is not None:
             self._running.told(message)
 
@@ -110,13 +123,14 @@ class Status:
     def _on_finished(self, message: wire.Finished, running: Running) -> None:
         now_s = time.time()
         cause = message.cause
-        words = ended(message.outcome, cause, message.attempts, running.object)
+        attempts_n = running.earlier_n + message.attempts
+        words = ended(message.outcome, cause, attempts_n, running.object, running.afresh_n)
         took_s = now_s - running.began_s
         self._last = Last(
-            message.insertion_id, message.outcome, cause, words, message.attempts, running.object, now_s, took_s
+            message.insertion_id, message.outcome, cause, words, attempts_n, running.object, now_s, took_s
         )
-        self._running = None
-        if cause is not None and cause != "operator":
+        self._running, self._put_back = None, running if cause == "afresh" else None
+        if cause is not None and message.outcome != "aborted":
             detail = "; ".join(doubt.detail for doubt in message.doubts) or running.problem
             self._alarms.sound(
                 f"insertion {message.insertion_id}",
@@ -149,6 +163,7 @@ class Status:
         """Everything the page needs to know, whenever it connects."""
         health = self._health()
         with self._lock:
+            self._note_overdue()
             if health["recording"] and not any(a.key == "recording" for a in self._alarms.all[:1]):
                 self._alarms.sound("recording", "warning", "Insertions are not recorded", detail=health["recording"])
             alarms = [asdict(alarm) | {"active": self._is_active(alarm.key)} for alarm in self._alarms.all]
@@ -168,6 +183,17 @@ class Status:
                 "health": health,
             }
 
+    def _note_overdue(self) -> None:
+        """The arm that should take an object afresh may have stopped on its way, where the service hears nothing."""
+        waiting, last = self._put_back, self._last
+        if waiting is None or last is None or last.at_s is None or time.time() - last.at_s < AFRESH_S:
+            return
+        self._put_back, named = None, waiting.insertion_id
+        title, detail = "Holding: the object was to be taken afresh", f"Nothing went on within {AFRESH_S:g} s."
+        remedy = "Look at the pendant and at what the robot client says; start a new insertion."
+        facts = {"detail": detail, "remedy": remedy, "insertion_id": named}
+        self._alarms.sound(f"insertion {named}", "stop", title, **facts)
+
     def _headline(self, health: dict[str, Any]) -> dict[str, str]:
         """The most important thing now: a stop that nobody has acknowledged, else what is going on."""
         bad = [finger for finger in FINGERS if health["cameras"][finger]["state"] != "live"]
@@ -175,15 +201,19 @@ class Status:
         if self._running is not None:
             running = self._running
             counted = f"Attempt {running.attempt} of {wire.MAX_ATTEMPTS}: " if running.attempt else ""
+            if running.afresh_n and running.attempt == running.earlier_n:
+                counted = "Taken afresh: "
             words = PHASES.get(running.phase, running.phase)
             said = words[0].lower() + words[1:] if counted else words
-            level = "warning" if running.phase == "no_decision" or bad else "busy"
+            level = "warning" if running.phase in {"no_decision", "refused"} or bad else "busy"
             return {"level": level, "words": counted + said, "detail": running.problem}
         if stop is not None:
             return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy} {stop.detail}".strip()}
         if bad:
             words = f"No picture from the {' and the '.join(bad)} camera"
             return {"level": "warning", "words": words, "detail": CAMERA_REMEDY}
+        if self._put_back is not None and self._last is not None:
+            return {"level": "busy", "words": self._last.words, "detail": CAUSES["afresh"].remedy}
         if self._last is not None and self._last.at_s is not None and self._last.cause is None:
             return {"level": "good", "words": self._last.words, "detail": "Ready for the next object."}
         return {"level": "good", "words": "Ready for the next object", "detail": ""}

@@ -94,6 +94,18 @@ def test_a_descent_is_claimed_only_if_no_part_of_it_was_blind_for_long(first: in
         assert told == []
 
 
+def test_a_slow_arm_may_be_blind_for_the_same_way() -> None:
+    kept = [push for index, push in enumerate(descent().pushes) if not 10 <= index < 20]
+    assert reasons(descent(pushes=kept, speed_mm_s=10.0)) == ["not_seen"]
+    assert reasons(descent(pushes=kept, speed_mm_s=5.0)) == []
+
+
+def test_an_object_that_was_turned_on_the_way_down_is_not_claimed() -> None:
+    attempt = descent()
+    attempt.ring.append(pair(turn_rad=0.02))
+    assert reasons(attempt) == ["moved_in_hand"]
+
+
 def test_what_was_pressed_too_far_is_not_claimed() -> None:
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=5.1)) == ["moved_in_hand"]
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=4.9)) == []

@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.decision.claim import GraspRecord
-from service.decision.turning import HANGS_DEG, TURNED_DEG, hangs_turned, lasting_turn_deg
+from service.decision.turning import (
+    GOING_IN_DEG,
+    HANGS_DEG,
+    TURNED_DEG,
+    hangs_turned,
+    lasting_turn_deg,
+    turned_going_in,
+)
 from service.perception.observation import PairObservation
 from service.perception.slip.detector import SlipDetector
 from tests.service.decision.test_claim import descent, observation
@@ -67,17 +74,23 @@ def test_a_turn_whose_rim_did_not_follow_at_all_stays_nearly_whole():
     assert lasting_turn_deg(last(0.1, 0.1)) > 0.8 * math.degrees(0.1)
 
 
-def test_what_no_finger_knows_counts_for_nothing_and_no_pair_for_no_turn():
-    assert lasting_turn_deg(None) == 0.0
-    assert lasting_turn_deg(last(math.nan, 0.0)) == 0.0
-
-
 @pytest.mark.parametrize("blind", ["left", "right"])
-def test_one_finger_alone_is_enough(blind):
-    both = last(0.1, 0.1)
+def test_a_turn_that_one_finger_does_not_show_is_not_known_and_the_object_is_taken_afresh(blind):
+    both = last(0.1, 0.0)
     seen = getattr(both, blind)
-    unknown = replace(both, **{blind: replace(seen, slip=replace(seen.slip, angle_rad=math.nan))})
-    assert lasting_turn_deg(unknown) == pytest.approx(lasting_turn_deg(both))
+    nothing = np.zeros_like(seen.slip.sticking)
+    for slip in (replace(seen.slip, sticking=nothing, slipping=nothing), replace(seen.slip, angle_rad=math.nan)):
+        assert math.isnan(lasting_turn_deg(replace(both, **{blind: replace(seen, slip=slip)})))
+    assert math.isnan(lasting_turn_deg(None))
+    assert "do not show" in GraspRecord(turned_deg=math.nan).turned
+
+
+@given(st.floats(-0.05, 0.05), st.sampled_from(["left", "right"]))
+def test_an_object_that_turns_on_the_way_down_is_told(turn_rad, shows):
+    both = last(0.0, 0.0)
+    seen = getattr(both, shows)
+    turned = replace(both, **{shows: replace(seen, slip=replace(seen.slip, angle_rad=turn_rad))})
+    assert bool(turned_going_in(turned)) == (abs(math.degrees(turn_rad)) > GOING_IN_DEG)
 
 
 @given(st.floats(-6.0, 6.0))
@@ -109,10 +122,6 @@ def test_a_grasp_adds_up_its_turns_until_the_object_has_to_be_taken_afresh():
     grasp.blocked(pressed(-0.1, -0.1))
     assert grasp.turned_deg == pytest.approx(0.0)
     assert not grasp.turned
-
-
-def test_a_sum_that_is_no_number_is_not_upright():
-    assert GraspRecord(turned_deg=math.nan).turned
 
 
 @pytest.mark.parametrize(("hold_px", "least_deg", "most_deg"), [(np.inf, 0.0, 0.3), (3.0, 0.5, 4.5)])

@@ -7,9 +7,12 @@ import onnx
 import pytest
 
 from service.__main__ import main
+from service.contract import wire
 from service.decision import models as models_module
 from service.recordings.writer import Recorder
 from tests.service import tiny_models
+from tests.service.client import Driver
+from tests.service.conftest import LiveService
 
 
 @pytest.fixture
@@ -54,6 +57,24 @@ def test_models_that_the_user_trusts_are_opened_once_their_hashes_are_the_record
     opened.clear()
     assert main(["replay", str(path), "--models", str(models_folder)]) == 0
     assert opened
+
+
+@pytest.mark.slow
+def test_an_insertion_that_went_on_with_an_object_taken_afresh_is_decided_again_with_what_was_known(
+    live: LiveService, tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, before in (("first", None), ("second", "first")):
+        driver = Driver(live, name, continues=before)
+        driver.until("hello")
+        driver.attempt(1)
+        driver.send(wire.Abort(insertion_id=name, cause="afresh", reason="turned_in_hand"))
+        path = Path(driver.until("finished").recording)
+        driver.close()
+    assert main(["replay", str(path), "--models", str(models_folder)]) == 0
+    capsys.readouterr()
+    alone = shutil.copytree(path.parent, tmp_path / path.parent.name)
+    assert main(["replay", str(alone / path.name), "--models", str(models_folder)]) == 2
+    assert "goes on with insertion first: expected its recording beside" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("named", [[], ["0" * 64]])

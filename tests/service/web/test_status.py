@@ -17,7 +17,7 @@ from service.decision.controllers import BeliefPicture, Command
 from service.recordings.listing import Summary
 from service.web.page.alarms import Alarms
 from service.web.page.running import Running
-from service.web.page.sentences import shift, sure
+from service.web.page.sentences import ended, shift, sure
 from service.web.page.status import Status
 from tests.service.client import Driver
 from tests.service.conftest import LiveService
@@ -92,6 +92,51 @@ def test_a_failure_stays_until_a_person_has_seen_it_even_over_a_restart(live: Li
     assert httpx.post(live.url("/v1/alarms/999/acknowledge")).status_code == 404
     elsewhere = {"Origin": "http://elsewhere.example"}
     assert httpx.post(live.url("/v1/alarms/1/acknowledge"), headers=elsewhere).status_code == 403
+
+
+def arm(driver: Driver, number: int) -> None:
+    driver.rest()
+    driver.send(wire.Arm(insertion_id=driver.id, attempt=number, gap_width_mm=56.0, expected_depth_mm=25.0))
+    driver.until("armed")
+
+
+def test_an_object_that_is_taken_afresh_holds_nothing_up_and_its_attempts_are_counted_on(live: LiveService) -> None:
+    driver = Driver(live, "turned")
+    driver.until("hello")
+    driver.attempt(1)
+    arm(driver, 2)
+    give_up(driver, "afresh", "service: refused: turned_in_hand: by about 1.4 deg")
+    told = until(live, lambda told: told["running"] is None)
+    words = "It had turned in the hand and is taken afresh"
+    assert told["headline"] == {"level": "busy", "words": words, "detail": CAUSES["afresh"].remedy}
+    assert [alarm for alarm in told["alarms"] if alarm["insertion_id"] == "turned"] == []
+    again = Driver(live, "again", continues="turned")
+    again.until("hello")
+    assert until(live, lambda told: told["running"])["headline"]["words"].startswith("Taken afresh: ")
+    arm(again, 1)
+    told = until(live, lambda told: told["headline"]["words"] == "Attempt 2 of 15: ready to go down")
+    assert next(event["text"] for event in told["events"] if "begins" in event["text"]) == "attempt 2 begins"
+    give_up(again, "operator", "done")
+    assert until(live, lambda told: told["running"] is None)["last"]["attempts"] == 2
+    listed = {one["insertion_id"]: one for one in httpx.get(live.url("/v1/recordings")).json()["recordings"]}
+    assert (listed["turned"]["outcome"], listed["turned"]["cause"]) == ("aborted", "afresh")
+    assert listed["again"]["continues"] == "turned"
+    assert ended("inserted", None, 3, "rectangle", 1) == "Rectangle inserted after 3 attempts, taken afresh once"
+
+
+def test_an_object_that_nobody_takes_afresh_becomes_an_alarm(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = Driver(live, "left")
+    driver.until("hello")
+    give_up(driver, "afresh", "service: refused: turned_in_hand: by about 1.4 deg")
+    assert until(live, lambda told: told["running"] is None)["headline"]["level"] == "busy"
+    monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
+    told = status(live)
+    assert told["headline"]["words"] == "Holding: the object was to be taken afresh"
+    assert told["alarms"][0]["insertion_id"] == "left"
+    httpx.post(live.url(f"/v1/alarms/{told['alarms'][0]['number']}/acknowledge"))
+    assert status(live)["headline"]["level"] == "good"
 
 
 def test_the_same_alarm_counts_and_a_new_one_comes_first(tmp_path: Path) -> None:
