@@ -216,10 +216,7 @@ class Slip(_Message):
 
 
 class Correction(_Message):
-    """Move by (dx_mm, dtheta_deg) in the work-object frame after retracting, then probe again. Apply once.
-
-    ``turns_deg``: how far the left and the right finger saw the object turn, clockwise in their pictures.
-    """
+    """Retract, then move once by (dx_mm, dtheta_deg) in the work-object frame. ``turns_deg``: as either finger saw it."""
 
     type: Literal["correction"] = "correction"
     attempt: Attempt
@@ -278,7 +275,6 @@ class ServiceHeartbeat(_Message):
 AttemptMessage = Armed | Refused | Watching | Slip | Enough | Correction | NoDecision
 _Service = ServiceHello | OpenLearnt | AttemptMessage | Finished | Fault | ServiceHeartbeat
 ServiceMessage = Annotated[_Service, Field(discriminator="type")]
-
 
 _Parsed = TypeVar("_Parsed")
 _CLIENT: TypeAdapter[ClientMessage] = TypeAdapter(ClientMessage)
