@@ -216,7 +216,7 @@ class Slip(_Message):
 
 
 class Correction(_Message):
-    """Retract, then move once by (dx_mm, dtheta_deg) in the work-object frame. ``turns_deg``: as either finger saw it."""
+    """Retract, then move by (dx_mm, dtheta_deg) in the work-object frame. ``turns_deg``: as both fingers saw it."""
 
     type: Literal["correction"] = "correction"
     attempt: Attempt
