@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -12,6 +13,7 @@ import tyro
 
 from service.contract.shipped import released_models
 from simulation.closed_loop.campaign import fingerprint
+from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World, files_in, load_objects, load_world
 from simulation.studies.commissioning import Cell, Plan, commission, write
 
@@ -20,8 +22,10 @@ from simulation.studies.commissioning import Cell, Plan, commission, write
 class Options:
     """Play commissioning in each world: probes of known error, adapting, and working insertions with hindsight.
 
-    JSON gets a row a world: `released`, `after_50`, `after_150` (after all probes) and `after_work` are counted on the
-    same fresh insertions. What is played is kept beside it and not played again. All figures are simulated.
+    Four probes first tell whether the cell is wired as it says. Where they name a mistake, nothing else is played, and
+    all counts are 0. JSON gets a row a world: `released`, `after_50`, `after_150` (after all probes) and `after_work`
+    are counted on the same fresh insertions; where `verdicts` keep the release, they are its own. `accepted` is the
+    verdict after all probes. What is played is kept beside it and not played again. All figures are simulated.
     """
 
     worlds: tuple[str, ...]
@@ -57,15 +61,34 @@ def main(arguments: list[str]) -> int:
         raise ValueError(f"--checkpoint {checkpoint}: no such file; expected the release as `training` saved it")
     plan = Plan(checkpoint, models, options.probes, options.insertions, options.workers)
     made_by = hashlib.sha256(json.dumps(fingerprint({"belief": models}), sort_keys=True).encode()).hexdigest()[:12]
-    rows = []
-    for world in [load_world(file) for file in files_in(options.worlds)]:
-        rows.append(commission(_cell(options, world, made_by), plan))
+    rows, cells = [], [_cell(options, load_world(file), made_by) for file in files_in(options.worlds)]
+    for cell in cells:
+        rows.append(commission(cell, plan))
         write(rows, options.json)
         print(json.dumps(rows[-1]))
     return 0
 
 
 def _cell(options: Options, world: World, made_by: str) -> Cell:
-    objects = {name: world.around(scene) for name, scene in load_objects(options.objects).items()}
+    """The world with those objects that can be held in it; raises SceneError where there is none."""
     folder = options.json.with_suffix("") / made_by / world.name / f"seed-{options.seed}"
+    objects, refused = dict[str, Scene](), list[str]()
+    for name, scene in load_objects(options.objects).items():
+        try:
+            joined = world.around(scene)
+            if options.cell == "foreign":
+                _check_foreign(joined)
+            objects[name] = joined
+        except SceneError as error:
+            refused.append(str(error))
+    for line in refused:
+        print(f"left out: {line}", file=sys.stderr)
+    if not objects:
+        raise SceneError("; ".join(refused))
     return Cell(world, objects, folder, options.seed, "" if options.cell == "own" else options.cell)
+
+
+def _check_foreign(scene: Scene) -> None:
+    from simulation.foreign.cell import pad_of  # brings scipy and scikit-fem
+
+    pad_of(scene)
