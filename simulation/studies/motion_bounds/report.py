@@ -48,10 +48,10 @@ def bounds_page(data: dict[str, Any]) -> str:
         there from the start adds 1 mm for each 100 ms at every stop.
 
         A picture that stands still beneath fresh noise is told by its own noise, which comes along each time
-        ([decision 132](decisions/0132-noise-comes-once.md)). The first copy passes for new, which is one frame
-        period more than the bound, and the service must have seen the picture when it was new. It looks at none between closing the fingers and arming, nor between
-        two attempts: a camera that begins to repeat itself there, on both fingers at once, is bounded by nothing but
-        full depth, or by the forces that the grasp bears.
+        ([decision 132](decisions/0132-noise-comes-once.md)). The first copy passes for new, which is one frame period
+        more than the bound, and the service must have seen the picture when it was new. It looks at none between
+        closing the fingers and arming, nor between two attempts: a camera that begins to repeat itself there, on both
+        fingers at once, is bounded by nothing but full depth, or by the forces that the grasp bears.
         """,
         _table([row for row in rows if not row["bounded"]]),
     )
