@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +15,7 @@ from service.contract.shipped import released_models
 from simulation.closed_loop.campaign import fingerprint
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World, files_in, load_objects, load_world
-from simulation.studies.commissioning import Cell, Plan, commission, write
+from simulation.studies.commissioning import Cell, Plan, commission, mistaken, write
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,10 @@ class Options:
     """file for the rows; what is played comes beside it"""
     cell: Literal["own", "foreign"] = "own"
     """whose mechanics: the project's own, or finite elements that it was not built on"""
+    mistakes: bool = False
+    """also ask each world for its signs with each mistake of a first day"""
     probes: int = 150
-    """probes of known error in each world"""
+    """probes of known error in each world; 0: only the four that ask for signs"""
     insertions: int = 50
     """working insertions to learn from, and fresh ones that every version is counted on"""
     seed: int = 0
@@ -53,17 +55,22 @@ class Options:
 def main(arguments: list[str]) -> int:
     """Play all worlds, write the rows as they come."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion commission")
-    if options.probes < 1 or options.insertions < 1:
-        raise ValueError(f"--probes {options.probes} --insertions {options.insertions}: expected at least 1 of each")
+    if options.probes < 0 or options.insertions < 1:
+        raise ValueError(f"--probes {options.probes} --insertions {options.insertions}: expected at least 0 and 1")
     models = options.models
     checkpoint = options.checkpoint or models / "checkpoint.pt"
     if not checkpoint.exists():
         raise ValueError(f"--checkpoint {checkpoint}: no such file; expected the release as `training` saved it")
     plan = Plan(checkpoint, models, options.probes, options.insertions, options.workers)
     made_by = hashlib.sha256(json.dumps(fingerprint({"belief": models}), sort_keys=True).encode()).hexdigest()[:12]
-    rows, cells = [], [_cell(options, load_world(file), made_by) for file in files_in(options.worlds)]
-    for cell in cells:
-        rows.append(commission(cell, plan))
+    worlds = [load_world(file) for file in files_in(options.worlds)]
+    cells = [(_cell(options, world, made_by), plan) for world in worlds]
+    if options.mistakes:
+        wrong = [one for world in worlds for one in mistaken(world)]
+        cells += [(_cell(options, world, made_by), replace(plan, probes=0)) for world in wrong]
+    rows = []
+    for cell, its_plan in cells:
+        rows.append(commission(cell, its_plan))
         write(rows, options.json)
         print(json.dumps(rows[-1]))
     return 0

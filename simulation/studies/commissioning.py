@@ -11,9 +11,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,6 +39,23 @@ COUNTED = (
 VERSIONS = ("released", "after_50", "after_150", "after_work")
 PROBES, WORK, JUDGING, SIGNS = 1, 2, 3, 4
 FEW = 50
+REFUSED, STAYS = 2, 3
+"""Exit statuses of `training adapt`: bad input, such as nothing to learn from, and a release that is not replaced."""
+MISTAKES: Mapping[str, Mapping[str, Any]] = {
+    "fingers swapped": {"swapped_fingers": True},
+    "left mirrored": {"mirrored": (True, False)},
+    "right mirrored": {"mirrored": (False, True)},
+    "both mirrored": {"mirrored": (True, True)},
+    "x reversed": {"x_sign": -1},
+    "yaw reversed": {"yaw_sign": -1},
+}
+"""Of a first day: what each changes in a world's table `[world]`."""
+
+
+def mistaken(world: World) -> Iterator[World]:
+    """The world with each mistake of a first day."""
+    for name, changed in MISTAKES.items():
+        yield replace(world, name=f"{world.name}, {name}", unstated=world.unstated.model_copy(update=changed))
 
 
 @dataclass(frozen=True)
@@ -87,7 +105,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Plan:
-    """How much a cell learns from and is judged on; ``checkpoint`` is the release that is adapted."""
+    """How much a cell learns from and is judged on; ``checkpoint`` is the release that is adapted.
+
+    With 0 ``probes`` it is only asked for its signs.
+    """
 
     checkpoint: Path
     models: Path
@@ -107,7 +128,7 @@ def commission(cell: Cell, plan: Plan) -> Row:
         if carried_out(signs):
             break
     row: Row = {"world": cell.world.name, "mistakes_named": named_mistakes(signs)}
-    if row["mistakes_named"]:
+    if row["mistakes_named"] or not plan.probes:
         row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
         return {**row, "robot_minutes": _minutes(signs), "adapt_s": 0.0, "accepted": False, "verdicts": {}}
     probes = _played(cell, plan, "probes", cell.probes(plan.probes), probe=True)
@@ -167,6 +188,7 @@ def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tupl
         shutil.rmtree(shown, ignore_errors=True)
         shutil.rmtree(run, ignore_errors=True)
         shown.mkdir(parents=True)
+        run.mkdir(parents=True)
         for index in range(count):
             (shown / f"{index:05d}").symlink_to((cell.folder / source / f"{index:05d}").resolve())
         told, fresh = run / "told.json", ("--out", str(run), "--json", str(run / "told.json"))
@@ -178,7 +200,6 @@ def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tupl
             refused = _call("export", "onnx", str(run / "checkpoint.pt"), "--out", str(models))
             if not list(models.glob("*.step.onnx")):
                 raise ContractError(f"python -m export onnx: {refused}")
-        run.mkdir(parents=True, exist_ok=True)
         write_json(verdict, {**said, "took_s": time.monotonic() - began})
     said = json.loads(verdict.read_text(encoding="utf-8"))
     return said, models if said["accepted"] else None
@@ -187,7 +208,10 @@ def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tupl
 def _call(package: str, *words: str) -> str:
     """What a command said where it refused."""
     done = subprocess.run([sys.executable, "-m", package, *words], capture_output=True, text=True, check=False)
-    return done.stderr.strip() or done.stdout.strip()
+    said = done.stderr.strip() or done.stdout.strip()
+    if done.returncode not in {0, REFUSED, STAYS}:
+        raise ContractError(f"python -m {package} {words[0]}: exit status {done.returncode}: {said[-2000:]}")
+    return said
 
 
 def write(rows: Sequence[Row], path: Path) -> None:
