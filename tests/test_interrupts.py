@@ -36,6 +36,18 @@ COMMANDS = {
 }
 
 
+def interrupted(process: subprocess.Popen, name: str) -> None:
+    """Ctrl-C; it must end in time, in one line."""
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=60)
+    took_s = time.monotonic() - began
+    assert "Traceback" not in output, output[-2000:]
+    assert output.rstrip().splitlines()[-1].startswith(f"{name}: interrupted"), output[-500:]
+    assert process.returncode == 130
+    assert took_s < PATIENCE_S
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_interrupt_ends_it_at_once_in_one_line(name, tmp_path):
     typed, work_s = COMMANDS[name]
@@ -49,16 +61,9 @@ def test_an_interrupt_ends_it_at_once_in_one_line(name, tmp_path):
         time.sleep(work_s)
         if process.poll() is not None:
             raise AssertionError(f"it ended by itself: {process.stdout.read()[-500:]}")
-        began = time.monotonic()
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=60)
-        took_s = time.monotonic() - began
+        interrupted(process, words[1])
     finally:
         process.kill()
-    assert "Traceback" not in output, output[-2000:]
-    assert output.rstrip().splitlines()[-1].startswith(f"{words[1]}: interrupted"), output[-500:]
-    assert process.returncode == 130
-    assert took_s < PATIENCE_S
 
 
 RUN = """name = "mine"
@@ -88,16 +93,9 @@ def epochs_until_interrupted(run: Path, least_n: int) -> list[int]:
             assert time.monotonic() < until_s
             assert process.poll() is None, process.stdout.read()[-500:]
             time.sleep(0.05)
-        began = time.monotonic()
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=60)
-        took_s = time.monotonic() - began
+        interrupted(process, "train")
     finally:
         process.kill()
-    assert "Traceback" not in output, output[-2000:]
-    assert output.rstrip().splitlines()[-1].startswith("train: interrupted")
-    assert process.returncode == 130
-    assert took_s < PATIENCE_S
     return [json.loads(line)["epoch"] for line in log.read_text().splitlines()]
 
 
