@@ -11,6 +11,8 @@ from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import State
 from robot_client.ports import DriverError
 from robot_client.session.commission import (
+    FITS,
+    REACH,
     RECORD,
     SIDES,
     WENT_IN,
@@ -28,9 +30,6 @@ from robot_client.settings import Settings, SettingsError
 from service.contract import wire
 from service.contract.frames import Finger
 
-REACH_MM, REACH_DEG = 15.0, 15.0  # as far as the released networks were trained
-FITS_MM, FITS_DEG = 2.5, 3.0  # about what goes in: no probe begins there
-
 
 def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out: Path) -> Outcome:
     """Probe for signs, then ``probes_n`` times to learn from; done if no mistake was named. Raises DriverError."""
@@ -38,7 +37,7 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     if taught is None:
         raise SettingsError("commission: the configuration lacks the table [cycle] with pick and open_mm")
     check_pose(settings.limits, taught.pick, "cycle.pick")
-    for x_mm, theta_deg in (*SIDES, (REACH_MM, REACH_DEG), (-REACH_MM, -REACH_DEG)):
+    for x_mm, theta_deg in (*SIDES, REACH, (-REACH[0], -REACH[1])):
         check_pose(settings.limits, make_plan(settings, x_mm, theta_deg, None, None).approach, "a probe")
     path = out / RECORD
     record = read_record(path)
@@ -57,7 +56,7 @@ def _rehearse(probes_n: int, path: Path, record: Record | None) -> Outcome:
     steps = [
         "put the object into the fixture and take it afresh, before each probe",
         "probe at " + ", ".join(f"{x:+g} mm {theta:+g} deg" for x, theta in SIDES) + ": are the signs right?",
-        f"{probes_n - done_n} probes from errors within {REACH_MM:g} mm and {REACH_DEG:g} deg",
+        f"{probes_n - done_n} probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
         f"keep what was seen in {path} after each",
     ]
     show("would:")
@@ -70,7 +69,7 @@ class Felt:
     """Observer that keeps the one answer of a probe."""
 
     def __init__(self) -> None:
-        self.estimate: tuple[float, float] | None = None
+        self.answer: wire.Correction | None = None
         self.said = WENT_IN
         self.gels: dict[Finger, str] = {}
 
@@ -81,7 +80,7 @@ class Felt:
         if isinstance(event.message, wire.ServiceHello):
             self.gels = {camera.finger: camera.gel for camera in event.message.cameras}
         if isinstance(event.message, wire.Correction):
-            self.estimate, self.said = (event.message.estimate.dx_mm, event.message.estimate.dtheta_deg), ""
+            self.answer = event.message
         elif isinstance(event.message, wire.NoDecision):
             self.said = f"{event.message.reason}: {event.message.detail}"
 
@@ -103,7 +102,7 @@ class Probing:
         log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
         runner = Runner(plan, *live_ports(self._settings, plan), log, (felt,))
         state = await runner.run()
-        done = probe_of(plan.insertion_id, plan.approach, felt.estimate, felt.said)
+        done = probe_of(plan.insertion_id, plan.approach, felt.answer, felt.said)
         return Ended(done, state.phase, state.reason, felt.gels)
 
     async def begin(self) -> None:
@@ -120,7 +119,7 @@ class Probing:
 
 async def _commission(probing: Probing, probes_n: int, path: Path, record: Record) -> Outcome:
     stop_on_signals()
-    draw = errors(record.seed, REACH_MM, REACH_DEG, (FITS_MM, FITS_DEG))
+    draw = errors(record.seed, *REACH, FITS)
     running = Commissioning(path, record, probing.probe, probing.fetch, draw, show)
     reason = ""
     try:

@@ -7,6 +7,7 @@ commissioning goes on where it was: at most the probe under way is lost.
 
 import asyncio
 import json
+import math
 import random
 import time
 from collections.abc import Awaitable, Callable
@@ -19,24 +20,37 @@ from pydantic import Field, ValidationError
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
+from service.contract import wire
 from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.contract.words.wiring import WIRINGS
 
-SIDES = ((8.0, 0.0), (-8.0, 0.0), (0.0, 8.0), (0.0, -8.0))
-"""Where the cell is asked for signs: mm and deg."""
-CLEAR_SHARES = (0.3, 0.1)  # of the way between two sides, below which estimates show no sign; yaw is felt too small
+SIDES = ((8.0, 8.0), (-8.0, -8.0), (8.0, -8.0), (-8.0, 8.0))
+"""Where the cell is asked for signs: mm and deg. Straight above the edges, a yaw to either side looks alike."""
+REACH = (15.0, 15.0)
+"""How far off probes to learn from begin at most: as far as the released networks were trained."""
+FITS = (2.5, 3.0)
+"""About what goes in: no probe begins there."""
+CLEAR_SHARE = 0.2  # of what is told, below which estimates show no sign
+LEAST_TURN_DEG, ALIKE = 0.03, 0.5  # mean turn, and share of it that goes with x, that tell a mirrored picture
+WENT_IN_SIGMA_MM, UNSTATED_SIGMA = 1.5, 5.0
 OFF_MM, OFF_DEG = 5.0, 8.0  # what two opposite sides may be off by together in a cell that is framed right
 WENT_IN = "went in without a touch"
 RECORD = "commissioning.json"
 
 
 class Probe(Contract):
-    """One probe: its known error, and what the service made of it (``said`` where it gave no estimate)."""
+    """One probe: its known error, and what the service made of it (``said`` where it gave no estimate).
+
+    ``turns_deg``: how far the left and the right finger saw the object turn, clockwise in their pictures.
+    """
 
     x_mm: float
     theta_deg: float
     estimate_x_mm: float | None = None
     estimate_theta_deg: float | None = None
+    sigma_x_mm: float | None = None
+    sigma_theta_deg: float | None = None
+    turns_deg: tuple[float, float] | None = None
     said: str = ""
     insertion_id: str
 
@@ -99,23 +113,23 @@ def keep_record(path: Path, record: Record) -> None:
 def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
     """What is likely wrong with a cell that answered :data:`SIDES` so; nothing in a good one.
 
-    An axis with a side that went in, or was not decided, says nothing: a short object fits at any yaw. Of x, which
-    matters for every object, nothing is a mistake, too.
+    Some gels do not feel the yaw: that is no mistake. Of x, which turns every object, nothing is a mistake, too.
     """
     if wrong := [probe.said for probe in signs if probe.said.startswith("contradictory")]:
         return tuple(dict.fromkeys(wrong))
-    x = _axis([probe.estimate_x_mm for probe in signs[:2]], SIDES[0][0], CLEAR_SHARES[0])
-    theta = _axis([probe.estimate_theta_deg for probe in signs[2:]], SIDES[2][1], CLEAR_SHARES[1])
-    if x is None:
-        undecided = [probe.said for probe in signs[:2] if probe.estimate_x_mm is None and probe.said != WENT_IN]
+    if mirrored := _mirrored(signs):
+        return (mirrored,)
+    x = _axis([(probe.x_mm, *_felt_x(probe)) for probe in signs])
+    theta = _axis([(probe.theta_deg, probe.estimate_theta_deg, probe.sigma_theta_deg) for probe in signs])
+    if x is None or all(probe.estimate_x_mm is None for probe in signs):
+        undecided = [probe.said for probe in signs if probe.said not in {"", WENT_IN}]
         felt_nothing = f"nothing was felt {SIDES[0][0]:g} mm beside the gap: is the block there, is its width right?"
         return tuple(dict.fromkeys(undecided)) or (felt_nothing,)
     found = []
-    unclear = [name for name, axis in (("x", x), ("yaw", theta)) if axis and not axis[0]]
-    if unclear:
-        found.append(f"opposite errors in {' and '.join(unclear)} give like estimates: the gels do not feel the block")
-    elif (key := (x[0], theta[0] if theta else 1)) in WIRINGS:
-        found.append(WIRINGS[key])
+    if not x[0]:
+        found.append("opposite errors in x give like estimates: the gels do not feel the block")
+    yaws = (theta[0],) if theta and theta[0] else (1, -1) if x[0] < 0 else (1,)  # what is not felt may be either
+    found += [WIRINGS[x[0], yaw] for yaw in yaws if (x[0], yaw) in WIRINGS]
     if abs(x[1]) > OFF_MM:
         found.append(f"the tool frame or the fixture is off by about {x[1]:+.1f} mm in x")
     if theta and abs(theta[1]) > OFF_DEG:
@@ -123,17 +137,47 @@ def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _axis(felt: list[float | None], side: float, clear_share: float) -> tuple[int, float] | None:
-    """Sign (0 where it is not clear) and offset of what was felt at +side and -side; None where either went in."""
-    plus, minus = felt
-    if plus is None or minus is None:
+def _felt_x(probe: Probe) -> tuple[float | None, float | None]:
+    """Estimate and sigma of x; what went in was within the gap's clearance."""
+    if probe.said == WENT_IN:
+        return 0.0, WENT_IN_SIGMA_MM
+    return probe.estimate_x_mm, probe.sigma_x_mm
+
+
+def _axis(felt: list[tuple[float, float | None, float | None]]) -> tuple[int, float] | None:
+    """Sign (0 where it is not clear) and offset of (told, felt, sigma); None where a side says nothing."""
+    sides: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
+    for told, value, sigma in felt:
+        if value is not None:
+            sides[told > 0.0].append((value, (sigma or UNSTATED_SIGMA) ** -2.0))
+    if not all(sides.values()):
         return None
-    share = (plus - minus) / (2.0 * side)
-    return (0 if abs(share) <= clear_share else 1 if share > 0 else -1), 0.5 * (plus + minus)
+    means = [sum(value for value, _ in side) / len(side) for side in sides.values()]
+    signed = sum(value * weight * (1.0 if up else -1.0) for up, side in sides.items() for value, weight in side)
+    share = signed / (abs(felt[0][0]) * sum(weight for side in sides.values() for _, weight in side))
+    return (0 if abs(share) <= CLEAR_SHARE else 1 if share > 0 else -1), 0.5 * sum(means)
+
+
+def _mirrored(signs: tuple[Probe, ...]) -> str:
+    """Which picture is mirrored, if one is; facing each other, the fingers must see opposite turns.
+
+    A block that pushes up at +x turns the object anticlockwise as the left finger sees it.
+    """
+    turns = [(math.copysign(1.0, probe.x_mm), probe.turns_deg) for probe in signs if probe.turns_deg]
+    with_x = []
+    for index in range(2):
+        total = sum(abs(turn[index]) for _, turn in turns)
+        clear = total > LEAST_TURN_DEG * len(turns)
+        with_x.append(sum(side * turn[index] for side, turn in turns) / total if clear else 0.0)
+    if with_x[0] * with_x[1] <= 0.0 or min(map(abs, with_x)) < ALIKE:
+        return ""
+    finger = "left" if with_x[0] > 0.0 else "right"
+    return f"both fingers see the object turn the same way: the {finger} picture is mirrored"
 
 
 def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) -> Callable[[int], tuple[float, float]]:
     """Known errors, uniform within +-x_mm and +-theta_deg but for those that fit the gap: of probe ``number``."""
+    fits = min(fits[0], 0.5 * x_mm), min(fits[1], 0.5 * theta_deg)
 
     def of(number: int) -> tuple[float, float]:
         drawn = random.Random(f"{seed}/{number}")
@@ -204,8 +248,12 @@ class Commissioning:
         keep_record(self.path, self.record)
 
 
-def probe_of(plan_id: str, approach: WorkPose, felt: tuple[float, float] | None, said: str) -> Probe:
-    """A probe as it is kept."""
-    x, theta = felt or (None, None)
-    known = {"x_mm": approach.x_mm, "theta_deg": approach.yaw_deg}
-    return Probe(**known, estimate_x_mm=x, estimate_theta_deg=theta, said=said, insertion_id=plan_id)
+def probe_of(plan_id: str, approach: WorkPose, answer: wire.Correction | None, said: str) -> Probe:
+    """A probe as it is kept; ``said`` is why there is no answer."""
+    probe = Probe(x_mm=approach.x_mm, theta_deg=approach.yaw_deg, said=said, insertion_id=plan_id)
+    if answer is None:
+        return probe
+    felt = answer.estimate
+    estimate = {"estimate_x_mm": felt.dx_mm, "estimate_theta_deg": felt.dtheta_deg}
+    sigma = {"sigma_x_mm": felt.sigma_x_mm, "sigma_theta_deg": felt.sigma_theta_deg}
+    return probe.model_copy(update={**estimate, **sigma, "turns_deg": answer.turns_deg, "said": ""})

@@ -216,7 +216,7 @@ class Slip(_Message):
 
 
 class Correction(_Message):
-    """Move by (dx_mm, dtheta_deg) in the work-object frame after retracting, then probe again. Apply once."""
+    """Retract, then move by (dx_mm, dtheta_deg) in the work-object frame. ``turns_deg``: as both fingers saw it."""
 
     type: Literal["correction"] = "correction"
     attempt: Attempt
@@ -228,6 +228,7 @@ class Correction(_Message):
     controller: ControllerName
     reason: str
     latency_ms: dict[str, float]
+    turns_deg: tuple[float, float] | None = None
 
 
 class NoDecision(_Message):
@@ -274,7 +275,6 @@ class ServiceHeartbeat(_Message):
 AttemptMessage = Armed | Refused | Watching | Slip | Enough | Correction | NoDecision
 _Service = ServiceHello | OpenLearnt | AttemptMessage | Finished | Fault | ServiceHeartbeat
 ServiceMessage = Annotated[_Service, Field(discriminator="type")]
-
 
 _Parsed = TypeVar("_Parsed")
 _CLIENT: TypeAdapter[ClientMessage] = TypeAdapter(ClientMessage)

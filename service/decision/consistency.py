@@ -90,11 +90,17 @@ def _log_density(z: Pair, spread: Pair, outliers: float) -> float:
     return float(np.log((1.0 - outliers) * density + outliers / RANGE).sum())
 
 
+def turns_deg(both: PairObservation) -> tuple[float, float]:
+    """How far either finger saw the object turn, clockwise in its picture; not finite where it saw none."""
+    left, right = (math.degrees(finger.slip.angle_rad) for finger in both.fingers)
+    return left, right
+
+
 def mirrored(both: PairObservation) -> bool:
     """Whether both fingers see a turn of like size and the same sign; facing each other, they must see opposite ones.
 
     A turn that one finger alone sees says nothing: the other may have been let go, or be blind.
     """
-    left, right = (math.degrees(finger.slip.angle_rad) for finger in both.fingers)
+    left, right = turns_deg(both)
     smaller, larger = sorted((abs(left), abs(right)))
     return left * right > 0.0 and larger > LEAST_TURN_DEG and LIKE * larger < smaller < math.inf

@@ -1,5 +1,6 @@
 """The networks' work for one attempt, and the rules by which their evidence becomes a correction or is refused."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from service.contract import wire
 from service.decision.attempt import Attempt, Stage, WorkResult
+from service.decision.consistency import turns_deg
 from service.decision.controllers import Command
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.models import ModelSet
@@ -147,6 +149,7 @@ def correction(
     insertion_id: str, attempt: Attempt, evidence: Evidence, command: Command, latency_ms: dict[str, float]
 ) -> wire.Correction:
     """The message that carries a command and all it rests on."""
+    turns = turns_deg(attempt.ring[-1])
     return wire.Correction(
         insertion_id=insertion_id,
         attempt=attempt.arm.attempt,
@@ -158,6 +161,7 @@ def correction(
         controller=command.controller,
         reason=command.reason,
         latency_ms=latency_ms,
+        turns_deg=turns if all(map(math.isfinite, turns)) else None,
     )
 
 

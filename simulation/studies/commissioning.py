@@ -10,14 +10,17 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import cycle, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reporting.files import write_json
-from robot_client.session.commission import SIDES
+from robot_client.session.commission import FITS, REACH, SIDES, errors
 from service.contract import ContractError
 from simulation.closed_loop import benchmark
 from simulation.closed_loop.job import job_in
@@ -25,13 +28,34 @@ from simulation.closed_loop.statistics import Row, ends
 from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.scene.scene import Scene
+from simulation.scene.shapes import half_width_mm
 from simulation.scene.worlds import World
-from simulation.studies.episodes import Episode, named_mistakes, play
+from simulation.studies.episodes import Episode, carried_out, named_mistakes, play
 
 COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
     *("mean_trials", "inserted", "insertions", "claimed_wrongly"),
 )
+VERSIONS = ("released", "after_50", "after_150", "after_work")
+PROBES, WORK, JUDGING, SIGNS = 1, 2, 3, 4
+FEW = 50
+REFUSED, STAYS = 2, 3
+"""Exit statuses of `training adapt`: bad input, such as nothing to learn from, and a release that is not replaced."""
+MISTAKES: Mapping[str, Mapping[str, Any]] = {
+    "fingers swapped": {"swapped_fingers": True},
+    "left mirrored": {"mirrored": (True, False)},
+    "right mirrored": {"mirrored": (False, True)},
+    "both mirrored": {"mirrored": (True, True)},
+    "x reversed": {"x_sign": -1},
+    "yaw reversed": {"yaw_sign": -1},
+}
+"""Of a first day: what each changes in a world's table `[world]`."""
+
+
+def mistaken(world: World) -> Iterator[World]:
+    """The world with each mistake of a first day."""
+    for name, changed in MISTAKES.items():
+        yield replace(world, name=f"{world.name}, {name}", unstated=world.unstated.model_copy(update=changed))
 
 
 @dataclass(frozen=True)
@@ -46,21 +70,45 @@ class Cell:
 
     def jobs(self, count: int, purpose: int) -> list[Row]:
         """``count`` starts, object after object, drawn anew for each purpose."""
-        rng = np.random.default_rng((self.seed, purpose))
-        names = list(self.objects)
-        return [self._job(names[index % len(names)], index, rng, purpose) for index in range(count)]
+        names = list(islice(cycle(self.objects), count))
+        ranges = [(self.objects[name].x_range_mm, self.objects[name].theta_range_deg) for name in names]
+        shares = np.random.default_rng((self.seed, purpose)).uniform(-1.0, 1.0, (count, 2))
+        return self._jobs(names, shares * ranges, purpose)
 
-    def _job(self, name: str, index: int, rng: np.random.Generator, purpose: int) -> Row:
-        scene = self.objects[name]
-        shares = rng.uniform(-1.0, 1.0, 2)
-        start = (shares[0] * scene.x_range_mm, shares[1] * scene.theta_range_deg)
-        seed = int(np.random.SeedSequence((self.seed, purpose, index)).generate_state(1)[0])
-        return job_in(self.world, name, index, start, seed, cell=self.cell)
+    def probes(self, count: int) -> list[Row]:
+        """``count`` known errors, object after object, drawn as the client draws them."""
+        names, starts = list(islice(cycle(self.objects), count)), []
+        for index, name in enumerate(names):
+            scene = self.objects[name]
+            within = min(REACH[0], scene.x_range_mm), min(REACH[1], scene.theta_range_deg)
+            starts.append(errors(self.seed, *within, FITS)(index))
+        return self._jobs(names, starts, PROBES)
+
+    def signs(self) -> Iterator[list[Row]]:
+        """The four sides with each object, as a reversed arm takes it from the fixture; first what fits worst."""
+        arm, turned_deg = self.world.unstated, SIDES[0][1]
+
+        def too_wide_mm(name: str) -> float:
+            scene = self.objects[name]
+            return 2.0 * half_width_mm(scene.object.footprint_mm, turned_deg) - scene.blocks.gap_mm
+
+        for name in sorted(self.objects, key=too_wide_mm, reverse=True):
+            yield self._jobs([name] * len(SIDES), np.array(SIDES) * (arm.x_sign, arm.yaw_sign), SIGNS)
+
+    def _jobs(self, names: Sequence[str], starts: ArrayLike, purpose: int) -> list[Row]:
+        rows = []
+        for index, (name, (x_mm, theta_deg)) in enumerate(zip(names, np.asarray(starts, float), strict=True)):
+            seed = int(np.random.SeedSequence((self.seed, purpose, index)).generate_state(1)[0])
+            rows.append(job_in(self.world, name, index, (x_mm, theta_deg), seed, cell=self.cell))
+        return rows
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much a cell learns from and is judged on; ``checkpoint`` is the release that is adapted."""
+    """How much a cell learns from and is judged on; ``checkpoint`` is the release that is adapted.
+
+    With 0 ``probes`` it is only asked for its signs.
+    """
 
     checkpoint: Path
     models: Path
@@ -69,56 +117,65 @@ class Plan:
     workers: int = 0
 
 
-PROBES, WORK, JUDGING, SIGNS = 1, 2, 3, 4
-FEW = 50
-
-
 def commission(cell: Cell, plan: Plan) -> Row:
-    """Probe, adapt and work in one cell; its row, see ``python -m simulation commission --help``."""
-    _played(cell, plan, "probes", plan.models, PROBES, plan.probes, probe=True)
-    _played(cell, plan, "work", plan.models, WORK, plan.insertions, probe=False)
-    row: Row = {"world": cell.world.name, "mistakes_named": _mistakes(cell, plan)}
+    """Probe, adapt and work in one cell; its row, see ``python -m simulation commission --help``.
+
+    Nothing goes on in a cell with a mistake: no version is played there, and all its counts are 0.
+    """
+    signs: list[Row] = []
+    for number, jobs in enumerate(cell.signs(), 1):
+        signs = _played(cell, plan, f"signs-{number}", jobs, probe=True, in_order=True)
+        if carried_out(signs):
+            break
+    row: Row = {"world": cell.world.name, "mistakes_named": named_mistakes(signs)}
+    if row["mistakes_named"] or not plan.probes:
+        row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
+        return {**row, "robot_minutes": _minutes(signs), "adapt_s": 0.0, "accepted": False, "verdicts": {}}
+    probes = _played(cell, plan, "probes", cell.probes(plan.probes), probe=True)
+    _played(cell, plan, "work", cell.jobs(plan.insertions, WORK), probe=False)
     row["released"] = _judged(cell, plan, "released", plan.models)
-    verdicts, spent_s = {}, 0.0
+    verdicts = {}
     learnt = {"after_50": ("probes", min(FEW, plan.probes)), "after_150": ("probes", plan.probes)}
     for name, (source, count) in {**learnt, "after_work": ("work", plan.insertions)}.items():
-        began = time.monotonic()
         verdicts[name], models = _adapted(cell, plan, name, source, count)
-        spent_s = max(spent_s, time.monotonic() - began)
         row[name] = row["released"] if models is None else _judged(cell, plan, name, models)
-    return {**row, "adapt_s": spent_s, "accepted": {name: verdict["accepted"] for name, verdict in verdicts.items()}}
+    return {
+        **row,
+        "robot_minutes": _minutes([*signs, *probes]),
+        "adapt_s": max(verdict["took_s"] for verdict in verdicts.values()),
+        "accepted": verdicts["after_150"]["accepted"],
+        "verdicts": verdicts,
+    }
 
 
-def _mistakes(cell: Cell, plan: Plan) -> list[str]:
-    """How the cell is wired wrong, as four probes show it: from the fixture, where a reversed arm takes the object."""
-    arm, jobs = cell.world.unstated, cell.jobs(len(SIDES), SIGNS)
-    jobs = [job | _at(arm.x_sign * x, arm.yaw_sign * yaw) for job, (x, yaw) in zip(jobs, SIDES, strict=True)]
-    episodes = [
-        Episode(cell.folder / "signs" / f"{index:05d}", plan.models, job, probe=True) for index, job in enumerate(jobs)
-    ]
-    return named_mistakes(list(results(play, episodes, plan.workers, in_order=True)))
+def _minutes(rows: Sequence[Row]) -> float:
+    return sum(float(row["robot_s"]) for row in rows) / 60.0
 
 
-def _at(x_mm: float, theta_deg: float) -> Row:
-    return {"x_mm": float(x_mm), "theta_deg": float(theta_deg)}
-
-
-def _played(cell: Cell, plan: Plan, name: str, models: Path, purpose: int, count: int, *, probe: bool) -> list[Row]:
-    episodes = [
-        Episode(cell.folder / name / f"{index:05d}", models, job, probe)
-        for index, job in enumerate(cell.jobs(count, purpose))
-    ]
+def _played(
+    cell: Cell,
+    plan: Plan,
+    name: str,
+    jobs: Sequence[Row],
+    *,
+    probe: bool,
+    models: Path | None = None,
+    in_order: bool = False,
+) -> list[Row]:
+    folder = cell.folder / name
+    episodes = [Episode(folder / f"{index:05d}", models or plan.models, job, probe) for index, job in enumerate(jobs)]
     rows = []
     with progress(f"{cell.world.name}: {name} (simulated)", len(episodes)) as show:
-        for done, row in enumerate(results(play, episodes, plan.workers), 1):
-            rows += [row] if row else []
+        for done, row in enumerate(results(play, episodes, plan.workers, in_order=in_order), 1):
+            rows.append(row)
             show(done)
     return rows
 
 
 def _judged(cell: Cell, plan: Plan, name: str, models: Path) -> Row:
     """The same fresh starts for every version of the networks."""
-    rows = _played(cell, plan, f"judged-{name}", models, JUDGING, plan.insertions, probe=False)
+    jobs = cell.jobs(plan.insertions, JUDGING)
+    rows = _played(cell, plan, f"judged-{name}", jobs, probe=False, models=models)
     counted = {**ends(rows), **benchmark.first_answers(rows)}
     return {key: counted[key] for key in COUNTED}
 
@@ -126,32 +183,35 @@ def _judged(cell: Cell, plan: Plan, name: str, models: Path) -> Row:
 def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tuple[Row, Path | None]:
     """What ``training adapt`` says of the first ``count`` episodes, and where the new networks are if it accepts."""
     shown, run = cell.folder / f"{name}-episodes", cell.folder / name
-    shutil.rmtree(shown, ignore_errors=True)
-    shown.mkdir(parents=True)
-    for index in range(count):
-        (shown / f"{index:05d}").symlink_to((cell.folder / source / f"{index:05d}").resolve())
-    verdict = run / "verdict.json"
-    run.mkdir(parents=True, exist_ok=True)
-    verdict.unlink(missing_ok=True)
-    told = _call(
-        "training", "adapt", str(shown), "--from", str(plan.checkpoint), "--out", str(run), "--json", str(verdict)
-    )
+    verdict, models, began = run / "verdict.json", run / "models", time.monotonic()
     if not verdict.exists():
-        return {"accepted": False, "objections": [told]}, None
-    said: Row = json.loads(verdict.read_text(encoding="utf-8"))
-    if not said["accepted"]:
-        return said, None
-    models = run / "models"
-    told = _call("export", "onnx", str(run / "checkpoint.pt"), "--out", str(models))
-    if not list(models.glob("*.step.onnx")):
-        raise ContractError(f"python -m export onnx: {told}")
-    return said, models
+        shutil.rmtree(shown, ignore_errors=True)
+        shutil.rmtree(run, ignore_errors=True)
+        shown.mkdir(parents=True)
+        run.mkdir(parents=True)
+        for index in range(count):
+            (shown / f"{index:05d}").symlink_to((cell.folder / source / f"{index:05d}").resolve())
+        told, fresh = run / "told.json", ("--out", str(run), "--json", str(run / "told.json"))
+        refused = _call("training", "adapt", str(shown), "--from", str(plan.checkpoint), *fresh)
+        said: Row = {"accepted": False, "objections": [refused]}
+        if told.exists():
+            said = json.loads(told.read_text(encoding="utf-8"))
+        if said["accepted"]:
+            refused = _call("export", "onnx", str(run / "checkpoint.pt"), "--out", str(models))
+            if not list(models.glob("*.step.onnx")):
+                raise ContractError(f"python -m export onnx: {refused}")
+        write_json(verdict, {**said, "took_s": time.monotonic() - began})
+    said = json.loads(verdict.read_text(encoding="utf-8"))
+    return said, models if said["accepted"] else None
 
 
 def _call(package: str, *words: str) -> str:
     """What a command said where it refused."""
     done = subprocess.run([sys.executable, "-m", package, *words], capture_output=True, text=True, check=False)
-    return done.stderr.strip() or done.stdout.strip()
+    said = done.stderr.strip() or done.stdout.strip()
+    if done.returncode not in {0, REFUSED, STAYS}:
+        raise ContractError(f"python -m {package} {words[0]}: exit status {done.returncode}: {said[-2000:]}")
+    return said
 
 
 def write(rows: Sequence[Row], path: Path) -> None:

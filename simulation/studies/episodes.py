@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -12,15 +11,14 @@ from typing import Any
 import numpy as np
 
 from reporting.files import write_durably
-from robot_client.insertion.state import Phase
+from robot_client.insertion.state import State
 from robot_client.session.commission import SIDES, WENT_IN, Probe, mistakes
 from service.decision.attempt import Attempt
-from simulation.closed_loop.job import Job
+from simulation.closed_loop.client import trip_s
+from simulation.closed_loop.job import Job, Outcome
 from simulation.closed_loop.play import models_of, stage
 from simulation.closed_loop.statistics import Row
 from simulation.scene.state import PhysicsError
-
-PROBED = frozenset({Phase.RETRACTING, Phase.CORRECTING, Phase.CLOSING, Phase.INSERTED, Phase.FAILED})
 
 
 @dataclass(frozen=True)
@@ -33,23 +31,31 @@ class Episode:
     probe: bool
 
 
-def play(episode: Episode) -> Row | None:
-    """In a worker: play and write what a recording keeps for learning; None where the physics came to its end."""
+def play(episode: Episode) -> Row:
+    """In a worker: play and write what a recording keeps for learning; void where the physics came to its end.
+
+    ``robot_s`` of the row is what the robot was busy for, the way to the fixture and back with it.
+    """
     done = episode.folder / "summary.json"
     if done.exists():
-        return dict(json.loads(done.read_text(encoding="utf-8"))["row"] or {}) or None
-    job, attempts = Job(**episode.job), list[Attempt]()
-    row: Row | None = None
-    with contextlib.suppress(PhysicsError):  # the object cannot even be held
+        return dict(json.loads(done.read_text(encoding="utf-8"))["row"])
+    job, attempts, robot_s = Job(**episode.job), list[Attempt](), 0.0
+    try:
         insertion = stage(job, models_of(episode.models))
+        plan = insertion.state.plan
+        if episode.probe:
+            insertion.state = State(plan.model_copy(update={"purpose": "probe"}))
         insertion.session.on_attempt = attempts.append
-        insertion.until = PROBED if episode.probe else frozenset()
-        row = {**episode.job, **asdict(insertion.run())}
+        outcome = insertion.run()
+        robot_s = insertion.seconds.total_s + trip_s(plan)
+    except PhysicsError as error:  # the object cannot even be held
+        outcome = Outcome.never_held(job, f"physics: {error}")
+    row = {**episode.job, **asdict(outcome), "robot_s": robot_s}
     _keep(episode, job, attempts, row)
     return row
 
 
-def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row | None) -> None:
+def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> None:
     episode.folder.mkdir(parents=True, exist_ok=True)
     for number, attempt in enumerate(attempts, 1):  # those of each grasp begin with 1
         arrays = attempt.arrays()
@@ -58,28 +64,38 @@ def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row | No
             np.savez(episode.folder / f"attempt_{number:02d}.npz", **kept)  # type: ignore[arg-type]
     summary = {
         "purpose": "probe" if episode.probe else "insert",
-        "outcome": "inserted" if row and row["claimed"] else "failed",
+        "outcome": "inserted" if row["claimed"] else "failed",
         "approach": {"x_mm": job.x_mm, "yaw_deg": job.theta_deg},
         "row": row,
     }
     write_durably(episode.folder / "summary.json", (json.dumps(summary) + "\n").encode())
 
 
-def named_mistakes(rows: Sequence[Row | None]) -> list[str]:
+def carried_out(rows: Sequence[Row]) -> bool:
+    """Whether each of these probes was answered or went in; else the client would have stopped there."""
+    return not any(row["reason"] and not row["trials"] for row in rows)
+
+
+def named_mistakes(rows: Sequence[Row]) -> list[str]:
     """How the cell of these probes at the client's four sides is wired wrong, by the client's own rule."""
+    if not carried_out(rows):
+        return []
     return list(mistakes(tuple(_probe(row, *side) for row, side in zip(rows, SIDES, strict=True))))
 
 
-def _probe(row: Row | None, x_mm: float, theta_deg: float) -> Probe:
+def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
     """What the client would keep of a probe that it took for one at this error."""
-    decision = row["trials"][0]["decision"] if row and row["trials"] else {}
-    felt = decision.get("estimate") or {}
+    decision = row["trials"][0]["decision"] if row["trials"] else {}
+    felt, turns = decision.get("estimate") or {}, decision.get("turns_deg")
     said = f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN
     return Probe(
         x_mm=x_mm,
         theta_deg=theta_deg,
         estimate_x_mm=felt.get("dx_mm"),
         estimate_theta_deg=felt.get("dtheta_deg"),
+        sigma_x_mm=felt.get("sigma_x_mm"),
+        sigma_theta_deg=felt.get("sigma_theta_deg"),
+        turns_deg=turns and (turns[0], turns[1]),
         said="" if felt else said,
         insertion_id="simulated",
     )

@@ -10,7 +10,8 @@ from pydantic import JsonValue
 
 from reporting.table import table
 from service.contract import ContractError
-from training.adapt.stages import FOLDS, STAGES, StageName, calibrated, fit_stage, held_out
+from training.adapt.frames import Gap, framed
+from training.adapt.stages import FOLDS, STAGES, StageName, calibrated, fit_stage, held_out, trainer_of
 from training.data.episodes import read_episodes
 from training.data.labels import class_of
 from training.data.pressed import Pressed
@@ -33,6 +34,7 @@ class Judged:
     objections: tuple[str, ...]
     samples_n: int
     fixtures_n: int
+    gap: Gap | None = None
 
     @property
     def accepted(self) -> bool:
@@ -53,7 +55,12 @@ class Judged:
         )
         verdict = f"accepted: {self.best}" if self.accepted else f"the release stays: {'; '.join(self.objections)}"
         held = f"{self.samples_n} attempts of {self.fixtures_n} fixtures, every figure on fixtures held out"
-        return f"{table(rows, *columns).text()}\n{held}\n{verdict}"
+        return "\n".join((table(rows, *columns).text(), held, *self._gap_text(), verdict))
+
+    def _gap_text(self) -> Iterable[str]:
+        if self.gap and self.gap.probes_n:
+            x, yaw = (f"{at:+.1f} +- {sigma:.1f}" for at, sigma in zip(self.gap.at, self.gap.sigma, strict=True))
+            yield f"the gap is at x {x} mm, yaw {yaw} deg in the frame that the arm was taught"
 
 
 def adapt(recordings: Path, start: Path, out: Path, *, stages: Iterable[StageName] = STAGES, seed: int = 0) -> Judged:
@@ -65,7 +72,9 @@ def adapt(recordings: Path, start: Path, out: Path, *, stages: Iterable[StageNam
     if release.pressing is None:
         raise ContractError(f"{start} holds a {release.network.kind} network, expected one that reads steps of depth")
     samples = read_episodes(recordings, release.sensor)
-    judged = judge(release, samples, tuple(stages), seed)
+    said = trainer_of(release.build(), samples).predict(np.arange(len(samples)), pictures=False)
+    samples, gap = framed(samples, said.error)
+    judged = replace(judge(release, samples, tuple(stages), seed), gap=gap)
     if judged.accepted:
         _fitted(judged, release, samples, seed).save(out / "checkpoint.pt")
     return judged

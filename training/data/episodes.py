@@ -1,7 +1,8 @@
 """Recordings of a cell as training data: what the networks were shown of each attempt, and the error it had.
 
-The error is known in two ways. A probe (``purpose`` of the episode) begins at a known error. Of an insertion that went
-in, every earlier attempt was off by the moves that followed it, to within what fits the gap.
+The error is known in two ways. A probe (``purpose`` of the episode) begins at a known error, in the frame that the arm
+was taught. Of an insertion that went in, every earlier attempt was off by the moves that followed it, to within what
+fits the gap. ``objects`` of the samples says which: PROBE or WORK.
 """
 
 import hashlib
@@ -18,13 +19,15 @@ from training.data.dataset import SPLITS
 from training.data.pressed import Pressed
 from training.networks.pressing import LATTICE, STEPS
 
+PROBE, WORK = "probe", "work"
 PER_FIXTURE = 5
 """Recordings in a row that count as one fixture: what a cross-validation must not tear apart."""
 
 
 class Attempt(NamedTuple):
-    """One attempt with its error (mm, deg); fields as in `Pressed`."""
+    """One attempt with its error (mm, deg), known of a PROBE or of WORK; fields as in `Pressed`."""
 
+    known_of: str
     error: tuple[float, float]
     steps: NDArray[np.float32]
     conditions: NDArray[np.float32]
@@ -62,7 +65,7 @@ def pressed_of(attempts: list[Attempt], sensor: Sensor) -> Pressed:
         error=np.array([attempt.error for attempt in attempts], np.float32),
         conditions=conditions,
         split=np.full(count, SPLITS.index("train")),
-        objects=np.full(count, "cell"),
+        objects=np.array([attempt.known_of for attempt in attempts]),
         groups=names,
         fields=fields,
         length=np.array([min(len(attempt.steps), STEPS) for attempt in attempts], np.int64),
@@ -80,7 +83,8 @@ def _attempts(folder: Path, number: int) -> Iterator[Attempt]:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
     for off, (seen, _) in zip(_errors(summary, [moves for _, moves in shown]), shown, strict=False):
         if off is not None and seen is not None:
-            yield Attempt(off, *seen, number // PER_FIXTURE)
+            known_of = PROBE if summary.get("purpose") == "probe" else WORK
+            yield Attempt(known_of, off, *seen, number // PER_FIXTURE)
 
 
 def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[float, float]]:

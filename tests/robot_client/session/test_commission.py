@@ -61,12 +61,23 @@ def test_a_probe_that_goes_in_comes_up_again_and_claims_nothing():
     assert "stopped" not in {c.message.type for c in commands if isinstance(c, Send)}
 
 
-def answers(signs=(1, 1), off=(0.0, 0.0), said=""):
-    """What a cell with these signs and offsets feels on the four sides."""
+def felt(x_mm, theta_deg, sigmas=(2.0, 4.0), turns=None):
+    """A correction that says so of the error."""
+    estimate = {"dx_mm": x_mm, "dtheta_deg": theta_deg, "sigma_x_mm": sigmas[0], "sigma_theta_deg": sigmas[1]}
+    update = {"estimate": wire.Estimate(**estimate), "turns_deg": turns}
+    return correction(1).model_copy(update=update)
+
+
+def answers(signs=(1, 1), off=(0.0, 0.0), said="", turned=(-0.2, 0.2)):
+    """What a cell with these signs and offsets feels on the four sides; ``turned``: at +x."""
     for x, theta in SIDES:
-        felt = (signs[0] * 0.7 * x + off[0], signs[1] * 0.7 * theta + off[1])
+        answer = felt(
+            signs[0] * 0.7 * x + off[0],
+            signs[1] * 0.7 * theta + off[1],
+            turns=tuple(turn * x / 8.0 for turn in turned),
+        )
         at_pose = WorkPose(x_mm=x, y_mm=0.0, z_mm=35.0, yaw_deg=theta)
-        yield probe_of("p", at_pose, None if said else felt, said)
+        yield probe_of("p", at_pose, None if said else answer, said)
 
 
 @pytest.mark.parametrize("signs", WIRINGS)
@@ -94,11 +105,34 @@ def test_a_good_cell_is_never_accused(x, theta):
     assert mistakes(tuple(answers(off=(x, theta)))) == ()
 
 
-def test_a_part_that_fits_at_any_yaw_says_nothing_of_yaw():
-    good, wrong = (tuple(answers(signs)) for signs in ((1, 1), (-1, 1)))
+def test_a_yaw_that_is_not_felt_is_no_mistake_and_leaves_both_causes():
+    assert mistakes(tuple(answers((1, 0)))) == ()
+    assert mistakes(tuple(answers((-1, 0)))) == (WIRINGS[-1, 1], WIRINGS[-1, -1])
+
+
+@pytest.mark.parametrize(("turned", "finger"), [((0.2, 0.1), "left"), ((-0.1, -0.2), "right")])
+def test_one_mirrored_picture_is_named_by_the_turns_that_both_fingers_see(turned, finger):
+    (named,) = mistakes(tuple(answers((0, 0), turned=turned)))
+    assert f"the {finger} picture is mirrored" in named
+    assert mistakes(tuple(answers(turned=(0.01, 0.02)))) == ()  # too little to be a turn
+
+
+def test_what_goes_in_on_one_side_tells_where_the_gap_is():
+    good = tuple(answers(off=(5.0, 0.0)))
     fits = tuple(answers(said=WENT_IN))
-    assert mistakes(good[:2] + fits[2:]) == ()
-    assert mistakes(wrong[:2] + fits[2:]) == (WIRINGS[-1, 1],)
+    (named,) = mistakes(tuple(f if probe.x_mm < 0 else probe for probe, f in zip(good, fits, strict=True)))
+    assert "off by about +5.3 mm in x" in named
+
+
+def test_a_sure_estimate_outweighs_what_was_not_felt():
+    """Two sides that feel no yaw and say anything, with a large sigma, and two that feel it."""
+    pose = {"y_mm": 0.0, "z_mm": 35.0}
+    said = [(-9.0, 10.0), (9.0, 10.0), (-8.0, 3.0), (8.0, 3.0)]
+    signs = tuple(
+        probe_of("p", WorkPose(x_mm=x, yaw_deg=theta, **pose), felt(x, yaw, (2.0, sigma)), "")
+        for (x, theta), (yaw, sigma) in zip(SIDES, said, strict=True)
+    )
+    assert mistakes(signs) == ()
 
 
 @given(st.integers(0, 2**31), st.integers(0, 500))
@@ -119,10 +153,10 @@ class Cell:
     async def probe(self, x_mm, theta_deg):
         self.probed.append((x_mm, theta_deg))
         pose = WorkPose(x_mm=x_mm, y_mm=0.0, z_mm=35.0, yaw_deg=theta_deg)
-        felt = (self.sign * 0.7 * x_mm, 0.7 * theta_deg)
+        answer = felt(self.sign * 0.7 * x_mm, 0.7 * theta_deg)
         failed = len(self.probed) == self.fails_at
         phase = Phase.FAILED if failed else Phase.PROBED
-        return Ended(probe_of("p", pose, felt, ""), phase, "arm: tilt" if failed else "", self.gels)
+        return Ended(probe_of("p", pose, answer, ""), phase, "arm: tilt" if failed else "", self.gels)
 
     async def fetch(self):
         self.fetched_n += 1

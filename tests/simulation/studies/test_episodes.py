@@ -17,7 +17,7 @@ def probe(x_mm, theta_deg, said, sigma=1.5):
         "interval_x_mm": [said[0] - 2, said[0] + 2],
         "interval_theta_deg": [said[1] - 2, said[1] + 2],
     }
-    return {"x_mm": x_mm, "theta_deg": theta_deg, "trials": [{"decision": {"estimate": estimate}}]}
+    return {"x_mm": x_mm, "theta_deg": theta_deg, "reason": "", "trials": [{"decision": {"estimate": estimate}}]}
 
 
 def cell(sign_x, sign_theta, seed):
@@ -42,9 +42,20 @@ def test_a_reversed_cell_is_named(signs, cause):
 
 
 def test_probes_that_nobody_decided_are_told_and_a_refusal_names_its_cause():
-    refused = {"trials": [{"decision": {"reason": "contradictory", "detail": "one picture is mirrored"}}]}
-    strange = {"trials": [{"decision": {"reason": "out_of_distribution", "detail": "strange"}}]}
+    def undecided(reason, detail):
+        return {"reason": "", "trials": [{"decision": {"reason": reason, "detail": detail}}]}
+
+    refused, strange = (
+        undecided("contradictory", "one picture is mirrored"),
+        undecided("out_of_distribution", "strange"),
+    )
     assert named_mistakes([refused] * 4) == ["contradictory: one picture is mirrored"]
-    assert named_mistakes([strange, *cell(1, 1, 0)[1:]]) == ["out_of_distribution: strange"]
-    assert "nothing was felt" in named_mistakes([None, *cell(1, 1, 0)[1:]])[0]
-    assert named_mistakes([*cell(1, 1, 0)[:3], strange]) == []
+    assert named_mistakes([strange] * 4) == ["out_of_distribution: strange"]
+    assert named_mistakes([strange, *cell(1, 1, 0)[1:]]) == []
+    went_in = {"reason": "", "trials": []}
+    assert "nothing was felt" in named_mistakes([went_in] * 4)[0]
+
+
+def test_a_cell_in_which_a_probe_was_not_carried_out_is_not_accused():
+    not_held = {"reason": "service: refused: nothing_held", "trials": []}
+    assert named_mistakes([not_held, *cell(-1, 1, 0)[1:]]) == []

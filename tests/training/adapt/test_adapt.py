@@ -32,13 +32,19 @@ def steps_of(x_mm, theta_deg, rng):
     return out
 
 
-def recorded(root, count, off_mm=0.0, seed=0, *, told_right=True):
-    """Recordings of probes by a tool that is off by ``off_mm``; unless ``told_right``, of something else."""
+def recorded(root, count, off_mm=0.0, seed=0, *, told_right=True, work=False):
+    """Recordings of probes by a tool that is off by ``off_mm``, or of ``work`` that went in at the next attempt.
+
+    Unless ``told_right``, of something else.
+    """
     rng = np.random.default_rng(seed)
     for index in range(count):
         x_mm, theta_deg = (float(value) for value in rng.uniform(-12, 12, 2))
         seen = (x_mm - off_mm, theta_deg) if told_right else rng.uniform(-12, 12, 2)
-        keep(root / f"{index:04d}", [(steps_of(*seen, rng), {})], "probe", "failed", x_mm, theta_deg)
+        attempts = [(steps_of(*seen, rng), {"dx_mm": -x_mm, "dtheta_deg": -theta_deg})]
+        keep(
+            root / f"{index:04d}", attempts, *(("insert", "inserted") if work else ("probe", "failed")), x_mm, theta_deg
+        )
     return root
 
 
@@ -92,8 +98,8 @@ def test_an_unseen_point_counts_for_nothing(tmp_path):
 @pytest.mark.parametrize(
     "stages", [("calibration", "gain"), pytest.param(("calibration", "gain", "heads", "all"), marks=pytest.mark.slow)]
 )
-def test_a_tool_that_is_off_is_learnt(release, tmp_path, stages):
-    judged = adapt(recorded(tmp_path / "runs", 80, off_mm=6.0), release, tmp_path / "out", stages=stages)
+def test_a_cell_that_is_off_is_learnt_from_work(release, tmp_path, stages):
+    judged = adapt(recorded(tmp_path / "runs", 80, off_mm=6.0, work=True), release, tmp_path / "out", stages=stages)
     assert judged.accepted, judged.text()
     before, after = judged.figures["released"], judged.figures[judged.best]
     assert after["mae_x_mm"] < 0.8 * before["mae_x_mm"]
@@ -101,9 +107,22 @@ def test_a_tool_that_is_off_is_learnt(release, tmp_path, stages):
     made = Checkpoint.load(tmp_path / "out" / "checkpoint.pt")
     assert made.run["adapted"]["stage"] == judged.best
     assert made.weights_sha256() != Checkpoint.load(release).weights_sha256() or judged.best == "calibration"
-    fresh = read_episodes(recorded(tmp_path / "fresh", 40, off_mm=6.0, seed=1), made.sensor)
+    fresh = read_episodes(recorded(tmp_path / "fresh", 40, off_mm=6.0, seed=1, work=True), made.sensor)
     again = judge(made, fresh, (), 0).figures["released"]
     assert again["mae_x_mm"] < 0.8 * judge(Checkpoint.load(release), fresh, (), 0).figures["released"]["mae_x_mm"]
+
+
+def test_a_tool_that_is_off_is_told_and_not_learnt(release, tmp_path):
+    """A network that learnt it would steer every part beside the gap."""
+    judged = {
+        off_mm: adapt(recorded(tmp_path / f"{off_mm}", 60, off_mm=off_mm), release, tmp_path / "out", stages=("gain",))
+        for off_mm in (0.0, 3.0)
+    }
+    straight, off = judged[0.0], judged[3.0]
+    assert off.gap.at[0] - straight.gap.at[0] == pytest.approx(3.0, abs=3.0 * off.gap.sigma[0])
+    assert off.gap.at[1] == pytest.approx(straight.gap.at[1], abs=3.0 * off.gap.sigma[1])
+    was, now = (one.figures["released"]["mae_x_mm"] for one in (straight, off))
+    assert now == pytest.approx(was, abs=0.4)
 
 
 def test_probes_that_say_nothing_never_make_a_surer_network(release, tmp_path):

@@ -1,0 +1,44 @@
+"""A cell is asked for its signs before it learns, and a row says the same things of every cell."""
+
+import json
+
+import pytest
+
+from simulation.closed_loop.statistics import Row
+from simulation.scene.worlds import World, load_objects
+from simulation.studies.commissioning import COUNTED, MISTAKES, VERSIONS, Cell, Plan, commission, mistaken
+
+OBJECTS = ("rectangle", "circle")
+
+
+def asked_for_signs(world: World, tmp_path) -> Row:
+    from service.contract.shipped import released_models
+
+    objects = {name: world.around(scene) for name, scene in load_objects(OBJECTS).items()}
+    plan = Plan(released_models() / "checkpoint.pt", released_models(), 0, 1, workers=1)
+    return commission(Cell(world, objects, tmp_path / world.name, 3), plan)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", [World("good"), *mistaken(World("good"))], ids=lambda world: world.name)
+def test_a_mistake_of_a_first_day_is_named_and_a_good_cell_is_not(world, tmp_path):
+    row = asked_for_signs(world, tmp_path)
+    (named,) = row["mistakes_named"] or [""]
+    wants = {"good": "", "left mirrored": "mirrored", "right mirrored": "mirrored", "x reversed": "x reach the arm"}
+    wants |= {"fingers swapped": "swapped", "both mirrored": "both pictures", "yaw reversed": "yaw reach the arm"}
+    want = wants[world.name.rpartition(", ")[2]]
+    assert want in named
+    assert bool(want) == bool(named)
+    assert all(set(row[version]) == set(COUNTED) for version in VERSIONS)
+    assert json.loads(json.dumps(row))["robot_minutes"] > 0.5
+
+
+def test_probes_are_drawn_within_what_the_object_may_be_off_and_none_where_it_fits(tmp_path):
+    cell = Cell(World(), load_objects(OBJECTS), tmp_path, 1)
+    for job in cell.probes(60):
+        scene = cell.objects[job["scene"]]
+        assert abs(job["x_mm"]) <= scene.x_range_mm
+        assert abs(job["theta_deg"]) <= scene.theta_range_deg
+        assert abs(job["x_mm"]) > 2.5 or abs(job["theta_deg"]) > 3.0
+    assert len({job["seed"] for job in [*cell.probes(60), *cell.jobs(60, 3), *next(cell.signs())]}) == 124
+    assert len(MISTAKES) == 6

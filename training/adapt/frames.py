@@ -1,0 +1,58 @@
+"""Where the gap truly is in the frame that the arm was taught, as probes to both sides of it tell.
+
+A probe's error is told in the arm's frame. Where the tool or the fixture is off, all of them are off by as much, and a
+network that learnt them would steer every part beside the gap. The release answers alike to either side, so what it
+takes for no error is the gap.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.data.episodes import PROBE
+from training.data.pressed import Pressed
+
+USUAL = np.array([2.0, 2.0])
+"""By how much tools and fixtures are off as a rule, one sigma: mm, deg."""
+LEAST_GAIN = 0.3
+"""Of the release in a cell: where it feels less of an error, it does not say where the gap is."""
+LEAST_N = 8
+
+
+class Gap(NamedTuple):
+    """Where the gap is in the taught frame (mm, deg), one sigma of it, and how many probes tell it."""
+
+    at: tuple[float, float]
+    sigma: tuple[float, float]
+    probes_n: int
+
+
+def find_gap(told: NDArray[np.float64], said: NDArray[np.float64]) -> Gap:
+    """The told error [N, 2] at which the release says 0: a line through what it ``said`` [N, 2], pulled to 0 by USUAL.
+
+    At 0 with the usual sigma on an axis that it does not feel, or with fewer than LEAST_N probes.
+    """
+    at, sigma = np.zeros(2), USUAL.copy()
+    if len(told) >= LEAST_N:
+        known = np.column_stack([told, np.ones(len(told))])
+        inverse = np.linalg.pinv(known.T @ known)
+        line = inverse @ known.T @ said
+        rest = said - known @ line
+        for axis in range(2):
+            gain = line[axis, axis]
+            if gain < LEAST_GAIN:
+                continue
+            error = float(np.sqrt(rest[:, axis].var(ddof=3) * inverse[2, 2])) / gain
+            share = USUAL[axis] ** 2 / (USUAL[axis] ** 2 + error**2)
+            at[axis], sigma[axis] = -share * line[2, axis] / gain, np.sqrt(share) * error
+    return Gap((float(at[0]), float(at[1])), (float(sigma[0]), float(sigma[1])), len(told))
+
+
+def framed(samples: Pressed, said: NDArray[np.float64]) -> tuple[Pressed, Gap]:
+    """The samples with the errors of probes from where the gap is; ``said`` [N, 2] is what the release says of each."""
+    probes = samples.objects == PROBE
+    gap = find_gap(samples.error[probes].astype(np.float64), said[probes])
+    error = samples.error - np.where(probes[:, None], gap.at, 0.0).astype(np.float32)
+    return replace(samples, error=error), gap
