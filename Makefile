@@ -171,8 +171,8 @@ accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md
 slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md
 	$(RUN) -m simulation slip-report
 
-trust-live: $(RUN_VENV)/ready ## break live insertions on purpose: docs/motion_bounds.md, .json; goes on after an interruption (TOGETHER=1)
-	$(RUN) -m simulation motion-bounds $(if $(TOGETHER),--together $(TOGETHER))
+trust-live: $(RUN_VENV)/ready ## break live insertions on purpose: docs/motion_bounds.md, .json; goes on after an interruption
+	$(RUN) -m simulation motion-bounds
 
 pace: $(RUN_VENV)/ready ## what accuracy costs, in seconds a box: docs/pace.md, .json, .png; goes on after an interruption
 	$(RUN) -m simulation pace --out runs/pace --docs docs

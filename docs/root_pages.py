@@ -2,6 +2,7 @@
 
 import posixpath
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -20,11 +21,20 @@ LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages of the repository that lie outside docs/."""
+    """Add the pages of the repository that lie outside docs/, and the sources that pages lead to."""
     root = Path(config.docs_dir).parent
-    for source, page in PAGES.items():
+    for source, page in {**dict(linked_sources(root)), **PAGES}.items():
         files.append(File.generated(config, page, content=(root / source).read_text()))
     return files
+
+
+def linked_sources(root: Path) -> Iterator[tuple[str, str]]:
+    """Files of the repository, neither pages nor in docs/, that a page links to; the site has them at their path."""
+    for page in [*root.glob("docs/**/*.md"), *(root / source for source in PAGES)]:
+        for _, link, _ in LINK.findall(page.read_text()):
+            target = posixpath.normpath(posixpath.join(page.parent.relative_to(root).as_posix(), link))
+            if not target.startswith("docs/") and (root / target).is_file():
+                yield target, target
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001

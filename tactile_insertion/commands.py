@@ -41,6 +41,8 @@ GROUPS: dict[str, dict[str, Command]] = {
         "trust": Command("simulation", "trust", "count claims that are not true, under faults"),
         "pace": Command("simulation", "pace", "what settings cost in seconds a box"),
         "choose": Command("simulation", "choose", "settings for a time, a success and a force"),
+        "draw-worlds": Command("simulation", "draw-worlds", "worlds that nobody trained for, as files"),
+        "draw-objects": Command("simulation", "draw-objects", "random convex objects, as files"),
     },
     "train and export networks": {
         "train": Command("training", "train", "train the networks of a configuration"),
@@ -57,6 +59,11 @@ GROUPS: dict[str, dict[str, Command]] = {
         "accuracy": Command("simulation", "accuracy", "what physics accuracy costs in time"),
         "hard-probes": Command("simulation", "hard-probes", "10,000 random extreme contacts"),
         "slip-report": Command("simulation", "slip-report", "how well slip is detected, and the cost"),
+        "drawn-worlds": Command("simulation", "drawn-worlds", "the closed loop in drawn worlds"),
+        "sealed": Command("simulation", "sealed", "the sealed test, in another physics"),
+        "learn-worlds": Command("simulation", "commission", "cells that probe, adapt, learn from work"),
+        "motion-bounds": Command("simulation", "motion-bounds", "live faults: how far the arm goes on"),
+        "foreign-check": Command("simulation", "foreign-check", "the finite elements beside CalculiX"),
         "grasps": Command("simulation", "grasps", "recorded grasps of real objects, judged"),
     },
 }

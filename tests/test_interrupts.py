@@ -14,25 +14,46 @@ ROOT = Path(__file__).parents[1]
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 PATIENCE_S = 2.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
-# arguments, and how long to let it work before the interrupt
+# What to type, and how long to let it work before the interrupt; OUT is a folder of the test.
 COMMANDS = {
-    "collect": (
-        ["simulation", "collect", "--objects", "rectangle", "--trials-per-object", "4000", "--workers", "2"],
-        15,
-    ),
-    "trust": (["simulation", "trust", "--count", "400"], 15),
-    "run": (["simulation", "run"], 12),
-    "demo": (["simulation", "demo", "--port", "0"], 12),
-    "accuracy": (["simulation", "accuracy"], 10),
-    "hard-probes": (["simulation", "hard-probes"], 10),
+    "collect": ("simulation collect --objects rectangle --trials-per-object 4000 --workers 2 --out OUT", 15),
+    "evaluate": ("simulation evaluate --perception fields --json OUT/rows.json", 15),
+    "evaluate, foreign": ("simulation evaluate --cell foreign --perception fields --json OUT/rows.json", 15),
+    "trust": ("simulation trust --count 400 --out OUT", 15),
+    "drawn-worlds": ("simulation drawn-worlds --out OUT --docs OUT", 15),
+    "sealed": ("simulation sealed --counter 99 --out OUT --docs OUT", 15),
+    "commission": ("simulation commission --worlds OUT/world.toml --objects circle --json OUT/rows.json", 15),
+    "pace": ("simulation pace --out OUT --docs OUT", 15),
+    "motion-bounds": ("simulation motion-bounds --out OUT --runs OUT", 15),
+    "run": ("simulation run --out OUT", 12),
+    "demo": ("simulation demo --port 0 --out OUT", 12),
+    "accuracy": ("simulation accuracy --out OUT", 10),
+    "hard-probes": ("simulation hard-probes --out OUT", 10),
+    "slip-report": ("simulation slip-report --out OUT", 10),
+    "foreign-check": ("simulation foreign-check --out OUT --runs OUT", 10),
+    "verify": ("export verify models/pressing --stream-steps 10000000", 15),
+    "benchmark": ("export benchmark models/pressing/pair.step.onnx --seconds 100 --docs OUT", 10),
 }
+
+
+def interrupted(process: subprocess.Popen, name: str) -> None:
+    """Ctrl-C; it must end in time, in one line."""
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=60)
+    took_s = time.monotonic() - began
+    assert "Traceback" not in output, output[-2000:]
+    assert output.rstrip().splitlines()[-1].startswith(f"{name}: interrupted"), output[-500:]
+    assert process.returncode == 130
+    assert took_s < PATIENCE_S
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_interrupt_ends_it_at_once_in_one_line(name, tmp_path):
-    words, work_s = COMMANDS[name]
-    command = [sys.executable, "-m", *words, "--out", str(tmp_path / "out")]
-    (tmp_path / "out").mkdir()
+    typed, work_s = COMMANDS[name]
+    words = typed.replace("OUT", str(tmp_path)).split()
+    (tmp_path / "world.toml").write_text("[gel]\nfriction = 0.9\n")
+    command = [sys.executable, "-m", *words]
     process = subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
     )
@@ -40,16 +61,9 @@ def test_an_interrupt_ends_it_at_once_in_one_line(name, tmp_path):
         time.sleep(work_s)
         if process.poll() is not None:
             raise AssertionError(f"it ended by itself: {process.stdout.read()[-500:]}")
-        began = time.monotonic()
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=60)
-        took_s = time.monotonic() - began
+        interrupted(process, words[1])
     finally:
         process.kill()
-    assert "Traceback" not in output, output[-2000:]
-    assert output.rstrip().splitlines()[-1].startswith(f"{words[1]}: interrupted"), output[-500:]
-    assert process.returncode == 130
-    assert took_s < PATIENCE_S
 
 
 RUN = """name = "mine"
@@ -79,16 +93,9 @@ def epochs_until_interrupted(run: Path, least_n: int) -> list[int]:
             assert time.monotonic() < until_s
             assert process.poll() is None, process.stdout.read()[-500:]
             time.sleep(0.05)
-        began = time.monotonic()
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=60)
-        took_s = time.monotonic() - began
+        interrupted(process, "train")
     finally:
         process.kill()
-    assert "Traceback" not in output, output[-2000:]
-    assert output.rstrip().splitlines()[-1].startswith("train: interrupted")
-    assert process.returncode == 130
-    assert took_s < PATIENCE_S
     return [json.loads(line)["epoch"] for line in log.read_text().splitlines()]
 
 

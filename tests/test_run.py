@@ -24,19 +24,20 @@ def run(tmp_path, *arguments):
 
 
 def test_the_rectangle_is_inserted_through_the_real_protocols(tmp_path):
-    done = run(tmp_path, "--x-mm", "8", "--theta-deg", "6")
+    done = run(tmp_path, "--x-mm", "8", "--theta-deg", "6", "--json")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "INSERTED after" in done.stdout
+    assert "INSERTED after" in done.stderr
     (result,) = tmp_path.glob("*/result.json")
-    facts = json.loads(result.read_text())
+    (facts,) = json.loads(done.stdout)
+    assert facts == json.loads(result.read_text())
     assert facts["inserted"]
     assert facts["grasp_kept"]
     assert abs(facts["final_x_mm"]) < 4.0
-    assert "moves a real robot" not in done.stdout
-    assert done.stdout.index("page: http://127.0.0.1:") < done.stdout.index("starting the simulated cell")
-    film = Path(re.search(r"film +(\S+)", done.stdout)[1])
+    assert "moves a real robot" not in done.stderr
+    assert done.stderr.index("page: http://127.0.0.1:") < done.stderr.index("starting the simulated cell")
+    film = Path(re.search(r"film +(\S+)", done.stderr)[1])
     assert film.read_bytes()[:6] == b"GIF89a"
-    picture = Path(re.search(r"picture +(\S+)", done.stdout)[1])
+    picture = Path(re.search(r"picture +(\S+)", done.stderr)[1])
     assert picture.stat().st_size > 20_000
 
 

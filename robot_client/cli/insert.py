@@ -64,8 +64,9 @@ def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
 
 
 def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:
-    """The configured devices and the service."""
-    return settings.make_arm(), settings.make_gripper(), ServiceLink(settings.service, plan.insertion_id)
+    """The configured devices and the service; the arm goes as fast as the plan says, for which its lease is made."""
+    arm = settings.model_copy(update={"ramps": plan.ramps}).make_arm()
+    return arm, settings.make_gripper(), ServiceLink(settings.service, plan.insertion_id)
 
 
 def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> Outcome:

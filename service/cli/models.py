@@ -1,6 +1,7 @@
 """`python -m service models FOLDER`: what the service would load from a folder, and the card of each network."""
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,11 +16,21 @@ def main(arguments: Sequence[str]) -> int:
     """Print every card; raises ModelError, and so ends with 2, wherever the service would refuse to start."""
     parser = argparse.ArgumentParser(prog="tactile-insertion models", description="check a folder, print its cards")
     parser.add_argument("folder", nargs="?", type=Path, default=released_models(), help="folder of *.onnx files")
-    models = load_models(parser.parse_args(arguments).folder)
+    parser.add_argument("--json", action="store_true", help="print files, hashes and cards as JSON")
+    options = parser.parse_args(arguments)
+    models = load_models(options.folder)
     deciding = {step.path for step in models.steps}
+    if options.json:
+        print(json.dumps([_facts(model, decides=model.path in deciding) for model in models.models]))
+        return 0
     for model in models.models:
         print("\n".join(map(printable, describe(model, decides=model.path in deciding))))
     return 0
+
+
+def _facts(model: LoadedModel, *, decides: bool) -> dict[str, JsonValue]:
+    card: JsonValue = model.card.model_dump(mode="json")
+    return {"file": model.path.name, "decides": decides, "sha256": model.sha256, "card": card}
 
 
 def _seed(run: dict[str, JsonValue]) -> str:

@@ -1,9 +1,11 @@
 """`python -m service replay PATH`: a recorded insertion (.mcap) decided again."""
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from service.contract.text import printable
 from service.tools.redecide import redecide
 
 
@@ -15,5 +17,12 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("path", type=Path, help="insertion.mcap of a recording")
     parser.add_argument("--models", type=Path, metavar="DIR", help="the models, where they lie elsewhere now")
+    parser.add_argument("--json", action="store_true", help="print how many messages there are and which differ")
     options = parser.parse_args(arguments)
-    return redecide(options.path, options.models)
+    messages_n, differing = redecide(options.path, options.models)
+    if options.json:
+        print(json.dumps({"same": not differing, "messages_n": messages_n, "differing": differing}))
+    else:
+        same = f"{messages_n} messages decided again, all the same bit for bit"
+        print("\n".join(map(printable, differing)) or same)
+    return 1 if differing else 0

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from service.contract import ContractError, Finger, FrameSpec, TactileFrame
 from service.perception.markers.fingerprint import OTHER_GEL, TELLING_N, fingerprint_of, likeness
+from service.perception.markers.liveness import Liveness
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.observation import Observation
 from service.perception.rectification import CameraCalibration, Rectifier
@@ -34,6 +35,7 @@ class TactileFinger:
         measured = calibration.measured if calibration else None
         self._fingerprint = measured.fingerprint if measured else ""
         self._tracker = MarkerTracker()
+        self._liveness = Liveness()
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
         self._open = OpenGel()
@@ -45,6 +47,7 @@ class TactileFinger:
     def rearm(self) -> None:
         """The next frame becomes the reference of slip and onset; the tracker goes on."""
         self._rearm = True
+        self._liveness.rearm()
 
     def learn_open(self, frame: TactileFrame) -> str:
         """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing.
@@ -57,6 +60,7 @@ class TactileFinger:
             self._open.learn(field, shrunk(image))
         except ValueError as error:
             return str(error)
+        self._liveness.learn_open(image)
         alike = likeness(self._fingerprint, fingerprint_of(field))
         if alike is None or alike >= OTHER_GEL or field.valid.sum() < TELLING_N:
             return ""
@@ -69,9 +73,10 @@ class TactileFinger:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
         image, rectify_ms = self._rectified(frame)
         rectified = time.perf_counter()
-        field = self._tracker.update(image, frame.captured_ns)
+        found = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
-        bulge = self._open.bulge(field)
+        bulge = self._open.bulge(found)
+        field = self._liveness.judged(image, found, touched=bulge is None or bulge >= 1.0)
         marked = self._open.mark(field)
         if self._rearm:
             slip = self._slip.rearm(field)

@@ -14,7 +14,6 @@ from typing import Any
 
 from service.contract import FINGERS, FramePair, TactileFrame, wire
 from service.contract.shipped import released_models
-from service.contract.text import printable
 from service.contract.wire import Limits
 from service.decision.attempt import WorkResult
 from service.decision.models import ModelSet, load_models
@@ -158,12 +157,10 @@ def _replayed(recording: Recording, models: ModelSet) -> Replay:
     return replay
 
 
-def redecide(path: Path, models_folder: Path | None = None) -> int:
-    """Decide a recording again and print what differs; 0 if every message comes out the same, 1 if not."""
+def redecide(path: Path, models_folder: Path | None = None) -> tuple[int, list[str]]:
+    """Decide a recording again: how many messages there are, and where they differ, as lines."""
     recording = Recording(path)
     replay = _replayed(recording, trusted_models(recording, models_folder or released_models()))
     recorded = [e.json()["message"] for e in recording.of("/messages") if e.json()["from"] == "service"]
-    replayed = replay.replies[: len(recorded)] if recording.recovered else replay.replies
-    differing = differences(recorded, replayed)
-    print("\n".join(map(printable, differing)) or f"{len(recorded)} messages decided again, all the same bit for bit")
-    return 1 if differing else 0
+    replies = replay.replies[: len(recorded)] if recording.recovered else replay.replies
+    return len(recorded), differences(recorded, replies)

@@ -23,6 +23,7 @@ class CameraFeed:
     def __init__(self, camera: CameraEmulator, index: int, draw: Draw, loop: asyncio.AbstractEventLoop) -> None:
         self.error: BaseException | None = None
         self.overruns = 0
+        self.drawn_ns = 0  # capture time of the last picture that shows the gel, and not an earlier picture
         self._camera = camera
         self._index = index
         self._draw = draw
@@ -64,6 +65,7 @@ class CameraFeed:
         gel, previous = exposure.gel[self._index], exposure.previous[self._index]
         if not faults.frozen_noise or self._frozen is None:
             self._frozen = self._draw(gel, 2 * exposure.seq + self._index, previous)
+            self.drawn_ns = exposure.captured_ns
         pixels = self._frozen
         if faults.frozen_noise:
             noise = np.random.default_rng(exposure.seq).integers(-2, 3, pixels.shape)

@@ -249,6 +249,7 @@ class LiveCell:
                 {"inserted": bool(s.inserted), "shortfalls": list(s.shortfalls)} for s in self.world.left_behind
             ],
             "camera_overruns": [feed.overruns for feed in self.feeds],
+            "camera_drawn_ns": [feed.drawn_ns for feed in self.feeds],
         }
         if state is not None:
             x_mm, theta_deg = state.object_error

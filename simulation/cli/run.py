@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import tyro
@@ -22,15 +24,26 @@ from simulation.scene.worlds import load_scene
 FAILED_COUNTS_AS = 16
 
 
+@dataclass(frozen=True)
+class RunCommand(RunOptions):
+    """What the command line adds to a run."""
+
+    json: bool = False
+    """Print the results as JSON, all else to standard error."""
+
+
 def run(arguments: list[str]) -> int:
     """The whole loop: exit 0 if every insertion succeeded, 1 if one did not, 2 on wrong input."""
-    options = tyro.cli(RunOptions, args=arguments, prog="tactile-insertion run", description=run.__doc__)
+    options = tyro.cli(RunCommand, args=arguments, prog="tactile-insertion run", description=run.__doc__)
     todo = starts(options)
 
     def insert_all() -> int:
-        results = [_insert(start, options) for start in todo]
-        if len(results) > 1:
-            print(_overview(results), flush=True)
+        with contextlib.redirect_stdout(sys.stderr) if options.json else contextlib.nullcontext():
+            results = [_insert(start, options) for start in todo]
+            if len(results) > 1:
+                print(_overview(results), flush=True)
+        if options.json:
+            print(json.dumps([asdict(result) for result in results]))
         return 0 if all(result.inserted for result in results) else 1
 
     return exit_status("run", insert_all)

@@ -11,6 +11,7 @@ import tyro
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
 from simulation.closed_loop.campaign import fingerprint
+from simulation.closed_loop.job import Perception
 from simulation.scene import drawn
 from simulation.scene.worlds import files_in, load_objects, load_world
 from simulation.studies import trust
@@ -34,6 +35,7 @@ class Options(PlayOptions):
     layer_share: float = 0.02
     """of the drawn worlds that are played in the finer tier, which costs many times as much"""
     seed: int = 1
+    perception: tyro.conf.Suppress[Perception] = "fields"
 
 
 def main(arguments: list[str]) -> int:

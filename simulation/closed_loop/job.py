@@ -113,7 +113,9 @@ class Outcome:
 
     ``inserted`` is a claim that is true, ``claimed`` what the client believes, ``in_gap`` the ground truth whether
     claimed or not, ``shortfalls`` what speaks against it; ``grasps``: how often it was taken; ``void``: the physics
-    came to its end. ``seconds``: where the time went, see `Seconds`.
+    came to its end. ``seconds``: where the time went, see `Seconds`. ``fault_acted``: whether its fault came about.
+    ``unseen_mm``: the furthest that the arm went down after the capture of a judged frame before the next one, where
+    the client's lease allows ``unseen_allowed_mm``.
     """
 
     inserted: bool
@@ -129,6 +131,9 @@ class Outcome:
     seconds: dict[str, float] = field(default_factory=dict)
     shortfalls: tuple[str, ...] = ()
     grasps: int = 1
+    fault_acted: bool = False
+    unseen_mm: float = 0.0
+    unseen_allowed_mm: float = 0.0
 
     @classmethod
     def never_held(cls, job: Job, reason: str) -> Outcome:

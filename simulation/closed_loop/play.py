@@ -46,7 +46,8 @@ from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of
 from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.lockstep import GraspEndError, LockstepCell
 from simulation.closed_loop.session import session_of
-from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
+from simulation.closed_loop.true_fields import Fault, Trouble
+from simulation.closed_loop.unseen import Unseen
 from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 
@@ -71,7 +72,8 @@ class Insertion:
         self.cell = cell
         self.models = models
         self.oracle = controller == "oracle"
-        self._make_session = partial(session_of, models, cell, controller, perception, fault)
+        self._troubles = {finger: Trouble(fault) for finger in fault.fingers} if fault else {}
+        self._make_session = partial(session_of, models, cell, controller, perception, self._troubles)
         self.session = self._make_session()
         if self.oracle:  # nobody listens to the networks
             self.session.submit = self._skip_networks
@@ -79,13 +81,12 @@ class Insertion:
         self.grasps = 1
         self._tried = 0  # attempts with the object as it was taken before
         self.state = State(plan_of(cell, self._pose(), FAR if self.oracle else Limits(), reach_mm, client))
-        self.seconds = Seconds()
+        self.seconds, self.unseen = Seconds(), Unseen()
         self.trials: list[dict[str, Any]] = []
         self.until: frozenset[Phase] = frozenset()  # phases in which to stop playing
         self.before = cell.state  # what it was when the descent began, hanging free
         self._events: deque[Event] = deque()
-        self._standing = False
-        self._settled_s = 0.0
+        self._standing, self._settled_s = False, 0.0
         self._skipped: list[Work] = []
 
     def run(self) -> Outcome:
@@ -95,9 +96,8 @@ class Insertion:
             self._play()
         except (PhysicsError, GraspEndError) as stuck:
             void = f"physics: {stuck}"
-        fingers = (self.session.left, self.session.right)
-        gone = any(isinstance(finger, TrueFieldFinger) and finger.gone for finger in fingers)
-        in_gap, claimed = cell.state.inserted and not void and not gone, self.state.phase is Phase.INSERTED
+        troubles, claimed = self._troubles.values(), self.state.phase is Phase.INSERTED
+        in_gap = cell.state.inserted and not void and not any(trouble.gone for trouble in troubles)
         return Outcome(
             inserted=claimed and in_gap,
             claimed=claimed,
@@ -112,6 +112,9 @@ class Insertion:
             in_gap=in_gap,
             seconds=self.seconds.spent,
             shortfalls=cell.state.shortfalls,
+            fault_acted=any(trouble.struck for trouble in troubles),
+            unseen_mm=self.unseen.most_mm,
+            unseen_allowed_mm=self.state.plan.lease.travel_mm,
         )
 
     def _play(self) -> None:
@@ -147,7 +150,7 @@ class Insertion:
         was_moving, state = self.cell.moving, self.state
         self.cell.pausing = state.phase is Phase.DESCENDING and self.cell.now_s >= state.until_s
         pair = self.cell.next_pair(look=self.session.wants_frames)
-        now_ns = self.cell.now_ns
+        self.unseen.frame(now_ns := self.cell.now_ns, self.cell.pose[2])
         self._show(pair, now_ns)
         self._hear(self.session.on_tick(now_ns))
         self._post(ClientTick(at_s=self.cell.now_s))
@@ -184,6 +187,7 @@ class Insertion:
 
     def _hear(self, messages: list[Any]) -> None:
         for message in messages:
+            self.unseen.heard(message)
             noted = self._note(message) if isinstance(message, Correction | NoDecision) else message
             self._post(FromService(at_s=self.cell.now_s, message=noted))
 
@@ -196,8 +200,8 @@ class Insertion:
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
         frames_s = seconds_of_frames(self.session.attempt)
         wrench = [round(float(v), 3) for v in self.cell.state.wrench_n_nmm]
-        error = list(self.before.object_error)
-        self.trials.append({"error_before": error, "wrench": wrench, "decision": decision, "frames_s": frames_s})
+        trial = {"error_before": list(self.before.object_error), "wrench": wrench}
+        self.trials.append(trial | {"decision": decision, "frames_s": frames_s})
         return message
 
     def _by_the_truth(self, message: Correction | NoDecision) -> Correction:

@@ -1,26 +1,28 @@
 """The service's session that is played in lock step, with fingers that see pictures or the simulated gel itself."""
 
-from service.contract import FINGERS
+from collections.abc import Mapping
+
+from service.contract import FINGERS, Finger
 from service.decision.models import ModelSet
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
 from service.session.state_machine import InsertionSession
 from simulation.closed_loop.job import Perception, Who
 from simulation.closed_loop.lockstep import LockstepCell
-from simulation.closed_loop.true_fields import Fault, TrueFieldFinger
+from simulation.closed_loop.true_fields import Trouble, TrueFieldFinger
 
 
 def session_of(
-    models: ModelSet, cell: LockstepCell, controller: Who, perception: Perception, fault: Fault | None
+    models: ModelSet, cell: LockstepCell, controller: Who, perception: Perception, troubles: Mapping[Finger, Trouble]
 ) -> InsertionSession:
     """A fresh session; the oracle's moves come in the place of a belief's."""
-    left, right = (_finger(models, cell, index, perception, fault) for index in range(2))
+    left, right = (_finger(models, cell, index, perception, troubles) for index in range(2))
     return InsertionSession(models, left, right, controller_name="belief" if controller == "oracle" else controller)
 
 
 def _finger(
-    models: ModelSet, cell: LockstepCell, index: int, perception: Perception, fault: Fault | None
+    models: ModelSet, cell: LockstepCell, index: int, perception: Perception, troubles: Mapping[Finger, Trouble]
 ) -> FingerWatch:
     if perception == "fields":
-        return TrueFieldFinger(cell, FINGERS[index], fault)
+        return TrueFieldFinger(cell, FINGERS[index], troubles.get(FINGERS[index]))
     return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))

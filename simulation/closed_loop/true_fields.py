@@ -26,6 +26,7 @@ from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
 # RMS per axis at 2 grey levels of camera noise, and what each grey level more adds (docs/slip_report.md).
 TRACKING_PX = 0.039
 TRACKING_PX_PER_GREY = 0.0038
+COPIES_N = 2  # pictures handed out again, with which the service knows that they are no new ones
 
 
 class LatePicture:
@@ -51,7 +52,8 @@ class Fault:
     """What goes wrong with what fingers see or hold, from ``depth_mm`` of the descent of ``attempt`` on, for good.
 
     dark: no marker is found. frozen: the same frame again and again. stuck: the same picture with new camera noise.
-    dropped: the object has left the hand, unnoticed by the gripper. A negative depth: from the first frame on.
+    dropped: the object has left the hand, unnoticed by the gripper. A negative depth: since the hand was open. An
+    attempt that ends above the depth leaves the fault to the next one.
     """
 
     kind: Kind
@@ -60,12 +62,48 @@ class Fault:
     depth_mm: float = 0.0
 
 
+class Trouble:
+    """What a fault does to one finger of one insertion, also where the object is taken afresh on the way.
+
+    ``copies``: how many pictures a stuck camera has handed out more than once.
+    """
+
+    def __init__(self, fault: Fault) -> None:
+        self.fault = fault
+        self.struck = False
+        self.copies = 0
+        self._attempt, self._top_mm = 0, math.inf
+
+    def rearmed(self, height_mm: float) -> None:
+        """An attempt begins at this height."""
+        self._attempt, self._top_mm = self._attempt + 1, height_mm
+
+    def strikes(self, height_mm: float) -> bool:
+        """Whether it acts, now that the arm is at this height."""
+        fault = self.fault
+        deep = self._attempt >= fault.attempt and self._top_mm - height_mm >= fault.depth_mm
+        self.struck = self.struck or fault.depth_mm < 0.0 or deep
+        return self.struck
+
+    @property
+    def gone(self) -> bool:
+        """Whether the object has left the hand, whatever the mechanics say."""
+        return self.struck and self.fault.kind == "dropped"
+
+    def told(self, field: MarkerField) -> MarkerField:
+        """The field, marked as what the tracker finds to be no new picture.
+
+        A copy beneath fresh noise is found from the second on: see `service.perception.markers.liveness`.
+        """
+        known = self.fault.kind == "frozen" or (self.fault.kind == "stuck" and self.copies >= COPIES_N)
+        return dataclasses.replace(field, status="duplicate") if known else field
+
+
 class TrueFieldFinger:
     """A :class:`FingerWatch` that looks at the cell's gel of this moment instead of the frame."""
 
-    def __init__(self, cell: LockstepCell, finger: Finger, fault: Fault | None = None) -> None:
-        self._fault = fault if fault and finger in fault.fingers else None
-        self._attempt, self._top_mm, self._struck = 0, math.inf, False
+    def __init__(self, cell: LockstepCell, finger: Finger, trouble: Trouble | None = None) -> None:
+        self._trouble = trouble
         self._seen: NDArray[np.floating] | None = None
         self._cell = cell
         self._finger = finger
@@ -81,12 +119,8 @@ class TrueFieldFinger:
     def rearm(self) -> None:
         """The next frame becomes the reference of slip and onset."""
         self._rearm = True
-        self._attempt, self._top_mm = self._attempt + 1, self._cell.pose[2]
-
-    @property
-    def gone(self) -> bool:
-        """Whether the object has left the hand, whatever the mechanics say."""
-        return self._struck and self._fault is not None and self._fault.kind == "dropped"
+        if self._trouble:
+            self._trouble.rearmed(self._cell.pose[2])
 
     def learn_open(self, frame: TactileFrame) -> str:
         """Take the gel at rest for what nothing touches."""
@@ -110,20 +144,16 @@ class TrueFieldFinger:
 
     def _field(self, frame: TactileFrame) -> MarkerField:
         """What is found in a frame: the cell's gel, or what a fault has made of it."""
-        fault = self._fault
-        if fault and not self._struck:
-            depth_mm = self._top_mm - self._cell.pose[2]
-            self._struck = fault.depth_mm < 0.0 or (self._attempt >= fault.attempt and depth_mm >= fault.depth_mm)
-        if not fault or not self._struck or self._seen is None:
+        trouble = self._trouble
+        if trouble is None or not trouble.strikes(self._cell.pose[2]):
             self._seen = self._exposed()
-        elif fault.kind == "dark":
+            return self._tracked(self._seen, frame, 7)
+        if trouble.fault.kind == "dark":
             return empty_field(frame.captured_ns, "lost", "no marker was found")
-        gel = np.zeros_like(self._seen) if self.gone else self._seen
-        field = self._tracked(gel, frame, 7)
-        return dataclasses.replace(field, status="duplicate") if self._repeats() else field
-
-    def _repeats(self) -> bool:
-        return self._struck and self._fault is not None and self._fault.kind == "frozen"
+        if self._seen is None:
+            self._seen = np.zeros_like(self._cell.gels(self._index)[0])  # it had stood still since the hand was open
+        trouble.copies += 1
+        return trouble.told(self._tracked(np.zeros_like(self._seen) if trouble.gone else self._seen, frame, 7))
 
     def _tracked(self, gel: NDArray[np.floating], frame: TactileFrame, what: int) -> MarkerField:
         """The field of a gel state with the tracker's error on it, which ``what`` and the frame decide."""

@@ -26,10 +26,17 @@ from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World
 
 NAME = "trust"
-FAULT_FREE = 0.5  # of all insertions
+FAULT_FREE, MISTAKEN = 0.45, 0.1  # of all insertions; the rest have a fault
 KINDS: tuple[Kind, ...] = ("dark", "frozen", "stuck", "dropped")
 BLIND: tuple[tuple[Finger, ...], ...] = (("left",), ("right",), FINGERS)
-DEEPEST_MM = 24.0
+CONTACT_MM, DEEPEST_MM = 6.0, 24.0  # half of the faults begin before most objects touch, half on the way to full depth
+MISTAKES: Mapping[str, Mapping[str, Any]] = {
+    "cameras swapped": {"swapped_fingers": True},
+    "left camera mirrored": {"mirrored": [True, False]},
+    "arm moves x the other way": {"x_sign": -1},
+    "arm turns the other way": {"yaw_sign": -1},
+}
+WITHOUT = "no fault"
 
 
 def tasks(
@@ -41,30 +48,35 @@ def tasks(
     while len(todo) < count:
         world = worlds[int(rng.integers(len(worlds)))]
         name = list(objects)[int(rng.integers(len(objects)))]
-        fault = _fault(rng)
+        wrong, given = _fault(rng)
         shares = rng.uniform(-1.0, 1.0, 2)
         try:
             scene = world.around(objects[name])
         except SceneError:
             continue  # this object cannot be held in this world
         start = (shares[0] * scene.x_range_mm, shares[1] * scene.theta_range_deg)
-        told = {
-            "condition": f"{world.name}: {fault.kind if fault else 'no fault'}",
-            "fault": {**asdict(fault), "fingers": list(fault.fingers)} if fault else {},
-        }
-        job = job_in(world, name, len(todo), start, seed * 1_000_000 + len(todo), **told)
+        job = job_in(world, name, len(todo), start, seed * 1_000_000 + len(todo), condition=f"{world.name}: {wrong}")
+        if isinstance(given, Fault):
+            job["fault"] = asdict(given) | {"fingers": list(given.fingers)}
+        else:
+            job["unstated"] |= given
         todo.append(Task(models, job, made_by))
     return todo
 
 
-def _fault(rng: np.random.Generator) -> Fault | None:
-    if rng.random() < FAULT_FREE:
-        return None
+def _fault(rng: np.random.Generator) -> tuple[str, Fault | Mapping[str, Any]]:
+    """What goes wrong, by name: a fault on the way, a mistake of a first day, or nothing."""
+    share = rng.random()
+    if share < FAULT_FREE:
+        return WITHOUT, {}
+    if share < FAULT_FREE + MISTAKEN:
+        name = list(MISTAKES)[int(rng.integers(len(MISTAKES)))]
+        return name, MISTAKES[name]
     kind = KINDS[int(rng.integers(len(KINDS)))]
-    fingers = BLIND[int(rng.integers(len(BLIND)))]
-    attempt = int(rng.integers(1, 3))
-    depth_mm = float(rng.uniform(-4.0, DEEPEST_MM))
-    return Fault(kind, FINGERS if kind == "dropped" else fingers, attempt, depth_mm)
+    fingers = FINGERS if kind == "dropped" else BLIND[int(rng.integers(len(BLIND)))]
+    low_mm, high_mm = (-1.0, CONTACT_MM) if rng.random() < 0.5 else (CONTACT_MM, DEEPEST_MM)
+    fault = Fault(kind, fingers, int(rng.integers(1, 3)), float(rng.uniform(low_mm, high_mm)))
+    return f"{kind}, {' and '.join(fingers)}", fault
 
 
 def figures(rows: Sequence[Row]) -> Row:
@@ -76,27 +88,32 @@ def figures(rows: Sequence[Row]) -> Row:
         "inserted": sum(row["inserted"] for row in rows),
         "good_refused": sum(row["in_gap"] and not row["claimed"] for row in rows),
         "void": sum(row["void"] for row in rows),
+        "unseen_mm": max((row["unseen_mm"] for row in rows), default=0.0),
+        "unseen_share": max((row["unseen_mm"] / (row["unseen_allowed_mm"] or 1.0) for row in rows), default=0.0),
     }
 
 
 def report_of(rows: Sequence[Row], setup: Mapping[str, Any]) -> Row:
-    """What the page is written from, as plain data."""
+    """What the page is written from, as plain data. A fault that never came about counts as none."""
     groups: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
-        groups[_fault_of(row)].append(row)
+        idle = row["fault"] and not row["fault_acted"]
+        groups["fault that never came about" if idle else _wrong(row)].append(row)
     reasons = Counter(_short(row["reason"]) for row in rows if row["reason"])
+    untrue = [row for row in rows if row["claimed"] and not row["inserted"]]
+    keys = ("condition", "scene", "index", "seed", "shortfalls")
     return {
         "simulated": True,
         "setup": dict(setup),
         "all": figures(rows),
+        "untrue": [{key: row[key] for key in keys} for row in untrue],
         "faults": [{"fault": name, **figures(group)} for name, group in sorted(groups.items())],
         "reasons": [{"reason": reason, "insertions": count} for reason, count in reasons.most_common(20)],
     }
 
 
-def _fault_of(row: Row) -> str:
-    fault = row["fault"]
-    return f"{fault['kind']}, {' and '.join(fault['fingers'])}" if fault else "no fault"
+def _wrong(row: Row) -> str:
+    return str(row["condition"].rpartition(": ")[2])
 
 
 def _short(reason: str) -> str:
@@ -105,23 +122,30 @@ def _short(reason: str) -> str:
 
 def trust_page(data: Row) -> str:
     """The whole of docs/trust.md from trust.json."""
-    every = data["all"]
+    every, found = data["all"], {row["fault"]: row for row in data["faults"]}
     wrong = wilson(every["claimed_wrongly"], every["insertions"])
-    truths = every["inserted"] + every["good_refused"]
-    refused = wilson(every["good_refused"], truths) if truths else wilson(0, 0)
+    good = found.get(WITHOUT, figures([]))
+    truths = good["inserted"] + good["good_refused"]
+    refused = wilson(good["good_refused"], truths)
     return page(
         f"""
         # What a claim is worth, simulated
 
         Written by `make trust`: {every["insertions"]} insertions in lock step, each with its own draw of a world, an
-        object, a start and, in half of them, a fault that lasts. The service, its networks, the controller and the
-        client's machine are the shipped ones; markers are true ones with the tracker's error.
+        object, a start and, in half of them, something that goes wrong: a fault that lasts, or a mistake of a first
+        day. The service, its networks, the controller and the client's machine are the shipped ones; markers are true
+        ones with the tracker's error.
 
         **{every["claimed_wrongly"]} claims were not true: {wrong:.2%}** of all insertions, with the 95 % Wilson
-        interval. Of {truths} insertions that ended in the gap, {every["good_refused"]} were not claimed: {refused:.1%}.
-        Void are insertions in which the physics came to its end; they are neither claimed nor refused.
+        interval; what is claimed of more of them than its upper end is not shown here. Of {truths} insertions without a
+        fault that ended in the gap, {good["good_refused"]} were not claimed: {refused:.1%}. The arm went down by at
+        most {every["unseen_mm"]:.2f} mm, {every["unseen_share"]:.2f} of what its lease allows, after the capture of a
+        frame that was judged and before the next one. Void are insertions in which the physics came to its end; they
+        are neither claimed nor refused.
         """,
         data.get("note", ""),
+        *_untrue(data["untrue"]),
+        "## By what went wrong",
         table(
             data["faults"],
             ("fault", "fault"),
@@ -131,9 +155,22 @@ def trust_page(data: Row) -> str:
             ("claimed and true", "inserted", "d"),
             ("in the gap, not claimed", "good_refused", "d"),
             ("void", "void", "d"),
+            ("unseen mm", "unseen_mm", ".2f"),
+            ("of allowed", "unseen_share", ".2f"),
         ),
         "## How they ended that were not claimed",
         table(data["reasons"], ("reason", "reason"), ("insertions", "insertions", "d")),
+    )
+
+
+def _untrue(rows: Sequence[Row]) -> tuple[Any, ...]:
+    """Each untrue claim, so that it can be played again; nothing where there is none."""
+    if not rows:
+        return ()
+    against = ("what speaks against it", lambda row: "; ".join(row["shortfalls"]) or "it has left the hand")
+    return (
+        "## Claims that were not true",
+        table(rows, ("world and fault", "condition"), ("object", "scene"), ("seed", "seed", "d"), against),
     )
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import random
 from collections import Counter
 from functools import partial
@@ -23,7 +24,7 @@ from tests.robot_client.live_cell import bench
 
 PICK = WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=45.0, yaw_deg=0.0)
 REJECT = WorkPose(x_mm=25.0, y_mm=-5.0, z_mm=40.0, yaw_deg=0.0)
-OPEN_MM = 80.0
+OPEN_MM, RETREAT_MM = 80.0, 30.0
 SIGNALS = ("diTactileStart", "doTactileReady", "doTactileDone", "doTactileFault")
 QUICK = {
     "ramps": {
@@ -81,7 +82,7 @@ async def cell_with(seed=0, **overrides):
 
 
 def cycle_of(cell, lines=None, **settings):
-    taught = CycleSettings(pick=PICK, open_mm=OPEN_MM, retreat_mm=30.0, **settings)
+    taught = CycleSettings(pick=PICK, open_mm=OPEN_MM, retreat_mm=RETREAT_MM, **settings)
     said = [] if lines is None else lines
 
     async def insert(number):
@@ -104,7 +105,7 @@ def turned(arm):
 
 def fixture(cell):
     given = cell.settings.make_arm, cell.settings.make_gripper, cell.settings.limits, cell.settings.ramps
-    return Place(PICK, OPEN_MM, 30.0, *given, 20.0)
+    return Place(PICK, OPEN_MM, RETREAT_MM, *given, 20.0)
 
 
 def run(work, timeout_s=110.0):
@@ -114,6 +115,16 @@ def run(work, timeout_s=110.0):
 def is_in(left):
     x, theta, at = left
     return abs(x) <= 2.5 and abs(theta) <= 3.5 and at[2] <= 24.0
+
+
+def fastest_mm_s(trace, seconds=1.0):
+    """How fast the arm went down at most in the time from where a trace begins, over a tenth of a second each."""
+    (begin_s, _, _), *_ = trace
+    way = [(at_s, pose.position_mm[2]) for at_s, _, pose in trace if at_s < begin_s + seconds]
+    steps = [
+        (before, next((now for now in way[k:] if now[0] >= before[0] + 0.1), None)) for k, before in enumerate(way)
+    ]
+    return max((high - low) / (then_s - now_s) for (now_s, high), now in steps if now for then_s, low in [now])
 
 
 def test_parts_are_picked_inserted_and_let_go_in_order():
@@ -136,14 +147,16 @@ def test_parts_are_picked_inserted_and_let_go_in_order():
 def test_a_part_that_has_turned_in_the_hand_is_taken_afresh_and_tried_again_more_slowly_where_it_stood():
     async def work():
         async with cell_with() as (cell, part):
-            armed, speeds = [], []
+            armed, speeds, refused_at, descents = [], [], [], []
 
             def refuse_once(message):
                 if isinstance(message, wire.Descending):
                     speeds.append(message.speed_mm_s)
+                    descents.append(len(cell.trace))
                 if isinstance(message, wire.Arm):
                     armed.append((message.insertion_id, message.attempt, cell.cabinet.arm.pose.position_mm[0]))
                     if len(armed) == 2:
+                        refused_at.append(len(cell.trace))
                         return [turned(message)]
                 return None
 
@@ -151,16 +164,21 @@ def test_a_part_that_has_turned_in_the_hand_is_taken_afresh_and_tried_again_more
             place, plan = fixture(cell), make_plan(cell.settings, 8.0, 0.0, "first", None)
             await place.put_back()  # nothing yet: the arm stands there with open fingers
             state = await upright(plan, partial(insertion, cell), place, print)
-            return state, armed, speeds, part.held
+            back = [pose.position_mm for _, _, pose in cell.trace[refused_at[0] :]]
+            return state, armed, speeds, part.held, back, [fastest_mm_s(cell.trace[begin:]) for begin in descents]
 
-    state, armed, speeds, held = run(work)
+    state, armed, speeds, held, back, measured = run(work)
     assert state.phase is Phase.INSERTED
     assert state.attempt == len(armed) - 1, "an attempt that was not armed is none"
     assert [name == "first" for name, _, _ in armed[:3]] == [True, True, False]
     assert armed[2][1] == 1
     assert armed[2][2] == pytest.approx(armed[1][2], abs=0.2)
     assert speeds[1] < speeds[0]
+    assert measured == pytest.approx(speeds, rel=0.2), "as fast as told, for which the lease is made"
     assert held
+    (x, y, z), *way = back
+    aside = next(at for at in way if math.hypot(at[0] - x, at[1] - y) > 0.2)
+    assert aside[2] > z + RETREAT_MM - 0.2, "first straight up, from between its neighbours, then over"
 
 
 @pytest.mark.slow

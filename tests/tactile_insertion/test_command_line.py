@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+import service.__main__
+import simulation.__main__
 from tactile_insertion.command_line import main, usage
 from tactile_insertion.commands import COMMANDS
 
@@ -26,6 +28,13 @@ def test_every_command_helps_from_its_own_package_within_80_columns(name, capsys
     out = capsys.readouterr().out
     assert "usage" in out.lower()
     assert max(map(len, out.splitlines())) <= 80
+
+
+def test_it_reaches_every_command_of_every_room():
+    reached = {(command.package, command.name) for command in COMMANDS.values()}
+    rooms = {"simulation": simulation.__main__.COMMANDS, "service": service.__main__.COMMANDS}
+    assert {(room, name) for room, commands in rooms.items() for name in commands} <= reached
+    assert {package for package, _ in reached} == {*rooms, "training", "export", "robot_client"}
 
 
 def test_a_misspelt_command_is_refused_with_the_nearest_one(capsys):

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,6 @@ class BoundsOptions:
     """folder of the page"""
     runs: Path = Path("runs/motion-bounds")
     """where the broken insertions and their rows are kept; rows that are there are not measured again"""
-    together: int = 1
-    """insertions at once: one for each two processors"""
     models: Path = field(default_factory=released_models)
     """folder with the networks"""
     only: str = ""
@@ -48,13 +45,10 @@ def measure(options: BoundsOptions, tell: Callable[[str], None]) -> list[dict[st
     todo = [case for case in cases(options.only) if (case[0].name, case[1]) not in done]
     options.runs.mkdir(parents=True, exist_ok=True)
 
-    def one(case: tuple[Fault, Phase]) -> None:
+    for case in todo:
         row = row_of(*case, RunOptions(models=options.models), options.runs)
         with (options.runs / "rows.jsonl").open("a") as file:
             file.write(json.dumps(row) + "\n")
         tell(f"{row['fault']}, {row['phase']}: {row['travel_mm']:.2f} mm, {row['force_n']:.1f} N, {row['ended']}")
-
-    with ThreadPoolExecutor(options.together) as pool:
-        list(pool.map(one, todo))
     done = rows_in(options.runs)
     return [done[fault.name, phase] for fault, phase in cases(options.only)]

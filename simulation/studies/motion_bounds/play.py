@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import shutil
 import threading
 import time
@@ -70,13 +71,14 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
         (folder / "trace.json").write_text(json.dumps(trace))
         logs = [child.log for child in (running.cell, running.service, running.client)]
         relays[0].close()
-    entries = _entries(running.episode)
-    end: dict[str, Any] = next((e["end"] for e in entries if "end" in e), {})
+    entries = _entries(folder)
+    since_ns = min(truth["camera_drawn_ns"]) if injected_ns and math.isinf(fault.hides_s) else injected_ns
+    end: dict[str, Any] = next((e["end"] for e in reversed(entries) if "end" in e), {})
     return Row(
         fault=fault.name,
         phase=phase,
         injected=injected_ns is not None,
-        travel_mm=_travel_mm(trace, entries, fault, injected_ns),
+        travel_mm=_travel_mm(trace, entries, fault, since_ns),
         force_n=truth["course"]["max_force_n"],
         moved_mm=_moved_mm(trace, entries),
         ended="hung" if hung else str(end.get("reason") or end.get("phase") or "killed")[:160],
@@ -115,9 +117,11 @@ def _ended(client: Child) -> bool:
     return client.code is not None
 
 
-def _entries(episode: Path) -> list[dict[str, Any]]:
+def _entries(folder: Path) -> list[dict[str, Any]]:
+    """Of all logs of the insertion: an object that is taken afresh begins one of its own."""
+    logs = sorted(folder.glob("episode*.jsonl"), key=lambda log: (len(log.name), log.name))
     entries = []
-    for line in episode.read_text(errors="replace").splitlines():
+    for line in [line for log in logs for line in log.read_text(errors="replace").splitlines()]:
         with contextlib.suppress(json.JSONDecodeError):  # the client died while it wrote this line
             entries.append(json.loads(line))
     return entries

@@ -1,5 +1,6 @@
 """A recording may come from anybody: nothing that it names is opened."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -51,12 +52,20 @@ def test_the_models_that_a_recording_names_are_not_opened(
 
 
 def test_models_that_the_user_trusts_are_opened_once_their_hashes_are_the_recorded_ones(
-    tmp_path: Path, models_folder: Path, opened: list[Path]
+    tmp_path: Path, models_folder: Path, opened: list[Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = recording(tmp_path / "r", tmp_path / "nowhere", hashes_of(models_folder))
     opened.clear()
-    assert main(["replay", str(path), "--models", str(models_folder)]) == 0
+    assert main(["replay", str(path), "--models", str(models_folder), "--json"]) == 0
     assert opened
+    assert json.loads(capsys.readouterr().out) == {"same": True, "messages_n": 0, "differing": []}
+
+
+def test_a_folder_of_models_is_told_as_json(models_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["models", str(models_folder), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert sorted(one["sha256"] for one in told) == sorted(hashes_of(models_folder))
+    assert {one["card"]["role"] for one in told if one["decides"]} == {"direction", "magnitude"}
 
 
 @pytest.mark.slow

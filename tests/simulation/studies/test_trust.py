@@ -1,5 +1,7 @@
 """Faults in the middle of a descent that would fit: what is claimed of them, and how it is counted."""
 
+import json
+
 import pytest
 
 from service.decision.models import ModelSet, load_models
@@ -35,12 +37,16 @@ def test_without_a_fault_it_is_claimed_and_true(models):
         ({"kind": "frozen"}, "unwatched"),
         ({"kind": "frozen", "fingers": ("right",)}, "unwatched"),
         ({"kind": "dark"}, "unwatched"),
+        ({"kind": "stuck"}, "unwatched"),
+        ({"kind": "stuck", "fingers": ("left",)}, "unwatched"),
     ],
 )
 def test_a_hand_that_is_empty_or_eyes_that_are_blind_claim_nothing(models, fault, says):
     row = insert(fits(**fault), models)
+    assert row["fault_acted"]
     assert not row["claimed"]
     assert says in row["reason"]
+    assert says == "nothing_held" or 0.0 < row["unseen_mm"] <= row["unseen_allowed_mm"]
     if fault["kind"] == "dropped":
         assert not row["in_gap"], "the mechanics still hold it, the hand does not"
 
@@ -48,16 +54,22 @@ def test_a_hand_that_is_empty_or_eyes_that_are_blind_claim_nothing(models, fault
 def test_the_draw_is_the_same_for_the_same_seed_and_holds_every_kind(tmp_path):
     worlds = [drawn.world(tables, str(number)) for number, tables in enumerate(drawn.draw_worlds(5, 2))]
     objects = load_objects(["circle", "can"])
-    first, again = (trust.tasks(worlds, objects, 80, 4, tmp_path, "") for _ in range(2))
+    first, again = (trust.tasks(worlds, objects, 200, 4, tmp_path, "") for _ in range(2))
     assert first == again
-    kinds = {task.job["fault"].get("kind", "") for task in first}
-    assert kinds == {"", *trust.KINDS}
-    assert trust.tasks(worlds, objects, 80, 5, tmp_path, "") != first
+    kinds = {task.job["fault"]["kind"] for task in first if "fault" in task.job}
+    assert kinds == set(trust.KINDS)
+    assert {task.job["condition"].partition(": ")[2] for task in first} > {trust.WITHOUT, *trust.MISTAKES}
+    assert all(task.made(json.loads(json.dumps(task.job))) for task in first), "what is in the log is not played again"
+    assert trust.tasks(worlds, objects, 200, 5, tmp_path, "") != first
 
 
 def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
     row = {"fault": {}, "reason": "", "claimed": True, "inserted": True, "in_gap": True, "void": False}
-    rows = [row] * 97 + [row | {"inserted": False, "in_gap": False}]
+    row |= {"condition": "w: no fault", "scene": "can", "index": 1, "seed": 7, "shortfalls": ()}
+    row |= {"unseen_mm": 1.2, "unseen_allowed_mm": 1.5}
+    faulty = {"fault": {"kind": "stuck"}, "condition": "w: stuck, left", "fault_acted": True}
+    rows = [row] * 96 + [row | faulty | {"fault_acted": False}]
+    rows += [row | faulty | {"inserted": False, "in_gap": False, "shortfalls": ("it is tilted",), "unseen_mm": 3.0}]
     rows += [row | {"claimed": False, "inserted": False, "reason": "service: not_confirmed: full depth"}]
     rows += [row | {"claimed": False, "inserted": False, "in_gap": False, "void": True, "reason": "physics: x"}]
     data = trust.report_of(rows, {})
@@ -68,7 +80,15 @@ def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
         "inserted": 97,
         "good_refused": 1,
         "void": 1,
+        "unseen_mm": 3.0,
+        "unseen_share": 2.0,
+    }
+    assert {group["fault"]: group["insertions"] for group in data["faults"]} == {
+        "no fault": 98,
+        "stuck, left": 1,
+        "fault that never came about": 1,
     }
     text = trust.trust_page(data)
     assert "**1 claims were not true: 1.00 % (0.18 .. 5.45)**" in text
-    assert "Of 98 insertions that ended in the gap, 1 were not claimed" in text
+    assert "Of 97 insertions without a fault that ended in the gap, 1 were not claimed" in text.replace("\n", " ")
+    assert "| w: stuck, left | can | 7 | it is tilted |" in text

@@ -1,0 +1,84 @@
+"""Whether a picture is new: the noise of a camera comes once, also where nothing in the picture moves.
+
+What hands out one picture again and again may put fresh noise on it; each copy then differs from the one before like
+any live frame. But the copies lie around the picture that they were made of: two of them are nearer to it than to each
+other, by a factor of two in squared distance whatever the strength of either noise. Of live frames at rest all are
+equally far from each other, and motion only takes an earlier frame further away.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from service.perception.markers.field import MarkerField
+
+NEARER = 1.15  # times in squared distance: live frames at rest show 0.95 to 1.05, copies 2, strongly compressed 1.25
+
+Grain = NDArray[np.float32]
+
+
+class Liveness:
+    """Follows one finger's pictures, and tells copies from new ones.
+
+    A copy is found from the second one on, if the picture that they were made of was seen and had noise of its own. A
+    picture that stood still before looks live, but for one: that of the open hand, which a grasp changes. Where a light
+    grip has moved no marker, it must at least have changed the grain.
+    """
+
+    def __init__(self) -> None:
+        self._last: Grain | None = None
+        self._before: Grain | None = None
+        self._original: Grain | None = None
+        self._open: Grain | None = None
+        self._armed_n = 0
+        self._changed = True
+
+    def learn_open(self, image: NDArray[np.uint8]) -> None:
+        """Take the rectified frame uint8 [H, W, 3] for one of the open hand."""
+        self._open = _grain(image)
+
+    def rearm(self) -> None:
+        """The next frame shows a held object."""
+        self._armed_n, self._changed = 0, self._open is None
+
+    def judged(self, image: NDArray[np.uint8], field: MarkerField, *, touched: bool) -> MarkerField:
+        """The field tracked in a rectified frame uint8 [H, W, 3]; a "duplicate" where the frame is a copy.
+
+        ``touched``: whether its markers are elsewhere than in the open gel.
+        """
+        if not field.usable:
+            return field
+        grain, self._changed = _grain(image), self._changed or touched
+        reason = self._repeated(grain)
+        self._before, self._last, self._armed_n = self._last, grain, self._armed_n + 1
+        return replace(field, status="duplicate", reason=reason) if reason else field
+
+    def _repeated(self, grain: Grain) -> str:
+        """Why the picture is no new one, or nothing."""
+        original = self._before if self._original is None else self._original
+        copied = _nearer(original, self._last, grain, 1.0 / NEARER)
+        self._original = original if copied else None
+        if copied:
+            return "the frame repeats an earlier one beneath fresh noise"
+        if not self._changed and self._armed_n:
+            self._changed = not _nearer(self._open, self._last, grain, NEARER)
+            if not self._changed:
+                return "the picture has not changed since the hand was open"
+        return ""
+
+
+def _nearer(original: Grain | None, one: Grain | None, other: Grain, times: float) -> bool:
+    """Whether both pictures are nearer to the original than so many times as far as they are from each other."""
+    if original is None or one is None:
+        return False
+    away = max(cv2.norm(original, one, cv2.NORM_L2SQR), cv2.norm(original, other, cv2.NORM_L2SQR))
+    return bool(away < times * cv2.norm(one, other, cv2.NORM_L2SQR))
+
+
+def _grain(image: NDArray[np.uint8]) -> Grain:
+    """What is finer than a few pixels in the middle of the picture's green channel: light that flickers is coarser."""
+    height, width = image.shape[:2]
+    middle = image[height // 4 : -(height // 4), width // 4 : -(width // 4), 1].astype(np.float32)
+    return np.asarray(middle - cv2.blur(middle, (3, 3)), np.float32)

@@ -1,0 +1,59 @@
+"""Copies of a picture beneath fresh noise against live frames of a gel at rest and in motion."""
+
+import cv2
+import numpy as np
+import pytest
+
+from service.contract import FrameSpec, TactileFrame
+from service.perception.finger import TactileFinger
+from tests.service import drawn
+
+REST_N, ONSET, SLIP_AT, COPIES_N = 8, 12, 18, 6
+
+
+def seen(pictures, quality):
+    """Whether each picture was new to the finger."""
+    renderer = drawn.renderer("left")
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    new = []
+    for k, picture in enumerate(pictures):
+        sent = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1] if quality else None
+        pixels = picture if sent is None else np.asarray(cv2.imdecode(sent, 1), np.uint8)
+        new.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)).field.usable)
+    return new
+
+
+def live(count, first=0):
+    return [drawn.raw("left", k, ONSET, SLIP_AT) for k in range(first, first + count)]
+
+
+def copies(original, grey, seed=1):
+    noise = np.random.default_rng(seed).integers(-grey, grey + 1, (COPIES_N, *original.shape))
+    return list(np.clip(original + noise, 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize("quality", [None, 80])
+def test_live_frames_are_new_at_rest_in_motion_and_in_slip(quality):
+    assert all(seen(live(SLIP_AT + 6), quality))
+
+
+@pytest.mark.parametrize(("grey", "quality"), [(2, None), (2, 80), (8, 95)])
+@pytest.mark.parametrize("frozen_at", [REST_N, ONSET + 2])
+def test_copies_beneath_fresh_noise_are_none_from_the_second_on(frozen_at, grey, quality):
+    before = live(frozen_at)
+    new = seen([*before, *copies(before[-1], grey), *live(4, frozen_at)], quality)
+    assert new == [True] * (frozen_at + 1) + [False] * (COPIES_N - 1) + new[-4:]
+    assert all(new[-3:]), "a camera that lives again is believed"
+
+
+def test_a_picture_that_no_grasp_has_changed_is_none_until_it_changes():
+    renderer = drawn.renderer("left")
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    at_rest = np.zeros((20, 21, 3), np.float32)
+    finger.learn_open(TactileFrame("left", 0, 0, renderer.raw(at_rest, 500)))
+    finger.rearm()
+    new = []
+    for k, gel in enumerate([at_rest] * 4 + [drawn.gel(0.0)] * 3 + [at_rest] * 3, 1):
+        pixels = renderer.raw(gel, 500 + k)
+        new.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)).field.usable)
+    assert new == [True] + [False] * 3 + [True] * 6, "what lets go later is a release, not a copy"
