@@ -20,6 +20,7 @@ FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was
 WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; gel gives way by less
 BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry,
 BLIND_MM = 2.5  # or as long as a slow arm takes for this
+SLID_MM = 0.8  # where the object slid further on than this, nothing shows how far it turned
 PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
 
 
@@ -42,7 +43,8 @@ class GraspRecord:
         """Take in an attempt that was blocked."""
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
-        self.turned_deg += lasting_turn_deg(attempt.ring[-1] if attempt.ring else None)
+        followed = slid_mm(attempt) <= SLID_MM
+        self.turned_deg += lasting_turn_deg(attempt.ring[-1] if attempt.ring and followed else None)
 
     @property
     def turned(self) -> str:
@@ -60,6 +62,27 @@ def pressed_mm(attempt: Attempt) -> float:
     if began is None or onset is None or stopped is None or not began < onset < stopped:
         return 0.0
     return (attempt.depth_mm - attempt.start_mm) * (stopped - onset) / (stopped - began)
+
+
+def slid_mm(attempt: Attempt) -> float:
+    """How far a blocked attempt went on after the gels had stopped following the object, mm; NaN where it is not known.
+
+    While they stick, the markers move for as long as the arm does. From the time in which they made the middle four
+    fifths of their motion follows when they stopped. A camera's latency lets it seem less.
+    """
+    began, stopped = attempt.descending_ns, attempt.stopped_ns
+    if began is None or stopped is None:
+        return math.nan
+    seen = [((push.captured_ns - began) * 1e-9, push.moved_pitch) for push in attempt.pushes]
+    lasted_s = (stopped - began) * 1e-9
+    seen = [(at_s, moved) for at_s, moved in seen if at_s <= lasted_s and math.isfinite(moved)]
+    if not seen or not max(moved for _, moved in seen) > 0.0:
+        return math.nan
+    stamps_s, moved = np.array(seen).T
+    grown = np.maximum.accumulate(moved)
+    from_s, to_s = np.interp([0.1, 0.9], grown / grown[-1], stamps_s)
+    slid_s = lasted_s - to_s - (to_s - from_s) / 8
+    return (attempt.depth_mm - attempt.start_mm) / lasted_s * float(slid_s)
 
 
 # ---- at full depth ----------------------------------------------------------------------------------------------

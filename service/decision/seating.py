@@ -26,11 +26,15 @@ VALID_SHARE = 0.5  # of a finger's markers
 
 
 class Push(NamedTuple):
-    """How far the object has pushed the gels up since the reference, in marker pitches; NaN where it is not known."""
+    """How far the object has pushed the gels up since the reference, in marker pitches; NaN where it is not known.
+
+    ``moved_pitch``: how far the markers moved in any direction, root mean square.
+    """
 
     captured_ns: int
     weaker_pitch: float
     mean_pitch: float
+    moved_pitch: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +72,17 @@ def push_of(both: PairObservation, reference: PairObservation) -> Push:
 
     NaN if a finger gives no new evidence, another grid, too few markers, or numbers that are not finite.
     """
-    means = []
+    means, squares = [], []
     for now, then in zip(both.fingers, reference.fingers, strict=True):
         may = now.field.valid & then.field.valid if now.field.valid.shape == then.field.valid.shape else np.zeros(0)
         if not now.field.usable or not may.sum() > VALID_SHARE * may.size:
             return Push(both.captured_ns, math.nan, math.nan)
-        carried = now.field.displacement_px[may, 1] - then.field.displacement_px[may, 1]
-        means.append(-float(np.mean(carried, dtype=np.float64)) / now.field.pitch_px)
+        carried = now.field.displacement_px[may] - then.field.displacement_px[may]
+        means.append(-float(np.mean(carried[:, 1], dtype=np.float64)) / now.field.pitch_px)
+        squares.append(float(np.square(carried, dtype=np.float64).sum(-1).mean()) / now.field.pitch_px**2)
     mean = 0.5 * (means[0] + means[1])
-    return Push(both.captured_ns, min(means) if math.isfinite(mean) else math.nan, mean)
+    weaker = min(means) if math.isfinite(mean) else math.nan
+    return Push(both.captured_ns, weaker, mean, math.sqrt(0.5 * (squares[0] + squares[1])))
 
 
 def strongest_push(pushes: Sequence[Push]) -> float:

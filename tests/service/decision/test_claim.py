@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from service.contract import Sensor, wire
 from service.decision.attempt import Attempt, Stage
-from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm
+from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm, slid_mm
 from service.decision.seating import Push
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation, PairObservation
@@ -75,6 +75,11 @@ def test_one_thing_that_is_wrong_is_a_doubt(changes: dict[str, object], reason: 
     assert reason in reasons(descent(**changes))
 
 
+def test_a_doubt_says_by_how_much() -> None:
+    (doubt,) = doubts(descent(gripper_width_mm=47.0), GraspRecord(width_mm=50.0))
+    assert (doubt.value, doubt.bound) == (3.0, 1.0)
+
+
 @pytest.mark.parametrize(("left", "reason"), [(0.9, "not_held"), (None, "not_seen")])
 def test_a_finger_that_feels_nothing_any_more_or_does_not_tell_is_a_doubt(left: float | None, reason: str) -> None:
     attempt = descent()
@@ -109,6 +114,27 @@ def test_an_object_that_was_turned_on_the_way_down_is_not_claimed() -> None:
 def test_what_was_pressed_too_far_is_not_claimed() -> None:
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=5.1)) == ["moved_in_hand"]
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=4.9)) == []
+
+
+def blocked(contact_s: float, grip_mm: float, rate_hz: float = 30.0) -> Attempt:
+    """An attempt at 10 mm/s whose markers follow the object from ``contact_s`` on, for ``grip_mm`` at most, of 2 mm."""
+    stamps_s = np.arange(0.0, contact_s + 0.2, 1 / rate_hz)
+    pushes = [Push(int(at_s * 1e9), 0.0, 0.0, min(max(0.0, 10 * (at_s - contact_s)), grip_mm)) for at_s in stamps_s]
+    return descent(pushes=pushes, stopped_ns=int((contact_s + 0.2) * 1e9), depth_mm=10 * (contact_s + 0.2))
+
+
+@given(st.floats(0.2, 1.0), st.floats(0.2, 1.9), st.sampled_from([30.0, 60.0, 120.0]))
+def test_the_way_that_an_object_slid_is_what_the_arm_went_on_after_the_markers_stopped(
+    contact_s: float, grip_mm: float, rate_hz: float
+) -> None:
+    assert slid_mm(blocked(contact_s, grip_mm, rate_hz)) == pytest.approx(2.0 - grip_mm, abs=12.0 / rate_hz)
+
+
+def test_an_object_that_slid_far_or_was_not_seen_has_turned_by_nobody_knows_how_much() -> None:
+    for attempt in (blocked(0.5, 0.3), descent(stopped_ns=None), descent(pushes=[])):
+        grasp = GraspRecord(50.0)
+        grasp.blocked(attempt)
+        assert math.isnan(grasp.turned_deg)
 
 
 def test_a_grasp_remembers_its_strongest_push_and_its_furthest_press() -> None:
