@@ -119,8 +119,8 @@ test-lowest: ## every module and some tests with the lowest versions that pyproj
 	$(LOWEST_VENV)/bin/python -m tests.import_everything
 	$(LOWEST_VENV)/bin/python -m export verify $(MODELS)
 	$(LOWEST_VENV)/bin/python -m simulation probe rectangle --x-mm 8 --theta-deg 5
-	uv pip install -q --python $(LOWEST_VENV)/bin/python pytest pytest-timeout pytest-xdist hypothesis
-	$(LOWEST_VENV)/bin/python -m pytest -n 2 -m "not slow" -o filterwarnings= $(LOWEST_TESTS)
+	uv pip install -q --python $(LOWEST_VENV)/bin/python pytest pytest-timeout pytest-xdist hypothesis jsonschema-rs
+	$(LOWEST_VENV)/bin/python -m pytest -n 2 --timeout=600 -m "not slow" -o filterwarnings= $(LOWEST_TESTS)
 
 # ---- from probes to released models -------------------------------------------------------------------------------
 

@@ -11,7 +11,17 @@ from pydantic import JsonValue
 from reporting.table import table
 from service.contract import ContractError
 from training.adapt.frames import Gap, framed
-from training.adapt.stages import FOLDS, STAGES, StageName, calibrated, fit_stage, held_out, trainer_of
+from training.adapt.stages import (
+    FOLDS,
+    STAGES,
+    Rows,
+    StageName,
+    calibrated,
+    fit_stage,
+    folds_of,
+    held_out,
+    trainer_of,
+)
 from training.data.episodes import read_episodes
 from training.data.labels import class_of
 from training.data.pressed import Pressed
@@ -90,7 +100,8 @@ def judge(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], 
         few = f"{len(samples)} attempts of {fixtures_n} fixtures, expected at least {FEWEST} of {FOLDS}: probe more"
         return Judged({}, "released", (few,), len(samples), fixtures_n)
     said = {stage: held_out(stage, release, samples, seed)[0] for stage in dict.fromkeys(("released", *stages))}
-    fair = {stage: _fair(stage, release, one, samples.groups) for stage, one in said.items()}
+    folds = folds_of(samples, seed)
+    fair = {stage: _fair(stage, release, one, folds) for stage, one in said.items()}
     losses = {stage: _losses(one) for stage, one in fair.items()}
     by_loss = sorted(fair, key=lambda stage: float(losses[stage].mean()))
     likelier = by_loss[: by_loss.index("released")]
@@ -101,14 +112,15 @@ def judge(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], 
     return Judged(described, best, objections, len(samples), fixtures_n)
 
 
-def _fair(stage: StageName, release: Checkpoint, said: Predictions, groups: NDArray[np.str_]) -> Predictions:
-    """Calibrated predictions, each half of the fixtures by the other: none by a fit that it was part of."""
+def _fair(stage: StageName, release: Checkpoint, said: Predictions, folds: list[Rows]) -> Predictions:
+    """Calibrated predictions, each fold of the fixtures by the others: none by a fit that it was part of."""
     if stage == "released":
         return said.rescaled(release.scales)
-    half = np.isin(groups, np.unique(groups)[::2])
-    one, other = said.take(half), said.take(~half)
-    parts = one.rescaled(calibrated(release.scales, other)), other.rescaled(calibrated(release.scales, one))
-    back = np.argsort(np.concatenate([np.flatnonzero(half), np.flatnonzero(~half)]))
+    parts = []
+    for held in folds:
+        mine = np.isin(np.arange(len(said.truth)), held)
+        parts.append(said.take(mine).rescaled(calibrated(release.scales, said.take(~mine))))
+    back = np.argsort(np.concatenate([np.sort(held) for held in folds]))
     joined = {name: np.concatenate([getattr(part, name) for part in parts])[back] for name in Predictions.__slots__}
     return Predictions(**joined)
 
