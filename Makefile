@@ -20,7 +20,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report pace bench bench-serving peers bench-hostile soak collect train pressing export evaluate trust drawn-worlds requirements docs clean
+.PHONY: help run demo trust-live lint test test-all test-lowest hard-cases mutants accuracy slip-report pace bench bench-serving peers bench-hostile soak collect train pressing export evaluate trust drawn-worlds commissioning requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -119,8 +119,8 @@ test-lowest: ## every module and some tests with the lowest versions that pyproj
 	$(LOWEST_VENV)/bin/python -m tests.import_everything
 	$(LOWEST_VENV)/bin/python -m export verify $(MODELS)
 	$(LOWEST_VENV)/bin/python -m simulation probe rectangle --x-mm 8 --theta-deg 5
-	uv pip install -q --python $(LOWEST_VENV)/bin/python pytest pytest-timeout pytest-xdist hypothesis
-	$(LOWEST_VENV)/bin/python -m pytest -n 2 -m "not slow" -o filterwarnings= $(LOWEST_TESTS)
+	uv pip install -q --python $(LOWEST_VENV)/bin/python pytest pytest-timeout pytest-xdist hypothesis jsonschema-rs
+	$(LOWEST_VENV)/bin/python -m pytest -n 2 --timeout=600 -m "not slow" -o filterwarnings= $(LOWEST_TESTS)
 
 # ---- from probes to released models -------------------------------------------------------------------------------
 
@@ -207,6 +207,12 @@ trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn
 
 drawn-worlds: $(RUN_VENV)/ready ## the closed loop in 300 drawn worlds with drawn objects, all variants: docs/drawn_worlds.md
 	$(RUN) -m simulation drawn-worlds --out runs/drawn_worlds --docs docs
+
+commissioning: $(RUN_VENV)/ready ## first days of 12 drawn cells: signs with each mistake, probes, adapting, work: docs/commissioning.md
+	$(RUN) -m simulation draw-worlds --count 12 --seed 51 --out runs/commissioning/worlds
+	$(RUN) -m simulation draw-objects --count 4 --seed 51 --out runs/commissioning/objects
+	$(RUN) -m simulation commission --worlds runs/commissioning/worlds --objects runs/commissioning/objects --mistakes \
+	  --seed 51 --json runs/commissioning/rows.json --docs docs
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.

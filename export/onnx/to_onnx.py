@@ -28,7 +28,8 @@ from training.networks.forms import Role, SequenceForm, StepForm
 from training.networks.preprocessing import CHANNELS, selector
 from training.networks.settings import FRAMES_PER_DECISION
 
-TOLERANCE = 1e-5
+TOLERANCE, STATE_TOLERANCE = 1e-5, 1e-4
+"""Of what is answered, and of the state that only the next step reads: torch itself rounds it by up to 1e-5."""
 IR, OPSET = 8, 18  # the graphs need no newer form; onnxruntime 1.17 and all since read it
 FLOAT = onnx.TensorProto.FLOAT
 LARGEST_SHARED = 10**7
@@ -182,11 +183,14 @@ def _check_parity(wrapped: nn.Module, example: dict[str, torch.Tensor], file: Pa
     onnx.checker.check_model(str(file), full_check=True)
     with torch.no_grad():
         expected = wrapped(**example)
-    got = session(file).run(None, {name: value.numpy() for name, value in example.items()})
-    for tensor, array in zip(expected, got, strict=True):
+    run = session(file)
+    got = run.run(None, {name: value.numpy() for name, value in example.items()})
+    for output, tensor, array in zip(run.get_outputs(), expected, got, strict=True):
         gap = float(np.abs(tensor.numpy() - array).max() / max(1.0, np.abs(array).max()))
-        if not gap <= TOLERANCE:
-            raise ContractError(f"{file.name}: torch and onnxruntime differ by {gap:.2e}, expected at most {TOLERANCE}")
+        most = STATE_TOLERANCE if output.name == "next_state" else TOLERANCE
+        if not gap <= most:
+            what = f"{file.name}: {output.name} of torch and onnxruntime"
+            raise ContractError(f"{what} differ by {gap:.2e}, expected at most {most:g}")
 
 
 def attach_card(file: Path, card: ModelCard) -> None:

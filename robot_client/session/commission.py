@@ -6,6 +6,7 @@ commissioning goes on where it was: at most the probe under way is lost.
 """
 
 import asyncio
+import hashlib
 import json
 import math
 import random
@@ -58,7 +59,7 @@ class Probe(Contract):
 class Record(Contract):
     """A commissioning as it is kept. ``seed`` decides the errors of all probes, ``named`` are mistakes of the cell.
 
-    ``gels`` are those of its first probe, as the service names them.
+    ``gels`` are those of its first probe, as the service names them. ``sha256`` is of all the rest, as it was written.
     """
 
     version: Literal[1] = 1
@@ -69,6 +70,12 @@ class Record(Contract):
     signs: tuple[Probe, ...] = ()
     named: tuple[str, ...] = ()
     probes: tuple[Probe, ...] = ()
+    sha256: str = ""
+
+    def digest(self) -> str:
+        """SHA-256 of all that it says."""
+        said = self.model_dump(mode="json", exclude={"sha256"})
+        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
 class Ended(NamedTuple):
@@ -91,19 +98,23 @@ def commissioned(path: Path) -> Record:
 
 
 def read_record(path: Path) -> Record | None:
-    """The record at ``path``, None where there is none yet; raises ContractError for anything else."""
+    """The record at ``path``, None where there is none yet; raises ContractError for anything else, or if edited."""
     try:
-        return Record.model_validate_json(path.read_text(encoding="utf-8"))
+        record = Record.model_validate_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
     except OSError as error:
         raise ContractError(f"cannot read {path}: {error.strerror}") from None
     except ValidationError as error:
         raise ContractError(f"{path} is no record of a commissioning: {first_error(error)}") from None
+    if record.sha256 != record.digest():
+        raise ContractError(f"{path} is not as it was written: commission the cell again")
+    return record
 
 
 def keep_record(path: Path, record: Record) -> None:
-    """Write it whole or not at all."""
+    """Write it whole or not at all, with its digest."""
+    record = record.model_copy(update={"sha256": record.digest()})
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
     temporary.write_text(json.dumps(record.model_dump(mode="json"), indent=1) + "\n", encoding="utf-8")

@@ -11,11 +11,13 @@ from typing import Literal
 
 import tyro
 
+from reporting.page import publish
 from service.contract.shipped import released_models
 from simulation.closed_loop.campaign import fingerprint
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World, files_in, load_objects, load_world
 from simulation.studies.commissioning import Cell, Plan, commission, mistaken, write
+from simulation.studies.commissioning_page import commissioning_page
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class Options:
     """release that is adapted; beside the models unless given"""
     workers: int = 0
     """processes; 0 takes every core"""
+    docs: Path | None = None
+    """also write commissioning.md and its data into this folder"""
 
 
 def main(arguments: list[str]) -> int:
@@ -73,6 +77,9 @@ def main(arguments: list[str]) -> int:
         rows.append(commission(cell, its_plan))
         write(rows, options.json)
         print(json.dumps(rows[-1]))
+    if options.docs:
+        data = {"simulated": True, "note": "", "rows": rows}
+        publish(options.docs, "commissioning", commissioning_page(data), data)
     return 0
 
 
@@ -88,10 +95,10 @@ def _cell(options: Options, world: World, made_by: str) -> Cell:
             objects[name] = joined
         except SceneError as error:
             refused.append(str(error))
+    if not objects:
+        raise SceneError(f"world {world.name}: no object can be played there: {refused[0]}")
     for line in refused:
         print(f"left out: {line}", file=sys.stderr)
-    if not objects:
-        raise SceneError("; ".join(refused))
     return Cell(world, objects, folder, options.seed, "" if options.cell == "own" else options.cell)
 
 

@@ -127,7 +127,7 @@ def commission(cell: Cell, plan: Plan) -> Row:
         signs = _played(cell, plan, f"signs-{number}", jobs, probe=True, in_order=True)
         if carried_out(signs):
             break
-    row: Row = {"world": cell.world.name, "mistakes_named": named_mistakes(signs)}
+    row: Row = {"world": cell.world.name, "mistakes_named": named_mistakes(signs), "signs_told": carried_out(signs)}
     if row["mistakes_named"] or not plan.probes:
         row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
         return {**row, "robot_minutes": _minutes(signs), "adapt_s": 0.0, "accepted": False, "verdicts": {}}

@@ -132,15 +132,16 @@ def trust_page(data: Row) -> str:
         # What a claim is worth, simulated
 
         Written by `make trust`: {every["insertions"]} insertions in lock step, each with its own draw of a world, an
-        object, a start and, in half of them, something that goes wrong: a fault that lasts, or a mistake of a first
+        object, a start and, in 55 % of them, something that goes wrong: a fault that lasts, or a mistake of a first
         day. The service, its networks, the controller and the client's machine are the shipped ones; markers are true
         ones with the tracker's error.
 
         **{every["claimed_wrongly"]} claims were not true: {wrong:.2%}** of all insertions, with the 95 % Wilson
-        interval; what is claimed of more of them than its upper end is not shown here. Of {truths} insertions without a
+        interval, whose upper end is the most that so many insertions can rule out. Of {truths} insertions without a
         fault that ended in the gap, {good["good_refused"]} were not claimed: {refused:.1%}. The arm went down by at
         most {every["unseen_mm"]:.2f} mm, {every["unseen_share"]:.2f} of what its lease allows, after the capture of a
-        frame that was judged and before the next one. Void are insertions in which the physics came to its end; they
+        frame that was judged and before the next one; drawn arms stop within 10 to 80 ms, and the lease reckons with
+        40. Void are insertions in which the physics came to its end; they
         are neither claimed nor refused.
         """,
         data.get("note", ""),

@@ -40,7 +40,7 @@ def trainer_of(network: Decider, samples: Pressed) -> Trainer:
 def held_out(stage: StageName, release: Checkpoint, samples: Pressed, seed: int) -> tuple[Predictions, Densities]:
     """What a stage says of each sample, fitted without its fixture; not calibrated."""
     parts, densities, order = [], [], []
-    for held in _folds(samples, seed):
+    for held in folds_of(samples, seed):
         others = np.setdiff1d(np.arange(len(samples)), held)
         trainer = trainer_of(fit_stage(stage, release, samples, others, seed), samples)
         parts.append(trainer.predict(held, pictures=False))
@@ -52,7 +52,7 @@ def held_out(stage: StageName, release: Checkpoint, samples: Pressed, seed: int)
     return Predictions(**pair), Densities(**joint)
 
 
-def _folds(samples: Pressed, seed: int) -> list[Rows]:
+def folds_of(samples: Pressed, seed: int) -> list[Rows]:
     """Rows of each fold; a fixture is never torn apart."""
     names = np.unique(samples.groups)
     np.random.default_rng(seed).shuffle(names)

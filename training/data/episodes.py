@@ -20,12 +20,13 @@ from training.data.pressed import Pressed
 from training.networks.pressing import LATTICE, STEPS
 
 PROBE, WORK = "probe", "work"
-PER_FIXTURE = 5
-"""Recordings in a row that count as one fixture: what a cross-validation must not tear apart."""
 
 
 class Attempt(NamedTuple):
-    """One attempt with its error (mm, deg), known of a PROBE or of WORK; fields as in `Pressed`."""
+    """One attempt with its error (mm, deg), known of a PROBE or of WORK; fields as in `Pressed`.
+
+    All attempts of a recording are of one ``fixture``, the object taken afresh: no cross-validation tears them apart.
+    """
 
     known_of: str
     error: tuple[float, float]
@@ -84,7 +85,7 @@ def _attempts(folder: Path, number: int) -> Iterator[Attempt]:
     for off, (seen, _) in zip(_errors(summary, [moves for _, moves in shown]), shown, strict=False):
         if off is not None and seen is not None:
             known_of = PROBE if summary.get("purpose") == "probe" else WORK
-            yield Attempt(known_of, off, *seen, number // PER_FIXTURE)
+            yield Attempt(known_of, off, *seen, number)
 
 
 def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[float, float]]:

@@ -23,7 +23,10 @@ CAUSES: dict[Cause, Told] = {
         "full depth, but not shown to be in", "Look before anything is released: the object may stand or jam."
     ),
     "no_decision": Told("what was felt cannot be trusted", "Check the gels and which camera is which."),
-    "refused": Told("the attempt was not allowed to start", "Check that the object is held and both gels are seen."),
+    "refused": Told(
+        "the attempt was not allowed to start",
+        "Check that the object hangs upright in the hand, and that both gels are seen.",
+    ),
     "limits": Told(
         "a move beyond the limits was refused", "The start is wrong, or the work object is not where it should be."
     ),

@@ -43,9 +43,9 @@ def bounds_page(data: dict[str, Any]) -> str:
         "## What it cannot bound",
         """
         A picture that is older than anybody tells cannot be told from a new one by its content. A camera server should
-        stamp its frames when they are captured; one that does not is only as good as its latency, which commissioning
-        has to measure: here the delay begins in mid-descent, and the gap that it tears ends the lease, but one that was
-        there from the start adds 1 mm for each 100 ms at every stop.
+        stamp its frames when they are captured; one that does not is only as good as its latency, and nothing measures
+        that yet: here the delay begins in mid-descent, and the gap that it tears ends the lease, but one that was there
+        from the start adds 1 mm for each 100 ms at every stop.
 
         A picture that stands still beneath fresh noise is told by its own noise, which comes along each time
         ([decision 132](decisions/0132-noise-comes-once.md)). The first copy passes for new, which is one frame period

@@ -75,6 +75,11 @@ def test_one_thing_that_is_wrong_is_a_doubt(changes: dict[str, object], reason: 
     assert reason in reasons(descent(**changes))
 
 
+def test_a_doubt_says_by_how_much() -> None:
+    (doubt,) = doubts(descent(gripper_width_mm=47.0), GraspRecord(width_mm=50.0))
+    assert (doubt.value, doubt.bound) == (3.0, 1.0)
+
+
 @pytest.mark.parametrize(("left", "reason"), [(0.9, "not_held"), (None, "not_seen")])
 def test_a_finger_that_feels_nothing_any_more_or_does_not_tell_is_a_doubt(left: float | None, reason: str) -> None:
     attempt = descent()

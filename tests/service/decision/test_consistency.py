@@ -83,6 +83,14 @@ def test_two_attempts_in_the_dark_after_a_sure_correction_are_a_contradiction() 
     assert "in x" in answered([first, dark, dark])
 
 
+def test_a_reversed_cell_is_named_after_an_attempt_in_the_dark_too() -> None:
+    sure = (1.0, 2.0)
+    steps = [((6.0, 0.0), sure, (-4.0, 0.0)), ((0.0, 0.0), BLIND, (-4.0, 0.0)), ((14.0, 0.0), sure, (-4.0, 0.0))]
+    assert "in x" in answered(steps)
+    towards = [((6.0, 0.0), sure, (4.0, 0.0)), ((0.0, 0.0), BLIND, (4.0, 0.0)), ((14.0, 0.0), sure, (-4.0, 0.0))]
+    assert answered(towards) == "", "a cell that was commanded there is not"
+
+
 def test_attempts_in_the_dark_alone_prove_nothing() -> None:
     assert not answered([((0.1, 1.3), BLIND, (0.0, 10.0)), ((0.0, 1.6), BLIND, (0.0, -15.0)), ((0, 1), BLIND, (1, 7))])
 

@@ -90,3 +90,12 @@ def test_a_sliding_imprint_stops_the_arm_where_that_is_asked_for(asked):
             said.append(fingers.observe(frame).slip)
     assert not any(slip.stop for slip in said[:16])
     assert any(slip.stop and "imprint" in slip.reason for slip in itertools.islice(said, 16, None)) == asked
+
+
+@pytest.mark.parametrize(("after", "sign"), [(0.4, 1.0), (2.0, -1.0)])
+def test_relief_that_goes_counts_as_lost_and_relief_that_comes_against_it(after, sign):
+    rng, tracker, watch = np.random.default_rng(3), MarkerTracker(), ImprintWatch()
+    for k, height in enumerate([1.0, 1.0, after]):
+        change = watch.update(image := picture(rng, 0.0, 0.0, height), tracker.update(image, k * PERIOD_NS))
+    assert change is not None
+    assert sign * change.let_go > 0.2
