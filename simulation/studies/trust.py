@@ -140,7 +140,8 @@ def trust_page(data: Row) -> str:
         interval, whose upper end is the most that so many insertions can rule out. Of {truths} insertions without a
         fault that ended in the gap, {good["good_refused"]} were not claimed: {refused:.1%}. The arm went down by at
         most {every["unseen_mm"]:.2f} mm, {every["unseen_share"]:.2f} of what its lease allows, after the capture of a
-        frame that was judged and before the next one. Void are insertions in which the physics came to its end; they
+        frame that was judged and before the next one; drawn arms stop within 10 to 80 ms, and the lease reckons with
+        40. Void are insertions in which the physics came to its end; they
         are neither claimed nor refused.
         """,
         data.get("note", ""),
