@@ -95,10 +95,10 @@ def _cell(options: Options, world: World, made_by: str) -> Cell:
             objects[name] = joined
         except SceneError as error:
             refused.append(str(error))
+    if not objects:
+        raise SceneError(f"world {world.name}: no object can be played there: {refused[0]}")
     for line in refused:
         print(f"left out: {line}", file=sys.stderr)
-    if not objects:
-        raise SceneError("; ".join(refused))
     return Cell(world, objects, folder, options.seed, "" if options.cell == "own" else options.cell)
 
 
