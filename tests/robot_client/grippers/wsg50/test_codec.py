@@ -161,5 +161,5 @@ def test_the_ambiguous_relative_bit_is_never_sent(flags):
 
 
 def test_the_states_of_a_grasp_have_the_numbers_of_the_manual():
-    names = "IDLE GRASPING NO_PART PART_LOST HOLDING RELEASING POSITIONING ERROR".split()
+    names = ["IDLE", "GRASPING", "NO_PART", "PART_LOST", "HOLDING", "RELEASING", "POSITIONING", "ERROR"]
     assert [GraspingState(number).name for number in range(8)] == names
