@@ -82,11 +82,13 @@ class Attempt:
     """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones.
 
     ``fed``: the networks were given the last of their input. ``stop_ns``: capture of the frame that stopped the arm.
+    ``left_deg``: how far earlier attempts have left the object turned.
     """
 
     arm: Arm
     armed_ns: int
     generation: int
+    left_deg: float = 0.0
     stage: Stage = Stage.ARMING
     reference: PairObservation | None = None
     armed: Armed | None = None
@@ -146,7 +148,7 @@ class Attempt:
             return self.refusal("nothing_held", why)
         if why := implausible_width(self.arm):
             return self.refusal("implausible_width", why)
-        if why := hangs_turned(both):
+        if why := hangs_turned(both, self.left_deg):
             return self.refusal("turned_in_hand", why)
         self.reference, self.stage = both, Stage.ARMED
         self.ring.append(both)

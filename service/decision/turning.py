@@ -17,22 +17,36 @@ HANGS_DEG = 0.5  # shown by the markers; more has slid. Upright ones in drawn ce
 CARRIED = 0.25  # of the largest motion: markers that move by more are carried by the object
 GIVEN_BACK = 1.1  # of what the contact carries, the gels turn back
 GOING_IN_DEG = 0.5  # at full depth, since the descent began. Objects that stand free show 0.1 deg at most
+STANDS_DEG = 0.7  # at full depth, with what earlier attempts have left
 FEWEST_N = 4  # markers that determine a turn
 
 
-def hangs_turned(both: PairObservation) -> str:
-    """Why an object does not hang upright in the hand, or nothing: the gels show that its weight has turned it."""
-    turns_rad = [_shown_rad(finger) for finger in both.fingers]
-    turn_deg = math.degrees(0.5 * abs(turns_rad[0] - turns_rad[1]))
-    if not turn_deg > HANGS_DEG:
+def hangs_turned(both: PairObservation, left_deg: float = 0.0) -> str:
+    """Why an object does not hang upright in the hand, or nothing.
+
+    The gels show that its weight has turned it, or do so together with ``left_deg``, what earlier attempts have left of
+    a turn.
+    """
+    turn_deg = _both_deg(*(_shown_rad(finger) for finger in both.fingers))
+    if not abs(turn_deg) <= HANGS_DEG:
+        return (
+            f"it hangs turned by {abs(turn_deg):.1f} deg or more: take it nearer to its centre of mass, or grip harder"
+        )
+    if not abs(turn_deg + left_deg) <= TURNED_DEG:
+        return f"the attempts and its weight have turned the object by about {abs(turn_deg + left_deg):.1f} deg"
+    return ""
+
+
+def turned_going_in(both: PairObservation, left_deg: float = 0.0) -> str:
+    """Why an object does not hang at full depth as it did above, or nothing: something in the gap holds it askew.
+
+    ``left_deg``: what earlier attempts have left of a turn.
+    """
+    turns_rad = [finger.slip.angle_rad for finger in both.fingers]
+    most_deg, all_deg = math.degrees(max(map(abs, turns_rad))), abs(left_deg + _both_deg(*turns_rad))
+    if most_deg <= GOING_IN_DEG and all_deg <= STANDS_DEG:
         return ""
-    return f"it hangs turned by {turn_deg:.1f} deg or more: take it nearer to its centre of mass, or grip harder"
-
-
-def turned_going_in(both: PairObservation) -> str:
-    """Why an object does not hang at full depth as it did above, or nothing: something in the gap holds it askew."""
-    turn_deg = math.degrees(max(abs(finger.slip.angle_rad) for finger in both.fingers))
-    return f"the gels show it turned by {turn_deg:.1f} deg on the way down" if turn_deg > GOING_IN_DEG else ""
+    return f"the gels show it turned by {most_deg:.1f} deg on the way down, by about {all_deg:.1f} deg in all"
 
 
 def lasting_turn_deg(both: PairObservation | None) -> float:
@@ -71,6 +85,11 @@ def _shown_rad(seen: Observation) -> float:
     if carried.sum() < FEWEST_N:
         return 0.0
     return _turn_rad(field.rest_px[carried], field.displacement_px[carried])
+
+
+def _both_deg(left_rad: float, right_rad: float) -> float:
+    """What both fingers show together, deg, signed as the left one shows it: they look from opposite sides."""
+    return math.degrees(0.5 * (left_rad - right_rad))
 
 
 def _turn_rad(place_px: NDArray[np.float32], moved_px: NDArray[np.float32]) -> float:

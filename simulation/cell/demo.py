@@ -12,7 +12,7 @@ from pathlib import Path
 from service.contract.token import TOKEN_FILE
 from simulation.cell.children import Child
 from simulation.cell.config import client_config
-from simulation.cell.emulators.net import HOST, BusyPortError, bind_tcp, free_port
+from simulation.cell.emulators.net import HOST, BusyPortError, bind_tcp, free_port, port_of
 from simulation.cell.run import SERVICE_READY_S, RunOptions, Start, ready_cell, start_cell, start_service
 
 DAYS_S = 1e9
@@ -65,9 +65,9 @@ def lines(options: DemoOptions, folder: Path, log: Path | None = None) -> Iterat
 
 
 def _port(wanted: int) -> int:
-    """The port asked for, or any other where that is taken."""
+    """The port asked for, or a free one where that is taken, or 0."""
     try:
-        bind_tcp(wanted, "the page").close()
+        with bind_tcp(wanted, "the page") as bound:
+            return port_of(bound)
     except BusyPortError:
         return free_port(socket.SOCK_STREAM)
-    return wanted

@@ -142,7 +142,7 @@ class LockstepCell:
         Raises GraspEndError if an earlier descent pushed the object out of its grasp.
         """
         if self.state.grasp_lost:
-            raise GraspEndError("the object was pushed out of the grasp that is simulated (12 mm, a tenth of the grip)")
+            raise GraspEndError("the fingers do not hold the object: it was pushed 12 mm, or turned away")
         self.bottom_z_mm, self.moving, self._law, self._walked_s = bottom_z_mm, True, law, 0.0
 
     def hold(self) -> None:

@@ -7,11 +7,12 @@ are those that collection draws from (`docs/worlds.md`), and they are frozen: no
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from simulation.scene import shapes
@@ -26,6 +27,7 @@ REACH_PITCHES = (0.15, 3.0)  # shear reach of a pad that is touched all over
 SPEED_MM_S = (3.0, 40.0)
 BLIND_MM = 3.0  # what the arm goes before a stop takes effect, in a cell that is run with care
 HELD_MM = 8.0  # an object that a soft pad touches on less is no part to be held
+HELD_OFF_MM = 4.0  # from the middle of a pad of 21 mm
 PAD_MM2, PITCH_MM = 463.05, 1.05  # of the sensor that worlds are drawn for
 MU, FORCE_N, THICKNESS_MM = (0.45, 1.0), (10.0, 40.0), (1.5, 4.0)
 
@@ -189,12 +191,35 @@ def _object(rng: np.random.Generator) -> Tables:
 
 
 def _polygon(rng: np.random.Generator, x_mm: float, y_mm: float) -> list[list[float]]:
-    """Corners of a convex polygon on an ellipse of these sizes, 4 to 9 of them."""
+    """Corners of a convex polygon on an ellipse of these sizes, 4 to 9 of them.
+
+    It lies as a parallel gripper takes it: its least width along y, and no finger touches it far from its middle.
+    """
+    while not _held_in_the_middle(corners := _drawn_corners(rng, x_mm, y_mm)):
+        pass
+    return [[round(float(x), 2), round(float(y), 2)] for x, y in corners]
+
+
+def _drawn_corners(rng: np.random.Generator, x_mm: float, y_mm: float) -> NDArray[np.float64]:
     count = int(rng.integers(4, 10))
     angles = 2.0 * np.pi * (np.arange(count) + rng.uniform(-0.35, 0.35, count)) / count + rng.uniform(0.0, np.pi)
     corners = 0.5 * np.stack([x_mm * np.cos(angles), y_mm * np.sin(angles)], axis=1)
     corners *= np.array([x_mm, y_mm]) / np.ptp(corners, axis=0)
-    return [[round(float(x), 2), round(float(y), 2)] for x, y in shapes.centred(corners)]
+    return shapes.centred(min(_laid_on_its_edges(corners), key=lambda laid: np.ptp(laid[:, 1])))
+
+
+def _laid_on_its_edges(corners: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """The polygon turned so that one of its edges lies along x, for each of them: its least width is across one."""
+    for along_x, along_y in np.roll(corners, -1, axis=0) - corners:
+        cosine, sine = np.array([along_x, along_y]) / np.hypot(along_x, along_y)
+        yield corners @ np.array([[cosine, -sine], [sine, cosine]])
+
+
+def _held_in_the_middle(corners: NDArray[np.float64]) -> bool:
+    """Whether both fingers touch a polygon near their middle; it turns away between them elsewhere."""
+    x_mm, y_mm = corners.T
+    sides = x_mm[y_mm > y_mm.max() - 0.1], x_mm[y_mm < y_mm.min() + 0.1]
+    return all(side.min() - HELD_OFF_MM < 0.0 < side.max() + HELD_OFF_MM for side in sides)
 
 
 def scene_of_tables(tables: Tables, name: str) -> Scene:

@@ -169,9 +169,9 @@ def stop_service(cell, _):
 
 FAULTS = {
     "service stopped": (stop_service, "unwatched"),
-    "camera stalled": (camera("stalled"), "unwatched|no_reference"),
-    "camera frozen": (camera("frozen"), "unwatched|no_reference"),
-    "camera black": (camera("black"), "unwatched|no_reference"),
+    "camera stalled": (camera("stalled"), "unwatched|no_reference|turned_in_hand"),
+    "camera frozen": (camera("frozen"), "unwatched|no_reference|turned_in_hand"),
+    "camera black": (camera("black"), "unwatched|no_reference|turned_in_hand"),
     "link half open": (lambda _, proxy: proxy.hang(), "unwatched"),
     "link cut": (lambda _, proxy: proxy.cut(), "no close frame"),
     "nonsense": (lambda _, proxy: proxy.inject("nonsense"), "Expecting value"),
@@ -213,7 +213,7 @@ def test_a_camera_that_is_lost_is_no_fatal_fault_and_no_licence_to_move(cell):
         cell.fingers[0].connected = False
 
     arm = TinyArm(trouble=cut)
-    with pytest.raises(controller.Held, match=r"refused|no_reference|camera|judged frame"):
+    with pytest.raises(controller.Held, match=r"refused|no_reference|turned_in_hand|camera|judged frame"):
         cell.insert(arm)
     stands(arm)
 

@@ -60,7 +60,7 @@ def failure(copy: Path, tests: list[str], timeout_s: float) -> str:
         )
     except subprocess.TimeoutExpired:
         return "timeout"
-    lines = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    lines = [line for line in done.stdout.splitlines() if line.startswith(("FAILED tests/", "ERROR tests/"))]
     return (
         lines[0].split(" - ")[0].split(" ", 1)[1] if lines else f"exit code {done.returncode}" * bool(done.returncode)
     )

@@ -13,6 +13,7 @@ from service.decision.claim import GraspRecord
 from service.decision.turning import (
     GOING_IN_DEG,
     HANGS_DEG,
+    STANDS_DEG,
     TURNED_DEG,
     hangs_turned,
     lasting_turn_deg,
@@ -101,6 +102,15 @@ def test_an_object_that_hangs_turned_is_told_from_one_that_hangs_upright(turn_de
         assert "nearer to its centre of mass" in told
     if abs(turn_deg) < HANGS_DEG - 0.05:
         assert not told
+
+
+@given(st.floats(-0.4, 0.4), st.floats(-0.55, 0.55))
+def test_what_attempts_have_left_adds_to_what_the_weight_turns(hangs_deg, left_deg):
+    together = abs(hangs_deg + left_deg)
+    assert together < TURNED_DEG + 0.02 or hangs_turned(hanging(hangs_deg), left_deg)
+    assert together > TURNED_DEG - 0.02 or not hangs_turned(hanging(hangs_deg), left_deg)
+    shows = last(math.radians(hangs_deg), 0.0)
+    assert bool(turned_going_in(shows, left_deg)) == (together > STANDS_DEG)
 
 
 def test_gels_that_nothing_moves_show_no_turn():

@@ -199,3 +199,17 @@ def test_frames_that_are_stale_again_after_a_new_arm_are_a_fault_again(session: 
     assert kinds(session.on_tick(600_000_000)) == ["fault"]
     assert kinds(armed_with(session, 21)) == ["armed"]
     assert kinds(session.on_tick(1_400_000_000)) == ["fault"]
+
+
+def test_open_gels_that_no_new_frame_shows_are_a_fault_once_and_not_before_their_time(
+    session: InsertionSession,
+) -> None:
+    hello(session)
+    asked_ns, wait_ns = 5_000_000_000, round(session.deadlines.reference_s * 1e9)
+    session.handle(wire.LearnOpen(insertion_id=ID), asked_ns)
+    old = drawn.pair(0, start_ns=asked_ns - 1)
+    assert session.on_pair(old, asked_ns) == [], "what was captured before the hand was open shows nothing"
+    assert session.on_tick(asked_ns + wait_ns) == []
+    (fault,) = session.on_tick(asked_ns + wait_ns + 1)
+    assert (fault.code, fault.detail) == ("open_gel", "the open gels could not be learnt: no frame arrived")
+    assert session.on_tick(asked_ns + 2 * wait_ns) == []

@@ -64,7 +64,7 @@ def test_nothing_is_claimed_of_an_object_that_left_the_simulated_grasp(models):
     ended = play.run()
     assert ended.void
     assert not ended.claimed
-    assert "out of the grasp" in ended.reason
+    assert "do not hold the object" in ended.reason
 
 
 def test_the_blocks_are_free(models):

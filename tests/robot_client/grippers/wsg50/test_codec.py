@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_client.grippers.wsg50 import codec
 from robot_client.grippers.wsg50.codec import Frame, StreamParser, WsgError
-from robot_client.grippers.wsg50.codes import Command, MoveFlag, Status
+from robot_client.grippers.wsg50.codes import Command, GraspingState, MoveFlag, Status
 
 LIMITS = (10.0, 100.0, 400.0, 1.0, 10.0, 11.0, 30.0, 40.0)
 REQUESTS = [
@@ -158,3 +158,8 @@ def test_non_finite_values_are_refused_in_both_directions(value):
 def test_the_ambiguous_relative_bit_is_never_sent(flags):
     with pytest.raises(WsgError, match="expected 0x00"):
         codec.encode_request(Command.MOVE, flags, 60.0, 50.0)
+
+
+def test_the_states_of_a_grasp_have_the_numbers_of_the_manual():
+    names = ["IDLE", "GRASPING", "NO_PART", "PART_LOST", "HOLDING", "RELEASING", "POSITIONING", "ERROR"]
+    assert [GraspingState(number).name for number in range(8)] == names
