@@ -32,7 +32,7 @@ REACH = (15.0, 15.0)
 FITS = (2.5, 3.0)
 """About what goes in: no probe begins there."""
 CLEAR_SHARE = 0.2  # of what is told, below which estimates show no sign
-LEAST_TURN_DEG, ALIKE = 0.03, 0.5  # mean turn, and share of it that goes with x, that tell a mirrored picture
+LEAST_TURN_DEG, LIKE, LEAST_TURNS, ALIKE = 0.03, 0.5, 2, 0.5  # turns of like size, and their share that goes with x
 WENT_IN_SIGMA_MM, UNSTATED_SIGMA = 1.5, 5.0
 OFF_MM, OFF_DEG = 5.0, 8.0  # what two opposite sides may be off by together in a cell that is framed right
 WENT_IN = "went in without a touch"
@@ -172,15 +172,18 @@ def _axis(felt: list[tuple[float, float | None, float | None]]) -> tuple[int, fl
 def _mirrored(signs: tuple[Probe, ...]) -> str:
     """Which picture is mirrored, if one is; facing each other, the fingers must see opposite turns.
 
-    A block that pushes up at +x turns the object anticlockwise as the left finger sees it.
+    A block that pushes up at +x turns the object anticlockwise as the left finger sees it. Turns of unlike size are not
+    of one rigid object: of a narrow contact, too few markers move with it.
     """
     turns = [(math.copysign(1.0, probe.x_mm), probe.turns_deg) for probe in signs if probe.turns_deg]
-    with_x = []
-    for index in range(2):
-        total = sum(abs(turn[index]) for _, turn in turns)
-        clear = total > LEAST_TURN_DEG * len(turns)
-        with_x.append(sum(side * turn[index] for side, turn in turns) / total if clear else 0.0)
-    if with_x[0] * with_x[1] <= 0.0 or min(map(abs, with_x)) < ALIKE:
+    turns = [
+        (side, turn) for side, turn in turns if min(map(abs, turn)) > max(LEAST_TURN_DEG, LIKE * max(map(abs, turn)))
+    ]
+    if len(turns) < LEAST_TURNS:
+        return ""
+    with_x = [sum(side * turn[index] for side, turn in turns) for index in range(2)]
+    total = [sum(abs(turn[index]) for _, turn in turns) for index in range(2)]
+    if with_x[0] * with_x[1] <= 0.0 or any(abs(x) < ALIKE * all_ for x, all_ in zip(with_x, total, strict=True)):
         return ""
     finger = "left" if with_x[0] > 0.0 else "right"
     return f"both fingers see the object turn the same way: the {finger} picture is mirrored"

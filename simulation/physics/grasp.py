@@ -8,19 +8,31 @@ from simulation.scene.scene import Scene
 from simulation.scene.state import PhysicsError
 
 BISECTIONS = 60
+UNEVEN = 0.5  # one pad's force over the other's, from which on the object cannot be where it was taken for
 
 
 def close_fingers(scene: Scene, work: Workspace) -> None:
-    """Close to the grip force: bisection on the opening, the object held still. Raises PhysicsError."""
-    constants, nodes = work.constants, work.nodes
-    crest = 2.0 * float(constants["profile"][0, 0])
+    """Close to the grip force: bisection on the opening. Raises PhysicsError.
+
+    The object is held still, unless a face lies on one finger and a corner on the other: then the fingers push it to
+    where both bear the same, as far as a pad is thick.
+    """
+    _close(scene, work, free=False)
+    one, other = _grips(work)
+    if min(one, other) < UNEVEN * max(one, other):
+        _close(scene, work, free=True)
+
+
+def _close(scene: Scene, work: Workspace, *, free: bool) -> None:
+    crest = 2.0 * float(work.constants["profile"][0, 0])
     wide, tight = crest + 8.0, crest - 1.9 * scene.gel.thickness_mm
-    area = float(constants["area"][0])
 
     def grip(opening: float) -> float:
         work.state["opening"][0] = opening
         load_step.grip_pressures(work)
-        return 0.5 * float(nodes["pressure"].sum()) * area
+        if free:
+            _push_to_the_middle(work, scene.gel.thickness_mm)
+        return 0.5 * sum(_grips(work))
 
     if grip(tight) < scene.grasp.force_n:
         raise PhysicsError(
@@ -31,3 +43,19 @@ def close_fingers(scene: Scene, work: Workspace) -> None:
         middle = 0.5 * (wide + tight)
         wide, tight = (wide, middle) if grip(middle) > scene.grasp.force_n else (middle, tight)
     grip(tight)
+
+
+def _push_to_the_middle(work: Workspace, reach_mm: float) -> None:
+    """Bisection on where the object is between the fingers: the one that bears more pushes it to the other."""
+    low, high = -reach_mm, reach_mm
+    for _ in range(BISECTIONS):
+        work.state["place"][0, 1] = 0.5 * (low + high)
+        load_step.grip_pressures(work)
+        one, other = _grips(work)
+        low, high = (0.5 * (low + high), high) if one < other else (low, 0.5 * (low + high))
+
+
+def _grips(work: Workspace) -> tuple[float, float]:
+    """The normal forces of both pads, N."""
+    one, other = work.nodes["pressure"].reshape(2, -1).sum(axis=1) * work.constants["area"][0]
+    return float(one), float(other)

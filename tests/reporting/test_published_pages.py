@@ -12,6 +12,7 @@ PAGES = {
     "benchmark": "export.bench.report:benchmark_page",
     "hard_cases": "tests.hard_cases.__main__:hard_cases_page",
     "motion_bounds": "simulation.studies.motion_bounds.report:bounds_page",
+    "commissioning": "simulation.studies.commissioning_page:commissioning_page",
     "drawn_worlds": "simulation.studies.drawn_worlds:drawn_worlds_page",
     "foreign_check": "simulation.studies.witness.check_page:foreign_check_page",
     "foreign_world": "simulation.studies.witness.sealed_page:foreign_world_page",

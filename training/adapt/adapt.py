@@ -22,7 +22,7 @@ from training.adapt.stages import (
     held_out,
     trainer_of,
 )
-from training.data.episodes import read_episodes
+from training.data.episodes import LATER, read_episodes
 from training.data.labels import class_of
 from training.data.pressed import Pressed
 from training.fit.checkpoint import Checkpoint
@@ -95,17 +95,23 @@ def judge(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], 
 
     The best is the likeliest that nothing speaks against; where there is none, the likeliest.
     """
-    fixtures_n = len(np.unique(samples.groups))
-    if len(samples) < FEWEST or fixtures_n < FOLDS:
-        few = f"{len(samples)} attempts of {fixtures_n} fixtures, expected at least {FEWEST} of {FOLDS}: probe more"
+    first = samples.objects != LATER
+    groups = samples.groups[first]
+    fixtures_n = len(np.unique(groups))
+    if len(groups) < FEWEST or fixtures_n < FOLDS:
+        few = (
+            f"{len(groups)} first attempts of {fixtures_n} fixtures, expected {FEWEST} of {FOLDS} at least: probe more"
+        )
         return Judged({}, "released", (few,), len(samples), fixtures_n)
-    said = {stage: held_out(stage, release, samples, seed)[0] for stage in dict.fromkeys(("released", *stages))}
-    folds = folds_of(samples, seed)
+    said = {
+        stage: held_out(stage, release, samples, seed)[0].take(first) for stage in dict.fromkeys(("released", *stages))
+    }
+    folds = folds_of(groups, seed)
     fair = {stage: _fair(stage, release, one, folds) for stage, one in said.items()}
     losses = {stage: _losses(one) for stage, one in fair.items()}
     by_loss = sorted(fair, key=lambda stage: float(losses[stage].mean()))
     likelier = by_loss[: by_loss.index("released")]
-    against = {stage: tuple(_objections(fair["released"], fair[stage], samples.groups, seed)) for stage in likelier}
+    against = {stage: tuple(_objections(fair["released"], fair[stage], groups, seed)) for stage in likelier}
     best = next((stage for stage in likelier if not against[stage]), by_loss[0])
     objections = against.get(best, ("no stage is likelier than the release",))
     described = {stage: {**figures(one), "likelihood": float(losses[stage].mean())} for stage, one in fair.items()}
@@ -127,7 +133,7 @@ def _fair(stage: StageName, release: Checkpoint, said: Predictions, folds: list[
 
 def _fitted(judged: Judged, release: Checkpoint, samples: Pressed, seed: int) -> Checkpoint:
     """The release after the accepted stage on all samples, calibrated on what was said of held-out ones."""
-    pair, joint = held_out(judged.best, release, samples, seed)
+    pair, joint = (said.take(samples.objects != LATER) for said in held_out(judged.best, release, samples, seed))
     network = fit_stage(judged.best, release, samples, np.arange(len(samples)), seed)
     lineage: dict[str, JsonValue] = {
         "from": release.weights_sha256(),

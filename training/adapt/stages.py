@@ -40,7 +40,7 @@ def trainer_of(network: Decider, samples: Pressed) -> Trainer:
 def held_out(stage: StageName, release: Checkpoint, samples: Pressed, seed: int) -> tuple[Predictions, Densities]:
     """What a stage says of each sample, fitted without its fixture; not calibrated."""
     parts, densities, order = [], [], []
-    for held in folds_of(samples, seed):
+    for held in folds_of(samples.groups, seed):
         others = np.setdiff1d(np.arange(len(samples)), held)
         trainer = trainer_of(fit_stage(stage, release, samples, others, seed), samples)
         parts.append(trainer.predict(held, pictures=False))
@@ -52,11 +52,11 @@ def held_out(stage: StageName, release: Checkpoint, samples: Pressed, seed: int)
     return Predictions(**pair), Densities(**joint)
 
 
-def folds_of(samples: Pressed, seed: int) -> list[Rows]:
+def folds_of(groups: NDArray[np.str_], seed: int) -> list[Rows]:
     """Rows of each fold; a fixture is never torn apart."""
-    names = np.unique(samples.groups)
+    names = np.unique(groups)
     np.random.default_rng(seed).shuffle(names)
-    return [np.flatnonzero(np.isin(samples.groups, part)) for part in np.array_split(names, FOLDS)]
+    return [np.flatnonzero(np.isin(groups, part)) for part in np.array_split(names, FOLDS)]
 
 
 def calibrated(scales: Scales, sample: Predictions | Densities) -> Scales:

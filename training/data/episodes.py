@@ -2,7 +2,8 @@
 
 The error is known in two ways. A probe (``purpose`` of the episode) begins at a known error, in the frame that the arm
 was taught. Of an insertion that went in, every earlier attempt was off by the moves that followed it, to within what
-fits the gap. ``objects`` of the samples says which: PROBE or WORK.
+fits the gap. ``objects`` of the samples says which: PROBE or WORK, and LATER for the attempts of an insertion after the
+first one. Those lie nearer to the gap than what a network is first asked, so nothing is judged by them.
 """
 
 import hashlib
@@ -19,11 +20,11 @@ from training.data.dataset import SPLITS
 from training.data.pressed import Pressed
 from training.networks.pressing import LATTICE, STEPS
 
-PROBE, WORK = "probe", "work"
+PROBE, WORK, LATER = "probe", "work", "later"
 
 
 class Attempt(NamedTuple):
-    """One attempt with its error (mm, deg), known of a PROBE or of WORK; fields as in `Pressed`.
+    """One attempt with its error (mm, deg), known of a PROBE, of WORK or of LATER work; fields as in `Pressed`.
 
     All attempts of a recording are of one ``fixture``, the object taken afresh: no cross-validation tears them apart.
     """
@@ -82,10 +83,10 @@ def _attempts(folder: Path, number: int) -> Iterator[Attempt]:
         shown = [_shown(path) for path in sorted(folder.glob("attempt_*.npz"))]
     except (OSError, ValueError, KeyError) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
-    for off, (seen, _) in zip(_errors(summary, [moves for _, moves in shown]), shown, strict=False):
+    first = PROBE if summary.get("purpose") == "probe" else WORK
+    for index, (off, (seen, _)) in enumerate(zip(_errors(summary, [move for _, move in shown]), shown, strict=False)):
         if off is not None and seen is not None:
-            known_of = PROBE if summary.get("purpose") == "probe" else WORK
-            yield Attempt(known_of, off, *seen, number)
+            yield Attempt(LATER if index else first, off, *seen, number)
 
 
 def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[float, float]]:

@@ -111,11 +111,12 @@ def test_a_yaw_that_is_not_felt_is_no_mistake_and_leaves_both_causes():
     assert mistakes(tuple(answers((-1, 0)))) == (WIRINGS[-1, 1], WIRINGS[-1, -1])
 
 
-@pytest.mark.parametrize(("turned", "finger"), [((0.2, 0.1), "left"), ((-0.1, -0.2), "right")])
+@pytest.mark.parametrize(("turned", "finger"), [((0.2, 0.15), "left"), ((-0.15, -0.2), "right")])
 def test_one_mirrored_picture_is_named_by_the_turns_that_both_fingers_see(turned, finger):
     (named,) = mistakes(tuple(answers((0, 0), turned=turned)))
     assert f"the {finger} picture is mirrored" in named
-    assert mistakes(tuple(answers(turned=(0.01, 0.02)))) == ()  # too little to be a turn
+    assert mistakes(tuple(answers(turned=(0.01, 0.015)))) == ()  # too little to be a turn
+    assert mistakes(tuple(answers(turned=(1.5, 0.3)))) == ()  # not of one rigid object
 
 
 def test_what_goes_in_on_one_side_tells_where_the_gap_is():

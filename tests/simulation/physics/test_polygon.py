@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from simulation.data.probe import run_probe
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.randomisation import randomised
 from simulation.scene.scene import Scene
 from simulation.scene.shapes import GRIP_HALF_MM, centred, faces, is_convex
@@ -77,3 +78,8 @@ def test_only_convex_polygons_once_around_are_convex() -> None:
     assert not is_convex([(0, 0), (2, 0), (1, 0.5), (1, 2)])
     assert not is_convex(star)
     assert not is_convex([(0, 0), (1, 0), (2, 0), (1, 2)])
+
+
+def test_a_roof_and_a_flat_bear_the_force_of_the_grip_alike() -> None:
+    cell = QuasiStaticCell(polygon("rectangle", PENTAGON, **{"blocks.gap_mm": 64.0}), 3)
+    assert cell._grips() == pytest.approx(cell.scene.grasp.force_n, rel=0.01)

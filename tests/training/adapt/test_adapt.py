@@ -84,6 +84,7 @@ def test_errors_are_those_told_of_probes_and_the_moves_that_were_left_of_inserti
     read = read_episodes(tmp_path, Sensor.load())
     assert read.error.tolist() == [[-7.0, 3.0], [5.0, -2.5], [1.0, -0.5]]
     assert read.length.tolist() == [8, 8, 8]
+    assert read.objects.tolist() == ["probe", "work", "later"]
 
 
 def test_an_unseen_point_counts_for_nothing(tmp_path):
