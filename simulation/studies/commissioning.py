@@ -193,7 +193,7 @@ def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tupl
             (shown / f"{index:05d}").symlink_to((cell.folder / source / f"{index:05d}").resolve())
         told, fresh = run / "told.json", ("--out", str(run), "--json", str(run / "told.json"))
         refused = _call("training", "adapt", str(shown), "--from", str(plan.checkpoint), *fresh)
-        said: Row = {"accepted": False, "objections": [refused]}
+        said: Row = {"accepted": False, "best": "released", "objections": [refused], "samples_n": 0}
         if told.exists():
             said = json.loads(told.read_text(encoding="utf-8"))
         if said["accepted"]:

