@@ -56,7 +56,7 @@ def client(
         "task": {"approach_clearance_mm": clearance_mm},
         "pace": {key: value for key, value in pace.items() if value is not None},
         "ramps": {
-            "travel": ramp(air_mm_s, 1400.0, 60000.0) if brisk else ramp(40.0, 300.0, 5000.0),
+            "travel": ramp(air_mm_s, 1400.0, 60000.0) if brisk else ramp(55.0, 300.0, 5000.0),
             "retract": ramp(50.0, 1400.0, 60000.0) if brisk else ramp(25.0, 200.0, 4000.0),
             "descend": ramp(probing_mm_s, 1000.0, 30000.0) if brisk else ramp(probing_mm_s, 100.0, 2000.0),
         },

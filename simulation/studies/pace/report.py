@@ -221,7 +221,7 @@ def pace_page(sets: dict[str, Row]) -> str:
         """,
         """
         It was made before objects that have turned in the hand were
-        [taken afresh](decisions/0112-an-object-that-has-turned-is-taken-afresh.md), which takes some 17 s each
+        [taken afresh](decisions/0112-an-object-that-has-turned-is-taken-afresh.md), which takes some 13 s each
         time: all choices take longer now.
         """,
     ]
