@@ -62,11 +62,11 @@ def unlike_grids(both: PairObservation) -> list[str]:
 
 
 def nothing_held(both: PairObservation) -> str:
-    """Why the hand counts as empty, or nothing: both gels lie as they do where nothing touches them.
+    """Why the hand counts as empty, or nothing: both gels look as they do where nothing touches them.
 
-    One finger alone may look so: a flat object in a light grip hardly bulges it.
+    One finger alone may look so: a flat object in a light grip hardly bulges it. Of a stiff gel the picture shows more.
     """
-    untouched = all(finger.bulge is not None and finger.bulge < 1.0 for finger in both.fingers)
+    untouched = all(f.bulge is not None and max(f.bulge, f.touch or 0.0) < 1.0 for f in both.fingers)
     return "both gels look as they do when nothing touches them" if untouched else ""
 
 

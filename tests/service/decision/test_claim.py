@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.contract import Sensor, wire
-from service.decision.attempt import Attempt, Stage
+from service.decision.attempt import Attempt, Stage, nothing_held
 from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm, slid_mm
 from service.decision.seating import Push
 from service.perception.markers.field import field_from_gel
@@ -114,6 +114,16 @@ def test_an_object_that_was_turned_on_the_way_down_is_not_claimed() -> None:
 def test_what_was_pressed_too_far_is_not_claimed() -> None:
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=5.1)) == ["moved_in_hand"]
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=4.9)) == []
+
+
+@pytest.mark.parametrize(("touch", "held"), [(None, False), (0.5, False), (1.4, True)])
+def test_a_stiff_gel_whose_markers_hardly_move_shows_a_held_object_in_its_picture(
+    touch: float | None, held: bool
+) -> None:
+    both = pair(left=0.7, right=0.8)
+    assert nothing_held(both)
+    shown = replace(both, right=replace(both.right, touch=touch))
+    assert bool(nothing_held(shown)) != held
 
 
 def blocked(contact_s: float, grip_mm: float, rate_hz: float = 30.0) -> Attempt:
