@@ -114,7 +114,7 @@ def test_silence_of_the_guide_ends_the_run_and_holds(up):
     module = Path(codec.__file__).with_name("TactileEgm.mod").read_text()
     limit_s = float(re.search(r"silenceLimit := ([0-9.]+);", module)[1])
     assert Settings().silence_s == limit_s, "guide and module have one time-out"
-    assert cell.cell.egm.controller_s - silent_s >= limit_s
+    assert cell.cell.egm.controller_s - silent_s >= limit_s - 0.02  # the last target was 5 cycles old at most
     z = cell.cell.cabinet.arm.pose.position_mm[2]
     time.sleep(0.2)
     assert cell.cell.cabinet.arm.pose.position_mm[2] == z
