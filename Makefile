@@ -47,6 +47,10 @@ $(PEERS_VENV)/ready: pyproject.toml
 	$(PEERS_VENV)/bin/pip install -q '.[bench-serving]' || echo "the peers cannot be installed here; their rows will say so" >&2
 	@touch $@
 
+$(VENV)/browser: $(VENV)/ready
+	$(BIN)/pip install -q 'playwright>=1.49' 'axe-playwright-python>=0.1.4'
+	@touch $@
+
 $(READERS_VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(READERS_VENV)
 	$(READERS_VENV)/bin/pip install -q 'rerun-sdk>=0.41' 'foxglove-sdk>=0.30'
@@ -187,7 +191,7 @@ bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside ML
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
 
 PEERS_OF_THEIR_OWN = $(READERS_VENV) $(OLD_RUNTIME_VENV) $(GRAPH_VENV) $(KSERVE_VENV) $(if $(LEROBOT),$(LEROBOT_VENV))
-peers: $(VENV)/ready $(addsuffix /ready,$(PEERS_OF_THEIR_OWN)) ## foreign software against this one, a row a package: docs/peers.md, .json (LEROBOT=1: its loader too, 8 GB)
+peers: $(VENV)/browser $(addsuffix /ready,$(PEERS_OF_THEIR_OWN)) ## foreign software against this one, a row a package: docs/peers.md, .json (LEROBOT=1: its loader too, 8 GB)
 	PEERS_PYTHON=$(CURDIR)/$(READERS_VENV)/bin/python OLD_RUNTIME_PYTHON=$(CURDIR)/$(OLD_RUNTIME_VENV)/bin/python \
 	  GRAPH_PYTHON=$(CURDIR)/$(GRAPH_VENV)/bin/python KSERVE_PYTHON=$(CURDIR)/$(KSERVE_VENV)/bin/python $(if $(LEROBOT),LEROBOT_PYTHON=$(CURDIR)/$(LEROBOT_VENV)/bin/python) \
 	  $(BIN)/python -m tests.peers
