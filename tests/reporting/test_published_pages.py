@@ -18,6 +18,7 @@ PAGES = {
     "foreign_world": "simulation.studies.witness.sealed_page:foreign_world_page",
     "pace": "simulation.studies.pace.report:pace_page",
     "serving": "tests.benchmarks.serving_report:serving_page",
+    "trust": "simulation.studies.trust:trust_page",
     "slip_report": "simulation.studies.slip.report:slip_page",
     "soak": "tests.service.soak.report:soak_page",
 }
