@@ -124,7 +124,8 @@ def _watched(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
     read = [push.captured_ns for push in attempt.pushes if math.isfinite(push.weaker_pitch)]
     on_the_way = [stamp for stamp in read if attempt.descending_ns < stamp < attempt.stopped_ns]
     blind_s = max(np.diff([attempt.descending_ns, *on_the_way, attempt.stopped_ns])) / 1e9
-    most_s = max(BLIND_S, BLIND_MM / attempt.speed_mm_s if attempt.speed_mm_s else 0.0)
+    went_mm_s = (attempt.depth_mm - attempt.start_mm) * 1e9 / max(1, attempt.stopped_ns - attempt.descending_ns)
+    most_s = max(BLIND_S, BLIND_MM / max(attempt.speed_mm_s or math.inf, went_mm_s))
     if not blind_s <= most_s:
         detail = f"for {blind_s:.2f} s of the descent no pair showed what the gels carry"
         yield _doubt("not_seen", detail, blind_s, most_s)

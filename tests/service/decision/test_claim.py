@@ -102,7 +102,9 @@ def test_a_descent_is_claimed_only_if_no_part_of_it_was_blind_for_long(first: in
 def test_a_slow_arm_may_be_blind_for_the_same_way() -> None:
     kept = [push for index, push in enumerate(descent().pushes) if not 10 <= index < 20]
     assert reasons(descent(pushes=kept, speed_mm_s=10.0)) == ["not_seen"]
-    assert reasons(descent(pushes=kept, speed_mm_s=5.0)) == []
+    assert reasons(descent(pushes=kept, speed_mm_s=5.0, start_mm=12.5)) == []
+    assert reasons(descent(pushes=kept, speed_mm_s=5.0)) == ["not_seen"], "it went faster than it said"
+    assert reasons(descent(pushes=kept)) == ["not_seen"]
 
 
 def test_an_object_that_was_turned_on_the_way_down_is_not_claimed() -> None:
