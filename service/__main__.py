@@ -12,7 +12,7 @@ COMMANDS = {
     "judge": "find contact, hold, slip and loss in recorded grasps, run by run",
     "models": "check a folder of models and print their cards",
 }
-EXIT_BAD_INPUT = 2
+EXIT_NOT_DONE, EXIT_BAD_INPUT = 1, 2
 
 
 def usage() -> str:
@@ -38,15 +38,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"service: unknown command {name!r}{nearest(name, COMMANDS)}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    from service.contract.text import printable, read_by_somebody
+
     try:
-        return int(importlib.import_module(f"service.cli.{name}").main(rest))
+        with read_by_somebody():
+            return int(importlib.import_module(f"service.cli.{name}").main(rest))
+        return EXIT_NOT_DONE
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:
         if os.environ.get("TACTILE_TRACEBACK"):
             raise
-        from service.contract.text import printable
-
         print(printable(f"service {name}: {' '.join(str(error).split())}"), file=sys.stderr)
         return EXIT_BAD_INPUT
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from service.contract import ContractError
+from service.contract.text import fitted, read_by_somebody
 
 
 def _positive(**options: float) -> None:
@@ -45,7 +46,7 @@ def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models"), strea
     from export.onnx.verify import verify as check
 
     _positive(stream_steps=stream_steps)
-    print("\n".join(check(folder, stream_steps)))
+    print("\n".join(fitted(line, 2) for line in check(folder, stream_steps)))
 
 
 def benchmark(
@@ -86,11 +87,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "verify": verify,
             "benchmark": benchmark,
         }
-        tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion")
+        with read_by_somebody():
+            tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion")
+            return 0
+        return 1
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"{(arguments or sys.argv[1:])[0]}: interrupted", file=sys.stderr)
         return 130
-    return 0

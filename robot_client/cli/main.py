@@ -24,7 +24,7 @@ from robot_client.ports import DriverError, HomingDirection
 from robot_client.session.replay import ReplayError, replay
 from robot_client.settings import Settings, load_settings
 from service.contract.frames import first_error
-from service.contract.text import printable
+from service.contract.text import printable, read_by_somebody
 from service.contract.wire import ControllerName
 
 _EPILOG = """exit codes: 0 done (inserted, ready, homed, ...), 1 not done or failed safe,
@@ -198,8 +198,10 @@ def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     try:
         with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
-            outcome = _run(args)
-        code = 0 if outcome.done else 1
+            code, outcome = 1, Outcome(False, {"error": "nobody reads"})
+            with read_by_somebody():
+                outcome = _run(args)
+                code = 0 if outcome.done else 1
     except ValueError as error:
         text = first_error(error) if isinstance(error, ValidationError) else str(error)
         prefix = "FAILED SAFE" if isinstance(error, DriverError) else "error"
