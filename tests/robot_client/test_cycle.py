@@ -30,7 +30,7 @@ QUICK = {
     "ramps": {
         "travel": {"speed_mm_s": 75.0, "acceleration_mm_s2": 300.0, "jerk_mm_s3": 5000.0},
         "descend": {
-            "speed_mm_s": 6.0,
+            "speed_mm_s": 4.0,
             "acceleration_mm_s2": 100.0,
             "jerk_mm_s3": 2000.0,
         },  # a long lease on a busy machine
