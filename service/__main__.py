@@ -12,7 +12,7 @@ COMMANDS = {
     "judge": "find contact, hold, slip and loss in recorded grasps, run by run",
     "models": "check a folder of models and print their cards",
 }
-EXIT_NOT_DONE, EXIT_BAD_INPUT = 1, 2
+EXIT_BAD_INPUT = 2
 
 
 def usage() -> str:
@@ -41,9 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from service.contract.text import printable, read_by_somebody
 
     try:
-        with read_by_somebody():
-            return int(importlib.import_module(f"service.cli.{name}").main(rest))
-        return EXIT_NOT_DONE
+        return read_by_somebody(lambda: int(importlib.import_module(f"service.cli.{name}").main(rest)))
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:

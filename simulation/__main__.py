@@ -67,9 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
     run: Callable[[list[str]], int] = getattr(importlib.import_module(f"simulation.cli.{module}"), function)
     try:
         _refuse_negative_seed(rest)
-        with read_by_somebody():
-            return run(rest)
-        return 1
+        return read_by_somebody(lambda: run(rest))
     except (ValueError, OSError) as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2

@@ -3,8 +3,9 @@
 import math
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -82,15 +83,13 @@ def benchmark(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; wrong input is one line on standard error and exit code 2."""
     try:
-        commands: dict[str, Callable[..., None]] = {
+        commands: dict[str, Callable[..., Any]] = {
             "onnx": onnx,
             "verify": verify,
             "benchmark": benchmark,
         }
-        with read_by_somebody():
-            tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion")
-            return 0
-        return 1
+        parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog="tactile-insertion")
+        return read_by_somebody(lambda: int(parse() or 0))
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -196,12 +196,15 @@ def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
 def main(argv: list[str] | None = None) -> int:
     """Run one command: 0 done, 1 not done, 2 wrong input, which is one line on stderr."""
     args = _parser().parse_args(argv)
+    return read_by_somebody(lambda: _told(args))
+
+
+def _told(args: argparse.Namespace) -> int:
+    """Run it and say how it ended."""
     try:
         with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
-            code, outcome = 1, Outcome(False, {"error": "nobody reads"})
-            with read_by_somebody():
-                outcome = _run(args)
-                code = 0 if outcome.done else 1
+            outcome = _run(args)
+        code = 0 if outcome.done else 1
     except ValueError as error:
         text = first_error(error) if isinstance(error, ValidationError) else str(error)
         prefix = "FAILED SAFE" if isinstance(error, DriverError) else "error"

@@ -1,11 +1,10 @@
 """Text for a terminal: what comes from elsewhere made harmless, lines that fit, and a reader who has left."""
 
-import contextlib
 import os
 import select
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable
 
 WIDTH = 80
 
@@ -20,11 +19,10 @@ def fitted(line: str, indent: int = 0) -> str:
     return textwrap.fill(line, WIDTH, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
-@contextlib.contextmanager
-def read_by_somebody() -> Iterator[None]:
-    """Ends the work quietly where nobody reads standard output any more, as after ``| head``."""
+def read_by_somebody(work: Callable[[], int]) -> int:
+    """What the work returns; quietly 1 where nobody reads standard output any more, as after ``| head``."""
     try:
-        yield
+        code = work()
         sys.stdout.flush()
     except BrokenPipeError:
         output = select.poll()
@@ -32,3 +30,5 @@ def read_by_somebody() -> Iterator[None]:
         if not output.poll(0):  # its other end is there: the pipe that broke is another one
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    return code

@@ -36,9 +36,8 @@ def test_what_a_command_prints_fits_80_columns(capsys):
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
 
 
-@pytest.mark.parametrize(("unbuffered", "code"), [("", 0), ("1", 1)])
-def test_a_reader_may_leave_before_the_end(unbuffered, code):
-    """Written line by line the command ends at the first one, written at once it has done its work."""
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_may_leave_before_the_end(unbuffered):
     reader, writer = os.pipe()
     os.close(reader)
     command = [sys.executable, "-m", "tactile_insertion", "models"]
@@ -50,7 +49,7 @@ def test_a_reader_may_leave_before_the_end(unbuffered, code):
         check=False,
     )
     os.close(writer)
-    assert (done.returncode, done.stderr) == (code, b"")
+    assert (done.returncode, done.stderr) == (1, b"")
 
 
 def test_it_reaches_every_command_of_every_room():

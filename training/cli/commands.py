@@ -2,9 +2,10 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -154,7 +155,7 @@ def print_table(figures: dict[str, dict[str, float]]) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; wrong input is one line on standard error and exit code 2."""
     try:
-        commands = {
+        commands: dict[str, Callable[..., Any]] = {
             "train": train,
             "recipe": recipe,
             "show": show,
@@ -163,9 +164,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "expect": expect,
             "adapt": adapt,
         }
-        with read_by_somebody():
-            return int(tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion") or 0)
-        return 1
+        parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog="tactile-insertion")
+        return read_by_somebody(lambda: int(parse() or 0))
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         return 2
