@@ -267,10 +267,8 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         scene = scene.varied({"speed_mm_s": client.ramps.descend.speed_mm_s})
     perception: Perception = "fields" if job.controller == "oracle" else job.perception
     draws = perception == "pictures"
-    unstated = Unstated.model_validate(job.unstated)
-    cell = LockstepCell.build(
-        scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, make=job.mechanics()
-    )
+    unstated, parts = Unstated.model_validate(job.unstated), {"make": job.mechanics(), "cameras": job.cameras()}
+    cell = LockstepCell.build(scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, **parts)
     return Insertion(
         cell,
         models,
