@@ -74,9 +74,8 @@ class Camera:
         rng, share = np.random.default_rng(frame_seed), self.noise_grey / 4.0
         sigma = share * np.sqrt(READ_GREY**2 + SHOT_GREY * clean)
         rows = rng.normal(0.0, share * ROW_GREY, (len(clean), 1, 1))
-        return np.clip(np.rint(clean + sigma * rng.standard_normal(clean.shape, np.float32) + rows), 0, 255).astype(
-            np.uint8
-        )
+        frame = clean + sigma * rng.standard_normal(clean.shape, np.float32) + rows
+        return np.asarray(np.clip(np.rint(frame), 0, 255), np.uint8)
 
     def _clean(self, gel: NDArray[np.floating]) -> Floats:
         """The light that reaches the sensor, grey levels [h, w, 3]."""
@@ -88,10 +87,10 @@ class Camera:
         slope = _sampled(np.stack([slope_u, slope_v, felt[..., 2]], -1), rest)[..., :2]
         albedo = _sampled(self._albedo, rest)[..., :1]
         steep = np.sqrt(1.0 + np.square(slope).sum(-1))[..., None]
-        shade: Floats = AMBIENT * sum(colour * flat for colour, _, flat in self._lit)
+        shade = np.zeros_like(slope[..., :1])
         for colour, towards, flat in self._lit:
             facing = np.maximum(flat - (slope * towards).sum(-1, keepdims=True), 0.0) / steep
-            shade = shade + colour * facing
+            shade = shade + colour * (AMBIENT * flat + facing)
         return np.asarray(self._bright * albedo * shade * self._window + 12.0 * (1.0 - self._window), np.float32)
 
     def _light(self, colour: tuple[float, ...], at: tuple[float, float]) -> tuple[Floats, Floats, Floats]:
@@ -116,8 +115,8 @@ class Camera:
         """The albedo of the gel at rest, thrice [H, W, 3]: mottled paint, soft round dots of uneven size and place."""
         height, width = self.sensor.height_px, self.sensor.width_px
         mottle = cv2.GaussianBlur(rng.normal(0.0, 1.0, (height, width)).astype(np.float32), (0, 0), MOTTLE_PX)
-        paint = 1.0 + MOTTLED * mottle / float(mottle.std())
-        places = self.sensor.marker_rest_px().reshape(-1, 2)
+        paint = np.asarray(1.0 + MOTTLED * mottle / float(mottle.std()), np.float32)
+        places = self.sensor.marker_rest_px().reshape(-1, 2).astype(np.float64)
         places = places + rng.normal(0.0, DOT_PLACES_PX, places.shape)
         radius = 0.5 * self.sensor.marker_diameter_px * rng.normal(1.0, DOT_SIZES, len(places))
         v, u = np.mgrid[:height, :width]
@@ -126,7 +125,7 @@ class Camera:
             near = np.s_[max(0, int(y) - reach) : int(y) + reach, max(0, int(x) - reach) : int(x) + reach]
             edge = 1.0 / (1.0 + np.exp((np.hypot(u[near] - x, v[near] - y) - size) / DOT_RIM_PX))
             paint[near] *= 1.0 - (1.0 - DOT_ALBEDO) * edge
-        return np.repeat(np.asarray(paint, np.float32)[..., None], 3, axis=-1)
+        return np.repeat(paint[..., None], 3, axis=-1)
 
 
 def _sampled(source: Floats, at: Floats, interpolation: int = cv2.INTER_LINEAR) -> Floats:
