@@ -167,12 +167,15 @@ def stop_service(cell, _):
     threading.Timer(3.0, os.kill, (cell.service.process.pid, signal.SIGCONT)).start()
 
 
+RARE = {"camera late by a second", "link dripping byte by byte"}
 FAULTS = {
     "service stopped": (stop_service, "unwatched"),
     "camera stalled": (camera("stalled"), "unwatched|no_reference|turned_in_hand"),
     "camera frozen": (camera("frozen"), "unwatched|no_reference|turned_in_hand"),
     "camera black": (camera("black"), "unwatched|no_reference|turned_in_hand"),
+    "camera late by a second": (camera("late"), "unwatched|no_reference|turned_in_hand"),
     "link half open": (lambda _, proxy: proxy.hang(), "unwatched"),
+    "link dripping byte by byte": (lambda _, proxy: proxy.drip(), "unwatched"),
     "link cut": (lambda _, proxy: proxy.cut(), "no close frame"),
     "nonsense": (lambda _, proxy: proxy.inject("nonsense"), "Expecting value"),
     "frame of tomorrow": (
@@ -192,7 +195,9 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    "fault", [pytest.param(name, marks=pytest.mark.slow) if name in RARE else name for name in FAULTS]
+)
 def test_a_fault_in_mid_descent_stops_the_arm(cell, fault):
     cause, expected = FAULTS[fault]
     proxy = Proxy(cell.service.port)
