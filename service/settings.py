@@ -47,13 +47,15 @@ class SettingsError(ContractError):
 
 
 class Settings(BaseSettings):
-    """Serve tactile insertions: two finger cameras in, slip and corrections out, a dashboard at /.
+    """Serve insertions: two cameras in, slip and corrections out, a page at /.
 
-    Example: python -m service run --models models --calibration cell/calibration.toml
-    --camera-left http://127.0.0.1:8081/stream.mjpg --camera-right http://127.0.0.1:8082/stream.mjpg
+    Example: python -m service run --calibration cell/calibration.toml
+    --camera-left http://127.0.0.1:8081/stream.mjpg
+    --camera-right http://127.0.0.1:8082/stream.mjpg
 
-    Each option may also be a variable (TACTILE_CAMERA_LEFT) or a line of a TOML file (camera_left = "v4l2:0" in
-    --config FILE). The command line wins over the environment, the environment over the file.
+    Each option may also be a variable (TACTILE_CAMERA_LEFT) or a line of a
+    TOML file (camera_left = "v4l2:0" in --config FILE). The command line wins
+    over the environment, the environment over the file.
     """
 
     model_config = SettingsConfigDict(
@@ -75,7 +77,7 @@ class Settings(BaseSettings):
     recordings: Path = Field(Path("recordings"), description="folder for recorded insertions")
     recordings_max_gb: float = Field(20.0, gt=0, description="oldest insertions are removed beyond this")
     controller: ControllerName = Field("belief", description="heuristic (the paper's) or belief (remembers attempts)")
-    imprint_slip: bool = Field(False, description="stop for a sliding imprint, too (tried on recorded real grasps)")
+    imprint_slip: bool = Field(True, description="stop for a sliding imprint, too, not for the markers' slip alone")
     frame_rate_hz: float | None = Field(None, gt=0, le=240, description="asked of V4L2 cameras; default the sensor's")
     max_skew_ms: float | None = Field(None, gt=0, description="largest skew of a pair; default 0.6 frame periods")
     max_dx_mm: float = Field(15.0, gt=0, le=50, description="largest correction across the gap ever sent")
