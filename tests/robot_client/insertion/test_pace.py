@@ -32,7 +32,8 @@ from tests.robot_client.insertion.stories import (
 RAMPS = Ramps(descend=Ramp(speed_mm_s=10.0, acceleration_mm_s2=400.0, jerk_mm_s3=8000.0))
 FAST = PLAN.model_copy(
     update={
-        "pace": Pace(fast_mm_s=25.0, lift_mm=4.0),
+        "pace": Pace(fast_mm_s=25.0, fast_travel_mm=2.5, lift_mm=4.0),
+        "pause_s": PAUSE_S,
         "limits": Limits(max_descent_speed_mm_s=25.0),
         "ramps": RAMPS,
     }
@@ -107,7 +108,7 @@ def test_with_cameras_too_slow_for_it_the_descent_is_slow_all_the_way(rate_hz):
     assert descent(commands).until_s == pytest.approx(FAST.lease.lasts_s(10.0))
 
 
-@pytest.mark.parametrize("pace", [Pace(fast_mm_s=26.0), Pace(fast_mm_s=9.0), Pace(fast_mm_s=25.0, fast_travel_mm=2.6)])
+@pytest.mark.parametrize("pace", [Pace(fast_mm_s=26.0), Pace(fast_mm_s=25.0, fast_travel_mm=2.6)])
 def test_a_pace_beyond_limits_or_lease_moves_nothing(pace):
     state, commands = run(TO_ARMING[:1], State(FAST.model_copy(update={"pace": pace})))
     assert state.phase is Phase.FAILED
