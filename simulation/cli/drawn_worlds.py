@@ -95,7 +95,7 @@ def drawn_objects(out: Path, count: int, seed: int) -> list[str]:
     folder = out / "objects"
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"object-{number:04d}.toml" for number in range(count)]
-    for path, tables in zip(paths, drawn.drawdrawn_objects(count, seed), strict=True):
+    for path, tables in zip(paths, drawn.draw_objects(count, seed), strict=True):
         write_durably(path, drawn.toml(tables, "drawn").encode())
     return [str(path) for path in paths]
 
@@ -178,7 +178,7 @@ def draw_worlds(arguments: list[str]) -> int:
     return _write(options, "world", drawn.draw_worlds(options.count, options.seed), comment)
 
 
-def drawdrawn_objects(arguments: list[str]) -> int:
+def draw_objects(arguments: list[str]) -> int:
     """Write random convex objects."""
     options = tyro.cli(DrawOptions, args=arguments, prog="tactile-insertion draw-objects")
-    return _write(options, "object", drawn.drawdrawn_objects(options.count, options.seed), lambda _: "")
+    return _write(options, "object", drawn.draw_objects(options.count, options.seed), lambda _: "")
