@@ -68,3 +68,7 @@ class Pace(Contract):
         if self.lift_mm is None or stop_mm < told.low_mm - self.below_mm:
             return approach_mm
         return min(approach_mm, tops.high_mm + self.lift_mm)
+
+
+ONE_SPEED = Pace(fast_mm_s=None, lift_mm=None)
+"""Down at the probing speed all the way, and up to the approach."""

@@ -12,7 +12,7 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import PAUSE_S, ClockMap, Lease
 from robot_client.insertion.limits import LimitError, Limits, Positive, check_pose
 from robot_client.insertion.motion import Ramps, check_ramps
-from robot_client.insertion.pace import Pace, Tops
+from robot_client.insertion.pace import ONE_SPEED, Pace, Tops
 from service.contract import wire
 from service.contract.frames import Contract, Finger
 
@@ -92,7 +92,7 @@ class Plan(Contract):
     lease: Lease = Lease()
     gels: dict[Finger, str] = Field(default_factory=dict)
     pause_s: float = Field(default=0.0, ge=0.0, le=PAUSE_S)
-    pace: Pace = Pace()
+    pace: Pace = ONE_SPEED
 
     def check(self) -> None:
         """Raise LimitError for a pose, a ramp, a speed or a lease that is not allowed."""

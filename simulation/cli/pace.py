@@ -33,7 +33,7 @@ class Options(PlayOptions):
 
     out: Path = Path("runs/pace")
     docs: Path = Path("runs/pace")
-    count: int = 60
+    count: int = 40
     """starts"""
     seed: int = 72
     points: tuple[str, ...] = ()

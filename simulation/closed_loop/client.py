@@ -9,7 +9,6 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import FAST_S, PAUSE_S, SLOW_MM, Lease
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
-from robot_client.insertion.pace import Pace
 from robot_client.insertion.state import Plan
 from robot_client.settings import Settings, load_settings
 from simulation.closed_loop.job import Job
@@ -56,7 +55,6 @@ def plan_of(
         ramps=ramps.model_copy(update={"descend": descend}),
         pause_s=PAUSE_S,
         lease=Lease(travel_mm=longest_travel_mm(scene.speed_mm_s)),
-        pace=Pace(fast_mm_s=None, lift_mm=None),
     )
     return plan if client is None else _as_set(plan, client)
 

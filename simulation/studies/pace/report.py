@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reporting.figure import BLUE, GREY, PALETTE, drawing
+from reporting.figure import BLUE, GREEN, GREY, ORANGE, PALETTE, drawing
 from reporting.page import page, publish
 from reporting.statistics import Estimate, bootstrap, mean, wilson
 from reporting.table import Table, table
@@ -29,19 +29,21 @@ paused the three others until the client held them, unwatched or out of time. No
 The client prints the same parts at the end of every insertion, and keeps them in its log. `python -m simulation run
 --client pace.toml` plays a choice live.
 """
+AIR, PROBING, FAST, TRIP = "in the air", "probing, stop, look", "fast legs", "trip to the fixture"
 GROUPS = {
-    "approach": "approach",
-    "guarded descent": "guarded descent",
-    "fast descent": "fast descent",
-    "arm": "look",
-    "stop": "look",
-    "wait for frames": "look",
-    "decide": "look",
-    "confirm": "look",
-    "retract": "up and over",
-    "correct": "up and over",
-    "take afresh": "take afresh",
+    "approach": AIR,
+    "arm": PROBING,
+    "fast descent": FAST,
+    "guarded descent": PROBING,
+    "stop": PROBING,
+    "wait for frames": PROBING,
+    "decide": PROBING,
+    "retract": AIR,
+    "correct": AIR,
+    "confirm": PROBING,
+    "take afresh": TRIP,
 }
+COLOURS = {AIR: PALETTE[5], PROBING: ORANGE, FAST: GREEN, TRIP: PALETTE[4]}
 
 
 def report_of(rows: Sequence[Row], points: Sequence[Point]) -> Row:
@@ -151,7 +153,7 @@ def columns(data: Row, best: set[str]) -> Table:
 
 
 def parts(data: Row) -> Table:
-    """Where the seconds go: mean, with median and 95 % of the whole in the other table."""
+    """Where the seconds go: means; median and 95 % of the whole are in the other table."""
     names = [name for name in GROUPS if any(p["parts"][name]["mean"] >= 0.005 for p in data["points"])]
     return table(
         data["points"],
@@ -184,12 +186,13 @@ def _draw_cost(panel: Any, points: Sequence[Row], best: set[str]) -> None:
 
 
 def _draw_parts(panel: Any, points: Sequence[Row]) -> None:
-    places, left = np.arange(len(points)), np.zeros(len(points))
-    for name, colour in zip(dict.fromkeys(GROUPS.values()), PALETTE, strict=False):
+    left = np.zeros(len(points))
+    for name, colour in COLOURS.items():
         width = np.array([sum(of["mean"] for part, of in p["parts"].items() if GROUPS[part] == name) for p in points])
-        panel.barh(places, width, left=left, color=colour, height=0.6)
-        widest = int(np.argmax(width))
-        panel.text(left[widest] + width[widest] / 2, widest, name, ha="center", va="center", fontsize=7)
+        panel.barh(np.arange(len(points)), width, left=left, color=colour, height=0.6)
+        for place in np.flatnonzero(width >= 0.5):
+            text = f"{name}\n{width[place]:.1f}" if place == np.argmax(width) else f"{width[place]:.1f}"
+            panel.text(left[place] + width[place] / 2, place, text, ha="center", va="center", fontsize=7)
         left += width
     panel.set(xlim=(0, None), xlabel="mean seconds of an insertion", title="where they go")
 
@@ -253,7 +256,7 @@ def _choices(of: Row) -> str:
 
     <!-- not executed: writes pace.toml -->
     ```sh
-    python -m simulation choose --seconds-a-box 12 --success 0.95 --max-force 40
+    python -m simulation choose --seconds-a-box 12 --success 0.9 --max-force 40
     ```
 
     **Frames a decision**: nothing is waited for after standstill. From the touch to the last frame that a decision
