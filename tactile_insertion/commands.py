@@ -35,7 +35,6 @@ GROUPS: dict[str, dict[str, Command]] = {
         "probe": Command("simulation", "probe", "one guarded descent, printed, drawn or filmed"),
         "imprint": Command("simulation", "imprint", "what the simulated sensor sees, as a picture"),
         "collect": Command("simulation", "collect", "collect collisions as a dataset, on all cores"),
-        "view": Command("simulation", "view", "draw trials of a dataset"),
         "export-dataset": Command("simulation", "export-dataset", "write a dataset as LeRobot v3 or MCAP"),
         "evaluate": Command("simulation", "evaluate", "play every world with every object"),
         "trust": Command("simulation", "trust", "count claims that are not true, under faults"),

@@ -24,11 +24,12 @@ def onnx(checkpoint: Annotated[Path, tyro.conf.Positional], out: Path = Path("mo
     Args:
         checkpoint: a ``checkpoint.pt`` of ``python -m training train``.
         out: folder of the released models.
-        force: also where the directions are no better than guessed; the card's figures say so.
+        force: also where the directions are no better than guessed; the card says so.
     """
     from export.onnx.to_onnx import export_checkpoint, why_untrained
+    from training.fit.checkpoint import Checkpoint
 
-    if (why := why_untrained(checkpoint)) and not force:
+    if not force and (why := why_untrained(Checkpoint.load(checkpoint))):
         raise ContractError(f"{checkpoint}: {why}; --force exports it all the same")
     for file in export_checkpoint(checkpoint, out):
         print(f"{file}  {file.stat().st_size / 1e6:.2f} MB")

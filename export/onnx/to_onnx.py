@@ -20,6 +20,7 @@ from export.onnx.runtime import session
 from export.onnx.verify import verify_forms
 from reporting.machine import cpu_name
 from service.contract import Calibration, ContractError, ModelCard
+from service.contract.model_card import UNTRAINED
 from service.contract.self_test import CONDITIONS, make_self_test
 from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.fit.checkpoint import Checkpoint
@@ -68,9 +69,9 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
         return [file.replace(_home(out, file.name, beside)) for file in written]
 
 
-def why_untrained(path: Path) -> str:
+def why_untrained(checkpoint: Checkpoint) -> str:
     """Why a checkpoint's directions may as well be guessed, by its own validation; empty for a trained one."""
-    figures = Checkpoint.load(path).figures.get("validation/all", {})
+    figures = checkpoint.figures.get("validation/all", {})
     if not {"accuracy", "chance", "trials"} <= figures.keys():
         return "its directions were never validated"
     accuracy, chance, trials_n = figures["accuracy"], figures["chance"], figures["trials"]
@@ -87,7 +88,8 @@ def _home(out: Path, name: str, beside: tuple[str, ...]) -> Path:
 
 
 def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> ModelCard:
-    """The card of one file; its validation figures are those of the validation split, all objects."""
+    """The card of one file: figures of the validation split, all objects; of a network that guesses it says so."""
+    why = why_untrained(checkpoint)
     joint = role == "joint"
     scales = checkpoint.joint_scales if joint else checkpoint.scales
     told = network.uses_geometry and not checkpoint.pressing  # with steps of depth these are conditions
@@ -115,7 +117,7 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         expectations=checkpoint.expectations,
         training_data_sha256=checkpoint.training_data_sha256,
         git_commit=checkpoint.git_commit,
-        training_run=checkpoint.run,
+        training_run=checkpoint.run | ({UNTRAINED: why} if why else {}),
         validation=checkpoint.figures.get("joint/validation/all" if joint else "validation/all", {}),
         verified_on_cpu=cpu_name(),
     )

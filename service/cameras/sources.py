@@ -127,9 +127,9 @@ class V4l2Source:
     (V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, as UVC does). A stamp of another clock is left for the time of reading.
     """
 
-    def __init__(self, device: int, frame_rate_hz: float, size: tuple[int, int] | None = None) -> None:
+    def __init__(self, device: int, frame_rate_hz: float) -> None:
         self.name = f"v4l2:{device}"
-        self._device, self._frame_rate_hz, self._size = device, frame_rate_hz, size
+        self._device, self._frame_rate_hz = device, frame_rate_hz
         # a missing camera is tried four times a second, and OpenCV would warn twice each time
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
 
@@ -140,9 +140,6 @@ class V4l2Source:
                 raise CameraError(f"cannot open /dev/video{self._device}; is it plugged in and free?")
             capture.set(cv2.CAP_PROP_FPS, self._frame_rate_hz)
             capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-            if self._size:
-                capture.set(cv2.CAP_PROP_FRAME_WIDTH, self._size[0])
-                capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self._size[1])
             same_clock = False
             while not stop.is_set():
                 grabbed, pixels = capture.read()

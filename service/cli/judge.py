@@ -6,12 +6,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
+
 from service.tools.judge import JudgeError, judged, runs_of
 
 
 def main(arguments: Sequence[str]) -> int:
     """Judge every run and write the rows, 1 if a run could not be read; raises JudgeError where there is none."""
     options = _parse(arguments)
+    cv2.setNumThreads(1)  # the milliseconds of a frame are those of one core
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text("[]\n", encoding="utf-8")
     rows, evidence, unread_n = [], {}, 0

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
+from service.contract.model_card import UNTRAINED, ModelCard
 from service.contract.shipped import released_models
 from service.contract.text import printable
 from service.decision.models import LoadedModel, load_models
@@ -37,18 +38,24 @@ def _seed(run: dict[str, JsonValue]) -> str:
     return f", seed {run['seed']}" if "seed" in run else ""
 
 
+def _trained(card: ModelCard) -> str:
+    """The figures, or why there is nothing to trust."""
+    if why := card.training_run.get(UNTRAINED):
+        return f"UNTRAINED: {why}"
+    return ", ".join(f"{name} {value:.3g}" for name, value in card.validation.items()) + " (simulated)"
+
+
 def describe(model: LoadedModel, *, decides: bool) -> list[str]:
     """A few lines on one file: what it is, what it takes, where it comes from, how it did."""
     card = model.card
     size_mb = model.path.stat().st_size / 1e6
-    figures = ", ".join(f"{name} {value:.3g}" for name, value in card.validation.items())
     frame = f"{card.frame.width_px} x {card.frame.height_px} {card.frame.colour}"
     return [
         f"{model.path.name}: {card.name}, {card.role}, {card.form} form, {size_mb:.2f} MB"
         + (", decides" if decides else ""),
         f"  takes       {card.frames_per_decision} frame pairs, {frame}, {card.quantisation} quantisation",
         f"  calibrated  temperature {card.calibration.temperature:.3g}, refuses below {card.min_confidence:.0%}",
-        f"  validation  {figures} (simulated)",
+        f"  validation  {_trained(card)}",
         f"  from        commit {card.git_commit[:12]}, data {card.training_data_sha256[:12]}{_seed(card.training_run)}",
         f"  verified    on {card.verified_on_cpu}",
         f"  sha256      {model.sha256}",

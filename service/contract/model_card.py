@@ -16,6 +16,7 @@ from service.contract.frames import Contract, ContractError, FrameSpec, first_er
 from service.contract.sensor import MarkerSpec, Sensor
 
 CARD_KEY = "tactile_insertion.card"
+UNTRAINED = "untrained"  # in ``training_run``: why a network that was exported all the same may as well be guessed
 
 Sign = Literal[-1, 0, 1]
 Role = Literal["direction", "magnitude", "joint", "pair"]

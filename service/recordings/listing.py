@@ -81,9 +81,8 @@ def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[st
 def _entry(folder: Path) -> dict[str, Any]:
     summary = Summary.model_validate_json((folder / "summary.json").read_bytes())
     stamp = datetime.strptime(folder.name[:15], "%Y%m%dT%H%M%S")  # noqa: DTZ007 - shown as it is, UTC
-    decided = sorted(int(p.stem[-2:]) for p in folder.glob("attempt_[0-9][0-9].npz"))
     held_n, stated_n = summary.held_n
-    facts: dict[str, Any] = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}", "decided": decided}
+    facts: dict[str, Any] = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}"}
     facts |= {"intervals_held_n": held_n, "intervals_n": stated_n}
     return facts | summary.model_dump(mode="json")
 

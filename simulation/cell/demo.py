@@ -30,7 +30,7 @@ class DemoOptions(RunOptions):
     """Stop after so many inserted objects."""
 
 
-def lines(options: DemoOptions, folder: Path, log: Path | None = None) -> Iterator[str]:
+def lines(options: DemoOptions, folder: Path) -> Iterator[str]:
     """Run the demonstration and give what it says; raises ChildError if a process fails. Ends all on leaving."""
     start = Start(options.object, 0.0, 0.0, options.seed)
     folder.mkdir(parents=True)
@@ -49,7 +49,7 @@ def lines(options: DemoOptions, folder: Path, log: Path | None = None) -> Iterat
         config = folder / "client.toml"
         config.write_text(client_config(facts, url, (folder / "state" / TOKEN_FILE).resolve(), options.link))
         counted = ("--parts", str(options.parts)) if options.parts else ()
-        arguments = ["cycle", "--live", "--config", str(config), "--logs", str(log or folder / "episodes"), *counted]
+        arguments = ["cycle", "--live", "--config", str(config), "--logs", str(folder / "episodes"), *counted]
         client = children.enter_context(Child("robot client", "robot_client", arguments, folder / "client.log"))
         for child in (cell, service, client):
             child.go_first()

@@ -47,8 +47,6 @@ class Course:
     max_force_n: float = 0.0
     max_slipping_share: float = 0.0
     frames: int = 0
-    frames_skipped: int = 0
-    busy_s: float = 0.0
     unsolved: int = 0  # moves for which the physics found no equilibrium
     contact_events: list[tuple[int, float]] = field(default_factory=list)  # (captured_ns, bottom z) at each touchdown
 
@@ -157,12 +155,10 @@ class World:
             for sink in self._sinks:
                 sink(Exposure(seq, captured_ns, self._gel, before))
             now_s = time.monotonic()
-            self.course.busy_s += now_s - captured_ns / 1e9
             seq += 1
             due_s += period_s
             if now_s > due_s:
                 skipped = int((now_s - due_s) / period_s)
-                self.course.frames_skipped += skipped
                 seq += skipped
                 due_s += skipped * period_s
 

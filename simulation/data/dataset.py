@@ -196,13 +196,6 @@ class Dataset:
     def __len__(self) -> int:
         return len(self._where)
 
-    def trials_of_shard(self, name: str) -> list[int]:
-        """Numbers of the trials that lie in shard ``name``; DatasetError if the manifest does not list it."""
-        names = [entry.name for entry in self.manifest.shards]
-        if name not in names:
-            raise DatasetError(f"{self.path / name}: not listed in {MANIFEST}")
-        return [index for index, (shard, _) in enumerate(self._where) if shard == names.index(name)]
-
     def trial(self, index: int) -> Trial:
         """Trial ``index``; its arrays are read-only views."""
         shard, row = self._where[index]

@@ -1,4 +1,4 @@
-"""One picture of one attempt: what both fingers saw, how the dots moved, what was decided. Used by `view` and `run`."""
+"""One picture of one attempt: what both fingers saw, how the dots moved, what was decided."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

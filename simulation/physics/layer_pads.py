@@ -175,6 +175,26 @@ class LayerPads:
         self.unsettled = True
         return load_step.STALLED
 
+    def _follow(self, solve: Callable[..., int]) -> int:
+        """Let the anchors come after the object round by round, each from where the last one left it.
+
+        For an object that snaps over: begun anew in each round, it snaps back as soon as the anchors come near.
+        """
+        anchors, before = self._anchors, self.surface
+        for done in range(MAX_ROUNDS):
+            self.rounds += 1
+            self._place_anchors(anchors, before)
+            status = solve(arrived=done > 0)
+            if status != load_step.SETTLED:
+                return status
+            tractions = self._tractions()
+            surface, fresh = self._answer(tractions)
+            if float(np.abs(fresh - anchors).max()) <= self._settle_mm:
+                self._anchors, self.surface, self.unsettled = fresh, surface, False
+                return load_step.SETTLED
+            before, anchors = anchors + tractions * self._soft, fresh
+        return load_step.STALLED
+
     def close(self, grip: Callable[[], None]) -> bool:
         """Close the fingers without shear; grip closes bristle pads to the force. False where they do not settle."""
         self._anchors, self._creep = np.zeros_like(self._anchors), np.zeros_like(self._creep)
@@ -189,10 +209,11 @@ class LayerPads:
         self._grasped = self.surface
         return closed
 
-    def advance(self, memory: tuple[Records, ...], solve: Callable[[], int], duration_s: float = 0.0) -> int:
+    def advance(self, memory: tuple[Records, ...], solve: Callable[..., int], duration_s: float = 0.0) -> int:
         """One load step; memory: state and slots, put back before each try. Leaves all as it was unless SETTLED.
 
-        duration_s: how long the step takes; what crept meanwhile crept before its motion.
+        solve: the core's step; with ``arrived`` the hand has made its move already. duration_s: how long the step
+        takes; what crept meanwhile crept before its motion.
         """
         kept, nodes = [part.copy() for part in memory], self._nodes.copy()
         own = self._anchors, self._creep, self._bent
@@ -202,16 +223,21 @@ class LayerPads:
         if self._bend:
             self._nodes["x"] = self._x + self._side * np.repeat(self._bent, self._x.size // 2)
 
-        def again() -> int:
+        def put_back() -> None:
             for part, old in zip(memory, kept, strict=True):
                 part[:] = old
+
+        def again() -> int:
+            put_back()
             return solve()
 
         status = self._settle(self.surface, again)
+        if self.unsettled:
+            put_back()
+            status = self._follow(solve)
         if status != load_step.SETTLED:
             report = memory[0]["report"].copy()
-            for part, old in zip(memory, kept, strict=True):
-                part[:] = old
+            put_back()
             memory[0]["report"] = report
             self._nodes[:] = nodes
             self._anchors, self._creep, self._bent = own

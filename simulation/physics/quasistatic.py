@@ -6,6 +6,7 @@ Frames and signs are the work-object frame's; angles at the interface in deg.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -174,9 +175,9 @@ class QuasiStaticCell:
         heights = bottom @ self.state["turn"][2] + self.state["place"][2] + pose[2]
         return float(heights.min() - max(0.0, float(self.state["block"][:, 2].max())))
 
-    def _solve(self, target: Array, blend: float) -> int:
-        tolerance_n = self.scene.numerics.residual_n
-        status: int = load_step.advance(self._work(), self.pose, target, tolerance_n, self.direct, blend)
+    def _solve(self, target: Array, blend: float, *, arrived: bool = False) -> int:
+        start, tolerance_n = target if arrived else self.pose, self.scene.numerics.residual_n
+        status: int = load_step.advance(self._work(), start, target, tolerance_n, self.direct, blend)
         return status
 
     def _step(self, target: Array, dt_s: float | None, blend: float) -> int:
@@ -184,15 +185,15 @@ class QuasiStaticCell:
             return self._solve(target, blend)
         if dt_s is None:
             dt_s = duration_s(target - self.pose, self.pace_mm_s)
-        return self.layer.advance((self.record, self.slots), lambda: self._solve(target, blend), dt_s)
+        return self.layer.advance((self.record, self.slots), partial(self._solve, target, blend), dt_s)
 
     def _pass(self, target: Array, dt_s: float | None, blend: float = 1.0) -> int:
         """One load step as it is, not divided; blend below 1: damp the friction limits where they jump."""
         if self.coasting is None:
             return self._step(target, dt_s, blend)
         dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
-        world = self.constants, self.trials, self._centre()
-        return self.coasting.step(*world, dt_s, lambda: self._step(target, dt_s, blend))
+        world = self.constants, self.trials, self._centre(), dt_s
+        return self.coasting.step(*world, partial(self._step, target, dt_s, blend))
 
     def _advance(self, target: Array, dt_s: float | None = None) -> None:
         """One load step, divided where it must be. Raises PhysicsError."""
@@ -232,12 +233,8 @@ class QuasiStaticCell:
         self.pose = target
         if self.coasting is not None:
             self.coasting.arrive(self._centre())
-        grips = self._grips()
-        if (
-            status == load_step.LOST
-            or np.abs(self.state["place"]).max() > LOST_MM
-            or grips.min() < LOST_GRIP * grips.max()
-        ):
+        grips, far = self._grips(), bool(np.abs(self.state["place"]).max() > LOST_MM)
+        if status == load_step.LOST or far or grips.min() < LOST_GRIP * grips.max():
             self.grasp_lost = True
 
     def _drops(self) -> bool:

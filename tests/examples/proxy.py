@@ -1,8 +1,9 @@
-"""A TCP proxy in front of the service: a link that hangs without being closed, is cut, or says what nobody said."""
+"""A TCP proxy in front of the service: a link that hangs without being closed, drips, is cut, or is lied on."""
 
 import contextlib
 import socket
 import threading
+import time
 
 
 class Proxy:
@@ -12,7 +13,7 @@ class Proxy:
         self._service_port = port
         self._open = threading.Event()
         self._open.set()
-        self._ended = False
+        self._ended = self._drips = False
         self._sockets: list[socket.socket] = []
         self._clients: list[socket.socket] = []
         self._listening = socket.create_server(("127.0.0.1", 0))
@@ -22,6 +23,10 @@ class Proxy:
     def hang(self) -> None:
         """Half open: both sides believe in the connection, and nothing comes through any more."""
         self._open.clear()
+
+    def drip(self) -> None:
+        """From now on ten bytes a second come through, one by one."""
+        self._drips = True
 
     def cut(self) -> None:
         for sock in self._sockets:
@@ -52,10 +57,12 @@ class Proxy:
 
     def _pass_on(self, source: socket.socket, sink: socket.socket) -> None:
         with contextlib.suppress(OSError):
-            while content := source.recv(65536):
+            while content := source.recv(1 if self._drips else 65536):
                 self._open.wait()
                 if self._ended:
                     return
                 sink.sendall(content)
+                if self._drips:
+                    time.sleep(0.1)
             if self._open.is_set():
                 sink.shutdown(socket.SHUT_RDWR)

@@ -152,8 +152,6 @@ What is known not to work, and why:
   already, on any controller. Its asyncio client `rws_aio` is no Python: a colon is missing in the released file.
 - `foxglove-sdk` writes recordings and reads none; its encoder is compared instead.
 - `lerobot` brings a CUDA build of torch, 8 GB in all: `make peers LEROBOT=1` installs it. Without, its row stays.
-- The networks of the release before (`models/*.onnx`, `models/joint`, `models/pictures`) are IR 10, as they were
-  released: they need onnxruntime 1.18. Their bytes are named in recordings, so they are not written anew.
 
 Tried by hand, because it is in no package: the demo of
 [drake-schunk-driver](https://github.com/RobotLocomotion/drake-schunk-driver) in C++, unmodified but for the address,

@@ -41,7 +41,7 @@ class FakeFinger:
         self.connected = True
         self.size: tuple[int, int] | None = None
         self.open = False  # nothing touches the gel
-        self.trouble = ""  # "stalled": nothing is sent, "frozen": the same picture again and again, "black"
+        self.trouble = ""  # "stalled": nothing is sent, "frozen": the same picture again and again, "black", "late"
         self.stop = threading.Event()
         for index in range(25):
             for variant in range(VARIANTS):
@@ -97,7 +97,7 @@ class FakeFinger:
         jpeg = encoded(self.finger, self.index(), sequence % VARIANTS, self.size)
         if self.trouble == "black":
             jpeg = black(drawn.raw(self.finger, 0, 10, 16).shape, sequence)
-        stamp = time.monotonic_ns()
+        stamp = time.monotonic_ns() - (10**9 if self.trouble == "late" else 0)
         head = (
             f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n"
             f"X-Timestamp: {stamp // 10**9}.{stamp % 10**9:09d}\r\n\r\n"

@@ -68,9 +68,9 @@ def _table() -> tuple[int, ...]:
 _CRC_TABLE = _table()
 
 
-def crc16(data: bytes, start: int = 0xFFFF) -> int:
+def crc16(data: bytes) -> int:
     """CRC of the whole frame before the CRC bytes: an MSB-first table of 0x1021 used with an LSB-style update."""
-    value = start
+    value = 0xFFFF
     for byte in data:
         value = _CRC_TABLE[(value ^ byte) & 0xFF] ^ (value >> 8)
     return value

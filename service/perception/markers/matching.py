@@ -6,6 +6,7 @@ is the grid's border, its gaps and the small irregularities of its nodes; :func:
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,10 +18,16 @@ _TEAR = 0.5  # pitch; a node that moved this much otherwise than its neighbours 
 _FINGERPRINT = 0.03  # pitch; scatter of a right match about its neighbours
 _FLAT = 1e-9  # of the spread squared; nodes spread less the other way lie on one line
 _CAP = 25.0  # cost of a node without a spot, or of one five sigma off
-_STEPS = [np.array([col, row]) for row in range(-3, 4) for col in range(-3, 4)]
+_BEYOND = 1e6  # px
+_WINDOW = np.ones((3, 3), np.uint8)
+_LEAST_N = 9  # spots that a placement needs
+_BETTER = 0.05  # misfit by which one placement has to be better than another
+_STRAY = 0.5 * _CAP  # of a spot without a node
+_STEPS = np.array(
+    sorted(((col, row) for row in range(-3, 4) for col in range(-3, 4)), key=lambda step: np.hypot(*step))
+)
 _AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
-_NEAR = [step for step in _STEPS if np.abs(step).max() <= 2]
-_FAR = [step for step in _STEPS if np.abs(step).max() == 3]
+_NEAR, _FAR = (_STEPS[chosen] for chosen in (np.abs(_STEPS).max(1) <= 2, np.abs(_STEPS).max(1) == 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,14 +119,18 @@ def score_match(
     cost = np.where(valid, np.minimum(scatter, _CAP), _CAP)[counts].sum()
     stray = len(points) - int(np.count_nonzero(valid))
     total = max(1, int(np.count_nonzero(counts)))
-    return Match(xy, valid, float((cost + 0.5 * _CAP * stray) / total), int(torn.sum()), np.where(valid, spot, -1))
+    return Match(xy, valid, float((cost + _STRAY * stray) / total), int(torn.sum()), np.where(valid, spot, -1))
 
 
 def _torn(displacement: FloatArray, valid: BoolArray, limit: float) -> BoolArray:
     """Which valid nodes [rows, cols] moved further than ``limit`` from the median of their neighbours."""
     moved = displacement[valid]
     if not len(moved) or np.hypot(*np.ptp(moved, axis=0)) <= limit:
-        return np.zeros_like(valid)  # a median lies between the extremes
+        return np.zeros_like(valid)  # a median lies between the extremes, here of all and below of those around
+    most, least = (np.where(valid[..., None], displacement, np.float32(end)) for end in (-_BEYOND, _BEYOND))
+    reach = np.maximum(cv2.dilate(most, _WINDOW) - displacement, displacement - cv2.erode(least, _WINDOW))
+    if not (valid & (_squared(reach) > limit**2)).any():
+        return np.zeros_like(valid)
     typical, around = neighbour_median(displacement, valid)
     return np.asarray(valid & (around >= 3) & (_squared(displacement - typical) > limit**2), np.bool_)
 
@@ -142,7 +153,8 @@ def _affine(rest: FloatArray, xy: FloatArray, valid: BoolArray) -> FloatArray:
     if uu * vv - uv * uv <= _FLAT * (uu + vv) ** 2:  # all on one line
         return rest
     linear = np.linalg.solve(normal, x.T @ xy[valid])
-    return np.asarray((rest - middle) @ linear[:2] + linear[2], np.float32)
+    carried = (rest - middle).reshape(-1, 2) @ linear[:2] + linear[2]
+    return np.asarray(carried.reshape(rest.shape), np.float32)
 
 
 def reindex(
@@ -160,7 +172,7 @@ def reindex(
         return prior
     seed = int(np.square(points - previous.reshape(-1, 2).mean(0)).sum(1).argmin())
     index, reached = flood(points, basis, seed)
-    if reached.sum() < 9:
+    if reached.sum() < _LEAST_N:
         return prior
 
     def place(spot: NDArray[np.intp]) -> Match:
@@ -174,11 +186,13 @@ def reindex(
     spot_of = np.flatnonzero(reached)
     best, best_score = prior, prior.misfit + _motion(prior, previous, pitch)
     for steps in (_NEAR, _FAR):
-        for step in steps:
-            spot = _placed(cells + step, spot_of, rest.shape[:2])
-            rival = None if spot is None else place(spot)
-            score = np.inf if rival is None else rival.misfit + _motion(rival, previous, pitch)
-            if rival is not None and score < best_score - 0.05:
+        for step, fit_n in zip(steps, _fit_n(cells, steps, rest.shape[:2]), strict=True):
+            least = _STRAY * (len(points) - fit_n) / rest[..., 0].size  # misfit if all else were perfect
+            if fit_n < _LEAST_N or least >= best_score - _BETTER:
+                continue
+            rival = place(_placed(cells + step, spot_of, rest.shape[:2]))
+            score = rival.misfit + _motion(rival, previous, pitch)
+            if score < best_score - _BETTER:
                 best, best_score = rival, score
         if best.misfit < calm or reached.sum() < 0.6 * rest[..., 0].size:
             break
@@ -190,11 +204,16 @@ def reindex(
     return full if full.valid.sum() > best.valid.sum() else best
 
 
-def _placed(cells: NDArray[np.intp], spot_of: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp] | None:
-    """Spots laid on the grid [rows, cols] at ``cells`` (column, row), -1 elsewhere; None if fewer than nine fit."""
-    fits = (cells >= 0).all(1) & (cells[:, 0] < shape[1]) & (cells[:, 1] < shape[0])
-    if fits.sum() < 9:
-        return None
+def _fit_n(cells: NDArray[np.intp], steps: NDArray[np.intp], shape: tuple[int, ...]) -> list[int]:
+    """How many of the cells [n, 2] (column, row) lie on a grid [rows, cols] after each of the steps [m, 2]."""
+    moved = cells + steps[:, None]
+    fit_n: list[int] = ((moved >= 0) & (moved < shape[::-1])).all(-1).sum(-1).tolist()
+    return fit_n
+
+
+def _placed(cells: NDArray[np.intp], spot_of: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Spots laid on the grid [rows, cols] at ``cells`` (column, row), -1 elsewhere."""
+    fits = ((cells >= 0) & (cells < shape[::-1])).all(1)
     spot = np.full(shape, -1, np.intp)
     spot[cells[fits, 1], cells[fits, 0]] = spot_of[fits]
     return spot

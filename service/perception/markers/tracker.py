@@ -22,7 +22,7 @@ _SAME_GREY = (
 _CALM = 1.2  # misfit a node above the running level at which the grid is matched again by topology
 _WHOLE = 0.8  # diameter; a marker nearer to the image's border than this is cut
 _NEARER = 0.1  # diameter; and was carried there if it rests further inside by more than this
-_SPARE = 0.25  # of the shortest row; markers missing or too many in a placement that is right
+_SPARE = 1 / 3  # of the shortest row; markers missing or too many in a placement that is right
 _ROUND = 0.6  # of the typical tightness; a marker smeared or torn longer than this has no place
 _SETTLED = 0.6  # and above that level from which on a placement is looked for further away
 

@@ -13,8 +13,16 @@ export function library() {
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
-// One chart: `lines` are {label, colour, values, points}; `x` what they stand over; charts of one `key` share a cursor.
-export async function chart(place, { title, unit, x, lines, key, height, range, onCursor, axis = "", scales = {} }) {
+// Where a line is interrupted: between neighbouring values that are further apart than `most` of the axis.
+const gapsOver = (most) => (plot, line, first, last) => {
+  const [x, values] = [plot.data[0], plot.data[line]], known = [], at = (i) => plot.valToPos(x[i], "x", true);
+  for (let i = first; i <= last; i += 1) if (values[i] != null) known.push(i);
+  return known.slice(1).flatMap((i, k) => (x[i] - x[known[k]] > most ? [[at(known[k]), at(i)]] : []));
+};
+
+// One chart: `lines` are {label, colour, values, points}; `x` what they stand over, numbers or, with `gap`, seconds;
+// charts of one `key` share a cursor.
+export async function chart(place, { title, unit, x, lines, key, height, range, onCursor, gap, axis = "", scales = {} }) {
   const uPlot = await library();
   const rem = parseFloat(getComputedStyle(document.documentElement).fontSize);
   const quiet = colour("quiet"), grid = { stroke: colour("line"), width: 1 }, font = `${0.85 * rem}px system-ui, sans-serif`;
@@ -26,8 +34,8 @@ export async function chart(place, { title, unit, x, lines, key, height, range, 
     width: Math.max(200, place.clientWidth), height, legend: { show: lines.length > 1, live: false },
     cursor: { sync: { key }, drag: { x: false, y: false }, points: { show: false } },
     scales: { x: { time: false, ...scales }, y: range ? { range } : {} },
-    axes: [{ stroke: quiet, grid, font, size: 1.7 * rem, values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : `${tick}${axis}`)) }, { stroke: quiet, grid, font, size: 3.4 * rem, values: (_, ticks) => ticks.map((tick) => `${tick}${unit}`) }],
-    series: [{}, ...lines.map((line) => ({ label: line.label, stroke: colour(line.colour), width: line.points ? 0 : 2, spanGaps: true, points: { show: Boolean(line.points), size: 6, fill: colour(line.colour) } }))],
+    axes: [{ stroke: quiet, grid, font, size: 1.7 * rem, ...(gap ? {} : { incrs: [1, 2, 5, 10, 20, 50, 100] }), values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : `${tick}${axis}`)) }, { stroke: quiet, grid, font, size: (gap ? 4.3 : 3.4) * rem, values: (_, ticks) => ticks.map((tick) => `${tick}${unit}`) }],
+    series: [{}, ...lines.map((line) => ({ label: line.label, stroke: colour(line.colour), width: line.points ? 0 : 2, ...(gap ? { gaps: gapsOver(gap) } : { spanGaps: true }), points: { show: Boolean(line.points), size: 6, fill: colour(line.colour) } }))],
     hooks: onCursor ? { setCursor: [(plot) => { if (plot.cursor.left >= 0 && plot.cursor.event) onCursor(plot.posToVal(plot.cursor.left, "x")); }] } : {},
   };
   const made = new uPlot(options, [x, ...lines.map((line) => line.values)], place);

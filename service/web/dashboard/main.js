@@ -29,7 +29,8 @@ function showNext(running, last) {
   const move = running?.move, most = running?.attempts_max ?? 15, used = running?.attempt ?? 0;
   at("next-title").textContent = move && !running.target ? "Last move" : "Next move";
   at("move").textContent = move ? move.words.replace(", ", "\n") : running ? "None yet" : "No insertion under way";
-  at("felt").textContent = move ? `felt ${move.felt} of the gap` : running ? "" : last ? `last: ${last.words.toLowerCase()}${last.seconds ? `, ${last.seconds.toFixed(0)} s` : ""}` : "";
+  at("felt").textContent = move ? `felt ${move.felt} of the gap` : running ? "" : last ? `last: ${last.words.toLowerCase()}${last.seconds ? `, ${last.seconds.toFixed(0)}\u00a0s` : ""}` : "";
+  for (const id of ["confidence", "attempts"]) at(id).hidden = !running;
   at("sure").textContent = move ? `${move.sure}, ${Math.round(100 * move.confidence)} %` : "no decision yet";
   at("meter").value = move?.confidence ?? 0;
   at("attempts").replaceChildren(...Array.from({ length: most }, (_, i) => element("li", { className: i + 1 < used ? "used" : i + 1 === used ? "now" : "" })));

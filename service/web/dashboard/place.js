@@ -52,8 +52,9 @@ export function drawSide(svg, running) {
   const x = running?.pose?.[0] ?? 0, half = gap / 2 + 9, clear = 8;
   svg.setAttribute("viewBox", `${-half} -62 ${2 * half} 124`);
   const parts = [-1, 1].map((side) => shape("rect", { class: "block", x: side < 0 ? -half : gap / 2, y: 0, width: 9, height: 46 }));
-  parts.push(shape("path", { class: "line", d: `M${-gap / 2} ${full - clear}H${gap / 2}` }), shape("text", { x: 0, y: 56, "text-anchor": "middle" }, `${Math.max(0, deep).toFixed(1)} of ${full.toFixed(0)} mm`));
+  const words = running ? `${Math.max(0, deep).toFixed(1)} of ${full.toFixed(0)} mm` : "";
+  parts.push(shape("path", { class: "line", d: `M${-gap / 2} ${full - clear}H${gap / 2}` }), shape("text", { x: 0, y: 58, "text-anchor": "middle" }, words || "from the side"));
   if (running) parts.push(shape("rect", { class: running.pose ? "object" : "object unknown", x: x - wide / 2, y: deep - clear - 40, width: wide, height: 40, rx: 2 }));
   svg.replaceChildren(...parts);
-  svg.setAttribute("aria-label", `from the side: ${Math.max(0, deep).toFixed(1)} of ${full.toFixed(0)} mm deep`);
+  svg.setAttribute("aria-label", `from the side${words && `: ${words} deep`}`);
 }

@@ -33,7 +33,7 @@ function aligned(curves) {
 
 async function draw({ slip, push, depth, moments }) {
   const place = at("curves"), end = Math.max(1, moments.at(-1)?.t ?? 1, depth[0].at(-1) ?? 1);
-  const common = { key: "player", height: Math.max(110, Math.round(innerHeight / 6.2)), axis: " s", onCursor: seek, scales: { range: () => [0, end] } };
+  const common = { key: "player", height: Math.max(110, Math.round(innerHeight / 6.2)), axis: " s", gap: 0.3, onCursor: seek, scales: { range: () => [0, end] } };
   const two = ([x, [left, right]]) => ({ x, lines: [{ label: "left", colour: "busy", values: left }, { label: "right", colour: "warn", values: right }] });
   shown.plots = [
     await chart(place, { ...common, ...two(aligned([slip.left, slip.right])), title: "Slip (1: the arm stops)", unit: "", range: [0, 1.5] }),

@@ -61,7 +61,6 @@ LINES: dict[type, Callable[[Any], str]] = {
     wire.Correction: lambda m: f"moves {shift(m.dx_mm, m.dtheta_deg)}",
     wire.NoDecision: lambda m: f"no decision: {m.detail}",
     wire.Refused: lambda m: f"not started: {m.detail}",
-    wire.Finished: lambda m: ended(m.outcome, m.cause, m.attempts).lower(),
     wire.Fault: lambda m: f"{m.code.replace('_', ' ')}: {m.detail}",
 }
 
@@ -73,5 +72,7 @@ def event(message: Any, earlier_n: int = 0) -> str:
     """
     if isinstance(message, wire.Armed):
         return f"attempt {earlier_n + message.attempt} begins"
+    if isinstance(message, wire.Finished):
+        return ended(message.outcome, message.cause, earlier_n + message.attempts).lower()
     line = LINES.get(type(message))
     return line(message) if line else ""

@@ -27,9 +27,9 @@ _UNAVAILABLE = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nConten
 JPEG_QUALITY = 95
 
 
-def encode_jpeg(pixels: NDArray[np.uint8], quality: int = JPEG_QUALITY) -> bytes:
+def encode_jpeg(pixels: NDArray[np.uint8]) -> bytes:
     """JPEG bytes of a BGR image uint8 [H, W, 3]."""
-    done, buffer = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    done, buffer = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not done:
         raise ValueError(f"image of shape {pixels.shape} cannot be encoded")
     return buffer.tobytes()

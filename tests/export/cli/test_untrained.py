@@ -1,9 +1,15 @@
 """A network that guesses is not exported unless somebody insists."""
 
+import shutil
+from pathlib import Path
+
 import pytest
 import torch
 
-from export.onnx.to_onnx import why_untrained
+from export.cli.commands import main
+from export.onnx.model import open_model
+from export.onnx.to_onnx import attach_card, make_card, why_untrained
+from service.__main__ import main as service
 from service.contract import Sensor
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
@@ -21,10 +27,29 @@ from training.networks.settings import NetworkConfig
         ({}, "its directions were never validated"),
     ],
 )
-def test_what_is_no_better_than_a_guess_is_called_untrained(figures, why, tmp_path):
+def test_what_is_no_better_than_a_guess_is_called_untrained(figures, why):
+    assert why_untrained(guess({"validation/all": figures} if figures else {})) == why
+
+
+def guess(figures):
     torch.manual_seed(0)
     settings = NetworkConfig(front_width=8, trunk_width=8, feature_size=16, state_size=16)
     weights = build(settings, len(CLASSES), Sensor.load()).state_dict()
-    told = {"validation/all": figures} if figures else {}
-    Checkpoint("guess", settings, weights, Scales(), Scales(), told, "0" * 64, "abc").save(tmp_path / "c.pt")
-    assert why_untrained(tmp_path / "c.pt") == why
+    return Checkpoint("guess", settings, weights, Scales(), Scales(), figures, "0" * 64, "abc")
+
+
+def test_it_is_not_exported_unless_somebody_insists(tmp_path, capsys):
+    guess({}).save(tmp_path / "c.pt")
+    assert main(["onnx", str(tmp_path / "c.pt"), "--out", str(tmp_path / "models")]) == 2
+    assert "never validated; --force exports it all the same" in capsys.readouterr().err
+    assert not (tmp_path / "models").exists()
+
+
+def test_the_card_of_one_that_guesses_says_so_to_whoever_asks(models, tmp_path, capsys):
+    checkpoint = guess({})
+    for role in ("direction", "magnitude"):
+        file = shutil.copy(models / f"{role}.step.onnx", tmp_path)
+        attach_card(Path(file), make_card(checkpoint, role, "step", checkpoint.build().of(role)))
+        assert open_model(Path(file)).card.training_run["untrained"] == "its directions were never validated"
+    assert service(["models", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.count("UNTRAINED: its directions were never validated") == 2

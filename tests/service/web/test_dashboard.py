@@ -96,6 +96,17 @@ def give_up(driver: Driver, cause: wire.Cause = "operator", reason: str = "done"
     driver.close()
 
 
+def tell_depth(driver: Driver, began_ns: int, ended_ns: int) -> None:
+    """What a robot would have told: down to 6 mm, and up again."""
+    at_ns = [began_ns + k * (ended_ns - began_ns) // 60 for k in range(60)]
+    depths_mm = [6.0 - abs(0.2 * k - 6.0) for k in range(60)]
+    told = [
+        wire.RobotSample(at_ns=at, phase="descending", attempt=1, depth_mm=depth)
+        for at, depth in zip(at_ns, depths_mm, strict=True)
+    ]
+    driver.send(wire.Telemetry(insertion_id=driver.id, sent_ns=ended_ns, samples=tuple(told)))
+
+
 def test_the_page_shows_an_insertion_as_it_happens_and_the_same_after_a_reload(live: LiveService, page: Any) -> None:
     wait_until(page, "document.getElementById('headline').className !== 'busy'")
     for finger in ("left", "right"):
@@ -185,7 +196,9 @@ def test_the_page_is_light_and_needs_no_other_server(live: LiveService, browser:
 def test_a_past_insertion_is_found_and_played_back_with_the_keyboard_alone(live: LiveService, page: Any) -> None:
     for name in ("keys", "other"):
         driver = insertion(live, name)
+        began_ns = time.monotonic_ns()
         driver.attempt(1)
+        tell_depth(driver, began_ns, time.monotonic_ns())
         give_up(driver, "operator" if name == "keys" else "limits")
     page.goto(live.url("/#history"))
     wait_until(page, "document.querySelectorAll('#past tr').length >= 2")

@@ -17,7 +17,7 @@ from service.decision.controllers import BeliefPicture, Command
 from service.recordings.listing import Summary
 from service.web.page.alarms import Alarms
 from service.web.page.running import Running
-from service.web.page.sentences import ended, shift, sure
+from service.web.page.sentences import ended, event, shift, sure
 from service.web.page.status import Status
 from tests.service.client import Driver
 from tests.service.conftest import LiveService
@@ -122,6 +122,8 @@ def test_an_object_that_is_taken_afresh_holds_nothing_up_and_its_attempts_are_co
     assert (listed["turned"]["outcome"], listed["turned"]["cause"]) == ("aborted", "afresh")
     assert listed["again"]["continues"] == "turned"
     assert ended("inserted", None, 3, "rectangle", 1) == "Rectangle inserted after 3 attempts, taken afresh once"
+    finished = wire.Finished(insertion_id="again", outcome="inserted", attempts=2)
+    assert event(finished, earlier_n=1) == "object inserted after 3 attempts", "as the headline counts"
 
 
 def test_an_object_that_nobody_takes_afresh_becomes_an_alarm(

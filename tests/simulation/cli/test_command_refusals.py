@@ -15,8 +15,6 @@ REFUSED = [
     ("collect --out OUT --held-out-share nan", "--held-out-share"),
     ("export-dataset DATA --out OUT --count -1", "--count -1"),
     ("export-dataset DATA --out OUT --first -3", "--first -3"),
-    ("view DATA --out OUT --count -1", "--count -1"),
-    ("view DATA --out OUT --first -3", "--first -3"),
     ("evaluate --models MODELS --json OUT/rows.json --count 0", "--count 0"),
     ("evaluate --models OUT --json OUT/rows.json", "no *.step.onnx there"),
     ("evaluate --models MODELS --json OUT/rows.json --objects", "nothing to play"),

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from service.contract import Sensor
-from simulation.cli import dataset, probe
-from simulation.data.dataset import DatasetError, DatasetWriter
+from simulation.cli import probe
 from simulation.optics import attempt_picture
 from simulation.optics.attempt_picture import Decision
-from tests.simulation.strategies import made_up_manifest, made_up_trial
 
 DECISION: attempt_picture.Decision = {
     "title": "attempt 2",
@@ -42,20 +40,6 @@ def test_every_number_of_a_decision_is_written_with_its_unit() -> None:
 def test_frames_of_another_shape_are_refused() -> None:
     with pytest.raises(ValueError, match="expected \\[n, 2, height, width, 3\\]"):
         attempt_picture.draw(np.zeros((8, 320, 327, 3), np.uint8))
-
-
-def test_view_draws_the_trials_asked_for(tmp_path: Path) -> None:
-    with DatasetWriter(tmp_path / "data", made_up_manifest()) as writer:
-        for shard in range(2):
-            trials = [made_up_trial(2 * shard + k) for k in range(2)]
-            writer.commit(writer.write_shard(f"rectangle-{shard:05d}.parquet", trials))
-    out = tmp_path / "out"
-    assert dataset.view([str(tmp_path / "data" / "rectangle-00001.parquet"), "--out", str(out), "--count", "1"]) == 0
-    assert [path.name for path in out.iterdir()] == ["trial-000002.png"]
-    with pytest.raises(DatasetError, match="not listed"):
-        dataset.view([str(tmp_path / "data" / "rectangle-00009.parquet")])
-    with pytest.raises(DatasetError, match="no trials from number 77"):
-        dataset.view([str(tmp_path / "data"), "--first", "77"])
 
 
 def test_the_plate_of_the_docs_can_be_made_again(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 from multiprocessing import get_context
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -24,6 +25,22 @@ def test_random_hard_probes_end_solved_lost_or_refused_by_name() -> None:
     assert tally.ended["solved"] > 35
     assert set(tally.ended) <= {"solved", "grasp lost", *(f"refused: {reason}" for reason in get_args(Reason))}
     assert sum(count for ended, count in tally.ended.items() if ended.startswith("refused")) <= 2
+
+
+@pytest.mark.slow
+def test_an_object_that_snaps_over_in_soft_fingers_ends_in_an_equilibrium(tmp_path: Path) -> None:
+    changes = {
+        "gel.relaxation_share": 0.156, "gel.relaxation_s": 0.326, "gel.thickness_mm": 1.7, "gel.crown_mm": 0.03558,
+        "gel.shear_modulus_n_per_mm2": 0.155, "gel.poisson_ratio": 0.479, "grasp.finger_stiffness_n_per_mm": 17.0,
+    }  # fmt: skip
+    part = tmp_path / "part.toml"
+    part.write_text('[object]\nshape = "hexagon"\nsize_x_mm = 33.1\nsize_y_mm = 33.1\nmass_kg = 0.265\n')
+    cell = QuasiStaticCell(load_scene(str(part), blocks__free=True).varied(changes))
+    cell.regrasp(-5.65, -1.84)
+    x_mm, y_mm, top_mm, yaw_rad = cell.pose
+    for depth_mm in np.arange(0.5, 11.0, 0.5):
+        state = cell.move_to(x_mm, y_mm, top_mm - depth_mm, np.degrees(yaw_rad))
+        assert state.residual_n <= 1e-7
 
 
 def test_a_probe_that_breaks_a_promise_is_never_called_solved() -> None:

@@ -31,9 +31,7 @@ class EgmCounters:
     sent: int = 0
     received: int = 0
     refused: int = 0
-    targets_changed: int = 0
     lost_cycles: int = 0
-    last_change_ns: int = 0
 
 
 def _to_wire(pose: Pose) -> WirePose:
@@ -57,7 +55,6 @@ class EgmEmulator(asyncio.DatagramProtocol):
         self._sequence = 0
         self._farewell = 0
         self._frozen = b""
-        self._last: Pose | None = None
         self._random = random.Random(0)
         self._transport: asyncio.DatagramTransport | None = None
         self._clock: asyncio.Task[None] | None = None
@@ -172,10 +169,6 @@ class EgmEmulator(asyncio.DatagramProtocol):
         if target is None:
             self.cabinet.keep_alive()
             return
-        if target != self._last:
-            self.counters.targets_changed += 1
-            self.counters.last_change_ns = time.monotonic_ns()
-            self._last = target
         self.cabinet.guide(target)
 
     def _target(self, guidance: Guidance) -> Pose | None:

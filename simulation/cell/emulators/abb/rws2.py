@@ -103,7 +103,7 @@ def _needs_edit(request: Request, held: dict[str, str]) -> None:
 
 
 def _add_panel(app: FastAPI, cabinet: Cabinet, held: dict[str, str]) -> None:
-    @app.get("/rw")
+    @app.get("/rw")  # [P] asked without a password to tell the generation
     @app.get("/rw/system")  # [L] getRobotWareSystem
     async def system(request: Request) -> Response:
         return _answer(request, SYSTEM)
@@ -121,7 +121,7 @@ def _add_panel(app: FastAPI, cabinet: Cabinet, held: dict[str, str]) -> None:
     async def mode(request: Request) -> Response:
         return _answer(request, rws_states.panel(cabinet, "opmode"))
 
-    @app.get("/rw/panel/speedratio")
+    @app.get("/rw/panel/speedratio")  # [L] getSpeedRatio
     async def ratio(request: Request) -> Response:
         return _answer(request, rws_states.panel(cabinet, "speedratio"))
 
@@ -187,7 +187,7 @@ def _add_motion_and_signals(app: FastAPI, cabinet: Cabinet, frames: CellFrames) 
         cabinet.set_signal(path.rsplit("/", 1)[-1], dict(await fields(request)).get("lvalue", ""))
         return _done()
 
-    @app.get("/rw/elog/{domain}")
+    @app.get("/rw/elog/{domain}")  # [L] getElogMessages
     async def event_log(request: Request, domain: str) -> Response:
         return _answer(request, rws_states.event_log(cabinet, domain), listed=True)
 

@@ -18,7 +18,7 @@ DONE = 294912  # the controller's own code of success
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """One resource in an answer: its type (``pnl-ctrlstate``), title and fields, all text."""
+    """One resource in an answer: its type (``pnl-ctrlstate``), title, and fields: text, or a list of states within."""
 
     type: str
     title: str
@@ -27,22 +27,36 @@ class State:
 
 def as_json(base: str, states: Sequence[State]) -> bytes:
     """``{"_links": ..., "_embedded": {"_state": [...]}}``."""
-    rows = [{"_type": state.type, "_title": state.title, **state.fields} for state in states]
-    return json.dumps({"_links": {"base": {"href": base}}, "_embedded": {"_state": rows}}).encode()
+    return json.dumps({"_links": {"base": {"href": base}}, "_embedded": {"_state": _rows(states)}}).encode()
 
 
 def as_xhtml(base: str, states: Sequence[State]) -> bytes:
     """The controller's XHTML: one list item a state, one span a field."""
+    return (
+        '<?xml version="1.0" encoding="utf-8"?><html xmlns="http://www.w3.org/1999/xhtml"><head><title>rws</title>'
+        f'<base href="{escape(base)}"/></head><body><div class="state">{_list(states)}</div></body></html>'
+    ).encode()
+
+
+def _list(states: Sequence[State]) -> str:
     items = [
         f'<li class="{escape(state.type)}" title="{escape(state.title)}">'
-        + "".join(f'<span class="{escape(k)}">{escape(str(v))}</span>' for k, v in state.fields.items())
+        + "".join(
+            _list(value) if isinstance(value, list) else f'<span class="{escape(name)}">{escape(str(value))}</span>'
+            for name, value in state.fields.items()
+        )
         + "</li>"
         for state in states
     ]
-    return (
-        '<?xml version="1.0" encoding="utf-8"?><html xmlns="http://www.w3.org/1999/xhtml"><head><title>rws</title>'
-        f'<base href="{escape(base)}"/></head><body><div class="state"><ul>{"".join(items)}</ul></div></body></html>'
-    ).encode()
+    return f"<ul>{''.join(items)}</ul>"
+
+
+def _rows(states: Sequence[State]) -> list[dict[str, Any]]:
+    return [
+        {"_type": state.type, "_title": state.title}
+        | {name: _rows(value) if isinstance(value, list) else value for name, value in state.fields.items()}
+        for state in states
+    ]
 
 
 def error_body(code: int, message: str, *, wants_json: bool) -> bytes:
@@ -58,8 +72,7 @@ def _md5(text: str) -> str:
 
 def as_hal(base: str, states: Sequence[State], *, listed: bool = False) -> bytes:
     """JSON of generation 2.0: ``{"_links", "status", "state": [...]}``; of a list, the items as embedded resources."""
-    rows = [{"_type": state.type, "_title": state.title, **state.fields} for state in states]
-    inside = {"_embedded": {"resources": rows}} if listed else {"state": rows}
+    inside = {"_embedded": {"resources": _rows(states)}} if listed else {"state": _rows(states)}
     return json.dumps({"_links": {"base": {"href": base}}, "status": {"code": DONE}} | inside).encode()
 
 

@@ -130,10 +130,16 @@ def _add_configuration(app: FastAPI, answer: Answer) -> None:
     async def types(request: Request, domain: str) -> Response:
         return answer(request, [State("cfg-dt-li", name) for name in CFG[domain.lower()]])
 
-    @app.get("/rw/cfg/{domain}/{kind}/instances")  # cfg_domain_type_instances
+    @app.get("/rw/cfg/{domain}/{kind}/instances")  # cfg_domain_type_instances; attributes as abb_librws reads them
     async def instances(request: Request, domain: str, kind: str) -> Response:
         found = CFG[domain.lower()][kind.upper()]
-        return answer(request, [State("cfg-dt-instance-li", next(iter(fields.values())), fields) for fields in found])
+        return answer(
+            request, [State("cfg-dt-instance-li", next(iter(one.values())), _attributes(one)) for one in found]
+        )
+
+
+def _attributes(instance: dict[str, str]) -> dict[str, list[State]]:
+    return {"attrib": [State("cfg-ia-t-li", name, {"value": value}) for name, value in instance.items()]}
 
 
 def _add_queues(app: FastAPI, answer: Answer) -> None:

@@ -6,7 +6,7 @@ from simulation.cell.emulators.abb.cabinet import Cabinet
 from simulation.cell.emulators.abb.frames import CellFrames
 from simulation.cell.emulators.abb.rws_format import State
 
-TASK = "T_ROB1"
+TASK, UNIT = "T_ROB1", "ROB_1"
 SYSTEM = [
     State("sys-system-li", "system", {"major": "6", "minor": "13", "rwversion": "6.13.00.00", "name": "TactileCell"}),
     State("sys-option-li", "0", {"option": "689-1 Externally Guided Motion (EGM)"}),
@@ -47,12 +47,16 @@ def tasks(cabinet: Cabinet) -> list[State]:
 
 
 def motion(cabinet: Cabinet, frames: CellFrames, what: str, query: Mapping[str, str]) -> list[State]:
-    """``jointtarget``, ``robtarget`` (in the base unless a work object is asked for) or ``cartesian``."""
+    """``jointtarget``, ``robtarget`` (in the base unless a work object is asked for) or ``cartesian``.
+
+    External axes are ``eax_a`` to ``eax_f``, as the reference and abb_librws name them. In a robtarget as JSON of
+    generation 1.0 they are ``eaxa`` to ``eaxf``, as abb-robot-client reads them from a controller.
+    """
     pose = cabinet.arm.pose
     if what == "jointtarget":
         joints = frames.joints_deg(pose) or (0.0,) * 6
         fields = {name: f"{value:.6f}" for name, value in zip(_JOINTS, joints, strict=True)}
-        return [State("ms-jointtarget", what, fields | {f"eax_{axis}": _UNDEFINED for axis in _NO_AXES})]
+        return [State("ms-jointtarget", UNIT, fields | {f"eax_{axis}": _UNDEFINED for axis in _NO_AXES})]
     if what not in ("robtarget", "cartesian"):
         raise KeyError(what)
     in_work_object = query.get("wobj", "wobj0") != "wobj0" or query.get("coordinate", "Base").lower() == "wobj"
@@ -60,7 +64,8 @@ def motion(cabinet: Cabinet, frames: CellFrames, what: str, query: Mapping[str, 
     fields = {name: f"{value:.4f}" for name, value in zip("xyz", shown.position_mm, strict=True)}
     fields |= {f"q{k}": f"{value:.9f}" for k, value in enumerate(shown.quaternion, 1)}
     fields |= {"cf1": "0", "cf4": "0", "cf6": "0", "cfx": "0"}
-    return [State("ms-robtargets", what, fields | {f"eax{axis}": _UNDEFINED for axis in _NO_AXES})]
+    prefix = "eax" if query.get("json") == "1" else "eax_"
+    return [State("ms-robtargets", UNIT, fields | {f"{prefix}{axis}": _UNDEFINED for axis in _NO_AXES})]
 
 
 def signal(cabinet: Cabinet, path: str) -> list[State]:

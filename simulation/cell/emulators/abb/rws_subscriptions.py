@@ -90,17 +90,23 @@ class Subscriptions:
             leaving.cancel()
             self._open.pop(number, None)
 
-    def end(self, number: int) -> None:
-        """Forget a subscription; raise KeyError if there is none."""
-        del self._open[number]
+    def end(self, number: int, path: str = "") -> None:
+        """Forget a subscription, or one resource of it; raise KeyError if there is none."""
+        resources = self._open[number]
+        kept = [resource for resource in resources if resource.path != path]
+        if path and len(kept) == len(resources):
+            raise KeyError(path)
+        resources[:] = kept if path else []
+        if not resources:
+            del self._open[number]
 
     async def _notify(self, socket: WebSocket, resources: list[Watched], leaving: asyncio.Task[object]) -> None:
-        sent = [resource.read() for resource in resources]
-        while not leaving.done():
-            for index, resource in enumerate(resources):
+        sent = {resource.path: resource.read() for resource in resources}
+        while resources and not leaving.done():
+            for resource in tuple(resources):
                 value = resource.read()
-                if value != sent[index]:
-                    sent[index] = value
+                if value != sent[resource.path]:
+                    sent[resource.path] = value
                     body = f'<html><body><div class="state"><ul>{resource.message(value)}</ul></div></body></html>'
                     await socket.send_text('<?xml version="1.0" encoding="UTF-8"?>' + body)
             await asyncio.wait({leaving}, timeout=_PERIOD_S)
@@ -113,7 +119,7 @@ def add_subscriptions(
     admits: Callable[[WebSocket], bool],
     protocol: str = PROTOCOL,
 ) -> None:
-    """Routes ``POST /subscription``, ``DELETE /subscription/N`` and ``ws /poll/N``."""
+    """Routes ``POST /subscription``, ``DELETE /subscription/N[/PATH]`` (subsrv_group_unsub_page) and ``ws /poll/N``."""
     subscriptions = Subscriptions(cabinet, protocol)
 
     @app.post("/subscription")
@@ -125,8 +131,9 @@ def add_subscriptions(
         return Response(body, 201, headers={"Location": url}, media_type="application/xhtml+xml")
 
     @app.delete("/subscription/{number}")
-    async def unsubscribe(number: int) -> Response:
-        subscriptions.end(number)
+    @app.delete("/subscription/{number}/{path:path}")
+    async def unsubscribe(number: int, path: str = "") -> Response:
+        subscriptions.end(number, path and f"/{path}")
         return Response(status_code=200)
 
     @app.websocket("/poll/{number}")

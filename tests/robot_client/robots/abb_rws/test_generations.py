@@ -93,7 +93,7 @@ def test_the_emulated_omnicore_answers_the_core_that_foreign_clients_ask_for(cer
     code, (file, module, robot, user) = story_of(work, omnicore=certificate)
     assert code == 201
     assert file["_title"] == "a.mod"
-    assert (module["_type"], robot["name"], user["_type"]) == ("rap-module-info-li", "ROB_1", "user-li")
+    assert (module["_type"], robot["_title"], user["_type"]) == ("rap-module-info-li", "ROB_1", "user-li")
 
 
 def error_of(changes, call=RwsClient.status, **options):

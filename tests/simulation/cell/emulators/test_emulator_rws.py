@@ -9,7 +9,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from tests.simulation.physics.bench import bench
@@ -162,9 +162,18 @@ def test_system_modules_and_configuration_are_told_in_the_references_words(rws):
     assert {row["_type"] for row in modules} == {"rap-module-info-li"}
     assert rws.get("/rw/rapid/modules").status_code == 400
     robots = rws.get("/rw/cfg/moc/robot/instances").json()["_embedded"]["_state"]
-    assert robots[0]["_type"] == "cfg-dt-instance-li"
-    assert robots[0]["name"] == "ROB_1"
+    assert (robots[0]["_type"], robots[0]["_title"]) == ("cfg-dt-instance-li", "ROB_1")
+    assert robots[0]["attrib"][0] == {"_type": "cfg-ia-t-li", "_title": "name", "value": "ROB_1"}
+    xhtml = rws.get("/rw/cfg/moc/robot/instances", params={"json": "0"}).text
+    assert '<ul><li class="cfg-ia-t-li" title="name"><span class="value">ROB_1</span></li>' in xhtml
     assert rws.get("/rw/cfg/none/robot/instances").status_code == 404
+
+
+def test_external_axes_have_the_names_that_clients_of_either_form_read(rws):
+    told = rws.get("/rw/motionsystem/mechunits/ROB_1/robtarget", params={"json": "0"}).text
+    assert '<span class="eax_a">9E+09</span>' in told
+    assert field(rws, "/rw/motionsystem/mechunits/ROB_1/robtarget", "eaxf") == "9E+09"
+    assert field(rws, "/rw/motionsystem/mechunits/ROB_1/jointtarget", "eax_f") == "9E+09"
 
 
 def test_files_are_kept_listed_and_deleted(rws):
@@ -180,8 +189,15 @@ def test_files_are_kept_listed_and_deleted(rws):
 def test_a_subscription_can_be_given_back(rws):
     made = rws.post("/subscription", data={"resources": "1", "1": "/rw/panel/opmode"})
     number = made.headers["location"].rsplit("/", 1)[1]
-    assert rws.delete(f"/subscription/{number}").status_code == 200
+    headers = {"Cookie": f"ABBCX={rws.cookies['ABBCX']}"}
+    with connect(made.headers["location"], subprotocols=["robapi2_subscription"], additional_headers=headers) as socket:
+        assert rws.delete(f"/subscription/{number}/rw/panel/none").status_code == 404
+        assert rws.delete(f"/subscription/{number}/rw/panel/opmode").status_code == 200
+        with pytest.raises(ConnectionClosed):
+            socket.recv(timeout=30.0)
     assert rws.delete(f"/subscription/{number}").status_code == 404
+    made = rws.post("/subscription", data={"resources": "1", "1": "/rw/panel/opmode"})
+    assert rws.delete(f"/subscription/{made.headers['location'].rsplit('/', 1)[1]}").status_code == 200
 
 
 OF_THE_CLIENT = {"request_rmmp", "poll_rmmp"}  # both join the controller's address to one that is whole already
