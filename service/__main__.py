@@ -38,15 +38,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"service: unknown command {name!r}{nearest(name, COMMANDS)}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    from service.contract.text import printable, read_by_somebody
+
     try:
-        return int(importlib.import_module(f"service.cli.{name}").main(rest))
+        return read_by_somebody(lambda: int(importlib.import_module(f"service.cli.{name}").main(rest)))
     except KeyboardInterrupt:
         return 130
     except (ValueError, OSError) as error:
         if os.environ.get("TACTILE_TRACEBACK"):
             raise
-        from service.contract.text import printable
-
         print(printable(f"service {name}: {' '.join(str(error).split())}"), file=sys.stderr)
         return EXIT_BAD_INPUT
 

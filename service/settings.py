@@ -47,13 +47,15 @@ class SettingsError(ContractError):
 
 
 class Settings(BaseSettings):
-    """Serve tactile insertions: two finger cameras in, slip and corrections out, a dashboard at /.
+    """Serve insertions: two cameras in, slip and corrections out, a page at /.
 
-    Example: python -m service run --models models --calibration cell/calibration.toml
-    --camera-left http://127.0.0.1:8081/stream.mjpg --camera-right http://127.0.0.1:8082/stream.mjpg
+    Example: python -m service run --calibration cell/calibration.toml
+    --camera-left http://127.0.0.1:8081/stream.mjpg
+    --camera-right http://127.0.0.1:8082/stream.mjpg
 
-    Each option may also be a variable (TACTILE_CAMERA_LEFT) or a line of a TOML file (camera_left = "v4l2:0" in
-    --config FILE). The command line wins over the environment, the environment over the file.
+    Each option may also be a variable (TACTILE_CAMERA_LEFT) or a line of a
+    TOML file (camera_left = "v4l2:0" in --config FILE). The command line wins
+    over the environment, the environment over the file.
     """
 
     model_config = SettingsConfigDict(

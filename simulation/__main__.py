@@ -8,31 +8,31 @@ import sys
 from collections.abc import Callable
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "run": ("run:run", "the whole loop: cell, service and robot client insert an object in real time"),
-    "demo": ("run:demo", "a simulated cell at work, one object after another, with its page, until Ctrl-C"),
-    "cell": ("cell:cell", "the cell in real time on loopback: robot, gripper, cameras, truth"),
+    "run": ("run:run", "cell, service and robot client insert an object in real time"),
+    "demo": ("run:demo", "a simulated cell at work, with its page, until Ctrl-C"),
+    "cell": ("cell:cell", "the cell in real time: robot, gripper, cameras, truth"),
     "evaluate": ("evaluate:main", "every world with every object in lock step: rows, JSON"),
-    "drawn-worlds": ("drawn_worlds:main", "the closed loop in drawn worlds with drawn objects, all variants"),
+    "drawn-worlds": ("drawn_worlds:main", "drawn worlds with drawn objects in lock step, all variants"),
     "sealed": (
         "drawn_worlds:sealed",
-        "the sealed test: worlds that follow from the release's bytes, in another physics",
+        "the sealed test: worlds drawn from the release's bytes",
     ),
     "commission": ("commission:main", "cells that probe, adapt and learn from work, world by world"),
     "trust": ("trust:main", "claims under adversity: faults, drawn worlds, objects, starts"),
     "explain": ("explain:explain", "which effects a scene calls for, why, and what each costs"),
     "probe": ("probe:probe", "one descent, printed or saved as a picture or video"),
-    "imprint": ("probe:imprint", "what the simulated sensor records, object by object, as one picture"),
-    "draw-worlds": ("drawn_worlds:draw_worlds", "worlds that nobody trained for, by Latin hypercube, as files"),
+    "imprint": ("probe:imprint", "what the sensor records, object by object, as one picture"),
+    "draw-worlds": ("drawn_worlds:draw_worlds", "worlds that nobody trained for, as files"),
     "draw-objects": ("drawn_worlds:draw_objects", "random convex objects as files"),
     "collect": ("dataset:collect", "poke on all cores and keep the collisions as a dataset"),
     "export-dataset": ("dataset:export_dataset", "trials as a LeRobot v3.0 dataset or as MCAP files"),
     "slip-report": ("slip:slip_report", "how well slip is detected, and the cost: table, JSON"),
     "grasps": ("slip:real_grasps", "recorded grasps of real objects, judged: table run by run"),
-    "motion-bounds": ("cell:motion_bounds", "how far the arm goes on after nobody looks: live faults, table, JSON"),
+    "motion-bounds": ("cell:motion_bounds", "how far the arm goes on after nobody looks, live"),
     "hard-probes": ("physics:hard_probes", "10,000 random hard contacts: solved, lost or refused by name"),
     "foreign-check": ("physics:foreign_check", "the foreign cell's finite elements beside CalculiX: table, JSON"),
-    "pace": ("pace:main", "what settings of the client cost in seconds a box, played on the same starts"),
-    "choose": ("pace:choose", "the client's settings for a time a box, a success and a force, as a file"),
+    "pace": ("pace:main", "what the client's settings cost in seconds a box"),
+    "choose": ("pace:choose", "the client's settings for a time, success and force, as a file"),
     "accuracy": ("physics:accuracy", "what physics accuracy costs in time: table, JSON, plot"),
 }
 
@@ -61,11 +61,13 @@ def main(arguments: list[str] | None = None) -> int:
     if name not in COMMANDS:
         print(f"no command {name!r}: expected one of {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
+    from service.contract.text import read_by_somebody
+
     module, function = COMMANDS[name][0].split(":")
     run: Callable[[list[str]], int] = getattr(importlib.import_module(f"simulation.cli.{module}"), function)
     try:
         _refuse_negative_seed(rest)
-        return run(rest)
+        return read_by_somebody(lambda: run(rest))
     except (ValueError, OSError) as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2

@@ -3,12 +3,14 @@
 import math
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from service.contract import ContractError
+from service.contract.text import fitted, read_by_somebody
 
 
 def _positive(**options: float) -> None:
@@ -45,7 +47,7 @@ def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models"), strea
     from export.onnx.verify import verify as check
 
     _positive(stream_steps=stream_steps)
-    print("\n".join(check(folder, stream_steps)))
+    print("\n".join(fitted(line, 2) for line in check(folder, stream_steps)))
 
 
 def benchmark(
@@ -81,16 +83,16 @@ def benchmark(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; wrong input is one line on standard error and exit code 2."""
     try:
-        commands: dict[str, Callable[..., None]] = {
+        commands: dict[str, Callable[..., Any]] = {
             "onnx": onnx,
             "verify": verify,
             "benchmark": benchmark,
         }
-        tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion")
+        parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog="tactile-insertion")
+        return read_by_somebody(lambda: int(parse() or 0))
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"{(arguments or sys.argv[1:])[0]}: interrupted", file=sys.stderr)
         return 130
-    return 0

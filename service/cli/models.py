@@ -9,7 +9,7 @@ from pydantic import JsonValue
 
 from service.contract.model_card import UNTRAINED, ModelCard
 from service.contract.shipped import released_models
-from service.contract.text import printable
+from service.contract.text import fitted, printable
 from service.decision.models import LoadedModel, load_models
 
 
@@ -25,7 +25,7 @@ def main(arguments: Sequence[str]) -> int:
         print(json.dumps([_facts(model, decides=model.path in deciding) for model in models.models]))
         return 0
     for model in models.models:
-        print("\n".join(map(printable, describe(model, decides=model.path in deciding))))
+        print("\n".join(fitted(printable(line), 14) for line in describe(model, decides=model.path in deciding)))
     return 0
 
 

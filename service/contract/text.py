@@ -1,6 +1,34 @@
-"""Text from elsewhere, made harmless for a terminal."""
+"""Text for a terminal: what comes from elsewhere made harmless, lines that fit, and a reader who has left."""
+
+import os
+import select
+import sys
+import textwrap
+from collections.abc import Callable
+
+WIDTH = 80
 
 
 def printable(line: str) -> str:
     r"""The same line with everything that a terminal would obey written out: ``\x1b``, ``\n``, ``\u202e``."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "replace").decode() for c in line)
+
+
+def fitted(line: str, indent: int = 0) -> str:
+    """The line in at most 80 columns; those that follow the first are indented."""
+    return textwrap.fill(line, WIDTH, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
+
+
+def read_by_somebody(work: Callable[[], int]) -> int:
+    """What the work returns; quietly 1 where nobody reads standard output any more, as after ``| head``."""
+    try:
+        code = work()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        output = select.poll()
+        output.register(sys.stdout.fileno(), 0)
+        if not output.poll(0):  # its other end is there: the pipe that broke is another one
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    return code

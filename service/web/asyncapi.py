@@ -10,6 +10,11 @@ from service.contract import FINGERS, wire
 
 BINARY = "application/octet-stream"
 FINGER = {"finger": {"description": "which finger", "enum": list(FINGERS)}}
+PAGE = {
+    "type": "object",
+    "required": ["kind", "content"],
+    "properties": {"kind": {"enum": ["status", "finger"]}, "content": {"type": "object"}},
+}
 FRAME_LAYOUT = (
     "Little-endian header: magic `TIF1`, u8 finger (0 left, 1 right), u8 channels (3), u16 height, u16 width,"
     " u16 reserved, u64 sequence number, u64 capture stamp in ns; then height x width x 3 bytes BGR."
@@ -102,6 +107,8 @@ def document(version: str) -> dict[str, Any]:
     )
     both = {model.__name__: _message(model) for model in (*CLIENT, *SERVICE)}
     frame = {"Frame": {"name": "frame", "contentType": BINARY, "summary": FRAME_LAYOUT, "payload": {"type": "string"}}}
+    told = "What the page draws: `status` is what GET /v1/status answers, `finger` a picture with its markers."
+    page = {"PageEvent": {"name": "page", "contentType": "application/json", "summary": told, "payload": PAGE}}
     order = " ".join((wire.__doc__ or "").split())
     pushed = "Frames of one finger, pushed in where its camera is `push:`."
     shown = "Live frames of one finger, newest wins; query max_hz, form=raw or jpeg."
@@ -112,14 +119,16 @@ def document(version: str) -> dict[str, Any]:
         "servers": {"cell": {"host": "127.0.0.1:8000", "protocol": "ws", "description": "wss where TLS is set up"}},
         "channels": {
             "insertion": _channel("/v1/insertion", "One connection is one insertion.", [*client, *service]),
+            "page": _channel("/v1/live", told, ["PageEvent"]),
             "push": _channel("/v1/cameras/{finger}/push", pushed, ["Frame"], parameters=FINGER),
             "frames": _channel("/v1/cameras/{finger}/frames", shown, ["Frame"], parameters=FINGER),
         },
         "operations": {
             "hearClient": _operation("receive", "insertion", "What a cell controller sends.", client),
             "tellClient": _operation("send", "insertion", "What the service answers and warns of.", service),
+            "tellPage": _operation("send", "page", told, ["PageEvent"]),
             "takeFrames": _operation("receive", "push", pushed, ["Frame"]),
             "showFrames": _operation("send", "frames", shown, ["Frame"]),
         },
-        "components": {"messages": both | frame, "schemas": schemas["$defs"]},
+        "components": {"messages": both | frame | page, "schemas": schemas["$defs"]},
     }

@@ -20,10 +20,22 @@ _INPUT = _object(
     data={"type": "array"},
 )
 _OUTPUT = _object(["name"], name=_NAME, parameters=_object([], binary_data={"type": "boolean"}))
-INFER_SCHEMA: dict[str, Any] = _object(
+_REQUEST = _object(
     ["inputs"],
     id={"type": "string"},
     parameters=_object([], binary_data_output={"type": "boolean"}),
     inputs={"type": "array", "items": _INPUT},
     outputs={"type": "array", "items": _OUTPUT},
 )
+_BINARY = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+_LENGTH = {
+    "name": "Inference-Header-Content-Length",
+    "in": "header",
+    "description": "of the JSON before binary tensors",
+}
+INFERENCE: dict[str, Any] = {
+    "parameters": [_LENGTH | {"schema": {"type": "integer", "minimum": 0}}],
+    "requestBody": {"required": True, "content": {"application/json": {"schema": _REQUEST}} | _BINARY},
+    "responses": {"200": {"content": _BINARY}},
+}
+"""What of an inference the code does not tell by itself; ``infer`` answers in JSON unless binary tensors follow it."""

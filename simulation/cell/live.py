@@ -182,8 +182,8 @@ class LiveCell:
         await self.wsg.stop()
         for camera in self.cameras.values():
             await camera.stop()
-        await self.rws.stop()
-        await self.admin.stop()
+        self.rws.stop()
+        self.admin.stop()
 
     def _stop_threads(self) -> None:
         self.world.stop()

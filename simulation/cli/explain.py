@@ -9,6 +9,7 @@ from itertools import count
 import numpy as np
 
 from reporting.machine import best_cpu_ms
+from service.contract.text import fitted
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -63,6 +64,6 @@ def explain(arguments: list[str]) -> int:
     print(f"{scene.name}: {gap}, tier {scene.gel.tier}")
     for effect in EFFECTS:
         on, why = decide(effect, scene)
-        price = cost(scene, effect.key) if on else "costs nothing"
-        print(f"  {'on ' if on else 'off'} {effect.key:<15} {why:<80} {price}")
+        price = f"; {cost(scene, effect.key)}" if on else ""
+        print(fitted(f"  {'on ' if on else 'off'} {effect.key:<17} {why}{price}", 24))
     return 0

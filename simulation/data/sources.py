@@ -6,6 +6,7 @@ What an earlier run left is gone on with only where this has not changed. Commen
 import ast
 import hashlib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -15,8 +16,8 @@ PACKAGES = ("simulation", "service", "robot_client")
 def sources_sha256(module: str, root: Path = ROOT) -> str:
     """SHA-256 of everything that ``module`` runs, from the files as they are now; nothing is imported."""
     digest = hashlib.sha256()
-    for path in sorted(_closure(module, root)):
-        digest.update(str(path.relative_to(root)).encode() + ast.dump(_Bare().visit(_parsed(path))).encode())
+    for path, code in sorted(_closure(module, root).items()):
+        digest.update(str(path.relative_to(root)).encode() + code)
     for path in sorted([*root.glob("simulation/objects/*.toml"), *root.glob("service/sensors/*.toml")]):
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()
@@ -29,19 +30,24 @@ class _Bare(ast.NodeTransformer):
         return ast.Pass() if text else node
 
 
-def _parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-def _closure(module: str, root: Path) -> set[Path]:
-    files: set[Path] = set()
+def _closure(module: str, root: Path) -> dict[Path, bytes]:
+    """The code of a module's file and of all that it imports from here, by path."""
+    files: dict[Path, bytes] = {}
     waiting = [module]
     while waiting:
         path = _file_of(waiting.pop(), root)
         if path is not None and path not in files:
-            files.add(path)
-            waiting += _imported(_parsed(path))
+            files[path], imported = _code(path.read_text(encoding="utf-8"))
+            waiting += imported
     return files
+
+
+@cache
+def _code(text: str) -> tuple[bytes, tuple[str, ...]]:
+    """A file's code without docstrings and comments, and what it imports."""
+    tree = ast.parse(text)
+    imported = tuple(_imported(tree))
+    return ast.dump(_Bare().visit(tree)).encode(), imported
 
 
 def _imported(tree: ast.Module) -> Iterator[str]:

@@ -17,7 +17,7 @@ class TinyArm:
         self,
         trouble: Callable[[], object] | None = None,
         touch: Callable[[], object] | None = None,
-        trouble_mm: float = 1.0,
+        trouble_mm: float = 0.4,
         contact_mm: float = 0.8,
     ) -> None:
         self.moves: list[tuple[float, float]] = []

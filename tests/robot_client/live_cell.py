@@ -257,4 +257,4 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", 
         await rapid.close()
         await egm.stop()
         await wsg.stop()
-        await rws.stop()
+        rws.stop()

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 import subprocess
 import sys
 
@@ -28,6 +29,27 @@ def test_every_command_helps_from_its_own_package_within_80_columns(name, capsys
     out = capsys.readouterr().out
     assert "usage" in out.lower()
     assert max(map(len, out.splitlines())) <= 80
+
+
+def test_what_a_command_prints_fits_80_columns(capsys):
+    assert main(["models"]) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_may_leave_before_the_end(unbuffered):
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "tactile_insertion", "models"]
+    done = subprocess.run(
+        command,
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
+        check=False,
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, b"")
 
 
 def test_it_reaches_every_command_of_every_room():

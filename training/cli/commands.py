@@ -2,13 +2,15 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from service.contract import ContractError
+from service.contract.text import fitted, read_by_somebody
 
 
 def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
@@ -143,34 +145,30 @@ def expect(
 
 
 def print_table(figures: dict[str, dict[str, float]]) -> None:
-    """One line an object and split."""
+    """What was measured of each object and split."""
     names = "trials accuracy chance ece wrong_side_x mae_x_mm mae_theta_deg rmse_x_mm rmse_theta_deg"
     columns = (names + " coverage90_x coverage90_theta").split()
-    print(f"{'':24}" + "".join(f"{name[:12]:>14}" for name in columns))
     for row, values in figures.items():
-        print(f"{row:24}" + "".join(f"{values[name]:14.3f}" for name in columns))
+        print(fitted(f"{row}: " + ", ".join(f"{name} {values[name]:.3g}" for name in columns), 2))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; wrong input is one line on standard error and exit code 2."""
     try:
-        status = tyro.extras.subcommand_cli_from_dict(
-            {
-                "train": train,
-                "recipe": recipe,
-                "show": show,
-                "board": board,
-                "depths": depths,
-                "expect": expect,
-                "adapt": adapt,
-            },
-            args=arguments,
-            prog="tactile-insertion",
-        )
+        commands: dict[str, Callable[..., Any]] = {
+            "train": train,
+            "recipe": recipe,
+            "show": show,
+            "board": board,
+            "depths": depths,
+            "expect": expect,
+            "adapt": adapt,
+        }
+        parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog="tactile-insertion")
+        return read_by_somebody(lambda: int(parse() or 0))
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"{(arguments or sys.argv[1:])[0]}: interrupted; the same command goes on", file=sys.stderr)
         return 130
-    return int(status or 0)

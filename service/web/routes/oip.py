@@ -20,11 +20,10 @@ from service.session.station import Station
 from service.web import oip_tensors
 from service.web.access import Access
 from service.web.middleware import MAX_BODY_BYTES, whole_body
-from service.web.oip_schema import INFER_SCHEMA
+from service.web.oip_schema import INFERENCE
 
 MAX_WAITING = 32
 VERSION = "1"
-INFER_BODY = {"requestBody": {"required": True, "content": {"application/json": {"schema": INFER_SCHEMA}}}}
 _OPEN = ThreadPoolExecutor(1, "inference")  # one call at a time: the networks of the insertion keep their core
 
 
@@ -206,9 +205,9 @@ def _model_routes(routes: APIRouter, served: Served, access: Access) -> None:
 def _inference_routes(routes: APIRouter, served: Served, access: Access) -> None:
     drive = [access.require("drive")]
 
-    @routes.post("/models/{name}/infer", dependencies=drive, openapi_extra=INFER_BODY, response_class=Inferred)
+    @routes.post("/models/{name}/infer", dependencies=drive, openapi_extra=INFERENCE, response_class=Inferred)
     @routes.post(
-        "/models/{name}/versions/{version}/infer", dependencies=drive, openapi_extra=INFER_BODY, response_class=Inferred
+        "/models/{name}/versions/{version}/infer", dependencies=drive, openapi_extra=INFERENCE, response_class=Inferred
     )
     async def infer(request: Request, name: str, version: str = VERSION) -> Response:
         return await served.infer(request, name, version)

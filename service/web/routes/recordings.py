@@ -34,6 +34,12 @@ class Recordings(BaseModel):
     problems: list[str]
 
 
+class Mcap(FileResponse):
+    """A recording as a file."""
+
+    media_type = "application/octet-stream"
+
+
 def recording_folder(root: Path, name: str) -> Path:
     """The folder of a recording; 404 unless it is one of ours."""
     folder = root / name
@@ -52,12 +58,12 @@ def router(station: Station, access: Access) -> APIRouter:
         listed, problems = await asyncio.to_thread(list_recordings, root)
         return {"recordings": listed, "problems": problems}
 
-    @routes.get("/{name}", dependencies=watch, response_class=FileResponse)
-    async def recording(name: str) -> FileResponse:
+    @routes.get("/{name}", dependencies=watch, response_class=Mcap)
+    async def recording(name: str) -> Mcap:
         path = recording_folder(root, name) / FINAL
         if not path.is_file():
             raise HTTPException(404, f"recording {name} has no {FINAL}")
-        return FileResponse(path, filename=f"{name}.mcap", media_type="application/octet-stream")
+        return Mcap(path, filename=f"{name}.mcap")
 
     @routes.delete("/{name}", dependencies=admin)
     async def remove(name: str) -> dict[str, str]:

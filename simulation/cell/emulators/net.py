@@ -1,9 +1,7 @@
 """Loopback sockets and HTTP servers of the emulators: everything on 127.0.0.1, a busy port is one clear line."""
 
-import asyncio
 import contextlib
 import socket
-from collections.abc import Iterator
 from typing import Any
 
 import uvicorn
@@ -52,13 +50,6 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
         return port_of(sock)
 
 
-class _QuietServer(uvicorn.Server):
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """The cell's own main handles signals; several servers share its loop."""
-        yield
-
-
 class HttpServer:
     """An ASGI application served from the running event loop on a socket of :func:`bind_tcp`.
 
@@ -76,20 +67,16 @@ class HttpServer:
             ssl_certfile=certificate,
             ssl_keyfile=key,
         )
-        config.timeout_graceful_shutdown = 1
         self.port = port_of(sock)
         self._sock = sock
-        self._server = _QuietServer(config)
-        self._task: asyncio.Task[None] | None = None
+        self._server = uvicorn.Server(config)
 
     async def start(self) -> None:
-        """Return once the socket accepts requests."""
-        self._task = asyncio.create_task(self._server.serve(sockets=[self._sock]))
-        while not self._server.started:
-            if self._task.done():
-                await self._task
-                raise RuntimeError(f"the HTTP server on port {self.port} ended while starting")
-            await asyncio.sleep(0.005)
+        """Return once the socket accepts requests. Signals are left to the cell's own main."""
+        config = self._server.config
+        config.load()
+        self._server.lifespan = config.lifespan_class(config)
+        await self._server.startup(sockets=[self._sock])
 
     def abort(self, client: tuple[str, int] | None) -> None:
         """Cut the connection of a client (``request.client``) without an answer."""
@@ -97,9 +84,10 @@ class HttpServer:
             if getattr(connection, "client", None) == tuple(client or ()):
                 connection.transport.abort()
 
-    async def stop(self) -> None:
-        """Close listening socket and connections."""
-        self._server.should_exit = True
-        if self._task is not None:
-            await self._task
+    def stop(self) -> None:
+        """Close the listening socket and cut all connections."""
+        for server in self._server.servers:
+            server.close()
+        for connection in list(self._server.server_state.connections):
+            connection.transport.abort()
         self._sock.close()

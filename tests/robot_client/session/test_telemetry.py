@@ -13,7 +13,8 @@ from tests.robot_client.insertion.stories import ID
 from tests.robot_client.live_cell import bench
 
 
-def told(kinds):
+@pytest.fixture(scope="module")
+def told():
     """What an insertion at the emulated cell tells the service, and how low the arm went; a busy machine may end it."""
 
     async def story():
@@ -21,7 +22,7 @@ def told(kinds):
         async with bench() as cell:
 
             def listen(message):
-                if isinstance(message, kinds):
+                if isinstance(message, wire.Episode | wire.Telemetry):
                     heard.append((time.monotonic_ns(), message))
 
             cell.service.on_message = listen
@@ -31,8 +32,8 @@ def told(kinds):
     return asyncio.run(asyncio.wait_for(story(), 90.0))
 
 
-def test_an_insertion_tells_what_was_to_be_done_and_where_the_robot_was() -> None:
-    heard, lowest_mm = told((wire.Episode, wire.Telemetry))
+def test_an_insertion_tells_what_was_to_be_done_and_where_the_robot_was(told) -> None:
+    heard, lowest_mm = told
     (_, episode), *batches = heard
     assert isinstance(episode, wire.Episode)
     assert (episode.approach.x_mm, episode.approach.yaw_deg) == (8.0, 6.0)
@@ -50,9 +51,9 @@ def test_an_insertion_tells_what_was_to_be_done_and_where_the_robot_was() -> Non
     assert samples[-1].at_ns > [at for at, _ in heard][-1] - int(0.5e9)
 
 
-def test_nothing_waits_longer_than_a_batch_to_be_sent() -> None:
+def test_nothing_waits_longer_than_a_batch_to_be_sent(told) -> None:
     """So a client that is killed takes a tenth of a second with it, as far as its machine had the time."""
-    heard, _ = told(wire.Telemetry)
+    _, *heard = told[0]
     assert all(len(batch.samples) <= BATCH_N for _, batch in heard)
     spans = sorted((batch.samples[-1].at_ns - batch.samples[0].at_ns) * 1e-9 for _, batch in heard)
     assert spans[len(spans) // 2] == pytest.approx(0.02 * (BATCH_N - 1), rel=0.25)

@@ -76,6 +76,7 @@ def test_every_answer_in_json_has_a_schema_but_what_is_made_for_the_page(live: L
         for method, operation in operations.items()
     }
     assert [path for path, responses in answers.items() if "application/json" not in responses["4XX"]["content"]] == []
+    assert [path for path, responses in answers.items() if not responses["200"].get("content")] == []
     open_ones = {
         path
         for (path, _), responses in answers.items()

@@ -6,10 +6,12 @@ from typing import Any
 import httpx
 import jsonschema_rs
 import pytest
+from fastapi import APIRouter
 
 from service import __version__
 from service.contract import wire
 from service.web import asyncapi
+from service.web.app import create_app
 from tests.service.conftest import LiveService
 
 DOCUMENT = json.loads(json.dumps(asyncapi.document(__version__)))
@@ -68,6 +70,16 @@ def test_a_key_that_the_code_refuses_is_refused_by_the_schema() -> None:
         assert not validator.is_valid(arm | wrong)
         with pytest.raises(ValueError, match=next(iter(wrong))):
             wire.parse_client(json.dumps(arm | wrong))
+
+
+def test_every_websocket_has_its_channel(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: set[str] = set()
+    monkeypatch.setattr(
+        APIRouter, "add_api_websocket_route", lambda router, path, *_, **__: found.add(router.prefix + path)
+    )
+    create_app(live.station)
+    same = {"/", "/v1/insertions/ws"}  # other names of /v1/insertion
+    assert {channel["address"] for channel in DOCUMENT["channels"].values()} == found - same
 
 
 def test_the_service_serves_it(live: LiveService) -> None:

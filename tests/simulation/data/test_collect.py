@@ -96,7 +96,8 @@ def alive(process_group: int) -> bool:
     return True
 
 
-@pytest.mark.parametrize("wait_for_shard", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("wait_for_shard", [False, True])
 def test_kill_9_loses_nothing_and_doubles_nothing(made: Path, tmp_path: Path, wait_for_shard: bool) -> None:
     command = [*COLLECT, "--out", str(tmp_path), "--trials-per-object", "6", "--workers", "2"]
     process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

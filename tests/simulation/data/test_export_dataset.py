@@ -31,21 +31,21 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def lerobot(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("lerobot")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulation.data.lerobot.EPISODES_PER_FILE", 2)
-        assert export_dataset([str(source), "--out", str(out), "--count", "3"]) == 0
+        patch.setattr("simulation.data.lerobot.EPISODES_PER_FILE", 1)
+        assert export_dataset([str(source), "--out", str(out), "--count", "2"]) == 0
     return out
 
 
 def test_lerobot_tables_agree_with_info(lerobot: Path) -> None:
     info = json.loads((lerobot / "meta/info.json").read_text())
     assert info["codebase_version"] == "v3.0"
-    assert (info["total_episodes"], info["total_frames"], info["total_tasks"]) == (3, 90, 1)
+    assert (info["total_episodes"], info["total_frames"], info["total_tasks"]) == (2, 60, 1)
     files = sorted(lerobot.glob("data/*/*.parquet"))
     assert [file.name for file in files] == ["file-000.parquet", "file-001.parquet"]
     tables = [pq.read_table(file) for file in files]
     assert set(tables[0].column_names) == set(info["features"])
-    assert sum(len(table) for table in tables) == 90
-    assert [n for table in tables for n in table["index"].to_pylist()] == list(range(90))
+    assert sum(len(table) for table in tables) == 60
+    assert [n for table in tables for n in table["index"].to_pylist()] == list(range(60))
     episodes = pq.read_table(lerobot / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     for episode in episodes:
         place = {"chunk_index": episode["data/chunk_index"], "file_index": episode["data/file_index"]}
@@ -86,7 +86,7 @@ def flat(value):
 each = [unflatten_dict({k[6:]: flat(v) for k, v in row.items() if k.startswith("stats/")}) for row in rows]
 total = aggregate_stats(each)
 gaps = [float(np.abs(np.asarray(data.meta.stats[n][k]) - total[n][k]).max()) for n in total for k in ("mean", "std")]
-item = data[72]
+item = data[42]
 print(json.dumps({
     "version": version("lerobot"), "frames": len(data), "episodes": data.num_episodes, "fps": data.fps,
     "gap": max(gaps), "image": list(item["observation.images.left"].shape), "task": item["task"],
@@ -106,9 +106,9 @@ def test_lerobot_s_own_loader_reads_every_frame_and_agrees_with_the_statistics(s
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])
-    assert (told["frames"], told["episodes"], told["fps"]) == (90, 3, 30)
+    assert (told["frames"], told["episodes"], told["fps"]) == (60, 2, 30)
     assert told["gap"] < 1e-6
-    trial, frames = made_up_trial(2), Dataset(source).frames(2, 12, 1)
+    trial, frames = made_up_trial(1), Dataset(source).frames(1, 12, 1)
     assert told["image"] == [3, *frames.shape[2:4]]
     assert told["mean"] == pytest.approx(frames[0, 0, ..., ::-1].mean((0, 1)) / 255, abs=1e-6)
     assert told["error"] == pytest.approx([trial.x_mm, trial.theta_deg])
@@ -118,11 +118,11 @@ def test_lerobot_s_own_loader_reads_every_frame_and_agrees_with_the_statistics(s
 
 def test_lerobot_frames_are_the_dataset_s_without_loss(source: Path, lerobot: Path) -> None:
     row = pq.read_table(lerobot / "data/chunk-000/file-001.parquet").slice(12, 1).to_pylist()[0]
-    frames = Dataset(source).frames(2, 12, 1)
+    frames = Dataset(source).frames(1, 12, 1)
     for finger, camera in enumerate(("left", "right")):
         data = np.frombuffer(row[f"observation.images.{camera}"]["bytes"], np.uint8)
         assert np.array_equal(cv2.imdecode(data, cv2.IMREAD_COLOR), frames[0, finger])
-    trial = made_up_trial(2)
+    trial = made_up_trial(1)
     assert row["error"] == pytest.approx([trial.x_mm, trial.theta_deg])
     assert np.allclose(np.reshape(row["observation.gel"], (2, 20, 21, 3)), trial.gel[12])
 

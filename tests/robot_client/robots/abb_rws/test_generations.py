@@ -152,7 +152,7 @@ def test_what_is_no_controller_is_named(tmp_path):
                 await client.status()
         finally:
             await client.close()
-            await server.stop()
+            server.stop()
 
     asyncio.run(story())
 
