@@ -35,7 +35,7 @@ class Ramps(Contract):
     """How the arm moves in free air, while probing and on the way up. docs/pace.md says why so."""
 
     travel: Ramp = Ramp(speed_mm_s=80.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0)
-    descend: Ramp = Ramp(speed_mm_s=4.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0)
+    descend: Ramp = Ramp(speed_mm_s=5.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0)
     retract: Ramp = Ramp(speed_mm_s=25.0, acceleration_mm_s2=200.0, jerk_mm_s3=4000.0)
 
     def of(self, motion: Motion) -> Ramp:

@@ -33,7 +33,7 @@ def ramp(speed_mm_s: float, acceleration_mm_s2: float, jerk_mm_s3: float) -> dic
 
 
 def client(
-    probing_mm_s: float = 4.0,
+    probing_mm_s: float = 5.0,
     fast_mm_s: float = 10.0,
     *,
     air_mm_s: float = 80.0,
@@ -56,8 +56,7 @@ POINTS = (
     Point(BEFORE, client(10.0, NO_LEGS_MM_S, air_mm_s=55.0, lift_mm=APPROACH_MM)),
     Point(SHIPPED, client()),
     Point("probes at 10 mm/s", client(10.0)),
-    Point("probes at 3 mm/s", client(3.0)),
-    Point("quick: 5 and 25 mm/s, 120 in the air", client(5.0, 25.0, air_mm_s=120.0, brisk=True)),
+    Point("quick: legs of 25 mm/s, 120 in the air", client(5.0, 25.0, air_mm_s=120.0, brisk=True)),
 )
 
 
