@@ -39,7 +39,7 @@ class Phase(StrEnum):
 
 TERMINAL = frozenset({Phase.INSERTED, Phase.PROBED, Phase.FAILED})
 TURNED = "service: refused: turned_in_hand:"
-SLOWEST_MM_S = 4.0  # a descent after an object has turned in the hand becomes no slower: networks know 3 with 115 frames
+SLOWEST_MM_S = 4.0  # after an object has turned; slower, 120 frames a second lie closer than networks were trained on
 
 
 class Timeouts(Contract):
