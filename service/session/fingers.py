@@ -22,6 +22,7 @@ class Fingers:
     _newest_ns: dict[Finger, int] = field(default_factory=dict)
     grasp: Grasp = field(default_factory=lambda: Grasp(len(FINGERS)))
     _grasped_in: int = 0
+    _faint: set[Finger] = field(default_factory=set)
     _witness: SlideWitness = field(default_factory=SlideWitness)
     _witnessed: tuple[object, ...] = ()
 
@@ -65,12 +66,15 @@ class Fingers:
     def emptied(self, attempt: Attempt) -> str:
         """Why the hand counts as empty since the attempt was armed, said once; or nothing.
 
-        At full depth it is the claim that asks whether the object is still held.
+        A finger that its picture did not show touched when it was armed, as under a face that covers all of a stiff
+        gel, is judged by its markers. At full depth it is the claim that asks whether the object is still held.
         """
+        seen, before = self.both().fingers, self.grasp.whole.phase
         if attempt.generation != self._grasped_in:  # arming has shown that something is held
             self._grasped_in, self.grasp = attempt.generation, Grasp(len(FINGERS), "hold")
-        seen, before = self.both().fingers, self.grasp.whole.phase
-        phase = self.grasp.update([finger.touch for finger in seen], [finger.slip.slip for finger in seen])
+            self._faint = {finger.finger for finger in seen if (finger.touch or 0.0) < 1.0}
+        touches = [finger.bulge if finger.finger in self._faint else finger.touch for finger in seen]
+        phase = self.grasp.update(touches, [finger.slip.slip for finger in seen])
         if phase != "lost" or before == "lost" or attempt.outcome == "inserted":
             return ""
         return "both gels are empty: the object has left the hand"

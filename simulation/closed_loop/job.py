@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from simulation.closed_loop.cameras import Camera, foreign_cameras, own_cameras
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import Scene
@@ -33,8 +34,9 @@ class Job:
     attempt and the creep in the hand.
     ``fault``: the fields of a `simulation.closed_loop.true_fields.Fault`, for perception "fields" alone.
     Perception "fields" takes the markers from the simulated gel instead of from pictures. ``cell`` "foreign": the
-    mechanics are those of finite elements. ``client``: tables of the client's configuration as in `cell.toml`; with
-    them the arm starts above the approach and keeps its ramps, the descent's own and the time to settle.
+    mechanics are those of finite elements, the pictures its own. ``client``: tables of the client's configuration as
+    in `cell.toml`; with them the arm starts above the approach and keeps its ramps, the descent's own and the time to
+    settle.
     """
 
     scene: str
@@ -64,14 +66,16 @@ class Job:
         return factor * shear_reach_pitches(scene) * scene.sensor.marker_pitch_mm
 
     def mechanics(self) -> Callable[[Scene, int], Cell]:
-        """What makes the cell's mechanics of a scene and a seed. Raises ValueError for what it cannot show."""
+        """What makes the cell's mechanics of a scene and a seed."""
         if self.cell != "foreign":
             return QuasiStaticCell
-        if self.perception != "fields":
-            raise ValueError("cell 'foreign': it has no pictures of its own yet; expected perception 'fields'")
         from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem
 
         return ForeignCell
+
+    def cameras(self) -> Callable[[Scene, int], tuple[Camera, Camera]]:
+        """What makes both fingers' cameras of a scene and a seed."""
+        return foreign_cameras if self.cell == "foreign" else own_cameras
 
 
 def job_in(world: World, scene: str, index: int, start: tuple[float, float], seed: int, **more: Any) -> dict[str, Any]:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from service.contract import FINGERS, FramePair, TactileFrame
 from service.perception.rectification import CameraCalibration
+from simulation.closed_loop.cameras import Camera, own_cameras
 from simulation.closed_loop.job import Course
-from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.inertia import duration_s as time_at
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.effects import dropped_share
@@ -51,7 +51,7 @@ class LockstepCell:
 
     scene: Scene
     physics: Cell
-    renderers: tuple[Renderer, Renderer]
+    cameras: tuple[Camera, Camera]
     misplaced: Misplacement
     seed: int
     draws: bool = True
@@ -86,17 +86,17 @@ class LockstepCell:
         unstated: Unstated | None = None,
         draws: bool = True,
         make: Callable[[Scene, int], Cell] = QuasiStaticCell,
+        cameras: Callable[[Scene, int], tuple[Camera, Camera]] = own_cameras,
     ) -> LockstepCell:
         """A cell with the object grasped, told to be at the error given, at approach height; ``make``: mechanics."""
         cell = make(scene, seed)
         cell.regrasp(x_mm, theta_deg)
         misplaced = Misplacement(unstated or Unstated(), _pose_of(cell))
-        left, right = (Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS)
         x, y, z, yaw = misplaced.true(misplaced.approach)
         if not misplaced.unstated.well_placed:
             cell.move_to(x, y, misplaced.approach[2], yaw)
             cell.move_to(x, y, z, yaw)
-        return cls(scene, cell, (left, right), misplaced, seed, draws)
+        return cls(scene, cell, cameras(scene, seed), misplaced, seed, draws)
 
     @property
     def unstated(self) -> Unstated:
@@ -179,9 +179,9 @@ class LockstepCell:
                 finger,
                 self.frame,
                 self.now_ns,
-                renderer.raw(gel, hash_seed(self.seed, 0, k, 3)) if self.draws else _NOTHING,
+                camera.raw(gel, hash_seed(self.seed, 0, k, 3)) if self.draws else _NOTHING,
             )
-            for k, (finger, renderer) in enumerate(zip(FINGERS, self.renderers, strict=True))
+            for k, (finger, camera) in enumerate(zip(FINGERS, self.cameras, strict=True))
         )
         return FramePair(left, right)
 
@@ -231,9 +231,9 @@ class LockstepCell:
         """Which finger is seen by the camera that is called ``index`` (0 left, 1 right)."""
         return 1 - index if self.unstated.swapped_fingers else index
 
-    def view(self, index: int) -> Renderer:
+    def view(self, index: int) -> Camera:
         """What draws the frames that come under a finger's name."""
-        return self.renderers[self._seen(index)]
+        return self.cameras[self._seen(index)]
 
     def gels(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The gel that the last frame of that name shows, and what the frame before it showed."""
@@ -250,10 +250,10 @@ class LockstepCell:
     def picture_later(self, index: int) -> Callable[[], Image]:
         """A finger's raw frame of this moment, drawn when it is asked for: the same bits then as now."""
         (gel, before), seed = self.gels(index), hash_seed(self.seed, self.frame, index)
-        renderer, mirrored = self.view(index), self.unstated.mirrored[index]
+        camera, mirrored = self.view(index), self.unstated.mirrored[index]
 
         def draw() -> Image:
-            raw = renderer.raw(gel, seed, before)
+            raw = camera.raw(gel, seed, before)
             return np.ascontiguousarray(raw[:, ::-1]) if mirrored else raw
 
         return draw

@@ -266,11 +266,9 @@ def stage(job: Job, models: ModelSet) -> Insertion:
     if client is not None:
         scene = scene.varied({"speed_mm_s": client.ramps.descend.speed_mm_s})
     perception: Perception = "fields" if job.controller == "oracle" else job.perception
-    draws = perception == "pictures"
-    unstated = Unstated.model_validate(job.unstated)
-    cell = LockstepCell.build(
-        scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws, make=job.mechanics()
-    )
+    build = partial(LockstepCell.build, make=job.mechanics(), cameras=job.cameras())
+    unstated, draws = Unstated.model_validate(job.unstated), perception == "pictures"
+    cell = build(scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws)
     return Insertion(
         cell,
         models,

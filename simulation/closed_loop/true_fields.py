@@ -158,7 +158,7 @@ class TrueFieldFinger:
     def _tracked(self, gel: NDArray[np.floating], frame: TactileFrame, what: int) -> MarkerField:
         """The field of a gel state with the tracker's error on it, which ``what`` and the frame decide."""
         cell = self._cell
-        field = field_from_gel(gel, frame.captured_ns, cell.scene.sensor)
+        field = field_from_gel(gel[..., :3], frame.captured_ns, cell.scene.sensor)
         rng = np.random.default_rng(hash_seed(cell.seed, cell.frame, self._index, what))
         error = rng.normal(0.0, self._error_px, field.displacement_px.shape).astype(np.float32)
         return dataclasses.replace(field, displacement_px=field.displacement_px + error, contact=None)
@@ -166,11 +166,12 @@ class TrueFieldFinger:
     def _exposed(self) -> NDArray[np.floating]:
         """The gel as a picture shows it: a smeared marker is found in the middle of its way during the exposure."""
         view, (now, before) = self._cell.view(self._index), self._cell.gels(self._index)
-        late = np.float32(0.5 * view.appearance.motion_blur_share)
+        late = np.float32(0.5 * view.blur_share)
         exposed: NDArray[np.floating] = now - late * (now - before)
         unstated = self._cell.unstated
         if unstated.mirrored[self._index]:
-            exposed = exposed[:, ::-1] * np.array([-1.0, 1.0, 1.0], exposed.dtype)
+            exposed = exposed[:, ::-1].copy()
+            exposed[..., 0] *= -1.0
         if (unstated.camera_scale[self._index], unstated.camera_roll_deg[self._index]) != (1.0, 0.0):
             exposed = exposed.copy()
             exposed[..., :2] = exposed[..., :2] @ unstated.turned_and_scaled(self._index).T

@@ -19,7 +19,7 @@ from simulation.foreign.surface import HeldSurface
 
 Array = NDArray[np.float64]
 
-FOLLOWING, HOLDING, ROUNDS = 20, 20, 40
+FOLLOWING, HOLDING, ROUNDS = 20, 60, 40
 CURVED = 8  # iterations in which the held surface's planes are renewed; a kink would have them jump for ever
 NEARLY_N = 1e-4  # limits that a round changes by less are left to Newton
 BALANCING, BALANCED, SEARCHING, OVERSHOT = 8, 1e-2, 5, 0.5

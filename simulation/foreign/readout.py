@@ -1,4 +1,4 @@
-"""From the pads' face to what a camera could see: displacement and pressure at the markers' rest positions."""
+"""From the pads' face to what a camera could see: displacement, pressure and imprint where the markers rest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ Array = NDArray[np.float64]
 
 
 class Readout:
-    """Gel fields of a sensor: nodes' displacements and pressures in, float32 [2, rows, columns, 3] out."""
+    """Gel fields of a sensor: nodes' displacements and pressures in, float32 [2, rows, columns, 4] out.
+
+    The fourth value is how far the face is pressed in, mm, for this cell's own pictures.
+    """
 
     def __init__(self, face: Face, sensor: Sensor) -> None:
         pitch, (margin_u, margin_v) = sensor.marker_pitch_mm, sensor.gel_margin_mm
@@ -35,8 +38,10 @@ class Readout:
             along_v, along_u = self._curved[finger]
             moved = motion.reshape(2, *self._grid, 3)[finger]
             du, dv = side * along_v @ moved[..., 0] @ along_u.T, -along_v @ moved[..., 2] @ along_u.T
+            pressed_in = side * along_v @ moved[..., 1] @ along_u.T
             along_v, along_u = self._straight[finger]
-            fingers.append(np.stack([du, dv, along_v @ pressure.reshape(2, *self._grid)[finger] @ along_u.T], axis=-1))
+            pressed = along_v @ pressure.reshape(2, *self._grid)[finger] @ along_u.T
+            fingers.append(np.stack([du, dv, pressed, pressed_in], axis=-1))
         return np.asarray(fingers, np.float32)
 
     def nearest(self, values: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -78,6 +78,11 @@ class Renderer:
         """The exact calibration of this camera."""
         return CameraCalibration(self.homography, self.sensor.raw, self.sensor.rectified)
 
+    @property
+    def blur_share(self) -> float:
+        """Exposure time over frame period."""
+        return self.appearance.motion_blur_share
+
     def raw(self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None) -> Image:
         """Uint8 [h, w, 3] BGR frame of ``gel`` [rows, columns, 3]; ValueError if it is not finite or of another shape.
 

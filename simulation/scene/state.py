@@ -32,7 +32,8 @@ class PhysicsError(RuntimeError):
 class CellState:
     """One moment; forces and displacements are those at the end of the last move.
 
-    gel: float32 [2, rows, columns, 3] = du mm, dv mm (finger frame), pressure N/mm2, at marker rest positions.
+    gel: float32 [2, rows, columns, 3 or more] = du mm, dv mm (finger frame), pressure N/mm2, at marker rest positions,
+    and what else the cell's own cameras ask for.
     slipping: bool [2, rows, columns], the gel there slid on the object in the last load step. slipping_share [2]: of
     the pressed nodes of a pad. wrench_n_nmm [6]: what blocks, gravity and inertia do to the object, at the TCP, hand
     frame. in_hand [6]: mm and rotation vector, rad. object_error: (x mm, theta deg). block_motion [2, 4]: dx, dy mm,

@@ -136,7 +136,7 @@ def test_a_centred_object_is_inserted_by_the_common_ground_truth():
 def test_the_markers_follow_the_object_down():
     cell = held(x_mm=8.0)
     before, after = cell.look().gel, lowered(cell, 0.8).gel
-    assert before.shape == (2, cell.scene.sensor.marker_rows, cell.scene.sensor.marker_columns, 3)
+    assert before.shape == (2, cell.scene.sensor.marker_rows, cell.scene.sensor.marker_columns, 4)
     up = -(after - before)[..., 1].mean(axis=(1, 2))
     assert (up > 0.02).all()
 
