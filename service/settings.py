@@ -77,7 +77,7 @@ class Settings(BaseSettings):
     recordings: Path = Field(Path("recordings"), description="folder for recorded insertions")
     recordings_max_gb: float = Field(20.0, gt=0, description="oldest insertions are removed beyond this")
     controller: ControllerName = Field("belief", description="heuristic (the paper's) or belief (remembers attempts)")
-    imprint_slip: bool = Field(False, description="stop for a sliding imprint, too (tried on recorded real grasps)")
+    imprint_slip: bool = Field(True, description="stop for a sliding imprint, too, not for the markers' slip alone")
     frame_rate_hz: float | None = Field(None, gt=0, le=240, description="asked of V4L2 cameras; default the sensor's")
     max_skew_ms: float | None = Field(None, gt=0, description="largest skew of a pair; default 0.6 frame periods")
     max_dx_mm: float = Field(15.0, gt=0, le=50, description="largest correction across the gap ever sent")

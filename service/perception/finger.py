@@ -27,7 +27,7 @@ class TactileFinger:
     """
 
     def __init__(
-        self, finger: Finger, spec: FrameSpec, calibration: CameraCalibration | None = None, *, imprint: bool = False
+        self, finger: Finger, spec: FrameSpec, calibration: CameraCalibration | None = None, *, imprint: bool = True
     ) -> None:
         self.finger = finger
         self._spec = spec

@@ -14,7 +14,7 @@ def make_session(
     controller: ControllerName = "belief",
     limits: Limits = DEFAULT_LIMITS,
     *,
-    imprint: bool = False,
+    imprint: bool = True,
 ) -> InsertionSession:
     """A session with fresh perception of both fingers; without ``calibration`` it takes rectified frames only.
 

@@ -24,7 +24,6 @@ class Fingers:
     _grasped_in: int = 0
     _faint: set[Finger] = field(default_factory=set)
     _witness: SlideWitness = field(default_factory=SlideWitness)
-    _witnessed: tuple[object, ...] = ()
 
     def watch(self, finger: Finger) -> FingerWatch:
         """The perception of one finger."""
@@ -45,13 +44,8 @@ class Fingers:
         return self._seen[frame.finger]
 
     def _slides(self) -> bool:
-        """Whether both fingers' imprints, once each has changed anew, say that the object slides out."""
-        changes = tuple(seen.imprint for seen in self._seen.values())
-        known = [change for change in changes if change is not None]
-        if len(known) < len(FINGERS) or any(new is old for new, old in zip(changes, self._witnessed, strict=False)):
-            return False
-        self._witnessed = changes
-        score = self._witness.update(changes)
+        """Whether both fingers' imprints, once each was looked at anew, say that the object slides out."""
+        score = self._witness.update([seen.imprint for seen in self._seen.values()])
         return score is not None and score >= 0
 
     def missing(self, pair: FramePair) -> list[TactileFrame]:

@@ -120,8 +120,13 @@ def judged(folder: Path) -> Judged:
 
 
 def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.float64] | None]:
+    """What the witness read last, in each frame."""
     witness = SlideWitness()
-    return [witness.terms([finger.changes[k] for finger in fingers]) for k in range(frames_n)]
+    last: list[NDArray[np.float64] | None] = [None]
+    for k in range(frames_n):
+        terms = witness.terms([finger.changes[k] for finger in fingers])
+        last.append(last[-1] if terms is None else terms)
+    return last[1:]
 
 
 def _stories(

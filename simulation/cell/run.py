@@ -22,7 +22,7 @@ from simulation.cell.config import client_config
 from simulation.cell.emulators.net import HOST, free_port
 from simulation.cell.options import draw_start
 from simulation.cell.run_report import Result
-from simulation.scene.worlds import load_scene, training_objects
+from simulation.scene.worlds import load_scene, load_world, training_objects
 
 CELL_READY_S = 300.0  # the first start on a machine compiles the physics
 SERVICE_READY_S = 90.0
@@ -88,6 +88,8 @@ def starts(options: RunOptions) -> list[Start]:
     planned = []
     for name in training_objects() if options.object == "all" else (options.object,):
         scene = load_scene(name)
+        if options.world:
+            scene = load_world(options.world).around(scene)
         for seed in range(options.seed, options.seed + options.repeat):
             x_mm, theta_deg = draw_start(scene, seed)
             x_mm = x_mm if options.x_mm is None else options.x_mm

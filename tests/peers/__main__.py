@@ -150,6 +150,7 @@ What is known not to work, and why:
 
 - `abb-robot-client` 0.4.0: `request_rmmp` and `poll_rmmp` join the controller's address to an address that is whole
   already, on any controller. Its asyncio client `rws_aio` is no Python: a colon is missing in the released file.
+- The service has one HTTP parser, h11: `httptools` is gone, and `schemathesis` has one to try.
 - `foxglove-sdk` writes recordings and reads none; its encoder is compared instead.
 - `lerobot` brings a CUDA build of torch, 8 GB in all: `make peers LEROBOT=1` installs it. Without, its row stays.
 

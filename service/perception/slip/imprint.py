@@ -16,6 +16,7 @@ from service.perception.markers.field import FloatArray, MarkerField
 from service.perception.markers.regular import irregular_pitch
 
 _EVERY_NS = 100_000_000  # frames nearer than this to the last one looked at are not looked at
+_GAP_NS = 600_000_000  # after so long out of sight, the imprint is compared with nothing seen before
 _LATER_N = 3  # frames; and the imprint is compared over so many
 _SHRUNK_PITCH_PX = 20.0  # an image whose pitch is much more is shrunk first
 _SAMPLES = 8  # a pitch, of small grids
@@ -23,8 +24,9 @@ _LARGE_N = 150  # markers, from which on half as many samples do
 _MARKER = 2.9 / 8  # pitch; radius of what is left out
 _FINE, _SLOW, _AROUND = 1.0 / 8, 5.0 / 8, 9.0 / 8  # pitch
 _DARK = 8.0  # grey
-_NOISE = 1.0  # variance of the imprint of two pictures of the same gel, in (percent of the light)^2
+_LEAST = 1.0  # power of an imprint, (percent of the light)^2; a share of less tells nothing
 _WHERE = 0.05  # of the gel, which a rim or a pen that slides changes
+_STRONG = 0.1  # of the gel, by which the grip's strength is told
 _LITTLE = 0.15  # percent; relief won or lost that is none
 
 
@@ -57,18 +59,23 @@ class ImprintWatch:
         self._grid: _Grid | None = None
         self._looks: deque[_Look] = deque(maxlen=_LATER_N)
         self._won: deque[tuple[float, float]] = deque(maxlen=3)
+        self._noise = np.inf  # what two looks at the stillest gel so far differ by, (percent of the light)^2
         self._looked_ns: int | None = None
         self.last: ImprintChange | None = None
 
     def update(self, image: NDArray[np.uint8], field: MarkerField) -> ImprintChange | None:
         """Look at a rectified image, uint8 [h, w, 3], and the markers found in it; None before two were seen."""
-        if not field.usable or (self._looked_ns is not None and field.captured_ns - self._looked_ns < _EVERY_NS):
+        since_ns = _GAP_NS if self._looked_ns is None else field.captured_ns - self._looked_ns
+        if not field.usable or since_ns < _EVERY_NS:
             return self.last
+        self._looked_ns = field.captured_ns
         if self._grid is None or self._grid.shape != field.valid.shape:
-            self._grid = _Grid(field.valid.shape, field.pitch_px)
+            self._grid, since_ns = _Grid(field.valid.shape, field.pitch_px, image.shape[2]), _GAP_NS
+            self._noise = np.inf
+        if since_ns >= _GAP_NS:
+            self.last = None
             self._looks.clear()
             self._won.clear()
-        self._looked_ns = field.captured_ns
         look = self._grid.look(image, field)
         if self._looks:
             self.last = self._compare(look, field)
@@ -78,23 +85,39 @@ class ImprintWatch:
     def _compare(self, now: _Look, field: MarkerField) -> ImprintChange:
         assert self._grid is not None
         before = self._looks[-1]
+        moved = self._grid.power(now.imprint - before.imprint)
+        self._noise = min(self._noise, _all_but(_WHERE, moved))
         gone = before.relief - now.relief
         self._won.append((float(np.maximum(gone, 0).mean()), float(np.maximum(-gone, 0).mean())))
         lost, won = np.sum(self._won, 0)
         later = self._looks[-_LATER_N] if len(self._looks) >= _LATER_N else before
         return ImprintChange(
-            self._grid.changed(before, now),
-            self._grid.changed(later, now),
+            self._changed(before, now, moved),
+            self._changed(later, now, self._grid.power(now.imprint - later.imprint)),
             float((lost - won) / (lost + won + _LITTLE)),
-            float(np.percentile(now.relief, 90)),
+            _all_but(_STRONG, now.relief),
             irregular_pitch(field),
         )
+
+    def _changed(self, before: _Look, now: _Look, moved: FloatArray) -> float:
+        """Local power ``moved`` of the difference of two imprints, in shares of that of both; where it is largest.
+
+        What the stillest gel shows is noise of the camera, or of its coding, and no change.
+        """
+        both = np.square(before.relief) + np.square(now.relief)
+        return _all_but(_WHERE, np.maximum(moved - np.float32(self._noise), 0) / (both + _LEAST))
+
+
+def _all_but(share: float, values: FloatArray) -> float:
+    """What all but that share of the values are at most."""
+    rank = int((1 - share) * (values.size - 1))
+    return float(np.partition(values.ravel(), rank)[rank])
 
 
 class _Grid:
     """Where a grid's imprint is sampled, and what is left out of it."""
 
-    def __init__(self, shape: tuple[int, ...], pitch_px: float) -> None:
+    def __init__(self, shape: tuple[int, ...], pitch_px: float, channels: int) -> None:
         rows, columns = shape
         self.shape = shape
         self._shrink = max(1, round(pitch_px / _SHRUNK_PITCH_PX))
@@ -102,11 +125,13 @@ class _Grid:
         across, down = np.arange((columns - 1) * samples + 1), np.arange((rows - 1) * samples + 1)
         u, v = np.meshgrid(across / samples, down / samples)
         self._at = u.astype(np.float32), v.astype(np.float32)
-        self.seen = (np.hypot(u - np.rint(u), v - np.rint(v)) > _MARKER).astype(np.float32)
-        self._fine, self._slow = (cv2.GaussianBlur(self.seen, (0, 0), s * samples) for s in (_FINE, _SLOW))
+        seen = (np.hypot(u - np.rint(u), v - np.rint(v)) > _MARKER).astype(np.float32)
+        fine, slow = (cv2.GaussianBlur(seen, (0, 0), share * samples) + 1e-3 for share in (_FINE, _SLOW))
+        # As often as a picture has channels: numpy is slow where it repeats along a short last axis.
+        self._seen, self._fine, self._slow = (np.repeat(one[..., None], channels, 2) for one in (seen, fine, slow))
         side = 2 * int(_AROUND * samples / 2) + 1
         self._box = (side, side)
-        self._boxed = cv2.boxFilter(self.seen, cv2.CV_32F, self._box)
+        self._boxed = cv2.boxFilter(seen, cv2.CV_32F, self._box)
 
     def look(self, image: NDArray[np.uint8], field: MarkerField) -> _Look:
         """The imprint, percent of the light around, and its relief."""
@@ -117,22 +142,15 @@ class _Grid:
         picture = cv2.remap(
             small, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         ).astype(np.float32)
-        lit = picture.reshape(*self.seen.shape, -1) * self.seen[..., None]
+        lit = picture.reshape(self._seen.shape) * self._seen
         fine, slow = (
-            cv2.GaussianBlur(lit, (0, 0), sigma * self._samples).reshape(lit.shape) / (weight + 1e-3)[..., None]
-            for sigma, weight in ((_FINE, self._fine), (_SLOW, self._slow))
+            cv2.GaussianBlur(lit, (0, 0), share * self._samples).reshape(lit.shape) / weight
+            for share, weight in ((_FINE, self._fine), (_SLOW, self._slow))
         )
-        imprint = np.asarray(100 * (fine / np.maximum(slow, _DARK) - 1) * self.seen[..., None], np.float32)
-        return _Look(imprint, np.sqrt(self._power(imprint)))
+        imprint = np.asarray(100 * (fine / np.maximum(slow, _DARK) - 1) * self._seen, np.float32)
+        return _Look(imprint, np.sqrt(self.power(imprint)))
 
-    def changed(self, before: _Look, now: _Look) -> float:
-        """Local power of the difference of two imprints, in shares of that of both; where it is largest."""
-        both = np.square(before.relief) + np.square(now.relief)
-        share = (self._power(now.imprint - before.imprint) / (both + _NOISE)).ravel()
-        rank = int((1 - _WHERE) * (share.size - 1))
-        return float(np.partition(share, rank)[rank])
-
-    def _power(self, imprint: FloatArray) -> FloatArray:
+    def power(self, imprint: FloatArray) -> FloatArray:
         """Mean square [h, w] of what is seen around, of an imprint [h, w, channels]."""
         squared = reduce(np.add, np.square(imprint).transpose(2, 0, 1)) / imprint.shape[-1]
         return np.asarray(cv2.boxFilter(squared, cv2.CV_32F, self._box) / self._boxed, np.float32)

@@ -6,6 +6,7 @@ Many objects turn in a strong grip and stay. Weights and limit are fitted by `py
 """
 
 import math
+import operator
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,10 +15,12 @@ from numpy.typing import NDArray
 from service.perception.slip.imprint import ImprintChange
 
 TERMS = ("changed", "changed over three", "let go", "relief", "irregular")
-WEIGHTS = (0.6403, 1.0773, 3.5331, -1.9548, -2.7188)
-BIAS = -2.716  # the limit included
+WEIGHTS = (0.6103, 1.0779, 3.8414, -2.0459, -2.6624)
+BIAS = -2.3701  # the limit included
 _LITTLE = 0.01
 _IRREGULAR = 0.2  # pitch; more, or a grid that is not seen, says no more
+_REGULAR = 0.02  # pitch, of all fingers; less was never seen, and says no more
+_FAINT = 7.0  # percent, of all fingers; a fainter imprint is one of another light or gel, and no lighter grip
 
 
 class SlideWitness:
@@ -25,17 +28,22 @@ class SlideWitness:
 
     def __init__(self) -> None:
         self._changed = 0.0
+        self._seen: list[ImprintChange] = []
 
     def update(self, fingers: Sequence[ImprintChange | None]) -> float | None:
-        """How surely the object slides out, from 0 on surely enough; None before every finger's imprint is known."""
+        """How surely the object slides out, from 0 on surely enough; None where `terms` is."""
         terms = self.terms(fingers)
         return None if terms is None else slide_score(terms)
 
     def terms(self, fingers: Sequence[ImprintChange | None]) -> NDArray[np.float64] | None:
-        """What the logistic reads, float64 [TERMS]; None of one finger, whose grip looks half as strong as it is."""
+        """What the logistic reads, float64 [TERMS]; None until each finger's imprint was looked at anew.
+
+        None of one finger, too, whose grip looks half as strong as it is.
+        """
         seen = [finger for finger in fingers if finger is not None]
-        if len(seen) < max(2, len(fingers)):
+        if len(seen) < max(2, len(fingers)) or any(map(operator.is_, seen, self._seen)):
             return None
+        self._seen = seen
         most = max(finger.changed for finger in seen)
         twice, self._changed = min(self._changed, most), most
         relief = math.hypot(*(finger.relief for finger in seen))
@@ -45,8 +53,8 @@ class SlideWitness:
                 math.log(_LITTLE + twice),
                 math.log(_LITTLE + max(finger.changed_later for finger in seen)),
                 sum(finger.let_go for finger in seen) / len(seen),
-                math.log(1 + relief),
-                math.log(_LITTLE + irregular),
+                math.log(1 + max(relief, _FAINT)),
+                math.log(_LITTLE + max(irregular, _REGULAR)),
             ]
         )
 

@@ -151,11 +151,12 @@ def grasps_page(data: Row) -> str:
 
 def _notes(data: Row, left_out: Row) -> str:
     return f"""
-        The slide witness runs live with `TACTILE_IMPRINT_SLIP=1`. Its evidence in the last 2 s before a loss is larger
-        than in 2 s of a held run with a chance of {left_out["auc"]:.2f}. It alarms in
+        A session stops the arm for the markers' slip and for the slide witness' (off with `TACTILE_IMPRINT_SLIP=0`).
+        The evidence of the witness in the last 2 s before a loss is larger than in 2 s of a held run with a chance of
+        {left_out["auc"]:.2f}. It alarms in
         {left_out["false_frames_per_1000"]:.2f} of 1,000 held frames, and told {left_out["early"]} of the slides
         before they were seen to begin. Frames whose grid jumped by what may be a pitch, none of them evidence:
-        {data["ambiguous"]}. Median run: {data["ms_a_frame"]:.1f} ms CPU a finger and frame, tracker and all.
+        {data["ambiguous"]}. Median run: {data["ms_a_frame"]:.1f} ms CPU a finger and frame, all in.
 
         - **What is out of sample.** Where an object is said to be left out, the witness and its limit were fitted
           without any run of it; the limit is the one that lets {witness.FALSE_RUNS} held runs of the others alarm.

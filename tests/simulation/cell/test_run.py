@@ -38,7 +38,7 @@ def test_a_stated_start_is_kept(tmp_path):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--object", "rectangl"], ["--models", "/none"], ["--repeat", "0"]],
+    [["--object", "rectangl"], ["--world", "/none.toml"], ["--models", "/none"], ["--repeat", "0"]],
 )
 def test_wrong_input_is_one_line_and_exit_2(arguments, capsys):
     assert main(["run", *arguments]) == 2

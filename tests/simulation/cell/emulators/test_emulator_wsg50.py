@@ -92,6 +92,19 @@ def test_stop_aborts_the_pending_command(gripper):
     assert state(gripper) is GraspingState.IDLE
 
 
+def test_a_fast_stop_latches_until_it_is_acknowledged(gripper):
+    gripper.send(Command.MOVE, 0, 90.0, 5.0)
+    assert gripper.reply(Command.MOVE).status is Status.CMD_PENDING
+    gripper.send(Command.FAST_STOP)
+    assert gripper.reply(Command.MOVE).status is Status.CMD_ABORTED
+    gripper.ask(Command.STOP)
+    for order in ((Command.MOVE, 0, 90.0, 50.0), (Command.HOMING, 0), (Command.GRASP, 80.0, 50.0)):
+        assert gripper.ask(*order).status is Status.ACCESS_DENIED
+    assert state(gripper) is GraspingState.ERROR
+    gripper.ask(Command.ACKNOWLEDGE, b"ack")
+    assert gripper.do(Command.MOVE, 0, 90.0, 400.0) is Status.SUCCESS
+
+
 def test_a_second_motion_is_refused_while_one_runs(gripper):
     gripper.send(Command.MOVE, 0, 90.0, 5.0)
     gripper.reply(Command.MOVE)
@@ -146,11 +159,22 @@ def test_a_grasp_that_runs_into_the_restricted_area_is_a_fast_stop(cell, gripper
     gripper.ask(Command.CLEAR_SOFT_LIMITS)
 
 
-@pytest.mark.parametrize(("asked", "taken"), [(1000.0, 80.0), (1.0, 5.0), (33.0, 33.0)])
-def test_a_force_beyond_its_range_is_taken_as_the_nearest(gripper, asked, taken):
-    assert gripper.ask(Command.SET_FORCE_LIMIT, asked).status is Status.SUCCESS
-    assert gripper.ask(Command.GET_FORCE_LIMIT).values == (taken,)
-    gripper.ask(Command.SET_FORCE_LIMIT, 40.0)
+FORCE = Command.SET_FORCE_LIMIT, Command.GET_FORCE_LIMIT, 40.0
+ACCELERATION = Command.SET_ACCELERATION, Command.GET_ACCELERATION, 1000.0
+
+
+@pytest.mark.parametrize(
+    ("setting", "asked", "taken"),
+    [
+        *((FORCE, asked, taken) for asked, taken in ((1000.0, 80.0), (1.0, 5.0), (33.0, 33.0))),
+        *((ACCELERATION, asked, taken) for asked, taken in ((1e6, 5000.0), (1.0, 100.0))),
+    ],
+)
+def test_a_setting_beyond_its_range_is_taken_as_the_nearest(gripper, setting, asked, taken):
+    write, read, usual = setting
+    assert gripper.ask(write, asked).status is Status.SUCCESS
+    assert gripper.ask(read).values == (taken,)
+    gripper.ask(write, usual)
 
 
 def raw(gripper, command, payload=b""):
