@@ -22,6 +22,7 @@ from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.worlds import World, load_scene
 from simulation.studies import drawn_worlds
 from simulation.studies.drawn_worlds import Variant
+from simulation.studies.witness import failures
 from simulation.studies.witness import sealed as test
 from simulation.studies.witness.sealed_page import foreign_world_page
 
@@ -105,7 +106,8 @@ class SealedOptions:
     """Play the sealed test of a release: worlds and starts follow from the networks' bytes and a counter.
 
     Results go to OUT/insertions.jsonl as they come; the same command goes on where it was interrupted, and a larger
-    --count adds to it. The report goes to DOCS/foreign_world.md and .json. All figures are simulated.
+    --count adds to it. The report goes to DOCS/foreign_world.md and .json, the last pictures of what
+    failed to foreign_failures.png. All figures are simulated.
     """
 
     out: Path = Path("runs/sealed")
@@ -138,6 +140,8 @@ def sealed(arguments: list[str]) -> int:
     rows = campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers)
     setup = {"seal": seal, "counter": options.counter, "count": options.count}
     data = test.report_of(rows, begun, cells, setup)
+    if failed := [row for row in rows[: len(begun)] if not row["inserted"]]:
+        failures.draw(failed, options.models, options.docs / "foreign_failures.png")
     sys.stdout.write(publish(options.docs, "foreign_world", foreign_world_page(data), data))
     return 0
 

@@ -44,9 +44,10 @@ def foreign_world_page(data: Row) -> str:
         ## What ended the {len(failed)} that failed there
         """,
         table(
-            Counter(map(_cause, failed)).most_common(), ("cause", 0), ("insertions", 1, "d")
+            Counter(map(cause, failed)).most_common(), ("cause", 0), ("insertions", 1, "d")
         ),
         "## Each of them",
+        "![What both cameras showed at the end of each](foreign_failures.png)" if failed else "",
         table(
             failed,
             ("world", "world"),
@@ -57,7 +58,7 @@ def foreign_world_page(data: Row) -> str:
             ("claimed", "claimed"),
             ("last error mm, deg", "final_error", ".1f"),
             ("largest force N", "force_n", ".0f"),
-            ("cause", _cause),
+            ("cause", cause),
         ),
         f"""
         Made by `python -m simulation sealed --count {data["count"]} --counter {data["counter"]} --docs docs`.
@@ -103,7 +104,7 @@ def _verdict(whole: Row) -> str:
     return "\n\n".join(said)
 
 
-def _cause(row: Row) -> str:
+def cause(row: Row) -> str:
     """In one line why an insertion failed."""
     if row["claimed"]:
         return f"claimed, but {re.sub(NUMBER, 'x', row['shortfalls'][0]) if row['shortfalls'] else 'not held'}"
