@@ -185,8 +185,6 @@ trust-live: $(RUN_VENV)/ready ## break live insertions on purpose: docs/motion_b
 
 pace: $(RUN_VENV)/ready ## what accuracy costs, in seconds a box: docs/pace.md, .json, .png; goes on after an interruption
 	$(RUN) -m simulation pace --out runs/pace --docs docs
-	$(RUN) -m simulation pace --out runs/pace_fresh --docs docs --seed 23 --title "starts that chose nothing" \
-	  --points "probes at 12 mm/s, 80 mm/s in the air, joint density"
 
 bench: $(VENV)/ready ## what a decision of each released network costs on this machine, and whether int8 pays: docs/benchmark.md, .json
 	$(BIN)/python -m export benchmark --docs docs --int8 models/pictures --alexnet $(ALEXNET) \

@@ -81,8 +81,10 @@ async def _plan(settings: Settings) -> list[Finding]:
         for name, pose in (("cycle.pick", settings.cycle.pick), ("cycle.reject", settings.cycle.reject)):
             if pose is not None:
                 check_pose(settings.limits, pose, name)
-    seconds = settings.ramps.duration_s(plan.approach, bottom, "descend")
-    text = f"approach z {plan.approach.z_mm:g} mm, full depth z {bottom.z_mm:g} mm, {seconds:.1f} s down"
+    probing_mm_s, start_mm = settings.ramps.descend.speed_mm_s, plan.approach.z_mm
+    legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, plan.tops) if plan.pause_s else ()
+    way = settings.ramps.in_legs(start_mm, legs) if legs else settings.ramps.profile(plan.approach, bottom, "descend")
+    text = f"approach z {start_mm:g} mm, full depth z {bottom.z_mm:g} mm, {way.duration_s:.1f} s down"
     return [Finding(True, text)]
 
 

@@ -12,6 +12,7 @@ from service.contract.frames import Contract
 
 CYCLE_S = 0.004
 MISSED_CYCLES = 3
+TURN_DEG_S = 55.0  # no ramp turns faster, and the limits allow a little more
 _RESUME_S = 0.05  # after a gap the motion resumes on a ramp as short as this, and no steeper than its own
 _SETTLE_MM = 0.03
 _SETTLE_DEG = 0.03
@@ -23,7 +24,7 @@ Settled = Literal["arrived", "standstill"]
 
 
 class Ramp(Contract):
-    """Speed, acceleration and jerk of one kind of motion, in mm; yaw follows the same profile in deg."""
+    """Speed, acceleration and jerk of one kind of motion, in mm; yaw follows the same profile in deg, to TURN_DEG_S."""
 
     speed_mm_s: float
     acceleration_mm_s2: float
@@ -33,8 +34,8 @@ class Ramp(Contract):
 class Ramps(Contract):
     """How the arm moves in free air, while probing and on the way up. docs/pace.md says why so."""
 
-    travel: Ramp = Ramp(speed_mm_s=55.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0)
-    descend: Ramp = Ramp(speed_mm_s=10.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0)
+    travel: Ramp = Ramp(speed_mm_s=80.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0)
+    descend: Ramp = Ramp(speed_mm_s=5.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0)
     retract: Ramp = Ramp(speed_mm_s=25.0, acceleration_mm_s2=200.0, jerk_mm_s3=4000.0)
 
     def of(self, motion: Motion) -> Ramp:
@@ -48,7 +49,7 @@ class Ramps(Contract):
     def profile(self, start: WorkPose, end: WorkPose, motion: Motion) -> Profile:
         """Profile over the longer of way (mm) and turn (deg); raises ValueError for a ramp of zero."""
         ramp = self.of(motion)
-        length = max(start.distance_mm(end), start.turn_deg(end))
+        length = max(start.distance_mm(end), start.turn_deg(end) * max(1.0, ramp.speed_mm_s / TURN_DEG_S))
         return plan_profile(length, ramp.speed_mm_s, ramp.acceleration_mm_s2, ramp.jerk_mm_s3)
 
     def in_legs(self, start_mm: float, legs: tuple[Leg, ...]) -> LegsProfile:

@@ -26,27 +26,27 @@ class Tops(NamedTuple):
 class Pace(Contract):
     """Where a descent is faster than it probes, and how high the arm goes up in between.
 
-    ``fast_mm_s``: speed away from the tops, None for the probing speed all the way. ``fast_travel_mm``: the motion
-    lease of a descent with fast legs, beside ``lease.travel_mm``. ``above_mm`` and ``below_mm``: how far around the
-    tops the descent probes. ``lift_mm``: how far above the tops an attempt that ended near them is taken up, None for
-    up to the approach.
+    ``fast_mm_s``: speed away from the tops, None for the probing speed all the way, as for one that is no faster than
+    probing. ``fast_travel_mm``: the motion lease of a descent with fast legs, beside ``lease.travel_mm``. ``above_mm``
+    and ``below_mm``: how far around the tops the descent probes. ``lift_mm``: how far above the tops an attempt that
+    ended near them is taken up, None for up to the approach.
     """
 
-    fast_mm_s: Positive | None = None
-    fast_travel_mm: Positive = 2.5
+    fast_mm_s: Positive | None = 10.0
+    fast_travel_mm: Positive = 1.5
     above_mm: float = Field(default=2.0, ge=1.0)  # how well the tops are known, and what an object is pressed by
     below_mm: float = Field(default=4.0, ge=3.0)
-    lift_mm: float | None = Field(default=None, ge=2.0)
+    lift_mm: float | None = Field(default=3.0, ge=2.0)
 
-    def check(self, limits: Limits, probing_mm_s: float) -> None:
-        """Raise LimitError for a fast speed that is slower than probing or beyond the limits."""
-        if self.fast_mm_s is not None and not probing_mm_s <= self.fast_mm_s <= limits.max_descent_speed_mm_s:
-            allowed = f"allowed {probing_mm_s:g} (ramps.descend) .. {limits.max_descent_speed_mm_s:g} (limits)"
+    def check(self, limits: Limits) -> None:
+        """Raise LimitError for a fast speed beyond the limits."""
+        if self.fast_mm_s is not None and not self.fast_mm_s <= limits.max_descent_speed_mm_s:
+            allowed = f"allowed up to {limits.max_descent_speed_mm_s:g} (limits.max_descent_speed_mm_s)"
             raise LimitError(f"pace.fast_mm_s = {self.fast_mm_s:g}, {allowed}")
 
     def legs(self, start_mm: float, end_mm: float, probing_mm_s: float, tops: Tops) -> tuple[Leg, ...]:
         """The legs of a descent between two heights, slow around the tops; none where it is slow all the way."""
-        if self.fast_mm_s is None:
+        if self.fast_mm_s is None or self.fast_mm_s <= probing_mm_s:
             return ()
         ways = (
             (tops.high_mm + self.above_mm, self.fast_mm_s),
@@ -68,3 +68,7 @@ class Pace(Contract):
         if self.lift_mm is None or stop_mm < told.low_mm - self.below_mm:
             return approach_mm
         return min(approach_mm, tops.high_mm + self.lift_mm)
+
+
+ONE_SPEED = Pace(fast_mm_s=None, lift_mm=None)
+"""Down at the probing speed all the way, and up to the approach."""

@@ -28,8 +28,8 @@ class Fixture:
     motion_s: float
 
     async def put_back(self) -> None:
-        """Straight up from between its neighbours, over, down, and open; raises DriverError, LimitError."""
-        for way in (straight_up(self.retreat_mm), over_to(self.pick)):
+        """Straight up from above its gap, over, down, and open; raises DriverError, LimitError."""
+        for way in (straight_up(self.retreat_mm, "travel"), over_to(self.pick)):
             await travel(self.make_arm(), way, self.limits, self.ramps, self.motion_s, lambda _text: None)
         await with_gripper(self.make_gripper, lambda gripper: gripper.release(self.open_mm))
 

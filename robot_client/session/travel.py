@@ -24,9 +24,9 @@ def over_to(target: WorkPose) -> Way:
     return way
 
 
-def straight_up(by_mm: float) -> Way:
-    """Up along the vertical, slowly, from between what was let go of."""
-    return lambda here: [(here.at_height(here.z_mm + by_mm), "retract")]
+def straight_up(by_mm: float, motion: Motion = "retract") -> Way:
+    """Up along the vertical; slowly, from between what was let go of."""
+    return lambda here: [(here.at_height(here.z_mm + by_mm), motion)]
 
 
 async def travel(

@@ -56,12 +56,9 @@ def main(arguments: list[str]) -> int:
     """Run, print the page, write the files."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion drawn-worlds")
     options.check()
-    worlds = []
-    for number, tables in enumerate(drawn.draw_worlds(options.drawn_n, options.seed)):
-        tables["gel"]["tier"] = "layer" if number < options.layer_share * options.drawn_n else "bristle"
-        worlds.append(drawn.world(tables, f"drawn-{number:04d}"))
+    worlds = drawn_worlds_of(options.drawn_n, options.seed, options.layer_share)
     begun = drawn_worlds.starts(
-        worlds, _objects(options.out, options.drawn_n, options.seed), options.count, options.seed
+        worlds, drawn_objects(options.out, options.drawn_n, options.seed), options.count, options.seed
     )
     played = _variants(options)
     setup = fingerprint({variant.title: variant.models for variant in played})
@@ -84,7 +81,16 @@ def _variants(options: Options) -> list[Variant]:
     return found
 
 
-def _objects(out: Path, count: int, seed: int) -> list[str]:
+def drawn_worlds_of(count: int, seed: int, layer_share: float) -> list[World]:
+    """``count`` drawn worlds, the first of them in the finer tier."""
+    worlds = []
+    for number, tables in enumerate(drawn.draw_worlds(count, seed)):
+        tables["gel"]["tier"] = "layer" if number < layer_share * count else "bristle"
+        worlds.append(drawn.world(tables, f"drawn-{number:04d}"))
+    return worlds
+
+
+def drawn_objects(out: Path, count: int, seed: int) -> list[str]:
     """Drawn objects as files in OUT: a job names its object by a file."""
     folder = out / "objects"
     folder.mkdir(parents=True, exist_ok=True)
@@ -127,7 +133,7 @@ def sealed(arguments: list[str]) -> int:
         raise ValueError(f"--models {options.models}: no *.step.onnx there; expected the folder of a release")
     seal, cells = test.seal(options.models, options.counter), (test.WITNESS, *options.beside)
     campaign.claim(options.out, {**campaign.fingerprint({"release": options.models}), "seal": seal})
-    begun = test.opened(seal, _objects(options.out, test.WORLDS, test.seed_of(seal, "objects")), options.count)
+    begun = test.opened(seal, drawn_objects(options.out, test.WORLDS, test.seed_of(seal, "objects")), options.count)
     todo = test.tasks(seal, options.models, begun, cells)
     rows = campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers)
     setup = {"seal": seal, "counter": options.counter, "count": options.count}

@@ -13,69 +13,67 @@ import tyro
 
 from reporting.files import write_durably
 from service.contract.shipped import released_models
+from simulation.cli.drawn_worlds import drawn_objects, drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
-from simulation.scene.worlds import World, files_in, load_objects, load_world
+from simulation.scene.worlds import World, load_objects, load_world
+from simulation.studies.drawn_worlds import Start, starts
 from simulation.studies.pace import choose as choosing
 from simulation.studies.pace import report
-from simulation.studies.pace.points import POINTS, TODAY, Point, tasks
-
-TRAINED = "the world that was trained for"
+from simulation.studies.pace.points import BEFORE, POINTS, Point, tasks
 
 
 @dataclass(frozen=True)
 class Options(PlayOptions):
-    """Play the same starts by every choice of settings of the client, and say what each costs in seconds a box.
+    """Play the same starts in drawn worlds by every choice of settings, and say what each costs in seconds a box.
 
-    Results go to OUT/insertions.jsonl as they come; the report to DOCS/pace.md, .json and .png, where sections of
-    other titles are kept. All are simulated. Markers are the true fields with the tracker's error.
+    Results go to OUT/insertions.jsonl as they come; the report to DOCS/pace.md, .json and .png. All are simulated.
+    Markers are the true fields with the tracker's error.
     """
 
     out: Path = Path("runs/pace")
     docs: Path = Path("runs/pace")
-    count: int = 6
-    """insertions an object and choice"""
-    seed: int = 11
-    worlds: tuple[str, ...] = ()
-    """TOML files of worlds or folders of them, taken in turn; the world that was trained for if left out"""
+    count: int = 40
+    """starts"""
+    seed: int = 73
     points: tuple[str, ...] = ()
-    """names of choices to play beside what ships; all if left out"""
-    title: str = TRAINED
-    """section of the page"""
+    """names of choices to play beside the first; all if left out"""
     draw: bool = False
-    """play nothing: write the page and its figures again from DOCS/pace.json"""
+    """play nothing: write the page and its figure again from DOCS/pace.json"""
 
 
 def main(arguments: list[str]) -> int:
     """Run, print the page, write the files."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion pace")
-    sets = _kept(options.docs / "pace.json")
-    if not options.draw:
-        sets[options.title] = _played(options, options.points)
-    if not sets:
-        raise ValueError(f"--docs {options.docs}: no pace.json there to draw; expected one, or no --draw")
-    sys.stdout.write(report.write(sets, options.docs))
+    if options.draw:
+        data = _kept(options.docs / "pace.json")
+    else:
+        options.check()
+        worlds = drawn_worlds_of(options.count, options.seed, layer_share=0.0)
+        objects = drawn_objects(options.out, options.count, options.seed)
+        data = _played(options, starts(worlds, objects, options.count, options.seed), _points(options.points))
+    sys.stdout.write(report.write(data, options.docs))
     return 0
 
 
 def _kept(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    if not path.exists():
+        raise ValueError(f"{path}: no such file; make pace writes it")
+    kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return kept
 
 
 def _points(names: Sequence[str]) -> list[Point]:
     if unknown := sorted(set(names) - {point.name for point in POINTS}):
         known = "; ".join(point.name for point in POINTS)
         raise ValueError(f"--points {'; '.join(unknown)}: expected some of: {known}")
-    return [point for point in POINTS if not names or point.name in {TODAY, *names}]
+    return [point for point in POINTS if not names or point.name in {BEFORE, *names}]
 
 
-def _played(options: PlayOptions, names: Sequence[str]) -> dict[str, Any]:
-    options.check()
-    chosen = _points(names)
-    worlds = [load_world(file) for file in files_in(getattr(options, "worlds", ()))] or [World()]
-    todo = tasks(chosen, worlds, load_objects(options.objects), options.count, options.seed, options.models)
-    folders = {point.name: task.models for point, task in zip(chosen, todo, strict=False)}
-    return report.report_of(options.play(todo, campaign.fingerprint(folders)), chosen)
+def _played(options: PlayOptions, begun: Sequence[Start], points: Sequence[Point]) -> dict[str, Any]:
+    todo = tasks(points, begun, options.seed, options.models)
+    rows = options.play(todo, campaign.fingerprint({"belief": options.models}))
+    return {"seed": options.seed, **report.report_of(rows, points)}
 
 
 @dataclass(frozen=True)
@@ -96,8 +94,8 @@ class ChooseOptions:
     report: Path = Path("docs/pace.json")
     out: Path = Path("pace.toml")
     """file for the settings, to be put into the client's cell.toml"""
-    count: int = 6
-    """insertions an object and choice, with --world"""
+    count: int = 48
+    """insertions a choice, with --world"""
 
 
 def choose(arguments: list[str]) -> int:
@@ -105,15 +103,17 @@ def choose(arguments: list[str]) -> int:
     options = tyro.cli(ChooseOptions, args=arguments, prog="tactile-insertion choose")
     wanted = choosing.Wanted(options.seconds_a_box, options.success, options.max_force)
     if options.world is None:
-        sets = _kept(options.report)
-        if not sets:
-            raise ValueError(f"--report {options.report}: no such file; make pace writes it")
-        data = next(iter(sets.values()))
+        data = _kept(options.report)
     else:
         out = Path("runs/choose") / options.world.stem
-        played = Options(out=out, docs=out, models=released_models(), count=options.count, worlds=(str(options.world),))
-        data = _played(played, ())
+        played = PlayOptions(out=out, docs=out, models=released_models(), count=options.count)
+        begun = _in_world(load_world(options.world), played)
+        data = _played(played, begun, POINTS)
     best, kept = choosing.choose(data, wanted)
     write_durably(options.out, choosing.settings_toml(best, data["insertions"]).encode())
     print(choosing.told(best, data["insertions"], wanted, kept=kept), f"written to {options.out}", sep="\n")
     return 0 if kept else 1
+
+
+def _in_world(world: World, options: PlayOptions) -> list[Start]:
+    return starts([world], list(load_objects(options.objects)), options.count, options.seed)

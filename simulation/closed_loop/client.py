@@ -18,8 +18,14 @@ ABOVE_MM = 30.0  # where a played client's arm starts, above its usual approach
 SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client takes the arm to stand still
 
 
-FIXTURE_MM, GRIPPER_S = 300.0, 1.0
-"""From the gap to where an object is taken afresh, and what opening or closing the fingers takes, as a cell may be."""
+FIXTURE_MM, RETREAT_MM, GRIPPER_S = 300.0, 40.0, 1.0
+"""From the gap to where an object is taken afresh, how far up before that, and what opening or closing the fingers
+takes, as a cell may be."""
+
+
+def longest_travel_mm(speed_mm_s: float) -> float:
+    """The longest motion lease that may be asked for at a speed, mm."""
+    return max(SLOW_MM, FAST_S * speed_mm_s)
 
 
 def client_of(job: Job) -> Settings | None:
@@ -48,7 +54,7 @@ def plan_of(
         limits=limits,
         ramps=ramps.model_copy(update={"descend": descend}),
         pause_s=PAUSE_S,
-        lease=Lease(travel_mm=max(SLOW_MM, FAST_S * scene.speed_mm_s)),
+        lease=Lease(travel_mm=longest_travel_mm(scene.speed_mm_s)),
     )
     return plan if client is None else _as_set(plan, client)
 
@@ -84,6 +90,9 @@ def seconds_of_frames(attempt: Any) -> float | None:
 
 
 def trip_s(plan: Plan) -> float:
-    """What it takes to put an object back into its fixture and to come again with it, s."""
-    away = plan.approach.model_copy(update={"y_mm": plan.approach.y_mm + FIXTURE_MM})
-    return 2.0 * (plan.ramps.duration_s(plan.approach, away, "travel") + GRIPPER_S)
+    """What it takes to put an object back into its fixture and to come again with it, s: up, over, down, and over."""
+    here = plan.approach
+    up = here.at_height(here.z_mm + RETREAT_MM)
+    away = here.model_copy(update={"y_mm": here.y_mm + FIXTURE_MM})
+    over_s, up_s = (plan.ramps.duration_s(here, there, "travel") for there in (away, up))
+    return 2.0 * (up_s + over_s + GRIPPER_S) + 4.0 * SETTLE_S

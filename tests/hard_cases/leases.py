@@ -14,7 +14,7 @@ from robot_client.insertion.events import Event, FromService, Hold, Renew, Tick
 from robot_client.insertion.lease import ClockMap, Lease, check_leased
 from robot_client.insertion.limits import LimitError, Limits, Motion
 from robot_client.insertion.machine import Phase, step
-from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
+from robot_client.insertion.motion import CYCLE_S, MotionGuide
 from robot_client.insertion.state import State
 from service.cameras.sources import capture_ns
 from service.contract import FINGERS, Finger, TactileFrame, wire
@@ -67,7 +67,7 @@ class Descent:
         self.state = replace(
             deciding(), phase=Phase.ARMING, attempt=1, clock=mapped, deadline_s=3.0, watched_s=-ENDLESS
         )
-        self.guide = MotionGuide(Limits(), Ramps(), start)
+        self.guide = MotionGuide(Limits(), self.state.plan.ramps, start)
         bottom = start.at_height(start.z_mm - 25.0)
         self._take(
             FromService(at_s=0.0, message=wire.Armed(**MESSAGES, reference_seq=1, frame_captured_ns=self.ns(0.0)))

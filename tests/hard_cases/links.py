@@ -11,6 +11,7 @@ from robot_client.grippers.wsg50.codes import Command
 from robot_client.insertion.events import Arrived, Begin, FromService, Grasped, Move, Standstill, Tick
 from robot_client.insertion.geometry import Pose
 from robot_client.insertion.machine import Phase, Plan, Result, State, step
+from robot_client.insertion.motion import Ramp, Ramps
 from robot_client.robots.abb_egm.codec import (
     EgmError,
     Guidance,
@@ -134,7 +135,9 @@ MESSAGES = MappingProxyType({"insertion_id": "t-1", "attempt": 1})
 
 def deciding() -> State:
     """The state machine with the arm at rest, waiting for a correction."""
-    plan = Plan(insertion_id="t-1", approach=pose(x=8.0, yaw=6.0), gap_width_mm=56.0, expected_depth_mm=25.0)
+    ramps = Ramps(descend=Ramp(speed_mm_s=10.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0))
+    start = pose(x=8.0, yaw=6.0)
+    plan = Plan(insertion_id="t-1", approach=start, gap_width_mm=56.0, expected_depth_mm=25.0, ramps=ramps)
     limits = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
     hello = wire.ServiceHello(
         insertion_id="t-1", models=(), cameras=(), controller="belief", limits=limits, clock=CLOCK

@@ -11,6 +11,7 @@ import pytest
 
 from robot_client.cli.insert import live_ports, make_plan
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.pace import ONE_SPEED
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
 from robot_client.session.afresh import Fixture as Place
@@ -20,6 +21,7 @@ from robot_client.session.handshake import Handshake, HandshakeSettings
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
 from service.contract import wire
+from tests.robot_client.insertion.stories import RAMPS
 from tests.robot_client.live_cell import bench
 
 PICK = WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=45.0, yaw_deg=0.0)
@@ -162,7 +164,8 @@ def test_a_part_that_has_turned_in_the_hand_is_taken_afresh_and_tried_again_more
                 return None
 
             cell.service.on_message = refuse_once
-            place, plan = fixture(cell), make_plan(cell.settings, 8.0, 0.0, "first", None)
+            place, one_speed = fixture(cell), {"pace": ONE_SPEED, "ramps": RAMPS}
+            plan = make_plan(cell.settings, 8.0, 0.0, "first", None).model_copy(update=one_speed)
             await place.put_back()  # nothing yet: the arm stands there with open fingers
             state = await upright(plan, partial(insertion, cell), place, print)
             back = [pose.position_mm for _, _, pose in cell.trace[refused_at[0] :]]
@@ -196,6 +199,7 @@ def test_an_object_that_comes_along_with_the_fingers_is_noticed():
     assert run(work) == 0
 
 
+@pytest.mark.slow
 def test_what_cannot_be_inserted_is_carried_to_the_reject_pose_and_too_many_hold():
     async def work():
         async with cell_with(limits={"max_attempts": 1}) as (cell, part):

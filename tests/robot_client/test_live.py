@@ -75,8 +75,8 @@ def test_slip_freezes_the_target_on_the_wire_within_a_frame(inserted):
     assert late_ms < 33.3
 
 
-def test_the_arm_never_leaves_the_vertical_below_the_approach_height(inserted):
-    low = [(now, pose) for now, _, pose in inserted[0].trace if pose.position_mm[2] < 34.9]
+def test_the_arm_never_leaves_the_vertical_lower_than_three_mm_above_the_tops(inserted):
+    low = [(now, pose) for now, _, pose in inserted[0].trace if pose.position_mm[2] < 32.9]
     assert len(low) > 100
     for (t0, a), (t1, b) in itertools.pairwise(low):
         if t1 - t0 < 0.05:

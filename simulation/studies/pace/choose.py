@@ -9,12 +9,6 @@ from simulation.cell.config import flat
 from simulation.closed_loop.statistics import Row
 from simulation.scene.drawn import toml
 
-SERVICE = {
-    "belief": "--controller belief",
-    "joint": "--controller belief --models models/pressing/joint",
-    "heuristic": "--controller heuristic",
-}
-
 
 class Wanted(NamedTuple):
     """What a cell needs: seconds a box at most, share of boxes inserted at least, force at most (95 %)."""
@@ -60,8 +54,6 @@ def settings_toml(point: Row, count: int) -> str:
     """The client's tables as a file, with what they rest on."""
     comment = (
         f"{point['name']}: {point['seconds_a_box'][0]:.2f} s a box in {count} simulated insertions.",
-        f"Cameras at {point['fps']:g} frames a second (the service's --frame-rate-hz).",
-        f"Of the service: {SERVICE[point['controller']]}",
-        "With another approach_clearance_mm, move approach_z_mm and expected_depth_mm by as much.",
+        "Where the cameras or the arm do not bear its fast legs, the descent probes all the way.",
     )
     return toml(flat(point["client"]), "\n# ".join(comment))

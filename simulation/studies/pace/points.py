@@ -7,30 +7,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from simulation.closed_loop.benchmark import drawn_starts
 from simulation.closed_loop.campaign import Task
+from simulation.closed_loop.client import longest_travel_mm
 from simulation.closed_loop.job import job_in
 from simulation.scene.drawn import fastest_mm_s
-from simulation.scene.scene import Scene, SceneError
-from simulation.scene.worlds import World
+from simulation.scene.scene import APPROACH_MM
+from simulation.scene.worlds import load_scene
+from simulation.studies.drawn_worlds import Start
 
 Tables = Mapping[str, Any]
-TODAY = "as shipped"
-"""What the others are compared with: the client without settings of its own."""
+BEFORE, SHIPPED = "before", "as shipped"
+NO_LEGS_MM_S = 3.0  # no faster than any probing: no leg of a descent is fast
 
 
 class Point(NamedTuple):
-    """One choice of settings.
-
-    ``client`` are tables of the client's configuration as in `cell.toml`, ``fps`` frames a second of the cameras,
-    ``folder`` which networks of the models' folder decide.
-    """
+    """One choice of settings: tables of the client's configuration as in `cell.toml`."""
 
     name: str
     client: Tables
-    fps: float = 30.0
-    controller: str = "belief"
-    folder: str = "."
 
 
 def ramp(speed_mm_s: float, acceleration_mm_s2: float, jerk_mm_s3: float) -> dict[str, float]:
@@ -39,110 +33,65 @@ def ramp(speed_mm_s: float, acceleration_mm_s2: float, jerk_mm_s3: float) -> dic
 
 
 def client(
-    probing_mm_s: float = 10.0,
+    probing_mm_s: float = 5.0,
+    fast_mm_s: float = 10.0,
     *,
-    brisk: bool = True,
-    clearance_mm: float = 3.0,
-    lift_mm: float | None = None,
-    fast_mm_s: float | None = None,
-    air_mm_s: float = 60.0,
+    air_mm_s: float = 80.0,
+    lift_mm: float = 3.0,
+    brisk: bool = False,
 ) -> Tables:
-    """Tables of a client; ``brisk``: harder ramps.
-
-    What ships is ``client(brisk=False, clearance_mm=5.0)``.
-    """
-    pace = {"lift_mm": lift_mm, "fast_mm_s": fast_mm_s}
-    tables: dict[str, Any] = {
-        "task": {"approach_clearance_mm": clearance_mm},
-        "pace": {key: value for key, value in pace.items() if value is not None},
+    """Tables of a client, by default what ships; ``brisk``: harder ramps."""
+    return {
+        "pace": {"fast_mm_s": fast_mm_s, "fast_travel_mm": longest_travel_mm(fast_mm_s), "lift_mm": lift_mm},
         "ramps": {
-            "travel": ramp(air_mm_s, 1400.0, 60000.0) if brisk else ramp(55.0, 300.0, 5000.0),
-            "retract": ramp(50.0, 1400.0, 60000.0) if brisk else ramp(25.0, 200.0, 4000.0),
-            "descend": ramp(probing_mm_s, 1000.0, 30000.0) if brisk else ramp(probing_mm_s, 100.0, 2000.0),
+            "travel": ramp(air_mm_s, 600.0, 10000.0) if brisk else ramp(air_mm_s, 300.0, 5000.0),
+            "retract": ramp(40.0, 600.0, 10000.0) if brisk else ramp(25.0, 200.0, 4000.0),
+            "descend": ramp(probing_mm_s, 400.0, 8000.0) if brisk else ramp(probing_mm_s, 100.0, 2000.0),
         },
+        "limits": {"max_descent_speed_mm_s": max(15.0, fast_mm_s), "max_speed_mm_s": max(80.0, air_mm_s)},
     }
-    if fast_mm_s is not None:  # the yaw of a move in the air keeps the same profile, in deg
-        tables["limits"] = {"max_descent_speed_mm_s": fast_mm_s, "max_turn_deg_s": max(60.0, air_mm_s)}
-    return tables
 
 
 POINTS = (
-    Point(TODAY, client(brisk=False, clearance_mm=5.0)),
-    Point("brisk, from 5 mm", client(clearance_mm=5.0)),
-    Point("brisk", client()),
-    Point("brisk, probes at 13.5 mm/s", client(13.5)),
-    Point("brisk, fast, 60 Hz", client(fast_mm_s=25.0), 60.0),
-    Point("brisk, fast, 60 Hz, probes at 15 mm/s", client(15.0, fast_mm_s=25.0), 60.0),
-    Point("the same from 5 mm, then 3 mm up", client(15.0, clearance_mm=5.0, lift_mm=3.0, fast_mm_s=25.0), 60.0),
-    Point("the same, joint density", client(15.0, fast_mm_s=25.0), 60.0, folder="joint"),
-    Point("the same, heuristic", client(15.0, fast_mm_s=25.0), 60.0, "heuristic"),
-    Point(
-        "probes at 10 mm/s, 80 mm/s in the air, joint density",
-        client(fast_mm_s=25.0, air_mm_s=80.0),
-        60.0,
-        folder="joint",
-    ),
-    Point(
-        "probes at 12 mm/s, 80 mm/s in the air, joint density",
-        client(12.0, fast_mm_s=25.0, air_mm_s=80.0),
-        60.0,
-        folder="joint",
-    ),
-    Point("as shipped, networks of eight frames", client(brisk=False, clearance_mm=5.0), folder=".."),
+    Point(BEFORE, client(10.0, NO_LEGS_MM_S, air_mm_s=55.0, lift_mm=APPROACH_MM)),
+    Point(SHIPPED, client()),
+    Point("probes at 10 mm/s", client(10.0)),
+    Point("quick: legs of 25 mm/s, 120 in the air", client(5.0, 25.0, air_mm_s=120.0, brisk=True)),
 )
 
 
-def tasks(
-    points: Sequence[Point], worlds: Sequence[World], objects: Mapping[str, Scene], count: int, seed: int, models: Path
-) -> list[Task]:
-    """``count`` insertions of each object at each point, the worlds in turn; one start by all points, then the next.
+def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Path) -> list[Task]:
+    """Every start at each point, one start by all points, then the next; the client tells a measured shear reach.
 
-    A world keeps all but the rate of its cameras, which is the point's; no point is faster in it than a cell is run
-    with care. Raises SceneError for an object that no world can hold.
+    A world keeps all but the speed of its arm; no point is faster in it than a cell is run with care.
     """
-    starts = {name: drawn_starts(scene, count, seed + scene.number) for name, scene in objects.items()}
     return [
         Task(
-            models / point.folder,
+            models,
             job_in(
-                world,
-                name,
+                start.world,
+                start.scene,
                 index,
-                starts[name][index],
-                seed * 100_000 + index,
-                controller=point.controller,
+                (start.x_mm, start.theta_deg),
+                seed * 1_000_000 + index,
                 condition=point.name,
-                changes={**world.changes, "camera.fps": point.fps},
-                client=with_care(point, world),
+                client=with_care(point, start),
+                told_reach=True,
             ),
         )
-        for index in range(count)
-        for place, (name, scene) in enumerate(objects.items())
-        for world in [_world_of(worlds, index * len(objects) + place, scene)]
+        for index, start in enumerate(begun)
         for point in points
     ]
 
 
-def _world_of(worlds: Sequence[World], place: int, scene: Scene) -> World:
-    """The world whose turn it is, or the next in which the object can be held."""
-    for step in range(len(worlds)):
-        world = worlds[(place + step) % len(worlds)]
-        try:
-            world.around(scene)
-        except SceneError:
-            continue
-        return world
-    raise SceneError(f"{scene.name}: none of {len(worlds)} worlds can hold it")
-
-
-def with_care(point: Point, world: World) -> Tables:
+def with_care(point: Point, start: Start) -> Tables:
     """The point's tables, no faster than cameras and stop of a world allow; see `drawn.fastest_mm_s`."""
+    world = start.world
     late_s = 1e-3 * world.changes.get("camera.latency_ms", 0.0) + world.unstated.stop_lag_s
-    top_mm_s = fastest_mm_s(point.fps, late_s)
+    top_mm_s = fastest_mm_s(world.around(load_scene(start.scene)).fps, late_s)
     tables: dict[str, Any] = json.loads(json.dumps(point.client))
     descend, pace = tables["ramps"]["descend"], tables["pace"]
     descend["speed_mm_s"] = min(descend["speed_mm_s"], top_mm_s)
-    if "fast_mm_s" in pace:
-        pace["fast_mm_s"] = min(pace["fast_mm_s"], top_mm_s)
-        pace["fast_travel_mm"] = max(1.5, 0.1 * pace["fast_mm_s"])
+    pace["fast_mm_s"] = min(pace["fast_mm_s"], top_mm_s)
+    pace["fast_travel_mm"] = longest_travel_mm(pace["fast_mm_s"])
     return tables

@@ -9,11 +9,13 @@ from robot_client.insertion.events import (
 )
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.machine import Plan, State, step
+from robot_client.insertion.motion import Ramp, Ramps
 from service.contract import wire
 
 ID = "t-1"
 APPROACH = WorkPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
-PLAN = Plan(insertion_id=ID, approach=APPROACH, gap_width_mm=56.0, expected_depth_mm=25.0)
+RAMPS = Ramps(descend=Ramp(speed_mm_s=10.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0))
+PLAN = Plan(insertion_id=ID, approach=APPROACH, gap_width_mm=56.0, expected_depth_mm=25.0, ramps=RAMPS)
 LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
 
 CLOCK = wire.Clock(sent_ns=0, service_ns=0)

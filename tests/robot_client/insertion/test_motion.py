@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from robot_client.insertion.geometry import TOOL_DOWN, CellFrame, WorkPose, multiply, normalised, yaw_quaternion
 from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_correction, check_pose
-from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
+from robot_client.insertion.motion import CYCLE_S, MotionGuide
 from robot_client.insertion.profile import plan_profile
+from tests.robot_client.insertion.stories import RAMPS
 
 POSITIVE = st.floats(0.5, 500)
 INSIDE = st.builds(
@@ -48,7 +49,7 @@ def test_a_profile_refuses_limits_that_are_none(bad):
 
 @given(INSIDE, INSIDE, st.sampled_from(["travel", "descend", "retract"]), st.integers(1, 3))
 def test_every_target_of_every_move_passes_the_limits(start, end, motion, slow):
-    guide = MotionGuide(Limits(), Ramps(), start)
+    guide = MotionGuide(Limits(), RAMPS, start)
     guide.move(end, motion, 1e9 if motion == "descend" else None)
     dt = CYCLE_S * slow
     for _ in range(40000):
@@ -60,7 +61,7 @@ def test_every_target_of_every_move_passes_the_limits(start, end, motion, slow):
 
 @given(st.floats(-5, 5), st.integers(0, 300))
 def test_a_hold_freezes_the_target_at_once(x, cycles):
-    guide = MotionGuide(Limits(), Ramps(), pose(x=x))
+    guide = MotionGuide(Limits(), RAMPS, pose(x=x))
     guide.move(pose(x=x, z=10.0), "descend", 1e9)
     for _ in range(cycles):
         guide.advance(CYCLE_S, 0.0)
@@ -71,7 +72,7 @@ def test_a_hold_freezes_the_target_at_once(x, cycles):
 
 
 def test_over_a_gap_in_the_stream_the_target_takes_three_cycles_of_way_and_then_gains_speed_again():
-    guide = MotionGuide(Limits(), Ramps(), pose())
+    guide = MotionGuide(Limits(), RAMPS, pose())
     guide.move(pose(z=10.0), "descend", 1e9)
     for _ in range(200):
         guide.advance(CYCLE_S, 0.0)
@@ -88,7 +89,7 @@ def test_over_a_gap_in_the_stream_the_target_takes_three_cycles_of_way_and_then_
 @given(st.lists(st.sampled_from([0, 1, 2, 3, 4, 5, 8, 13, 14, 15, 40, 500]), min_size=5, max_size=60), INSIDE, INSIDE)
 @example([40, 2, 13, 14, 1], pose(z=5.0), pose(z=5.0, yaw=8.0))
 def test_no_rhythm_of_the_stream_makes_a_move_unlawful_or_endless(rhythm_ms, start, end):
-    guide = MotionGuide(Limits(), Ramps(), start)
+    guide = MotionGuide(Limits(), RAMPS, start)
     guide.move(end, "travel")
     left = 30_000
     while guide.moving and left:
@@ -101,7 +102,7 @@ def test_no_rhythm_of_the_stream_makes_a_move_unlawful_or_endless(rhythm_ms, sta
 
 
 def test_the_descent_reaches_ten_mm_per_second_and_takes_the_way_straight_down():
-    guide = MotionGuide(Limits(), Ramps(), pose(x=3, yaw=7))
+    guide = MotionGuide(Limits(), RAMPS, pose(x=3, yaw=7))
     guide.move(pose(x=3, yaw=7, z=10.0), "descend", 1e9)
     steps = []
     while guide.moving:
@@ -117,7 +118,7 @@ def test_the_descent_reaches_ten_mm_per_second_and_takes_the_way_straight_down()
     [pose(x=40.1), pose(x=-41), pose(y=21), pose(z=4.9), pose(z=151), pose(yaw=46), pose(yaw=-46)],
 )
 def test_no_move_leaves_the_box(target):
-    guide = MotionGuide(Limits(), Ramps(), pose())
+    guide = MotionGuide(Limits(), RAMPS, pose())
     with pytest.raises(LimitError, match="allowed"):
         guide.move(target, "travel")
     assert not guide.moving
@@ -179,7 +180,7 @@ def test_a_yaw_correction_turns_about_the_vertical_of_the_work_object_through_th
 
 
 def test_arrival_is_reported_once_after_settling():
-    guide = MotionGuide(Limits(), Ramps(), pose())
+    guide = MotionGuide(Limits(), RAMPS, pose())
     guide.move(pose(x=1), "travel")
     now, settled = 0.0, []
     for _ in range(2000):
@@ -190,7 +191,7 @@ def test_arrival_is_reported_once_after_settling():
 
 
 def test_standstill_waits_for_the_lagging_arm():
-    guide = MotionGuide(Limits(), Ramps(), pose())
+    guide = MotionGuide(Limits(), RAMPS, pose())
     guide.move(pose(z=10), "descend", 1e9)
     measured, now = 35.0, 0.0
     for _ in range(250):

@@ -32,7 +32,8 @@ from tests.robot_client.insertion.stories import (
 RAMPS = Ramps(descend=Ramp(speed_mm_s=10.0, acceleration_mm_s2=400.0, jerk_mm_s3=8000.0))
 FAST = PLAN.model_copy(
     update={
-        "pace": Pace(fast_mm_s=25.0, lift_mm=4.0),
+        "pace": Pace(fast_mm_s=25.0, fast_travel_mm=2.5, lift_mm=4.0),
+        "pause_s": PAUSE_S,
         "limits": Limits(max_descent_speed_mm_s=25.0),
         "ramps": RAMPS,
     }
@@ -107,7 +108,34 @@ def test_with_cameras_too_slow_for_it_the_descent_is_slow_all_the_way(rate_hz):
     assert descent(commands).until_s == pytest.approx(FAST.lease.lasts_s(10.0))
 
 
-@pytest.mark.parametrize("pace", [Pace(fast_mm_s=26.0), Pace(fast_mm_s=9.0), Pace(fast_mm_s=25.0, fast_travel_mm=2.6)])
+def test_what_ships_is_slow_only_around_the_tops_and_keeps_its_lease_on_every_leg():
+    plan = PLAN.model_copy(update={"pace": Pace(), "ramps": Ramps(), "pause_s": PAUSE_S})
+    plan.check()
+    _, commands = told(plan, 30.0)
+    move = descent(commands)
+    probing_mm_s = plan.ramps.descend.speed_mm_s
+    assert [speed for _, speed in move.legs] == [10.0, probing_mm_s, 10.0]
+    assert [height for height, _ in move.legs[:2]] == [TOPS_MM + 2.0, TOPS_MM - 4.0]
+    for _, speed in move.legs:
+        assert speed * (move.until_s + plan.lease.stop_lag_s) <= 1.5 + 1e-9
+
+
+def test_an_arm_that_cannot_stand_and_go_on_probes_all_the_way():
+    _, commands = told(FAST.model_copy(update={"pause_s": 0.0}))
+    assert descent(commands).legs == ()
+
+
+@given(st.floats(0.1, 90.0), st.floats(0.0, 300.0), st.floats(5.0, 200.0))
+def test_a_move_turns_no_faster_than_55_deg_a_second(turn_deg, way_mm, speed_mm_s):
+    ramps = Ramps(travel=Ramp(speed_mm_s=speed_mm_s, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0))
+    end = APPROACH.model_copy(update={"x_mm": APPROACH.x_mm + way_mm, "yaw_deg": APPROACH.yaw_deg + turn_deg})
+    profile = ramps.profile(APPROACH, end, "travel")
+    middle_s, dt = profile.duration_s / 2, 1e-4
+    went = profile.position(middle_s + dt) - profile.position(middle_s - dt)
+    assert went / (2 * dt) / profile.length * turn_deg <= 55.0 + 1e-3
+
+
+@pytest.mark.parametrize("pace", [Pace(fast_mm_s=26.0), Pace(fast_mm_s=25.0, fast_travel_mm=2.6)])
 def test_a_pace_beyond_limits_or_lease_moves_nothing(pace):
     state, commands = run(TO_ARMING[:1], State(FAST.model_copy(update={"pace": pace})))
     assert state.phase is Phase.FAILED
