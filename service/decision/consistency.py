@@ -1,11 +1,14 @@
 """Whether the estimates of an insertion follow from the moves that were commanded between them.
 
 A cell that is wired wrong on its first day answers a good correction with a larger error, or with one out of the range
-that the networks know. So after each blocked attempt, the estimate is compared with what the one before and the
-correction in between predict, once as commanded and once with x, yaw or both reversed. A picture that is mirrored shows
-itself at once: both fingers see the object turn from opposite sides, a mirrored one from the same side.
+that the networks know. So the error is followed through the attempts as a Kalman filter would, by what the estimates
+and the commanded corrections say: once as commanded, and once with x, yaw or both reversed. Which of them expected the
+estimates? A picture that is mirrored shows itself at once: both fingers see the object turn from opposite sides, a
+mirrored one from the same side.
 
-The constants were fitted on 280 insertions in good cells and 161 in reversed ones (simulated, released networks).
+The constants were fitted on 855 insertions in good cells, drawn and mid-range, which reach odds of 90 at most, and on
+15 in reversed ones, half of which then are named (simulated, released networks). In a cell where the networks were sure
+of themselves once, as in the middle of their range, an estimate that is not says only that much.
 """
 
 import math
@@ -20,60 +23,90 @@ from service.decision.evidence import Refusal
 from service.perception.observation import PairObservation
 
 Pair = NDArray[np.float64]  # x mm, theta deg
+Signs = tuple[int, int]
 
-ODDS = math.log(100.0)  # that a reversed cell must have against a good one; good ones reached 30 at most
+ODDS = math.log(150.0)  # that a reversed cell must have against a good one
 NAMED = math.log(20.0)  # causes that explain it this much worse than the best one are named, too
-SURE = np.array([2.2, 5.0])  # one sigma; an estimate with more says no more than that it does not know
-FAR = np.array([15.0, 14.0])  # from here on the networks often do not know
 FITS = np.array([3.0, 4.0])  # such an error is often within the gap's clearance, and then not blocked
-SURE_SHARE, FAR_SURE_SHARE, FITS_BLOCKED = 0.93, 0.35, 0.4
+FITS_BLOCKED = 0.4
 MODEL_SIGMA = np.array([1.0, 2.0])  # beyond what the networks say of themselves
-WALK_SIGMA = np.array([0.7, 1.0])  # that an attempt without a sure estimate adds
-OUTLIERS, FAR_OUTLIERS, RANGE = 0.15, 0.7, 40.0
+WALK_SIGMA = np.array([1.5, 2.0])  # that a correction adds
+UNKNOWN = np.array([50.0, 50.0])  # one sigma of an estimate that has none
+OUTLIERS, RANGE = 0.05, 40.0
+FAR = np.array([15.0, 14.0])  # beyond, the networks often answer with hardly any error at all
+FAR_OUTLIERS, FAR_SIGMA = 0.5, 4.0
+SURE = np.array([2.2, 5.0])  # one sigma. Networks that were so sure once seldom are in doubt in that cell, but for far
+SURE_SHARE, FAR_SURE_SHARE = 0.93, 0.35
 LEAST_TURN_DEG, LIKE = 1.0, 0.5  # the smaller turn is at least this share of the larger
+
+
+class Expected:
+    """The error that one way of wiring expects, and its variance; both [2]."""
+
+    def __init__(self, mean: Pair, variance: Pair) -> None:
+        self.mean, self.variance = mean, variance
+
+    @property
+    def far(self) -> bool:
+        """Whether it is out of the range that the networks know."""
+        return bool((np.abs(self.mean) > FAR).any())
+
+    @property
+    def blocked(self) -> float:
+        """Log-likelihood that it blocks an attempt."""
+        return math.log(FITS_BLOCKED) if (np.abs(self.mean) < FITS).all() else 0.0
+
+    def log_share(self, *, sure: bool) -> float:
+        """Log-likelihood that networks which know their cell are sure, or are not."""
+        share = FAR_SURE_SHARE if self.far else SURE_SHARE
+        return math.log(share if sure else 1.0 - share)
+
+    def log_likelihood(self, seen: Pair, variance: Pair) -> float:
+        """Of an estimate; an outlier may be anywhere in the range."""
+        outliers = FAR_OUTLIERS if self.far else OUTLIERS
+        stray = _density(seen, variance + FAR_SIGMA**2) if self.far else 1.0 / RANGE
+        density = (1.0 - outliers) * _density(seen - self.mean, self.variance + variance) + outliers * stray
+        return float(np.log(density).sum())
+
+    def learn(self, seen: Pair, variance: Pair) -> None:
+        """Take in an estimate; of what is far the networks know nothing."""
+        gain = np.zeros(2) if self.far else self.variance / (self.variance + variance)
+        self.mean, self.variance = self.mean + gain * (seen - self.mean), (1.0 - gain) * self.variance
+
+    def move(self, command: Pair) -> None:
+        """Go on after a correction."""
+        self.mean, self.variance = self.mean + command, self.variance + np.square(WALK_SIGMA)
 
 
 @dataclass(slots=True)
 class Consistency:
     """The log-likelihood of each way that a cell may be wired, given the attempts so far."""
 
-    _log: dict[tuple[int, int], float] = field(default_factory=lambda: dict.fromkeys([(1, 1), *WIRINGS], 0.0))
-    _predicted: dict[tuple[int, int], Pair] = field(default_factory=dict)
-    _variance: Pair = field(default_factory=lambda: np.zeros(2))
+    _log: dict[Signs, float] = field(default_factory=lambda: dict.fromkeys([(1, 1), *WIRINGS], 0.0))
+    _expected: dict[Signs, Expected] = field(default_factory=dict)
+    _sure_once: bool = False
 
     def add(self, correction: Correction, both: PairObservation) -> None:
         """Take in an attempt's correction and last pair. Raises Refusal that names the likely causes."""
         if mirrored(both):
             raise Refusal("contradictory", "both fingers see the object turn the same way: one picture is mirrored")
         estimate = correction.estimate
-        here = np.array([estimate.dx_mm, estimate.dtheta_deg])
-        sigma = np.array([estimate.sigma_x_mm or math.inf, estimate.sigma_theta_deg or math.inf])
-        sure = bool((sigma < SURE).all())
-        for signs, predicted in self._predicted.items():
-            self._log[signs] += self._likelihood(predicted, here, sigma, sure=sure)
-        self._walk(np.array([correction.dx_mm, correction.dtheta_deg]), here, sigma, sure=sure)
+        seen = np.array([estimate.dx_mm, estimate.dtheta_deg])
+        sigma = np.array([estimate.sigma_x_mm or UNKNOWN[0], estimate.sigma_theta_deg or UNKNOWN[1]])
+        sure, variance = bool((sigma < SURE).all()), np.square(sigma) + np.square(MODEL_SIGMA)
+        for signs, expected in self._expected.items():
+            self._log[signs] += expected.blocked
+            if self._sure_once:
+                self._log[signs] += expected.log_share(sure=sure)
+            if sure or not self._sure_once:
+                self._log[signs] += expected.log_likelihood(seen, variance)
+                expected.learn(seen, variance)
+        self._sure_once |= sure
+        self._expected = self._expected or {signs: Expected(seen, variance) for signs in self._log}
+        for signs, expected in self._expected.items():
+            expected.move(np.array(signs) * (correction.dx_mm, correction.dtheta_deg))
         if causes := self.causes():
             raise Refusal("contradictory", f"the estimates contradict the moves: {'; or '.join(causes)}")
-
-    def _likelihood(self, predicted: Pair, here: Pair, sigma: Pair, *, sure: bool) -> float:
-        far = bool((np.abs(predicted) > FAR).any())
-        share = FAR_SURE_SHARE if far else SURE_SHARE
-        log = math.log(share if sure else 1.0 - share)
-        if (np.abs(predicted) < FITS).all():
-            log += math.log(FITS_BLOCKED)
-        if sure:
-            spread = np.sqrt(self._variance + np.square(sigma) + np.square(MODEL_SIGMA))
-            log += _log_density((here - predicted) / spread, spread, FAR_OUTLIERS if far else OUTLIERS)
-        return log
-
-    def _walk(self, command: Pair, here: Pair, sigma: Pair, *, sure: bool) -> None:
-        """What each wiring predicts of the next attempt; nothing before the first sure estimate."""
-        if sure:
-            self._predicted = {signs: here + np.array(signs) * command for signs in self._log}
-            self._variance = np.square(sigma)
-        else:
-            self._predicted = {signs: there + np.array(signs) * command for signs, there in self._predicted.items()}
-            self._variance = self._variance + np.square(WALK_SIGMA)
 
     def causes(self) -> list[str]:
         """The causes that explain the attempts, best first; none while a good cell explains them well enough."""
@@ -84,10 +117,9 @@ class Consistency:
         return [WIRINGS[signs] for signs in likely]
 
 
-def _log_density(z: Pair, spread: Pair, outliers: float) -> float:
-    """Of both axes together; an outlier may be anywhere in the range."""
-    density = np.exp(-0.5 * np.square(z)) / (spread * math.sqrt(2.0 * math.pi))
-    return float(np.log((1.0 - outliers) * density + outliers / RANGE).sum())
+def _density(off: Pair, variance: Pair) -> Pair:
+    """Of a normal deviate, each axis for itself."""
+    return np.asarray(np.exp(-0.5 * np.square(off) / variance) / np.sqrt(2.0 * np.pi * variance))
 
 
 def turns_deg(both: PairObservation) -> tuple[float, float]:

@@ -199,6 +199,7 @@ def test_an_object_that_comes_along_with_the_fingers_is_noticed():
     assert run(work) == 0
 
 
+@pytest.mark.slow
 def test_what_cannot_be_inserted_is_carried_to_the_reject_pose_and_too_many_hold():
     async def work():
         async with cell_with(limits={"max_attempts": 1}) as (cell, part):

@@ -95,6 +95,31 @@ def test_attempts_in_the_dark_alone_prove_nothing() -> None:
     assert not answered([((0.1, 1.3), BLIND, (0.0, 10.0)), ((0.0, 1.6), BLIND, (0.0, -15.0)), ((0, 1), BLIND, (1, 7))])
 
 
+def test_networks_that_are_never_sure_name_a_reversed_cell_by_the_fourth_attempt() -> None:
+    """The estimates and commands of an arm that moves x the other way, in a drawn cell."""
+    steps = [
+        ((-6.9, 7.6), (2.6, 3.5), (7.5, -7.9)),
+        ((-9.5, 0.7), (2.9, 5.1), (4.9, -0.5)),
+        ((-10.4, -0.1), (3.3, 5.2), (4.1, 0.0)),
+        ((-13.0, 0.6), (2.8, 5.6), (4.0, -0.2)),
+    ]
+    assert answered(steps[:2]) == ""
+    assert "in x" in answered(steps)
+
+
+@given(ERRORS, st.lists(st.tuples(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2)), min_size=3, max_size=8))
+def test_a_good_cell_whose_networks_are_never_sure_is_not_accused(
+    error: tuple[float, float], off: list[tuple[float, float]]
+) -> None:
+    """Its estimates err by up to 1.2 of the sigma that they come with, and each is taken off."""
+    sigma, true, steps = (3.5, 6.0), np.array(error), []
+    for share in off:
+        seen = true + np.multiply(share, sigma)
+        steps.append((tuple(seen), sigma, tuple(-seen)))
+        true = true - seen
+    assert answered(steps) == ""
+
+
 @pytest.mark.parametrize(
     ("left", "right", "wrong"),
     [

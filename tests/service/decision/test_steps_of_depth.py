@@ -1,28 +1,19 @@
 """Networks that read depth, in the service: it stops the arm when they have seen enough, and refuses by name."""
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import onnx
 import pytest
-import torch
 
-from export.onnx.model import open_model
-from export.onnx.to_onnx import attach_card, export_checkpoint
-from service.contract import Sensor, wire
+from service.contract import wire
 from service.contract.model_card import Pressing, Span
 from service.decision import network_input
 from service.decision.models import ModelSet, load_models
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import Insertion, stage
-from training.data.labels import CLASSES
-from training.fit.checkpoint import Checkpoint
-from training.metrics.figures import Scales
-from training.networks import build
-from training.networks.pressing import DECISION_STEPS, LATTICE, STEP_MM
-from training.networks.settings import NetworkConfig
 
-SMALL = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
+RELEASED = Path(__file__).parents[3] / "models" / "pressing" / "pair.step.onnx"
 Said = list[wire.ServiceMessage]
 
 
@@ -32,19 +23,17 @@ class AnsweredError(Exception):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
-    """An untrained network, exported once, whose card states what a test says."""
-    torch.manual_seed(0)
-    exported, weights = tmp_path_factory.mktemp("pressing"), build(SMALL, len(CLASSES), Sensor.load()).state_dict()
-    usual = {"lattice": LATTICE, "step_mm": STEP_MM, "steps_n": DECISION_STEPS, "trained": {}}
-    pressing = Pressing.model_validate(usual)
-    checkpoint = Checkpoint("tiny", SMALL, weights, Scales(), Scales(), {}, "0" * 64, "abc", pressing=pressing)
-    checkpoint.save(exported / "c.pt")
-    (file,) = export_checkpoint(exported / "c.pt", exported, ("pair.step",))
+    """The released network with a card that states what a test says, and no more than it must."""
+    released = load_models(RELEASED.parent).steps[0].card
+    usual = released.pressing.model_dump(include={"lattice", "step_mm", "steps_n"}) | {"trained": {}}
 
     def make(**stated: object) -> ModelSet:
         folder = tmp_path_factory.mktemp("stated")
-        card = open_model(file).card.model_copy(update={"pressing": Pressing.model_validate(usual | stated)})
-        attach_card(Path(shutil.copy(file, folder)), card)
+        card = released.model_copy(update={"pressing": Pressing.model_validate(usual | stated)})
+        model = onnx.load(str(RELEASED))
+        del model.metadata_props[:]
+        onnx.helper.set_model_props(model, card.to_props())
+        onnx.save(model, str(folder / RELEASED.name))
         return load_models(folder)
 
     return make
@@ -75,11 +64,13 @@ def answers(said: Said) -> list[str]:
 
 @pytest.mark.parametrize("fps", [30, 60])
 def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..., ModelSet], fps: int) -> None:
-    _, said = first_attempt(made(), **{"camera.fps": fps})
+    models = made()
+    _, said = first_attempt(models, **{"camera.fps": fps})
     assert answers(said)[:2] == ["enough", "correction"]
     enough = next(message for message in said if isinstance(message, wire.Enough))
     spacing_mm = 10.0 / fps
-    assert DECISION_STEPS * STEP_MM <= enough.pressed_mm < DECISION_STEPS * STEP_MM + spacing_mm
+    depth_mm = models.card.pressing.depth_mm
+    assert depth_mm <= enough.pressed_mm < depth_mm + spacing_mm
 
 
 @pytest.mark.parametrize(("reach_mm", "steps_n"), [(None, 8), (0.05, 4), (0.3, 4), (0.45, 6), (2.0, 8)])
@@ -113,6 +104,6 @@ def test_a_strange_field_is_refused_with_its_strangeness(made: Callable[..., Mod
 def test_such_a_network_states_its_step_and_no_other_form(made: Callable[..., ModelSet]) -> None:
     card = made().card
     assert card.pressing is not None
-    assert card.input_shape == (LATTICE.rows, LATTICE.columns, 3)
-    assert card.frames_per_decision == DECISION_STEPS
+    assert card.input_shape == (card.pressing.lattice.rows, card.pressing.lattice.columns, 3)
+    assert card.frames_per_decision == card.pressing.steps_n
     assert card.form == "step"

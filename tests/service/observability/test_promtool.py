@@ -25,6 +25,7 @@ def test_it_accepts_the_configuration_and_its_rules() -> None:
     assert "SUCCESS" in promtool("check", "config", "prometheus.yml")
 
 
+@pytest.mark.slow
 def test_the_alerts_fire_when_their_tests_say_so() -> None:
     assert "SUCCESS" in promtool("test", "rules", "alerts_test.yml")
 
