@@ -258,7 +258,7 @@ def _choices(of: Row) -> str:
 
     <!-- not executed: writes pace.toml -->
     ```sh
-    python -m simulation choose --seconds-a-box 12 --success 0.9 --max-force 40
+    python -m simulation choose --seconds-a-box 12.5 --success 0.9 --max-force 40
     ```
 
     **Frames a decision**: nothing is waited for after standstill. From the touch to the last frame that a decision
