@@ -24,7 +24,7 @@ from robot_client.ports import DriverError, HomingDirection
 from robot_client.session.replay import ReplayError, replay
 from robot_client.settings import Settings, load_settings
 from service.contract.frames import first_error
-from service.contract.text import printable, read_by_somebody
+from service.contract.text import printable
 from service.contract.wire import ControllerName
 
 _EPILOG = """exit codes: 0 done (inserted, ready, homed, ...), 1 not done or failed safe,
@@ -196,11 +196,6 @@ def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
 def main(argv: list[str] | None = None) -> int:
     """Run one command: 0 done, 1 not done, 2 wrong input, which is one line on stderr."""
     args = _parser().parse_args(argv)
-    return read_by_somebody(lambda: _told(args))
-
-
-def _told(args: argparse.Namespace) -> int:
-    """Run it and say how it ended."""
     try:
         with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
             outcome = _run(args)
@@ -214,5 +209,5 @@ def _told(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         code, outcome = 1, Outcome(False, {"error": "interrupted"})
     if args.json:
-        show(json.dumps({"done": outcome.done, **outcome.result}))
+        show(json.dumps({"done": outcome.done, **outcome.result}), whole=True)
     return code

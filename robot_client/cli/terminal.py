@@ -6,7 +6,7 @@ import signal
 import sys
 from typing import Any, NamedTuple
 
-from service.contract.text import printable
+from service.contract.text import WIDTH, fitted, printable
 
 NOT_A_SAFETY_FUNCTION = "LIVE: this moves a real robot. It is not a safety function; the cell's guards and stops are."
 SIMULATED = "SIMULATED CELL: the orders are real, the robot is not."
@@ -20,13 +20,14 @@ class Outcome(NamedTuple):
     result: dict[str, Any]
 
 
-def show(text: str) -> None:
+def show(text: str, *, whole: bool = False) -> None:
     """Print a line, with what would command the terminal written out; devices and services send texts, too.
 
-    Once the terminal is gone nothing is printed any more, and nothing else changes.
+    It is broken to fit a terminal, less the two columns that `run` needs, unless it is to stay ``whole``. Once the
+    terminal is gone nothing is printed any more, and nothing else changes.
     """
     try:
-        print(printable(text), flush=True)
+        print(printable(text) if whole else fitted(printable(text), width=WIDTH - 2), flush=True)
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest of the buffer goes there
 

@@ -25,7 +25,7 @@ def main(arguments: Sequence[str]) -> int:
         print(json.dumps([_facts(model, decides=model.path in deciding) for model in models.models]))
         return 0
     for model in models.models:
-        print("\n".join(fitted(printable(line), 14) for line in describe(model, decides=model.path in deciding)))
+        print("\n".join(fitted(printable(line)) for line in describe(model, decides=model.path in deciding)))
     return 0
 
 

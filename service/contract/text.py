@@ -1,6 +1,7 @@
 """Text for a terminal: what comes from elsewhere made harmless, lines that fit, and a reader who has left."""
 
 import os
+import re
 import select
 import sys
 import textwrap
@@ -14,9 +15,18 @@ def printable(line: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "replace").decode() for c in line)
 
 
-def fitted(line: str, indent: int = 0) -> str:
-    """The line in at most 80 columns; those that follow the first are indented."""
-    return textwrap.fill(line, WIDTH, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
+def fitted(line: str, indent: int | None = None, width: int = WIDTH) -> str:
+    """The line in at most so many columns, and those that follow the first indented.
+
+    By default they go below what stands behind the line's own label. A line whose longest word, a path say, would not
+    fit all the same stays whole.
+    """
+    if indent is None:
+        label = re.match(r" *(\S+ )*\S+ {2,}", line[:24])
+        indent = label.end() if label else len(line) - len(line.lstrip()) + 2
+    if len(line) <= width or max(map(len, line.split())) > width - indent:
+        return line
+    return textwrap.fill(line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
 def read_by_somebody(work: Callable[[], int]) -> int:

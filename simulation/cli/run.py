@@ -14,6 +14,7 @@ import tyro
 
 from reporting.statistics import mean
 from reporting.table import table
+from service.contract.text import fitted
 from simulation.cell import film, run_report
 from simulation.cell.children import ChildError, terminate_as_interrupt
 from simulation.cell.demo import DemoOptions, lines
@@ -83,7 +84,8 @@ def _insert(start: Start, options: RunOptions) -> Result:
     drawn = run_report.draw_last_attempt(recording, folder / "last_attempt.png", result) if recording else None
     filmed = film.draw(folder / "cell" / "course.npz", folder / "insertion.gif", load_scene(start.object).sensor)
     (folder / "result.json").write_text(result.as_json() + "\n")
-    print("", *run_report.screen(result, recording, drawn, folder, filmed), "", sep="\n", flush=True)
+    said = map(fitted, run_report.screen(result, recording, drawn, folder, filmed))
+    print("", *said, "", sep="\n", flush=True)
     return result
 
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from service.perception.slip.imprint import ImprintChange
 
 TERMS = ("changed", "changed over three", "let go", "relief", "irregular")
-WEIGHTS = (0.6103, 1.0779, 3.8414, -2.0459, -2.6624)
-BIAS = -2.3701  # the limit included
+WEIGHTS = (0.6101, 1.078, 3.8423, -2.0489, -2.6615)
+BIAS = -2.3619  # the limit included
 _LITTLE = 0.01
 _IRREGULAR = 0.2  # pitch; more, or a grid that is not seen, says no more
 _REGULAR = 0.02  # pitch, of all fingers; less was never seen, and says no more
