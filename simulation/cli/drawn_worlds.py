@@ -141,7 +141,8 @@ def sealed(arguments: list[str]) -> int:
     setup = {"seal": seal, "counter": options.counter, "count": options.count}
     data = test.report_of(rows, begun, cells, setup)
     if failed := [row for row in rows[: len(begun)] if not row["inserted"]]:
-        failures.draw(failed, options.models, options.docs / "foreign_failures.png")
+        data["pictures"] = "foreign_failures.png"
+        failures.draw(failed, options.models, options.docs / data["pictures"])
     sys.stdout.write(publish(options.docs, "foreign_world", foreign_world_page(data), data))
     return 0
 

@@ -31,7 +31,7 @@ def draw(rows: Sequence[Row], models: Path, file: Path) -> None:
             sys.stderr.write(f"{done}/{len(rows)} failures played again\n")
             panel.imshow(_last_frames(row, models)[..., ::-1])
             world = row["condition"].partition(":")[0]
-            panel.set_title(f"{world}: {cause(row)[:56]}", fontsize=7)
+            panel.set_title(f"{world}: {(row['reason'] or cause(row))[:60]}", fontsize=7)
 
 
 def _last_frames(row: Row, models: Path) -> Image:

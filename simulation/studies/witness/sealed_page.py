@@ -47,7 +47,7 @@ def foreign_world_page(data: Row) -> str:
             Counter(map(cause, failed)).most_common(), ("cause", 0), ("insertions", 1, "d")
         ),
         "## Each of them",
-        "![What both cameras showed at the end of each](foreign_failures.png)" if failed else "",
+        f"![What both cameras showed at the end of each]({data['pictures']})" if data.get("pictures") else "",
         table(
             failed,
             ("world", "world"),
