@@ -21,6 +21,7 @@ WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; g
 BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry,
 BLIND_MM = 2.5  # or as long as a slow arm takes for this
 SLID_MM = 0.8  # where the object slid further on than this, nothing shows how far it turned
+LATE_S = 0.05  # that pictures may come late: what a fast arm turns meanwhile slides before anything shows it
 PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
 
 
@@ -43,7 +44,8 @@ class GraspRecord:
         """Take in an attempt that was blocked."""
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
-        followed = slid_mm(attempt) <= SLID_MM
+        late_mm = LATE_S * (attempt.speed_mm_s or went_mm_s(attempt))
+        followed = slid_mm(attempt) <= SLID_MM and late_mm <= SLID_MM
         self.turned_deg += lasting_turn_deg(attempt.ring[-1] if attempt.ring and followed else None)
 
     @property
@@ -54,6 +56,14 @@ class GraspRecord:
         if math.isnan(self.turned_deg):
             return "the gels do not show whether the last attempt has turned the object in the hand"
         return f"the blocked attempts have turned the object in the hand by about {abs(self.turned_deg):.1f} deg"
+
+
+def went_mm_s(attempt: Attempt) -> float:
+    """The mean speed of a descent; infinite where its time is not known."""
+    began, stopped = attempt.descending_ns, attempt.stopped_ns
+    if began is None or stopped is None or not began < stopped:
+        return math.inf
+    return (attempt.depth_mm - attempt.start_mm) * 1e9 / (stopped - began)
 
 
 def pressed_mm(attempt: Attempt) -> float:
@@ -124,8 +134,7 @@ def _watched(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
     read = [push.captured_ns for push in attempt.pushes if math.isfinite(push.weaker_pitch)]
     on_the_way = [stamp for stamp in read if attempt.descending_ns < stamp < attempt.stopped_ns]
     blind_s = max(np.diff([attempt.descending_ns, *on_the_way, attempt.stopped_ns])) / 1e9
-    went_mm_s = (attempt.depth_mm - attempt.start_mm) * 1e9 / max(1, attempt.stopped_ns - attempt.descending_ns)
-    most_s = max(BLIND_S, BLIND_MM / max(attempt.speed_mm_s or math.inf, went_mm_s))
+    most_s = max(BLIND_S, BLIND_MM / max(attempt.speed_mm_s or math.inf, went_mm_s(attempt)))
     if not blind_s <= most_s:
         detail = f"for {blind_s:.2f} s of the descent no pair showed what the gels carry"
         yield _doubt("not_seen", detail, blind_s, most_s)

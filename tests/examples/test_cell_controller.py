@@ -240,6 +240,18 @@ def test_another_client_that_takes_over_ends_the_descent(cell):
     link[0].close()
 
 
+def test_a_wall_clock_that_is_stepped_in_mid_descent_changes_nothing(cell, monkeypatch):
+    today = time.time
+
+    def step():
+        monkeypatch.setattr(time, "time", lambda: today() + 86_400.0)
+
+    arm = TinyArm(trouble=step)
+    finished = cell.insert(arm)
+    assert time.time() > today() + 86_000.0, "the clock was stepped"
+    assert (finished["outcome"], arm.depth_mm()) == ("inserted", 4.0)
+
+
 def test_nothing_moves_without_the_token(cell):
     arm = TinyArm()
     with pytest.raises(InvalidStatus):

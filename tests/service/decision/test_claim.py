@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from service.contract import Sensor, wire
 from service.decision.attempt import Attempt, Stage, nothing_held
+from service.decision import claim
 from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm, slid_mm
 from service.decision.seating import Push
 from service.perception.markers.field import field_from_gel
@@ -147,6 +148,14 @@ def test_an_object_that_slid_far_or_was_not_seen_has_turned_by_nobody_knows_how_
         grasp = GraspRecord(50.0)
         grasp.blocked(attempt)
         assert math.isnan(grasp.turned_deg)
+
+
+def test_what_a_quick_arm_turns_before_a_picture_shows_it_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claim, "lasting_turn_deg", lambda both: math.nan if both is None else 0.2)
+    for speed_mm_s, known in ((15.9, True), (16.1, False), (None, True)):
+        grasp = GraspRecord(50.0)
+        grasp.blocked(replace(blocked(0.5, 1.9), speed_mm_s=speed_mm_s))
+        assert math.isfinite(grasp.turned_deg) == known
 
 
 def test_a_grasp_remembers_its_strongest_push_and_its_furthest_press() -> None:
