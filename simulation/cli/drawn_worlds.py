@@ -140,7 +140,7 @@ def sealed(arguments: list[str]) -> int:
     rows = campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers)
     setup = {"seal": seal, "counter": options.counter, "count": options.count}
     data = test.report_of(rows, begun, cells, setup)
-    if failed := [row for row in rows[: len(begun)] if not row["inserted"]]:
+    if failed := [row for row in rows[: len(begun)] if not (row["inserted"] or row["void"])]:
         data["pictures"] = "foreign_failures.png"
         failures.draw(failed, options.models, options.docs / data["pictures"])
     sys.stdout.write(publish(options.docs, "foreign_world", foreign_world_page(data), data))

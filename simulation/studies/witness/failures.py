@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -31,7 +32,7 @@ def draw(rows: Sequence[Row], models: Path, file: Path) -> None:
             sys.stderr.write(f"{done}/{len(rows)} failures played again\n")
             panel.imshow(_last_frames(row, models)[..., ::-1])
             world = row["condition"].partition(":")[0]
-            panel.set_title(f"{world}: {(row['reason'] or cause(row))[:60]}", fontsize=7)
+            panel.set_title(f"{world}\n{textwrap.shorten(row['reason'] or cause(row), 52)}", fontsize=7)
 
 
 def _last_frames(row: Row, models: Path) -> Image:

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.contract import Sensor, wire
-from service.decision.attempt import Attempt, Stage, nothing_held
 from service.decision import claim
+from service.decision.attempt import Attempt, Stage, nothing_held
 from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm, slid_mm
 from service.decision.seating import Push
 from service.perception.markers.field import field_from_gel
