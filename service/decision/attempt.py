@@ -93,6 +93,7 @@ class Attempt:
     reference: PairObservation | None = None
     armed: Armed | None = None
     descending_ns: int | None = None
+    leg_ns: int | None = None  # when it was told to go on at the speed it now has
     pushes: list[Push] = field(default_factory=list)
     ring: deque[PairObservation] = field(default_factory=lambda: deque(maxlen=RING_PAIRS))
     onset_ns: int | None = None
@@ -246,7 +247,7 @@ class Attempt:
     def descends(self, message: Descending, now_ns: int) -> None:
         """The arm goes down, from now on at the speed told; it may change that on the way."""
         self.descending_ns = now_ns if self.descending_ns is None else self.descending_ns
-        self.speed_mm_s, self.start_mm = message.speed_mm_s, message.start_mm
+        self.speed_mm_s, self.start_mm, self.leg_ns = message.speed_mm_s, message.start_mm, now_ns
 
     def stops(self, now_ns: int) -> None:
         """The arm is ordered to stop because of a frame captured then."""

@@ -44,7 +44,7 @@ class GraspRecord:
         """Take in an attempt that was blocked."""
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
-        late_mm = LATE_S * (attempt.speed_mm_s or went_mm_s(attempt))
+        late_mm = LATE_S * max(attempt.speed_mm_s or 0.0, went_mm_s(attempt))
         followed = slid_mm(attempt) <= SLID_MM and late_mm <= SLID_MM
         self.turned_deg += lasting_turn_deg(attempt.ring[-1] if attempt.ring and followed else None)
 
@@ -59,19 +59,19 @@ class GraspRecord:
 
 
 def went_mm_s(attempt: Attempt) -> float:
-    """The mean speed of a descent; infinite where its time is not known."""
-    began, stopped = attempt.descending_ns, attempt.stopped_ns
+    """The mean speed of a descent, or of its last leg; infinite where its time is not known."""
+    began, stopped = attempt.leg_ns or attempt.descending_ns, attempt.stopped_ns
     if began is None or stopped is None or not began < stopped:
         return math.inf
     return (attempt.depth_mm - attempt.start_mm) * 1e9 / (stopped - began)
 
 
 def pressed_mm(attempt: Attempt) -> float:
-    """How far the arm went down after the onset of motion, mm, at the descent's mean speed; 0 without an onset."""
+    """How far the arm went down after the onset of motion, mm, at its mean speed; 0 without an onset."""
     began, onset, stopped = attempt.descending_ns, attempt.onset_ns, attempt.stopped_ns
     if began is None or onset is None or stopped is None or not began < onset < stopped:
         return 0.0
-    return (attempt.depth_mm - attempt.start_mm) * (stopped - onset) / (stopped - began)
+    return went_mm_s(attempt) * (stopped - onset) * 1e-9
 
 
 def slid_mm(attempt: Attempt) -> float:
@@ -92,7 +92,7 @@ def slid_mm(attempt: Attempt) -> float:
     grown = np.maximum.accumulate(moved)
     from_s, to_s = np.interp([0.1, 0.9], grown / grown[-1], stamps_s)
     slid_s = lasted_s - to_s - (to_s - from_s) / 8
-    return (attempt.depth_mm - attempt.start_mm) / lasted_s * float(slid_s)
+    return went_mm_s(attempt) * float(slid_s)
 
 
 # ---- at full depth ----------------------------------------------------------------------------------------------

@@ -143,6 +143,18 @@ def test_the_way_that_an_object_slid_is_what_the_arm_went_on_after_the_markers_s
     assert slid_mm(blocked(contact_s, grip_mm, rate_hz)) == pytest.approx(2.0 - grip_mm, abs=12.0 / rate_hz)
 
 
+def test_a_way_is_that_of_the_leg_in_which_it_was_gone() -> None:
+    """At 10 mm/s in both of two legs, the second told from 2 mm on."""
+    whole = replace(blocked(0.5, 1.0), onset_ns=int(0.5e9))
+    legs = replace(whole, leg_ns=int(0.2e9), start_mm=2.0)
+    assert slid_mm(legs) == pytest.approx(slid_mm(whole))
+    assert pressed_mm(legs) == pytest.approx(pressed_mm(whole)) == pytest.approx(2.0)
+    for attempt in (replace(whole, speed_mm_s=0.1, stopped_ns=int(0.4e9)), replace(legs, speed_mm_s=16.1)):
+        grasp = GraspRecord(50.0)
+        grasp.blocked(attempt)
+        assert math.isnan(grasp.turned_deg)
+
+
 def test_an_object_that_slid_far_or_was_not_seen_has_turned_by_nobody_knows_how_much() -> None:
     for attempt in (blocked(0.5, 0.3), descent(stopped_ns=None), descent(pushes=[])):
         grasp = GraspRecord(50.0)
