@@ -22,6 +22,7 @@ def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, l
 async def _home(settings: Settings, *, acknowledge: bool, direction: HomingDirection) -> Outcome:
     gripper = settings.make_gripper()
     stop_on_signals()
+    interrupted = False
     try:
         await gripper.connect()
         if acknowledge:
@@ -30,7 +31,8 @@ async def _home(settings: Settings, *, acknowledge: bool, direction: HomingDirec
         width_mm = await gripper.home(direction)
         print(f"gripper: homed, width {width_mm:.1f} mm")
     except asyncio.CancelledError:
+        interrupted = True
         raise DriverError("operator: interrupted, the gripper goes no further") from None
     finally:
-        await to_the_end(gripper.close())
+        await to_the_end(gripper.close(), interrupted=interrupted)
     return Outcome(True, {"live": True, "acknowledged": acknowledge, "width_mm": width_mm})

@@ -1,6 +1,7 @@
 """Command line of the robot client."""
 
 import argparse
+import asyncio
 import contextlib
 import json
 import math
@@ -206,7 +207,8 @@ def main(argv: list[str] | None = None) -> int:
         print(printable(f"{prefix}: {text}"), file=sys.stderr)
         code = 1 if isinstance(error, DriverError | ReplayError) else 2
         outcome = Outcome(False, {"error": text})
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, asyncio.CancelledError):
+        print("interrupted, nothing moves", file=sys.stderr)
         code, outcome = 1, Outcome(False, {"error": "interrupted"})
     if args.json:
         show(json.dumps({"done": outcome.done, **outcome.result}), whole=True)

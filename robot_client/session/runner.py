@@ -30,13 +30,22 @@ class Observer(Protocol):
         """What it adds to the log's last line."""
 
 
-async def to_the_end(work: Coroutine[Any, Any, None]) -> None:
-    """Carry out ``work`` to its end: a second interrupt must not break off a stop that is under way."""
+async def to_the_end(work: Coroutine[Any, Any, None], *, interrupted: bool = False) -> None:
+    """Carry out ``work`` to its end, as an interrupt must not break off a stop that is under way.
+
+    Raises CancelledError after it if there was one, as whoever goes on from here would move something again;
+    not where the caller was ``interrupted`` before, and ends anyway.
+    """
     task = asyncio.get_running_loop().create_task(work)
+    interrupt = None
     while not task.done():
-        with contextlib.suppress(asyncio.CancelledError):
+        try:
             await asyncio.shield(task)
+        except asyncio.CancelledError as error:
+            interrupt = error
     task.result()
+    if interrupt and not interrupted:
+        raise interrupt
 
 
 @dataclass(slots=True)
@@ -61,7 +70,11 @@ class Runner:
         self._telemetry = Telemetry(self.plan, self.arm, self.service.send)
 
     async def run(self) -> State:
-        """From connecting to closing; raises DriverError if a device cannot be made ready (nothing has moved then)."""
+        """From connecting to closing; raises DriverError if a device cannot be made ready (nothing has moved then).
+
+        An interrupt ends the insertion, as an operator's. While it closes by itself one raises CancelledError.
+        """
+        interrupted = False
         try:
             await self.service.start(self.post)
             await self.gripper.start(self.post)
@@ -76,9 +89,10 @@ class Runner:
                 self.post(Tick(at_s=time.monotonic()))
                 self._telemetry.sample(self.state, self.state.width_mm)
         except asyncio.CancelledError:
+            interrupted = True
             self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
         finally:
-            await to_the_end(self._close())
+            await to_the_end(self._close(), interrupted=interrupted)
         return self.state
 
     def post(self, event: Event) -> None:

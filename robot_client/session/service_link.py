@@ -113,8 +113,9 @@ class ServiceLink:
         self._post = None
         if self._connection is None:
             return
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._outbox.join(), 1.0)
+        self._tasks.append(asyncio.create_task(self._outbox.join()))
+        # a sender or receiver that has ended sends nothing any more: what still waits need not be waited for
+        await asyncio.wait(self._tasks, timeout=1.0, return_when=asyncio.FIRST_COMPLETED)
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

@@ -44,6 +44,7 @@ async def travel(
     Raises LimitError before anything moves if a corner is not allowed, DriverError if the arm fails or is interrupted.
     """
     events: asyncio.Queue[Event] = asyncio.Queue()
+    interrupted = False
     try:
         here = await arm.start(events.put_nowait)
         show(f"from {pose_text(here)}")
@@ -61,9 +62,10 @@ async def travel(
     except TimeoutError:
         raise DriverError("robot: the arm did not arrive in time") from None
     except asyncio.CancelledError:
+        interrupted = True
         raise DriverError("operator: interrupted, the arm is stopped") from None
     finally:
-        await to_the_end(_end(arm, tell))
+        await to_the_end(_end(arm, tell), interrupted=interrupted)
     return here
 
 

@@ -37,6 +37,7 @@ class Child:
     def __init__(self, name: str, module: str, arguments: Sequence[str], log: Path) -> None:
         self.name = name
         self.log = log
+        self._asked = False
         log.parent.mkdir(parents=True, exist_ok=True)
         with log.open("wb") as stream:
             self.process = subprocess.Popen(
@@ -73,15 +74,26 @@ class Child:
             with contextlib.suppress(OSError, AttributeError):
                 os.sched_setscheduler(int(thread.name), os.SCHED_RR, os.sched_param(1))
 
+    def ask(self) -> None:
+        """Ask it once to end, and do not wait: a second signal would interrupt how it ends."""
+        if not self._asked:
+            self._asked = True
+            self._signal(signal.SIGTERM)
+
     def end(self, patience_s: float = 8.0) -> None:
         """Ask it to end, insist after ``patience_s``."""
-        for number, wait_s in ((signal.SIGTERM, patience_s), (signal.SIGKILL, 5.0)):
-            if self.code is not None:
-                return
+        self.ask()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(patience_s)
+        if self.code is None:
+            self._signal(signal.SIGKILL)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(5.0)
+
+    def _signal(self, number: int) -> None:
+        if self.code is None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.process.pid, number)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(wait_s)
 
     def tail(self) -> str:
         """The last lines of its log, indented."""
@@ -124,6 +136,34 @@ class Child:
                 if time.monotonic() > deadline_s:
                     raise ChildError(f"{self.name} was not done within {timeout_s:.0f} s:\n{self.tail()}", None)
                 time.sleep(0.03)
+
+
+class Children:
+    """The processes of a run, ended as it leaves: the last one first, as it moves the arm, the others at once."""
+
+    def __init__(self) -> None:
+        self._children: list[Child] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for child in self._children[-1:]:
+            child.end()
+        for child in self._children:
+            child.ask()
+        for child in self._children:
+            child.end()
+
+    def add(self, child: Child) -> Child:
+        """The same child, which ends with the run."""
+        self._children.append(child)
+        return child
+
+    def go_first(self) -> None:
+        """Every child as `Child.go_first`."""
+        for child in self._children:
+            child.go_first()
 
 
 def terminate_as_interrupt() -> None:

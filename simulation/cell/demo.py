@@ -5,12 +5,11 @@ import socket
 import time
 import webbrowser
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from service.contract.token import TOKEN_FILE
-from simulation.cell.children import Child
+from simulation.cell.children import Child, Children
 from simulation.cell.config import client_config
 from simulation.cell.emulators.net import HOST, BusyPortError, bind_tcp, free_port, port_of
 from simulation.cell.run import SERVICE_READY_S, RunOptions, Start, ready_cell, start_cell, start_service
@@ -34,14 +33,14 @@ def lines(options: DemoOptions, folder: Path) -> Iterator[str]:
     """Run the demonstration and give what it says; raises ChildError if a process fails. Ends all on leaving."""
     start = Start(options.object, 0.0, 0.0, options.seed)
     folder.mkdir(parents=True)
-    with ExitStack() as children:
+    with Children() as children:
         port = _port(options.port)
         url = f"http://{HOST}:{port}/"
         yield f"page: {url} (from when the service runs, in some seconds)"
         yield "starting the simulated cell"
-        cell = children.enter_context(start_cell(start, options, folder, fed=True))
+        cell = children.add(start_cell(start, options, folder, fed=True))
         facts = ready_cell(cell, folder)
-        service = children.enter_context(start_service(facts, options, folder, port))
+        service = children.add(start_service(facts, options, folder, port))
         service.until("service ready at ", SERVICE_READY_S)
         if options.open:
             with contextlib.suppress(webbrowser.Error):
@@ -50,9 +49,8 @@ def lines(options: DemoOptions, folder: Path) -> Iterator[str]:
         config.write_text(client_config(facts, url, (folder / "state" / TOKEN_FILE).resolve(), options.link))
         counted = ("--parts", str(options.parts)) if options.parts else ()
         arguments = ["cycle", "--live", "--config", str(config), "--logs", str(folder / "episodes"), *counted]
-        client = children.enter_context(Child("robot client", "robot_client", arguments, folder / "client.log"))
-        for child in (cell, service, client):
-            child.go_first()
+        client = children.add(Child("robot client", "robot_client", arguments, folder / "client.log"))
+        children.go_first()
         yield from client.lines((cell, service), DAYS_S)
         if client.code not in {0, 1}:
             client.check()

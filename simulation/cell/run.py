@@ -7,7 +7,7 @@ import json
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -17,7 +17,7 @@ from service.contract.shipped import released_models
 from service.contract.token import TOKEN_FILE
 from service.contract.toml import read_toml
 from simulation.cell import run_report
-from simulation.cell.children import Child, Compiling
+from simulation.cell.children import Child, Children, Compiling
 from simulation.cell.config import client_config
 from simulation.cell.emulators.net import HOST, free_port
 from simulation.cell.options import draw_start
@@ -165,14 +165,13 @@ def loop(
     ``through``: the address by which the client reaches the service, made of the service's own.
     """
     folder.mkdir(parents=True)
-    with ExitStack() as children:
-        cell = children.enter_context(start_cell(start, options, folder))
+    with Children() as children:
+        cell = children.add(start_cell(start, options, folder))
         facts = ready_cell(cell, folder)
-        service = children.enter_context(start_service(facts, options, folder, port))
+        service = children.add(start_service(facts, options, folder, port))
         url = service.until("service ready at ", SERVICE_READY_S).rsplit(" ", 1)[1]
-        client = children.enter_context(_start_client(facts, through(url), options, folder))
-        for child in (cell, service, client):
-            child.go_first()
+        client = children.add(_start_client(facts, through(url), options, folder))
+        children.go_first()
         yield Loop(cell, service, client, facts, folder / "episode.jsonl")
 
 

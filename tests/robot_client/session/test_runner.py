@@ -14,6 +14,7 @@ from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
+from robot_client.session.travel import travel
 from robot_client.settings import Settings
 from tests.robot_client.insertion.stories import PLAN, TO_ARMING
 
@@ -80,6 +81,30 @@ def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_the_firs
             f"{word} {name}" for name in ("arm", "service", "gripper") for word in ("stopping", "stopped")
         ]
         assert (state.phase, run.farewell) == (Phase.FAILED, "controller confirms")
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("moving", ["insertion", "way"])
+def test_an_interrupt_while_a_step_closes_by_itself_keeps_the_next_step_from_beginning(moving):
+    async def story():
+        notes = []
+        run = runner(notes, service="gone")  # the insertion ends by itself
+        arm = Port("arm", notes)
+        arm.start = lambda _post: asyncio.sleep(0, PLAN.approach)
+        steps = {
+            "insertion": run.run,
+            "way": lambda: travel(arm, lambda _here: [], PLAN.limits, PLAN.ramps, 1.0, notes.append),
+        }
+        task = asyncio.ensure_future(steps[moving]())
+        await asyncio.sleep(0.05)
+        assert notes[-1] == "stopping arm"
+        task.cancel()
+        for port in (run.arm, run.service, run.gripper, arm):
+            port.closing.set()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert "stopped arm" in notes
 
     asyncio.run(story())
 

@@ -10,6 +10,7 @@ from robot_client.insertion.events import Failure
 from robot_client.ports import DriverError
 from robot_client.session.service_link import ServiceLink, ServiceSettings
 from service.contract.token import keep_token
+from service.contract.wire import Abort
 from tests.robot_client.insertion.stories import ID, armed, slip
 
 
@@ -46,6 +47,20 @@ def test_a_defect_of_ours_in_handling_a_message_is_a_failure_at_once_and_not_a_s
     assert [type(event) for event in events[1:]] == [Failure]
     assert (events[1].source, events[1].code) == ("service", "internal")
     assert "ZeroDivisionError: a defect" in events[1].detail
+
+
+def test_what_nobody_takes_any_more_does_not_delay_the_end():
+    async def story():
+        async with serve(lambda connection: connection.close(), "127.0.0.1", 0) as server:
+            port = server.sockets[0].getsockname()[1]
+            link = ServiceLink(ServiceSettings(url=f"ws://127.0.0.1:{port}/v1/insertion"), ID)
+            await link.start(lambda _event: None)
+            await asyncio.sleep(0.05)
+            for _ in range(3):
+                link.send(Abort(insertion_id=ID, cause="operator", reason="operator: stop: interrupted"))
+            await asyncio.wait_for(link.close(), 0.5)
+
+    asyncio.run(story())
 
 
 def heard_tokens(settings: ServiceSettings) -> list[str | None]:
