@@ -28,6 +28,7 @@ _CAUSES: dict[str, wire.Cause] = {
     "not_seated": "not_confirmed",
     "not_seen": "not_confirmed",
     "not_confirmed": "not_confirmed",
+    "afresh": "not_confirmed",  # and it cannot be taken afresh any more
 }
 _SERVICE_CAUSES: dict[str, wire.Cause] = {
     "link": "link",
@@ -122,16 +123,19 @@ def descend(state: State, captured_ns: int, at_s: float) -> Result:
     state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s, state.until_s, legs)
     if state.done:
         return state, commands
-    speeds = plan.ramps.in_legs(start_mm, legs).speeds() if legs else [(0.0, probing_mm_s)]
-    state, told = tell_speed(replace(state, speeds=tuple((at_s + after_s, speed) for after_s, speed in speeds)))
+    speeds = plan.ramps.in_legs(start_mm, legs).speeds() if legs else [(0.0, 0.0, probing_mm_s)]
+    state, told = tell_speed(
+        replace(state, speeds=tuple((at_s + after_s, way_mm, mm_s) for after_s, way_mm, mm_s in speeds))
+    )
     return state, (*told, *commands)
 
 
 def tell_speed(state: State) -> Result:
-    """Tell the speed that is due: networks that read depth need to know it."""
+    """Tell the speed that is due, and from where on: networks that read depth need to know it."""
     assert state.armed is not None
-    (_, speed_mm_s), *later = state.speeds
-    start_mm = 0.0 if state.pose is None else max(0.0, round(state.armed.z_mm - state.pose.z_mm, 2))
+    assert state.pose is not None
+    (_, way_mm, speed_mm_s), *later = state.speeds
+    start_mm = max(0.0, round(state.armed.z_mm - state.pose.z_mm + way_mm, 2))
     message = wire.Descending(
         insertion_id=state.plan.insertion_id, attempt=state.attempt, speed_mm_s=speed_mm_s, start_mm=start_mm
     )
@@ -153,7 +157,7 @@ def renew(state: State, captured_ns: int, at_s: float) -> Result:
         return unwatched(state, at_s)
     newer, stood_s = watched(state, captured_ns, at_s), max(0.0, at_s - state.until_s)
     if stood_s and newer is not state:  # what lies ahead comes as much later
-        newer = replace(newer, speeds=tuple((due_s + stood_s, speed) for due_s, speed in state.speeds))
+        newer = replace(newer, speeds=tuple((due_s + stood_s, way_mm, mm_s) for due_s, way_mm, mm_s in state.speeds))
     return newer, () if newer is state else (Renew(until_s=newer.until_s),)
 
 

@@ -84,9 +84,8 @@ def _on_tick(state: State, event: Tick) -> Result:
         return tell_speed(state)
     if event.at_s < state.deadline_s:
         return state, ()
-    source: Source = "arm" if state.phase in _MOVING else "service"
-    if state.phase is Phase.GRASPING:
-        source = "gripper"
+    grasping, moving = state.phase is Phase.GRASPING, state.phase in _MOVING
+    source: Source = "gripper" if grasping else "arm" if moving else "service"
     detail = f"{state.phase} took longer than allowed (attempt {state.attempt})"
     return fail(state, source, "timeout", detail + _unclaimed(state))
 
@@ -113,6 +112,7 @@ def _on_begin(state: State, event: Begin) -> Result:
         sent_ns=round(event.at_s * 1e9),
         controller=plan.controller,
         continues=plan.continues,
+        takes_afresh=plan.fixture,
     )
     deadline_s = event.at_s + plan.timeouts.greeting_s
     state = replace(state, phase=Phase.GREETING, pose=event.pose, held=event.held, deadline_s=deadline_s)
@@ -245,9 +245,9 @@ def _on_clock(state: State, clock: wire.Clock | None, at_s: float) -> Result:
 def _on_finished(state: State, message: wire.Finished) -> Result:
     if state.phase is Phase.CLOSING and message.outcome == "inserted":
         return replace(state, phase=Phase.INSERTED, deadline_s=math.inf), ()
-    if message.outcome == "not_confirmed":
+    if message.doubts:
         doubts = "; ".join(doubt.detail for doubt in message.doubts)
-        return fail(state, "service", "not_confirmed", f"full depth was reached, but {doubts}")
+        return fail(state, "service", message.cause or message.outcome, f"full depth was reached, but {doubts}")
     return fail(state, "service", "finished", f"the service closed the insertion: {message.outcome}")
 
 

@@ -125,13 +125,14 @@ class LegsProfile:
             way, left_s = way + stretch.way, left_s - stretch.duration_s
         return self.length
 
-    def speeds(self) -> list[tuple[float, float]]:
-        """(time, speed): what the speed is by and large from then on, a change of it being told at its middle."""
-        told: list[tuple[float, float]] = []
+    def speeds(self) -> list[tuple[float, float, float]]:
+        """(time, way, speed): what the speed is by and large from there on, a change of it being told at its middle."""
+        told: list[tuple[float, float, float]] = []
         at_s = 0.0
         for stretch in self.stretches:
             if stretch.before != stretch.after > 0.0:
-                told.append((at_s + 0.5 * stretch.duration_s if told else 0.0, stretch.after))
+                changed_s = at_s + 0.5 * stretch.duration_s if told else 0.0
+                told.append((changed_s, self.position(changed_s), stretch.after))
             at_s += stretch.duration_s
         return told
 

@@ -38,7 +38,8 @@ class Phase(StrEnum):
 
 
 TERMINAL = frozenset({Phase.INSERTED, Phase.PROBED, Phase.FAILED})
-TURNED = "service: refused: turned_in_hand:"
+REFUSED = "service: refused: turned_in_hand:"
+TURNED = (REFUSED, "service: afresh:")
 SLOWEST_MM_S = 4.0  # after an object has turned; slower, 120 frames a second lie closer than networks were trained on
 
 
@@ -159,7 +160,8 @@ class State:
     ``held``: the gripper held something when the insertion began. ``width_mm``: how far apart its fingers are, as far
     as it tells. ``watched_s``: the earliest that the newest judged frame can have been captured, on our clock.
     ``tops``: where the blocks' tops are by the plan and by the attempts up to now. ``fast``: the cameras' rate bears
-    the fast legs. ``speed_mm_s`` of the descent under way, ``speeds``: when (``at_s``) it goes on at which, mm/s.
+    the fast legs. ``speed_mm_s`` of the descent under way, ``speeds``: when (``at_s``) and
+    after which way (mm) it goes on at which, mm/s.
     """
 
     plan: Plan
@@ -181,7 +183,7 @@ class State:
     watched_s: float = -math.inf
     tops: Tops | None = None
     fast: bool = False
-    speeds: tuple[tuple[float, float], ...] = ()
+    speeds: tuple[tuple[float, float, float], ...] = ()
     speed_mm_s: float = 0.0
 
     @property
@@ -194,13 +196,18 @@ class State:
         """True once no command follows any more."""
         return self.phase in TERMINAL
 
+    @property
+    def tried_n(self) -> int:
+        """Attempts in which the arm went down: one that was refused is none."""
+        return self.attempt - self.reason.startswith(REFUSED)
+
     def afresh(self, insertion_id: wire.InsertionId) -> Plan | None:
         """How to go on once the object was put back and taken upright: from where it stood, with the attempts left.
 
         Slower than before around the blocks' tops: the way that the arm goes on after its contact is what turned the
         object. None where the insertion did not end because the object had turned in the hand, or no attempt is left.
         """
-        tried_n, plan = self.attempt - 1, self.plan
+        tried_n, plan = self.tried_n, self.plan
         left_n = plan.limits.max_attempts - tried_n
         if not self.reason.startswith(TURNED) or self.armed is None or not tried_n or not left_n:
             return None

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.limits import Limits
+from robot_client.insertion.limits import Limits, Motion
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Plan, State
 from robot_client.ports import Arm, Gripper
@@ -27,9 +27,9 @@ class Fixture:
     ramps: Ramps
     motion_s: float
 
-    async def put_back(self) -> None:
-        """Straight up from above its gap, over, down, and open; raises DriverError, LimitError."""
-        for way in (straight_up(self.retreat_mm, "travel"), over_to(self.pick)):
+    async def put_back(self, up: Motion = "retract") -> None:
+        """Straight up, slowly from between the blocks, over, down, and open; raises DriverError, LimitError."""
+        for way in (straight_up(self.retreat_mm, up), over_to(self.pick)):
             await travel(self.make_arm(), way, self.limits, self.ramps, self.motion_s, lambda _text: None)
         await with_gripper(self.make_gripper, lambda gripper: gripper.release(self.open_mm))
 
@@ -49,8 +49,8 @@ async def upright(
         if fixture is None or again is None:
             return replace(state, attempt=tried_n + state.attempt)
         show("back to the fixture, to be taken upright")
-        tried_n += state.attempt - 1
-        await fixture.put_back()
+        tried_n += state.tried_n
+        await fixture.put_back("travel" if state.tried_n < state.attempt else "retract")
         plan = again
 
 

@@ -36,6 +36,7 @@ from service.contract.wire_parts import (
     NoDecisionReason,
     Outcome,
     RefusalReason,
+    Refused,
     RobotSample,
     Telemetry,
     ToolPose,
@@ -62,6 +63,7 @@ __all__ = [
     "NoDecisionReason",
     "Outcome",
     "RefusalReason",
+    "Refused",
     "RobotSample",
     "Telemetry",
     "ToolPose",
@@ -74,7 +76,10 @@ MAX_TEXT_BYTES = 65536
 
 
 class ClientHello(_Message):
-    """First message. ``role`` watch receives everything and sends heartbeats alone. ``continues``: see `Refused`."""
+    """First message. ``role`` watch receives everything and sends heartbeats alone. ``continues``: see `Refused`.
+
+    ``takes_afresh``: the client can put an object that has turned in the hand back and take it upright.
+    """
 
     type: Literal["hello"] = "hello"
     protocol: int = PROTOCOL
@@ -83,6 +88,7 @@ class ClientHello(_Message):
     role: Literal["drive", "watch"] = "drive"
     controller: ControllerName | None = None
     continues: InsertionId | None = None
+    takes_afresh: bool = False
 
 
 class LearnOpen(_Message):
@@ -110,7 +116,7 @@ class Arm(_Message):
 
 
 class Descending(_Message):
-    """A guarded descent begins at ``start_mm`` below the armed pose, or goes on, at the speed told from now on."""
+    """A guarded descent begins, or goes on, at the speed told, from ``start_mm`` below the armed pose."""
 
     type: Literal["descending"] = "descending"
     attempt: Attempt
@@ -180,15 +186,6 @@ class Armed(_Message):
     frame_captured_ns: int
 
 
-class Refused(_Message):
-    """Not armed: no descent. What has turned in the hand is taken afresh, in an insertion that ``continues`` this."""
-
-    type: Literal["refused"] = "refused"
-    attempt: Attempt
-    reason: RefusalReason
-    detail: str
-
-
 class Watching(_Message):
     """Both fingers were judged on new frames, and nothing speaks against going on: the arm may move a little longer.
 
@@ -243,7 +240,8 @@ class NoDecision(_Message):
 class Finished(_Message):
     """The insertion is closed and its recording complete. No other outcome than ``inserted`` is an insertion.
 
-    ``not_confirmed``: full depth was reached, and ``doubts`` says why that is not claimed to be an insertion.
+    ``not_confirmed``: full depth was reached, and ``doubts`` says why that is not claimed to be an insertion. Where
+    they are only that the object has turned, a client that takes it afresh is told ``aborted``, cause ``afresh``.
     """
 
     type: Literal["finished"] = "finished"

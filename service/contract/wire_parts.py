@@ -193,3 +193,12 @@ class Enough(InsertionMessage):
     attempt: Attempt
     frame_seq: int
     pressed_mm: float
+
+
+class Refused(InsertionMessage):
+    """Not armed: no descent. What has turned in the hand is taken afresh, in an insertion that ``continues`` this."""
+
+    type: Literal["refused"] = "refused"
+    attempt: Attempt
+    reason: RefusalReason
+    detail: str

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.contract.wire import Doubt, DoubtReason
+from service.contract.wire import Cause, Doubt, DoubtReason
 from service.decision.attempt import Attempt
 from service.decision.seating import Push, seating_evidence, strongest_push
 from service.decision.turning import TURNED_DEG, lasting_turn_deg, turned_going_in
 
+Doubts = tuple[Doubt, ...]
 DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the depth that was asked for
 FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was not reached by one
 WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; gel gives way by less
@@ -98,10 +99,20 @@ def slid_mm(attempt: Attempt) -> float:
 # ---- at full depth ----------------------------------------------------------------------------------------------
 
 
-def doubts(attempt: Attempt, grasp: GraspRecord) -> tuple[Doubt, ...]:
+def doubts(attempt: Attempt, grasp: GraspRecord) -> Doubts:
     """What keeps this attempt's full depth from being claimed; empty where everything was shown that has to be."""
     checks = (_order, _depth, _watched, _held, _width, _pushed, _moved_in_hand)
     return tuple(doubt for check in checks for doubt in check(attempt, grasp))
+
+
+def unclaimed(found: Doubts, *, afresh: bool) -> Cause | None:
+    """What an insertion at full depth ends for, None if nothing was found against it.
+
+    ``afresh``: the client can take an object that has turned upright again, which mends a turn and nothing else.
+    """
+    if not found:
+        return None
+    return "afresh" if afresh and {doubt.reason for doubt in found} == {"moved_in_hand"} else "not_confirmed"
 
 
 def _doubt(reason: DoubtReason, detail: str, value: float | None = None, bound: float | None = None) -> Doubt:

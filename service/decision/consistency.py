@@ -37,6 +37,7 @@ FAR = np.array([15.0, 14.0])  # beyond, the networks often answer with hardly an
 FAR_OUTLIERS, FAR_SIGMA = 0.5, 4.0
 SURE = np.array([2.2, 5.0])  # one sigma. Networks that were so sure once seldom are in doubt in that cell, but for far
 SURE_SHARE, FAR_SURE_SHARE = 0.93, 0.35
+JUDGED_N = 8  # attempts. All reversed cells were named by the sixth, the two good ones that were after ten and fourteen
 LEAST_TURN_DEG, LIKE = 1.0, 0.5  # the smaller turn is at least this share of the larger
 
 
@@ -85,11 +86,15 @@ class Consistency:
     _log: dict[Signs, float] = field(default_factory=lambda: dict.fromkeys([(1, 1), *WIRINGS], 0.0))
     _expected: dict[Signs, Expected] = field(default_factory=dict)
     _sure_once: bool = False
+    _attempts_n: int = 0
 
     def add(self, correction: Correction, both: PairObservation) -> None:
         """Take in an attempt's correction and last pair. Raises Refusal that names the likely causes."""
         if mirrored(both):
             raise Refusal("contradictory", "both fingers see the object turn the same way: one picture is mirrored")
+        self._attempts_n += 1
+        if self._attempts_n > JUDGED_N:
+            return
         estimate = correction.estimate
         seen = np.array([estimate.dx_mm, estimate.dtheta_deg])
         sigma = np.array([estimate.sigma_x_mm or UNKNOWN[0], estimate.sigma_theta_deg or UNKNOWN[1]])

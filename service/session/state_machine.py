@@ -1,8 +1,7 @@
 """One insertion, synchronous and free of I/O: messages and frames in, messages out.
 
-The same object runs in real time (the service's perception thread calls it, the networks run in another thread) and
-in lock step (the simulator calls it, the networks run inside :meth:`InsertionSession.on_pair`). Time is what the
-caller says it is: every ``now_ns`` is on the clock of the frames' ``captured_ns``.
+The same object runs in real time (called by the service's perception thread, the networks in another one) and in lock
+step (called by the simulator). Time is what the caller says it is: ``now_ns`` is on the clock of ``captured_ns``.
 """
 
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from service.contract import FramePair, TactileFrame, wire
 from service.contract.replies import beat, clock, ending, unspoken
 from service.contract.wire import CameraEntry, ControllerName, Limits, ServiceMessage
 from service.decision.attempt import Attempt, Stage, WorkResult
+from service.decision.claim import Doubts, unclaimed
 from service.decision.controllers import Command, make_controller
 from service.decision.decider import Decider, Decision
 from service.decision.models import ModelSet
@@ -23,7 +23,6 @@ from service.session.learn_open import OpenGels
 from service.settings import Deadlines
 
 Replies = list[ServiceMessage]
-Doubts = tuple[wire.Doubt, ...]
 DEFAULT_LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
 
 
@@ -52,6 +51,7 @@ class InsertionSession:
     on_attempt: Callable[[Attempt], None] = ignore
     on_command: Callable[[Command], None] = ignore
     insertion_id: str | None = None
+    takes_afresh: bool = False
     attempt: Attempt | None = None
     finished: wire.Finished | None = None
     recording: str | None = None
@@ -100,7 +100,7 @@ class InsertionSession:
         if refused := unspoken(message):
             return [refused]
         if self.insertion_id is None:
-            self.insertion_id = message.insertion_id
+            self.insertion_id, self.takes_afresh = message.insertion_id, message.takes_afresh
             self.controller_name = message.controller or self.controller_name
         return [
             wire.ServiceHello(
@@ -266,7 +266,7 @@ class InsertionSession:
             return []
         if self.attempt.outcome == "inserted":
             doubts = self.decider.doubts(self.attempt, now_ns, self.limits.max_frame_age_ms)
-            cause: wire.Cause | None = "not_confirmed" if doubts else None
+            cause = unclaimed(doubts or (), afresh=self.takes_afresh)
             return [] if doubts is None else self._end(self.attempt, cause, doubts)
         decision = self.decider.conclude(self.attempt, now_ns)
         if command := self.decider.command:

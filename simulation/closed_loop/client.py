@@ -54,6 +54,7 @@ def plan_of(
         limits=limits,
         ramps=ramps.model_copy(update={"descend": descend}),
         pause_s=PAUSE_S,
+        fixture=True,
         lease=Lease(travel_mm=longest_travel_mm(scene.speed_mm_s)),
     )
     return plan if client is None else _as_set(plan, client)

@@ -134,7 +134,7 @@ class Insertion:
         plan = self.state.afresh(f"simulated-{self.grasps + 1}")
         if plan is None:
             return False
-        self.grasps, self._tried = self.grasps + 1, self._tried + self.state.attempt - 1
+        self.grasps, self._tried = self.grasps + 1, self._tried + self.state.tried_n
         took_s = trip_s(plan)
         self.cell.take_afresh(plan.approach.x_mm, plan.approach.y_mm, plan.approach.yaw_deg, took_s)
         self.cell.speed_mm_s = plan.ramps.descend.speed_mm_s

@@ -130,23 +130,25 @@ def fastest_mm_s(trace, seconds=1.0):
     return max((high - low) / (then_s - now_s) for (now_s, high), now in steps if now for then_s, low in [now])
 
 
-def test_parts_are_picked_inserted_and_let_go_in_order():
+@pytest.mark.parametrize("parts_n", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_parts_are_picked_inserted_and_let_go_in_order(parts_n):
     async def work():
         async with cell_with() as (cell, part):
             lines = []
-            count = await cycle_of(cell, lines).run(2)
+            count = await cycle_of(cell, lines).run(parts_n)
             return count, part.left, lines, cell.trace, cell.gripper.width_mm
 
     count, left, lines, trace, _ = run(work)
-    assert count.inserted_n == 2
-    assert [is_in(one) for one in left] == [True, True]
-    assert lines[-1].endswith("2 inserted")
+    assert count.inserted_n == parts_n
+    assert [is_in(one) for one in left] == [True] * parts_n
+    assert lines[-1].endswith(f"{parts_n} inserted")
     last = [pose.position_mm for _, _, pose in trace][-400:]
     low = min(at[2] for at in last)
     column = [at for at in last if at[2] < low + 25.0]
     assert max(abs(at[0] - column[0][0]) for at in column) < 0.2, "it retreats along the vertical"
 
 
+@pytest.mark.slow
 def test_a_part_that_has_turned_in_the_hand_is_taken_afresh_and_tried_again_more_slowly_where_it_stood():
     async def work():
         async with cell_with() as (cell, part):

@@ -28,7 +28,7 @@ async def _insert(tmp_path=None, lag_ms=20.0, **options):
 def inserted(request, tmp_path_factory):
     """One insertion by the real protocols, for each lag of the arm: the cell after it, the final state, its log."""
     folder = tmp_path_factory.mktemp("episode")
-    cell, state = run(_insert(folder, lag_ms=request.param))
+    cell, state = run(_insert(folder, lag_ms=request.param, holding=False))
     assert state.phase is Phase.INSERTED, state.reason
     return cell, state, folder / "episode.jsonl", request.param
 
@@ -84,9 +84,8 @@ def test_the_arm_never_leaves_the_vertical_lower_than_three_mm_above_the_tops(in
             assert abs(b.yaw_deg - a.yaw_deg) < 1e-3
 
 
-def test_the_gripper_is_asked_to_grasp_what_it_does_not_hold_and_is_never_stopped():
-    cell, state = run(_insert(holding=False))
-    assert state.phase is Phase.INSERTED, state.reason
+def test_the_gripper_is_asked_to_grasp_what_it_does_not_hold_and_is_never_stopped(inserted):
+    cell, *_ = inserted
     assert "GRASP" in cell.wsg.counters.commands
     assert not {"STOP", "FAST_STOP", "ACKNOWLEDGE", "HOMING"} & set(cell.wsg.counters.commands)
     assert cell.wsg.counters.fast_stops_by_disconnect == 0

@@ -16,6 +16,8 @@ from service.web.server import bind, web_server
 from tests.service import drawn, tiny_models
 from tests.service.mjpeg import FakeFinger
 
+rehearsed: set[Path] = set()  # the models that a service of this process has warmed up with
+
 
 @pytest.fixture(scope="session")
 def models_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -108,6 +110,9 @@ def live_service(folder: Path, models: Path, **changes: object) -> Iterator[Live
         patient.setattr("service.cameras.capture.STALL_S", 30.0)
         patient.setattr("service.cameras.sources.READ_TIMEOUT_S", 30.0)
         patient.setattr("service.cameras.sources.CONNECT_TIMEOUT_S", 10.0)
+        if models in rehearsed:  # a second of each test's time, for the same answer
+            patient.setattr("service.session.station.warm_up", lambda *_: None)
+        rehearsed.add(models)
         station = open_station(settings)
         station.start()
         try:

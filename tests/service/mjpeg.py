@@ -26,6 +26,13 @@ def encoded(finger: Finger, index: int, variant: int, size: tuple[int, int] | No
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
 
 
+def repeated(jpeg: bytes, sequence: int) -> bytes:
+    """The same picture once more, beneath noise that is new."""
+    pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    noisy = pixels + np.random.default_rng(sequence).normal(0.0, 2.0, pixels.shape)
+    return cv2.imencode(".jpg", noisy.clip(0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+
+
 def black(shape: tuple[int, ...], sequence: int) -> bytes:
     """A picture of a camera whose light is out, with its noise."""
     pixels = np.random.default_rng(sequence).integers(0, 4, shape, np.uint8)
@@ -41,7 +48,7 @@ class FakeFinger:
         self.connected = True
         self.size: tuple[int, int] | None = None
         self.open = False  # nothing touches the gel
-        self.trouble = ""  # "stalled": nothing is sent, "frozen": the same picture again and again, "black", "late"
+        self.trouble = ""  # "stalled": nothing is sent, "frozen", "repeated", "black", "late"
         self.stop = threading.Event()
         for index in range(25):
             for variant in range(VARIANTS):
@@ -57,7 +64,7 @@ class FakeFinger:
 
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.server.daemon_threads = True
-        self.thread = threading.Thread(target=self.server.serve_forever, daemon=True)
+        self.thread = threading.Thread(target=self.server.serve_forever, args=(0.02,), daemon=True)
         self.thread.start()
 
     @property
@@ -81,20 +88,23 @@ class FakeFinger:
         handler.send_response(200)
         handler.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
         handler.end_headers()
-        sequence = 0
+        sequence, last = 0, b""
         try:
             while self.connected and not self.stop.is_set():
                 now = time.monotonic()
                 due = (int(now * self.rate_hz) + 1) / self.rate_hz
                 self.stop.wait(due - now)
+                if self.trouble != "repeated":
+                    last = encoded(self.finger, self.index(), sequence % VARIANTS, self.size)
                 if self.trouble != "stalled":
-                    self.part(handler, sequence)
+                    self.part(handler, sequence, last)
                 sequence += self.trouble != "frozen"
         except OSError:
             return
 
-    def part(self, handler: BaseHTTPRequestHandler, sequence: int) -> None:
-        jpeg = encoded(self.finger, self.index(), sequence % VARIANTS, self.size)
+    def part(self, handler: BaseHTTPRequestHandler, sequence: int, jpeg: bytes) -> None:
+        if self.trouble == "repeated":
+            jpeg = repeated(jpeg, sequence)
         if self.trouble == "black":
             jpeg = black(drawn.raw(self.finger, 0, 10, 16).shape, sequence)
         stamp = time.monotonic_ns() - (10**9 if self.trouble == "late" else 0)

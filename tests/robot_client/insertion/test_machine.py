@@ -79,6 +79,20 @@ def test_what_keeps_full_depth_from_being_confirmed_is_the_reason_of_the_failure
     assert state.reason == "service: not_confirmed: full depth was reached, but the gels still carry a push"
 
 
+@pytest.mark.parametrize("attempts_n", [1, 3])
+def test_an_object_that_turned_on_its_way_in_is_taken_afresh_while_attempts_are_left(attempts_n):
+    limits = PLAN.limits.model_copy(update={"max_attempts": attempts_n})
+    plan = PLAN.model_copy(update={"fixture": True, "limits": limits})
+    doubt = wire.Doubt(reason="moved_in_hand", detail="the gels show it turned")
+    ended = wire.Finished(insertion_id=ID, outcome="aborted", attempts=1, cause="afresh", doubts=(doubt,))
+    state, commands = run([*TO_FULL_DEPTH, service(ended)], State(plan))
+    assert (state.phase, state.tried_n) == (Phase.FAILED, 1)
+    assert [c.message.takes_afresh for c in commands if isinstance(c, Send) and c.message.type == "hello"] == [True]
+    again = state.afresh("second")
+    assert commands[-1].message.cause == ("not_confirmed" if again is None else "afresh")
+    assert (again and again.limits.max_attempts) == (None if attempts_n == 1 else 2)
+
+
 def test_a_full_descent_is_an_insertion():
     state, _ = run([*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)])
     assert state.phase is Phase.CLOSING

@@ -150,14 +150,16 @@ def test_a_band_or_a_lift_too_small_for_what_is_not_known_is_refused(values):
 
 def test_the_service_is_told_each_speed_when_its_leg_begins():
     state, commands = told(FAST)
-    speeds = [c.message.speed_mm_s for c in commands if isinstance(c, Send) and c.message.type == "descending"]
+    legs = [c.message for c in commands if isinstance(c, Send) and c.message.type == "descending"]
     for cycle in range(1, 400):
         now_s = cycle * 0.01
         state, _ = step(state, service(watching(1, now_s - 0.005), now_s))
         state, sent = step(state, Tick(at_s=now_s))
-        speeds += [c.message.speed_mm_s for c in sent if isinstance(c, Send)]
-    assert speeds[0] > 10.0
-    assert speeds[1:] == [10.0, 25.0]
+        legs += [c.message for c in sent if isinstance(c, Send)]
+    assert legs[0].speed_mm_s > 10.0
+    assert [leg.speed_mm_s for leg in legs[1:]] == [10.0, 25.0]
+    band_mm = [APPROACH.z_mm - height_mm for height_mm in (TOPS_MM + FAST.pace.above_mm, TOPS_MM - FAST.pace.below_mm)]
+    assert [leg.start_mm for leg in legs] == pytest.approx([0.0, *band_mm], abs=1.0)  # within the change of speed
 
 
 def test_after_a_pause_in_the_descent_the_next_speed_is_told_as_much_later():

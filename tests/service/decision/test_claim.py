@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from service.contract import Sensor, wire
 from service.decision import claim
 from service.decision.attempt import Attempt, Stage, nothing_held
-from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm, slid_mm
+from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm, slid_mm, unclaimed
 from service.decision.seating import Push
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation, PairObservation
@@ -117,6 +117,16 @@ def test_an_object_that_was_turned_on_the_way_down_is_not_claimed() -> None:
 def test_what_was_pressed_too_far_is_not_claimed() -> None:
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=5.1)) == ["moved_in_hand"]
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=4.9)) == []
+
+
+def test_only_a_turn_is_mended_by_taking_the_object_afresh() -> None:
+    turned, pushed = (wire.Doubt(reason=reason, detail="") for reason in ("moved_in_hand", "push"))
+    assert [unclaimed(found, afresh=True) for found in ((), (turned,), (turned, pushed))] == [
+        None,
+        "afresh",
+        "not_confirmed",
+    ]
+    assert unclaimed((turned,), afresh=False) == "not_confirmed"
 
 
 @pytest.mark.parametrize(("touch", "held"), [(None, False), (0.5, False), (1.4, True)])

@@ -95,16 +95,24 @@ def test_attempts_in_the_dark_alone_prove_nothing() -> None:
     assert not answered([((0.1, 1.3), BLIND, (0.0, 10.0)), ((0.0, 1.6), BLIND, (0.0, -15.0)), ((0, 1), BLIND, (1, 7))])
 
 
+REVERSED = [
+    ((-6.9, 7.6), (2.6, 3.5), (7.5, -7.9)),
+    ((-9.5, 0.7), (2.9, 5.1), (4.9, -0.5)),
+    ((-10.4, -0.1), (3.3, 5.2), (4.1, 0.0)),
+    ((-13.0, 0.6), (2.8, 5.6), (4.0, -0.2)),
+]
+"""The estimates and commands of an arm that moves x the other way, in a drawn cell."""
+
+
 def test_networks_that_are_never_sure_name_a_reversed_cell_by_the_fourth_attempt() -> None:
-    """The estimates and commands of an arm that moves x the other way, in a drawn cell."""
-    steps = [
-        ((-6.9, 7.6), (2.6, 3.5), (7.5, -7.9)),
-        ((-9.5, 0.7), (2.9, 5.1), (4.9, -0.5)),
-        ((-10.4, -0.1), (3.3, 5.2), (4.1, 0.0)),
-        ((-13.0, 0.6), (2.8, 5.6), (4.0, -0.2)),
-    ]
-    assert answered(steps[:2]) == ""
-    assert "in x" in answered(steps)
+    assert answered(REVERSED[:2]) == ""
+    assert "in x" in answered(REVERSED)
+
+
+@pytest.mark.parametrize(("searched_n", "named"), [(2, True), (8, False)])
+def test_who_has_searched_for_long_is_not_accused_of_being_wired_wrong(searched_n: int, *, named: bool) -> None:
+    waiting = ((-6.9, 7.6), (2.6, 3.5), (0.0, 0.0))
+    assert ("in x" in answered([waiting] * searched_n + REVERSED)) == named
 
 
 @given(ERRORS, st.lists(st.tuples(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2)), min_size=3, max_size=8))

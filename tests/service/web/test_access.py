@@ -57,9 +57,12 @@ def test_a_client_too_fast_is_told_to_slow_down_and_health_goes_on(tmp_path: Pat
 
 def test_half_a_request_is_not_waited_for(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "HEAD_TIMEOUT_S", 0.2)
-    for said in (b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /heal"):
-        with socket.create_connection(("127.0.0.1", live.port), 20) as link:
-            link.sendall(said)
+    with contextlib.ExitStack() as stack:
+        links = {}
+        for said in (b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /heal"):
+            links[said] = stack.enter_context(socket.create_connection(("127.0.0.1", live.port), 20))
+            links[said].sendall(said)
+        for said, link in links.items():
             heard = b""
             while piece := link.recv(4096):  # ends when the service closes, else by the socket's own 20 s
                 heard += piece

@@ -1,0 +1,44 @@
+"""An object that has turned goes up and over to its fixture, and the attempts with it are counted together."""
+
+import asyncio
+from dataclasses import replace
+
+import pytest
+
+from robot_client.insertion.state import Phase, State
+from robot_client.session.afresh import upright
+from tests.robot_client.insertion.stories import APPROACH, PLAN
+
+
+class Fixture:
+    """Notes how the object was taken up."""
+
+    def __init__(self):
+        self.ups = []
+
+    async def put_back(self, up):
+        self.ups.append(up)
+
+
+@pytest.mark.parametrize(
+    ("reason", "attempt", "up", "attempts_n"),
+    [
+        ("service: refused: turned_in_hand: by about 1.4 deg", 3, "travel", 2 + 1),
+        ("service: afresh: full depth was reached, but the gels show it turned", 3, "retract", 3 + 1),
+        ("service: not_confirmed: full depth was reached, but the gels still carry a push", 3, None, 3),
+    ],
+)
+def test_from_between_the_blocks_it_goes_up_slowly_and_what_was_tried_counts(reason, attempt, up, attempts_n):
+    fixture, plans = Fixture(), []
+
+    async def run(plan):
+        plans.append(plan)
+        state = replace(State(plan), armed=APPROACH)
+        if len(plans) == 1:
+            return replace(state, phase=Phase.FAILED, attempt=attempt, reason=reason)
+        return replace(state, phase=Phase.INSERTED, attempt=1)
+
+    state = asyncio.run(upright(PLAN, run, fixture, lambda _line: None))
+    assert fixture.ups == ([up] if up else [])
+    assert state.attempt == attempts_n
+    assert [plan.continues for plan in plans[1:]] == ([PLAN.insertion_id] if up else [])
