@@ -12,6 +12,7 @@ from typing import Any
 import tyro
 
 from reporting.files import write_durably
+from reporting.machine import commit
 from service.contract.shipped import released_models
 from simulation.cli.drawn_worlds import drawn_objects, drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
@@ -20,6 +21,7 @@ from simulation.scene.worlds import World, load_objects, load_world
 from simulation.studies.drawn_worlds import Start, starts
 from simulation.studies.pace import choose as choosing
 from simulation.studies.pace import report
+from simulation.studies.pace.kept import kept as kept_results
 from simulation.studies.pace.points import BEFORE, POINTS, Point, tasks
 
 
@@ -33,9 +35,13 @@ class Options(PlayOptions):
 
     out: Path = Path("runs/pace")
     docs: Path = Path("runs/pace")
-    count: int = 40
+    kept: Path = Path("docs")
+    """folder of the other pages' results, which the figures show beside these"""
+    html: Path | None = None
+    """file for the figures to hover and zoom in, 5 MB; needs plotly"""
+    count: int = 100
     """starts"""
-    seed: int = 73
+    seed: int = 75
     points: tuple[str, ...] = ()
     """names of choices to play beside the first; all if left out"""
     draw: bool = False
@@ -45,6 +51,7 @@ class Options(PlayOptions):
 def main(arguments: list[str]) -> int:
     """Run, print the page, write the files."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion pace")
+    kept = kept_results(options.kept)
     if options.draw:
         data = _kept(options.docs / "pace.json")
     else:
@@ -52,7 +59,7 @@ def main(arguments: list[str]) -> int:
         worlds = drawn_worlds_of(options.count, options.seed, layer_share=0.0)
         objects = drawn_objects(options.out, options.count, options.seed)
         data = _played(options, starts(worlds, objects, options.count, options.seed), _points(options.points))
-    sys.stdout.write(report.write(data, options.docs))
+    sys.stdout.write(report.write({**data, "kept": kept}, options.docs, options.html))
     return 0
 
 
@@ -73,7 +80,7 @@ def _points(names: Sequence[str]) -> list[Point]:
 def _played(options: PlayOptions, begun: Sequence[Start], points: Sequence[Point]) -> dict[str, Any]:
     todo = tasks(points, begun, options.seed, options.models)
     rows = options.play(todo, campaign.fingerprint({"belief": options.models}))
-    return {"seed": options.seed, **report.report_of(rows, points)}
+    return {"seed": options.seed, "commit": commit(), **report.report_of(rows, points)}
 
 
 @dataclass(frozen=True)

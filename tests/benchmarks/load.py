@@ -12,6 +12,7 @@ from typing import Any
 
 import httpx
 import numpy as np
+from numpy.typing import NDArray
 from websockets.sync.client import ClientConnection, connect
 
 from service.contract import FINGERS, wire
@@ -22,6 +23,7 @@ from tests.service import drawn
 from tests.service.mjpeg import FakeFinger
 from tests.service.process import ServiceProcess, service_process
 
+WITHIN_33_MS = 'tactile_result_age_seconds_bucket{le="0.033"}'
 PATIENT = ["--max-frame-age-ms", "60000", "--reference-timeout-s", "30", "--client-timeout-s", "600"]
 
 
@@ -97,6 +99,44 @@ def flood(models: Path, rate_hz: float, seconds: float) -> dict[str, Any]:
         "cpu_ms_per_frame": round(1e3 * used / max(perceived, 1), 2),
         "cores_at_full_rate": round(2 * rate_hz * used / max(perceived, 1), 3),
     }
+
+
+def cells(models: Path, count: int, rate_hz: float, seconds: float) -> dict[str, Any]:
+    """As many cells on this machine, each a service with two cameras and an attempt under way: what each takes.
+
+    ``share_within_33_ms`` is of the slip judgements, from the capture of their frame; a recording grows by ``pair_kb``
+    with every pair of frames.
+    """
+    counted = 'tactile_stage_seconds_count{stage="markers"}', "tactile_result_age_seconds_count", WITHIN_33_MS
+    with contextlib.ExitStack() as stack:
+        services = []
+        for _ in range(count):
+            service, _, link = stack.enter_context(busy_service(models, rate_hz))
+            stack.enter_context(reading(link))
+            services.append(service)
+        time.sleep(2.0)
+
+        def state() -> NDArray[np.float64]:
+            return np.array([[s.cpu_s(), _recorded_kb(s), *(metric(s, name) for name in counted)] for s in services])
+
+        before, started = state(), time.monotonic()
+        time.sleep(seconds)
+        grown, wall = state() - before, time.monotonic() - started
+        resident = [service.memory_mb()["all"] for service in services]
+    cpu_s, written_kb, perceived, judged, soon = grown.sum(0)
+    return {
+        "cells_n": count,
+        "asked_hz": rate_hz,
+        "cores_a_cell": round(float(cpu_s) / wall / count, 3),
+        "perceived_share": round(float(perceived) / (2 * rate_hz * wall * count), 3),
+        "memory_mb_a_cell": round(float(np.mean(resident)), 1),
+        "share_within_33_ms": round(float(soon / judged), 4),
+        "pair_kb": round(float(2 * written_kb / perceived), 1),
+    }
+
+
+def _recorded_kb(service: ServiceProcess) -> float:
+    return sum(file.stat().st_size for file in service.recordings.rglob("*") if file.is_file()) / 1e3
 
 
 def healthz_ms(models: Path, seconds: float) -> dict[str, Any]:
@@ -194,4 +234,4 @@ def overload(models: Path) -> dict[str, Any]:
         station.stop()
 
 
-__all__ = ["FINGERS", "flood", "healthz_ms", "overload"]
+__all__ = ["FINGERS", "cells", "flood", "healthz_ms", "overload"]

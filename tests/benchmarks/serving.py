@@ -2,7 +2,8 @@
 
 Rows: WebSocket decision against in-process; Open Inference Protocol against MLServer gRPC and LitServe on the same ONNX
 file; /healthz under full load; the first decision after ready; age of results at twice the load this machine can take;
-cameras at 2 x 60 and 2 x 90 fps. Writes docs/serving.md and .json, and says where a target is missed.
+cameras at 2 x 60 and 2 x 90 fps; several cells on this machine; recordings and an adaptation, from which a
+fleet is worked out. Writes docs/serving.md and .json, and says where a target is missed.
 """
 
 import argparse
@@ -26,7 +27,8 @@ from reporting.page import publish
 from reporting.statistics import percentiles
 from service.decision.models import load_models
 from tests.benchmarks.cell import SteppedCell, in_process_ms
-from tests.benchmarks.load import flood, healthz_ms, overload
+from tests.benchmarks.fleet import fleet
+from tests.benchmarks.load import cells, flood, healthz_ms, overload
 from tests.benchmarks.peers_run import peers
 from tests.service.process import service_process
 
@@ -90,6 +92,7 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--peers-python", type=Path, help="interpreter of an environment with the extra bench-serving")
     parser.add_argument("--trials", type=int, default=30, help="decisions over the WebSocket")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each closed loop")
+    parser.add_argument("--recordings", type=Path, help="folder of recorded insertions, for what a fleet costs")
     parser.add_argument("--docs", type=Path, default=Path("docs"))
     parser.add_argument(
         "--only", nargs="*", default=[], help="names of parts; the others keep what docs/serving.json has"
@@ -109,6 +112,8 @@ def main() -> int:
         "cameras 90": lambda: flood(options.models, 90.0, options.seconds),
         "health": lambda: healthz_ms(options.models, options.seconds),
         "overload": lambda: overload(options.models),
+        **{f"cells {n}": lambda n=n: cells(options.models, n, 30.0, options.seconds) for n in (1, 2, 4)},
+        "fleet": lambda: fleet(options.recordings),
     }
     out = options.docs / "serving.json"
     facts: dict[str, Any] = json.loads(out.read_text()) if out.is_file() and options.only else {}

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 from reporting.page import page
 from reporting.table import table
+from tests.benchmarks.fleet import fleet_section
 
 
 class Row(NamedTuple):
@@ -43,6 +44,7 @@ def serving_page(facts: dict[str, Any]) -> str:
         ),
         f"**Missed here:** {'; '.join(missed) or 'nothing'}.",
         f"**Not measured:** {'; '.join(unmeasured)}." if unmeasured else "",
+        fleet_section(facts),
         NOTES,
         "\n".join(f"- {name}: {facts[name]['note']}" for name in ROWS if "note" in facts.get(name, {})),
     )
@@ -113,6 +115,14 @@ def _overload(found: dict[str, Any]) -> list[Row]:
     return [Row("age of results at 2 x overload: 1 frame + 1 step", text, "99 % within", found["share_within"] >= 0.99)]
 
 
+def _cells(found: dict[str, Any]) -> list[Row]:
+    count, share = found["cells_n"], found["share_within_33_ms"]
+    text = f"{found['cores_a_cell']:.2f} cores and {found['memory_mb_a_cell']:.0f} MB a cell;"
+    text += f" {found['perceived_share']:.0%} of the frames perceived, slip judged within 33 ms in {share:.1%}"
+    what = f"{count} cell{'s' if count > 1 else ''} at once, each 2 x {found['asked_hz']:.0f} fps, an attempt under way"
+    return [Row(what, text, "99 % within", share >= 0.99)]
+
+
 ROWS = {
     "peers": _peers,
     "websocket": _websocket,
@@ -121,6 +131,7 @@ ROWS = {
     "cameras 90": _cameras,
     "health": _health,
     "overload": _overload,
+    **{f"cells {count}": _cells for count in (1, 2, 4)},
 }
 
 
@@ -136,4 +147,6 @@ NOTES = """How it was measured:
 - Overload: the station is first given more frames than it can perceive, which tells the rate it can; then twice that
   rate. Age is counted from capture to the slip decision, a step is what perceiving the two frames of a pair took just
   then. Of the calm results the kernel let the perceiving thread wait for a core for at most 0.2 ms of their life.
+- Cells: as many services as told, each with two cameras and an attempt under way, all on this machine, the cameras'
+  programs too. What the load of a row has beyond the cells is other work.
 - CPU is the process's own time from the kernel: it does not grow with what others use, though caches do suffer."""

@@ -1,6 +1,6 @@
 """What a network that reads depth gains from pressing further, where its intervals hold, and what it finds strange."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +17,10 @@ from training.config import RunConfig
 from training.data.dataset import Source, open_source
 from training.data.labels import CLASSES
 from training.data.pressed import Pressed
-from training.data.reading import load
+from training.data.reading import decisions, load
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import Trainer
-from training.metrics.figures import figures
+from training.metrics.figures import Predictions, figures, probabilities
 from training.networks.pressing import DECISION_STEPS, STEP_MM, STEPS, PressingNetwork
 from training.report.pressed_oracle import oracle_rows
 
@@ -28,6 +28,8 @@ Rows = dict[str, dict[str, float]]
 MOST = 4000
 HELD = ("validation", "test")
 DECILES = 10
+SURE = (0.6, 0.7, 0.8, 0.9)
+"""Probabilities of the likeliest direction from which a decision might be made at once."""
 UNTOLD = (1, 2, 3)
 """Conditions of `CONDITIONS` that a cell need not know: grasp height, grip and shear reach."""
 
@@ -44,7 +46,8 @@ def write_depths(run: Path, out: Path, source: Source | None = None) -> Path:
     if not isinstance(samples, Pressed):
         raise ContractError(f"{run} holds a {config.network.kind} network, expected one that reads steps of depth")
     trainer = Trainer(config, samples, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
-    data = {"depths": by_depth(trainer, checkpoint), "reach": by_reach(trainer, checkpoint)}
+    data = {"depths": by_depth(trainer, checkpoint), "sure": by_sureness(trainer, checkpoint)}
+    data["reach"] = by_reach(trainer, checkpoint)
     limit = oracle_rows(source or open_source(config.data.path), run / "oracle")
     data["limit"] = {f"{split}, true motion": limit[f"{split}/all"] for split in HELD if f"{split}/all" in limit}
     data["strange"] = {name: {"auroc": value} for name, value in strangeness_aurocs(trainer).items()}
@@ -56,19 +59,55 @@ def _held(trainer: Trainer, split: str) -> NDArray[np.int64]:
     return trainer.trials.of(split)[:MOST]
 
 
+def _held_out(trainer: Trainer) -> list[tuple[str, NDArray[np.int64]]]:
+    """The held-out splits that have decisions, with their indices."""
+    return [(split, chosen) for split in HELD if len(chosen := _held(trainer, split))]
+
+
 def by_depth(trainer: Trainer, checkpoint: Checkpoint) -> Rows:
     """Figures after each step of depth, of both held-out splits; the last also with nothing told."""
     rows: Rows = {}
-    for split in HELD:
-        chosen = _held(trainer, split)
-        if not len(chosen):
-            continue
+    for split, chosen in _held_out(trainer):
         for steps in range(2, STEPS, 2):
             predictions = replace(trainer, most_steps=steps).predict(chosen, pictures=False)
             rows[f"{split}, {steps * STEP_MM:.1f} mm"] = figures(predictions.rescaled(checkpoint.scales))
         untold = replace(trainer, trials=_untold(trainer.trials)).predict(chosen, pictures=False)
         rows[f"{split}, {DECISION_STEPS * STEP_MM:.1f} mm, nothing told"] = figures(untold.rescaled(checkpoint.scales))
     return rows
+
+
+def by_sureness(trainer: Trainer, checkpoint: Checkpoint) -> Rows:
+    """Figures of deciding at the first step that is sure enough, with ``saved``: the share of steps not pressed."""
+    rows: Rows = {}
+    for split, chosen in _held_out(trainer):
+        length = decisions(trainer.trials, chosen, None, pictures=False).length
+        assert length is not None
+        seen = [
+            replace(trainer, most_steps=steps).predict(chosen, pictures=False).rescaled(checkpoint.scales)
+            for steps in range(1, DECISION_STEPS + 1)
+        ]
+        full = length.numpy().clip(max=DECISION_STEPS)
+        for sure in SURE:
+            steps = np.minimum(first_sure([probabilities(each.logits, 1.0).max(-1) for each in seen], sure), full)
+            found = figures(_seen_after(seen, steps))
+            rows[f"{split}, {sure:.1f}"] = found | {"saved": float(1.0 - steps.sum() / full.sum())}
+    return rows
+
+
+def first_sure(confidences: Sequence[NDArray[np.float64]], sure: float) -> NDArray[np.int64]:
+    """Steps [N] to the first confidence that is ``sure``, of two steps at least; all steps where none is."""
+    enough = np.array(confidences)[1:-1] >= sure
+    return np.where(enough.any(0), enough.argmax(0) + 2, len(confidences))
+
+
+def _seen_after(seen: Sequence[Predictions], steps: NDArray[np.int64]) -> Predictions:
+    """Of each trial what was predicted after its own number of steps."""
+    rows = np.arange(len(steps))
+    picked = {
+        name: np.array([getattr(each, name) for each in seen])[steps - 1, rows]
+        for name in ("logits", "error", "log_sigma")
+    }
+    return replace(seen[-1], **picked)
 
 
 def _untold(trials: object) -> Pressed:
@@ -169,6 +208,13 @@ def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Tabl
         """
     yield _table(data["depths"])
     yield """
+        ## Deciding as soon as it is sure
+
+        The same decisions, made at the first step after which the likeliest direction has the probability in the first
+        column. *Saved*: the share of the pressing. A cell presses on, however sure its networks are.
+        """
+    yield _table(data["sure"], ("saved", "1.saved", ".1%"), first="sure")
+    yield """
         ## The limit
 
         What a network of the same size decides after 1.2 mm that is given the object's true motion in the hand, and all
@@ -187,10 +233,11 @@ def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Tabl
     yield table(data["strange"].items(), ("shift", 0), ("AUROC", "1.auroc", ".3f"))
 
 
-def _table(rows: Rows) -> Table:
+def _table(rows: Rows, *more: tuple[str, str, str], first: str = "pressed") -> Table:
     return table(
         rows.items(),
-        ("pressed", 0),
+        (first, 0),
+        *more,
         ("decisions", "1.trials", ".0f"),
         ("direction", lambda row: wilson(row[1]["accuracy"] * row[1]["trials"], int(row[1]["trials"])), ".1%"),
         ("MAE x mm", "1.mae_x_mm", ".2f"),

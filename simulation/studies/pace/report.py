@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reporting.figure import BLUE, GREEN, GREY, ORANGE, PALETTE, drawing
 from reporting.page import page, publish
-from reporting.statistics import Estimate, bootstrap, mean, wilson
+from reporting.statistics import Estimate, bootstrap, mean, number, wilson
 from reporting.table import Table, table
 from simulation.closed_loop.statistics import Row
+from simulation.studies.pace.figures import EARLY, figures
+from simulation.studies.pace.panels import draw, write_html
 from simulation.studies.pace.points import BEFORE, SHIPPED, Point
 
 NAME = "pace"
 DRAWS = 2000
+WHY = """
+**Why it is so**: [slow around the tops](decisions/0154-slow-around-the-tops.md), [why a descent may change its
+speed](decisions/0104-a-descent-at-two-speeds.md).
+"""
 LIVE = """
 ## Beside a live insertion
 
@@ -31,21 +35,6 @@ others. `pauses` in the arm's statistics counts: leave such legs out where there
 The client prints the same parts at the end of every insertion, and keeps them in its log. `python -m simulation run
 --client pace.toml` plays a choice live.
 """
-AIR, PROBING, FAST, TRIP = "in the air", "probing, stop, look", "fast legs", "trip to the fixture"
-GROUPS = {
-    "approach": AIR,
-    "arm": PROBING,
-    "fast descent": FAST,
-    "guarded descent": PROBING,
-    "stop": PROBING,
-    "wait for frames": PROBING,
-    "decide": PROBING,
-    "retract": AIR,
-    "correct": AIR,
-    "confirm": PROBING,
-    "take afresh": TRIP,
-}
-COLOURS = {AIR: PALETTE[5], PROBING: ORANGE, FAST: GREEN, TRIP: PALETTE[4]}
 
 
 def report_of(rows: Sequence[Row], points: Sequence[Point]) -> Row:
@@ -73,6 +62,7 @@ def _point(point: Point, rows: Sequence[Row], first: Sequence[Row]) -> Row:
         "seconds": _spread(totals),
         "parts": {part: _spread([row["seconds"][part] for row in rows]) for part in rows[0]["seconds"]},
         "force_n": _spread(forces) | {"largest": max(forces)},
+        "force_95_n": list(_quantile(forces)),
         "harder_n": list(mean(harder)),
         "unseen_mm": max(row["unseen_mm"] for row in rows),
         "unseen_too_far": sum(row["unseen_mm"] > row["unseen_allowed_mm"] + 1e-6 for row in rows),
@@ -93,10 +83,21 @@ def _spread(values: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
     }
 
 
+def _draws(count: int) -> NDArray[np.int64]:
+    """Resampled starts [DRAWS, count], the same for every point; the first draw is all."""
+    draws = np.random.default_rng(0).integers(0, count, (DRAWS, count))
+    draws[0] = np.arange(count)
+    return draws
+
+
+def _quantile(values: Sequence[float]) -> Estimate:
+    each = np.quantile(np.array(values)[_draws(len(values))], 0.95, axis=1)
+    return bootstrap(float(each[0]), each.tolist())
+
+
 def _sums(rows: Sequence[Row]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Seconds and boxes of resampled starts [DRAWS], the same starts for every point; the first draw is all."""
-    draws = np.random.default_rng(0).integers(0, len(rows), (DRAWS, len(rows)))
-    draws[0] = np.arange(len(rows))
+    """Seconds and boxes of resampled starts [DRAWS]."""
+    draws = _draws(len(rows))
     seconds, boxes = np.array([total_s(row) for row in rows]), np.array([float(row["inserted"]) for row in rows])
     return seconds[draws].sum(1), np.maximum(boxes[draws].sum(1), 0.5)
 
@@ -156,47 +157,13 @@ def columns(data: Row, best: set[str]) -> Table:
 
 def parts(data: Row) -> Table:
     """Where the seconds go: means; median and 95 % of the whole are in the other table."""
-    names = [name for name in GROUPS if any(p["parts"][name]["mean"] >= 0.005 for p in data["points"])]
+    names = [n for n in data["points"][0]["parts"] if any(p["parts"][n]["mean"] >= 0.005 for p in data["points"])]
     return table(
         data["points"],
         ("settings", "name"),
         *((name, lambda p, name=name: p["parts"][name]["mean"], ".2f") for name in names),
         ("touch to last frame", lambda p: p["frames_s"] and p["frames_s"]["mean"], ".2f"),
     )
-
-
-def draw(data: Row, path: Path) -> None:
-    """Seconds against force, and where they go."""
-    points = data["points"]
-    with drawing(path, 1, 2, size=(13, 0.45 * len(points) + 2.2), width_ratios=(4, 5), sharey=True) as axes:
-        _draw_cost(axes[0, 0], points, front(points))
-        _draw_parts(axes[0, 1], points)
-
-
-def _draw_cost(panel: Any, points: Sequence[Row], best: set[str]) -> None:
-    """A line a choice: its seconds with their interval, and its force in words."""
-    for place, point in enumerate(points):
-        value, low, high = point["seconds_a_box"]
-        colour = BLUE if point["name"] in best else GREY
-        panel.errorbar(value, place, xerr=[[value - low], [high - value]], fmt="o", color=colour, capsize=2)
-        text = f"{value:.1f} s, {point['force_n']['95']:.0f} N"
-        panel.text(value, place - 0.2, text, color=colour, fontsize=7, ha="center", va="bottom")
-    panel.set_yticks(range(len(points)), [point["name"] for point in points], fontsize=8)
-    panel.invert_yaxis()
-    panel.set(xlim=(0, None), xlabel="seconds a box, 95 % interval")
-    panel.set_title("what it costs, and the force that 95 % stay below; blue: on the front")
-
-
-def _draw_parts(panel: Any, points: Sequence[Row]) -> None:
-    left = np.zeros(len(points))
-    for name, colour in COLOURS.items():
-        width = np.array([sum(of["mean"] for part, of in p["parts"].items() if GROUPS[part] == name) for p in points])
-        panel.barh(np.arange(len(points)), width, left=left, color=colour, height=0.6)
-        for place in np.flatnonzero(width >= 0.5):
-            text = f"{name}\n{width[place]:.1f}" if place == np.argmax(width) else f"{width[place]:.1f}"
-            panel.text(left[place] + width[place] / 2, place, text, ha="center", va="center", fontsize=7)
-        left += width
-    panel.set(xlim=(0, None), xlabel="mean seconds of an insertion", title="where they go")
 
 
 def pace_page(data: Row) -> str:
@@ -206,15 +173,16 @@ def pace_page(data: Row) -> str:
         f"""
         # What accuracy costs, in seconds a box
 
-        Written by `make pace`. Everything is simulated: {data["insertions"]} insertions a choice in drawn worlds with
-        drawn objects (seed {data["seed"]}, bristle tier; no choice was made on them), in lock step, through the
-        service's session and the client's own state machine, ramps and leases. A box begins 30 mm above the approach
-        and ends when the insertion is confirmed or given up. *Seconds a box* are all seconds over all boxes inserted,
-        so a failure costs what it took. All choices begin from the same starts; intervals are of 95 % (bootstrap over
-        starts, Wilson's for shares). **Bold**: no other choice is better in one of seconds, force, boxes and false
-        claims and as good in the rest.
+        Written by `make pace`, played at commit `{data["commit"][:12]}`. Everything is simulated: {data["insertions"]}
+        insertions a choice in drawn worlds with drawn objects (seed {data["seed"]}, bristle tier; no choice was made on
+        them), in lock step, through the service's session and the client's own state machine, ramps and leases. A box
+        begins 30 mm above the approach and ends when the insertion is confirmed or given up. *Seconds a box* are all
+        seconds over all boxes inserted, so a failure costs what it took. All choices begin from the same starts;
+        intervals are of 95 % (bootstrap over starts, Wilson's for shares). **Bold**: no other choice is better in one
+        of seconds, force, boxes and false claims and as good in the rest.
         """,
-        f"![cost and force of each choice, and where the seconds go]({NAME}.png)",
+        f"![force, success, direction and physics, each against what it costs in time]({NAME}.png)",
+        _figures(data["kept"]),
         columns(data, front(data["points"])),
         f"""
         *Times faster*, *gained, lost* (boxes) and *harder* (mean difference of the largest force, N) are against
@@ -228,8 +196,55 @@ def pace_page(data: Row) -> str:
         "Mean seconds by what was waited for:",
         parts(data),
         _choices(of),
+        _early(data["kept"], of[SHIPPED]),
+        WHY,
         LIVE,
     )
+
+
+def _figures(kept: Row) -> str:
+    """What the figures show, and what is left out of them."""
+    slip, builds = kept["slip"], {row["name"]: row for row in kept["builds"]}
+    seen, true = slip["images"], slip["true fields"]
+    return f"""
+    A star is what ships; bars are intervals of 95 %. (a) The paper states no speed and no time a box, so its pace has
+    no mark. (b) and (c): held-out simulated decisions of the [depths](depths.md) and of each model's card; [what a
+    decision costs](benchmark.md). Networks of one colour were asked about the same collisions, those of the other about
+    others. No build in int8 pays: the two that command what fp32 does take {builds["int8 dynamic"]["cpu_ms"]:.1f} and
+    {builds["int8 blocked"]["cpu_ms"]:.1f} ms instead of {builds["fp32"]["cpu_ms"]:.1f}, for networks that no cell
+    needs. (d) One descent against the [finest elements](foreign_check.md), without intervals, for it is
+    computed and not drawn.
+
+    Slip has no figure, because there is nothing to choose: one tracker ships, {slip["ms"]:.1f} ms a frame of a finger.
+    From pictures it is right in {Estimate(*seen["accuracy"]):.1%}, from true fields in
+    {Estimate(*true["accuracy"]):.1%}, both with a median delay of {seen["delay_frames"]["median"]:.0f} frame and no
+    false alarm ([slip report](slip_report.md)).
+
+    The same figures to hover and zoom in, with every interval: `pip install plotly`, then `python -m simulation pace
+    --draw --docs docs --html runs/pace.html` writes one file of 5 MB that needs no network.
+    """
+
+
+def _share(right: Sequence[float]) -> str:
+    return number(right[0], ".1%")
+
+
+def _early(kept: Row, shipped: Row) -> str:
+    """Whether deciding earlier would save anything."""
+    least, most = (kept["sure"][name] for name in EARLY)
+    full = kept["depths"][f"test, {kept['ships_mm']:.1f} mm"]
+    waits_s, attempts = shipped["frames_s"]["mean"], shipped["attempts"]
+    share = attempts * waits_s / shipped["seconds"]["mean"]
+    return f"""
+    **Early decisions do not save 30 % of the wait at no loss.** Nothing is waited for after standstill: networks stop
+    the arm when they have seen enough. From the touch to the last frame that a decision reads pass {waits_s:.2f} s,
+    {number(share, ".0%")} of all seconds with {attempts:.1f} attempts. Held-out decisions, made as soon as a direction
+    has the probability 0.6, would save {number(least["saved"], ".0%")} of the pressing, and {_share(least["right"])}
+    would be right instead of {_share(full)}; from 0.8 on they save {number(most["saved"], ".0%")} and
+    {_share(most["right"])} are right. So the first costs what it should not, the second gains
+    {most["saved"] * waits_s * attempts:.2f} s a box, and neither was built
+    ([the depth of a decision](decisions/0079-the-depth-of-a-decision.md)).
+    """
 
 
 def _choices(of: Row) -> str:
@@ -240,7 +255,10 @@ def _choices(of: Row) -> str:
     ## What ships, and why
 
     **Shipped settings need {faster:.2f} times fewer seconds a box than those before**, and touch more gently: the
-    largest force of an insertion is {-shipped["harder_n"][0]:.1f} N lower in the mean.
+    largest force of an insertion is {-shipped["harder_n"][0]:.1f} N lower in the mean. Half of the boxes take no more
+    than {shipped["seconds"]["median"]:.1f} s instead of {before["seconds"]["median"]:.1f}, the slowest 5 % more than
+    {shipped["seconds"]["95"]:.1f} instead of {before["seconds"]["95"]:.1f}: boxes that are taken afresh several times
+    carry the mean. Wanted were 1.8 times fewer seconds.
 
     **Probing speed**: {shipped["client"]["ramps"]["descend"]["speed_mm_s"]:g} mm/s around the blocks' tops,
     {shipped["client"]["pace"]["fast_mm_s"]:g} mm/s above and below. Slower is quicker here: what turns a part in the
@@ -260,18 +278,14 @@ def _choices(of: Row) -> str:
     ```sh
     python -m simulation choose --seconds-a-box 12.5 --success 0.9 --max-force 40
     ```
-
-    **Frames a decision**: nothing is waited for after standstill. From the touch to the last frame that a decision
-    reads pass {shipped["frames_s"]["mean"]:.2f} s, because networks stop the arm when they have seen
-    enough; [why not sooner](decisions/0079-the-depth-of-a-decision.md).
-
-    **Why it is so**: [slow around the tops](decisions/0154-slow-around-the-tops.md), [why a descent may change its
-    speed](decisions/0104-a-descent-at-two-speeds.md).
     """
 
 
-def write(data: Row, docs: Path) -> str:
-    """Write NAME.md, .json and .png into the folder; returns the text."""
+def write(data: Row, docs: Path, html: Path | None = None) -> str:
+    """Write NAME.md, .json and .png into the folder, and ``html`` if named; returns the text."""
     docs.mkdir(parents=True, exist_ok=True)
-    draw(data, docs / f"{NAME}.png")
+    shown = figures(data, front(data["points"]))
+    draw(shown, docs / f"{NAME}.png")
+    if html:
+        write_html(shown, html)
     return publish(docs, NAME, pace_page(data), data)

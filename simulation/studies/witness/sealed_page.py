@@ -8,7 +8,7 @@ from typing import Any
 
 from reporting.page import page
 from reporting.statistics import number, wilson
-from reporting.table import table
+from reporting.table import Table, table
 from simulation.studies.drawn_worlds import COLUMNS
 from simulation.studies.witness.sealed import WITNESS
 
@@ -40,14 +40,19 @@ def foreign_world_page(data: Row) -> str:
         trials. Our own tiers play the same starts beside it.
         """,
         table(data["figures"], *_FIGURES),
+        *(_failures(failed, data.get("pictures")) if failed else ()),
         f"""
-        ## What ended the {len(failed)} that failed there
+        Made by `python -m simulation sealed --count {data["count"]} --counter {data["counter"]} --docs docs`.
         """,
-        table(
-            Counter(map(cause, failed)).most_common(), ("cause", 0), ("insertions", 1, "d")
-        ),
+    )  # fmt: skip
+
+
+def _failures(failed: list[Row], pictures: str | None) -> tuple[str | Table, ...]:
+    return (
+        f"## What ended the {len(failed)} that failed there",
+        table(Counter(map(cause, failed)).most_common(), ("cause", 0), ("insertions", 1, "d")),
         "## Each of them",
-        f"![What both cameras showed at the end of each]({data['pictures']})" if data.get("pictures") else "",
+        f"![What both cameras showed at the end of each]({pictures})" if pictures else "",
         table(
             failed,
             ("world", "world"),
@@ -60,10 +65,7 @@ def foreign_world_page(data: Row) -> str:
             ("largest force N", "force_n", ".0f"),
             ("cause", cause),
         ),
-        f"""
-        Made by `python -m simulation sealed --count {data["count"]} --counter {data["counter"]} --docs docs`.
-        """,
-    )  # fmt: skip
+    )
 
 
 _FIGURES: tuple[Any, ...] = (

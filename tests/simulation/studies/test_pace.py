@@ -1,5 +1,6 @@
 """Choices of settings are played fairly, keep every bound of the client, and are chosen by what they reached."""
 
+import json
 import tomllib
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from simulation.closed_loop.play import insert, models_of
 from simulation.scene.worlds import World
 from simulation.studies.drawn_worlds import Start
 from simulation.studies.pace.choose import Wanted, choose, settings_toml
+from simulation.studies.pace.kept import kept
 from simulation.studies.pace.points import BEFORE, POINTS, SHIPPED, client, tasks, with_care
 from simulation.studies.pace.report import front
 
@@ -117,3 +119,8 @@ def test_seconds_in_lock_step_add_up_and_what_ships_is_slow_only_around_the_tops
     assert shipped["seconds"]["fast descent"] == pytest.approx(2.0, abs=0.3)
     slow_mm_s = SHIPPED_CLIENT["ramps"]["descend"]["speed_mm_s"]
     assert shipped["seconds"]["guarded descent"] == pytest.approx(6.0 / slow_mm_s, abs=0.3)  # the band is 6 mm high
+
+
+def test_what_the_page_shows_of_others_is_what_they_say_today():
+    docs = Path(__file__).parents[3] / "docs"
+    assert json.loads((docs / "pace.json").read_text())["kept"] == kept(docs)

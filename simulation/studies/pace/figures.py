@@ -1,0 +1,110 @@
+"""What the figures of the page show: seconds a box, decisions, builds and physics, each against what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Set as AbstractSet
+
+from reporting.statistics import Estimate, wilson
+from simulation.closed_loop.statistics import Row
+from simulation.studies.pace.panels import Mark, Panel, Series, exact
+from simulation.studies.pace.points import SHIPPED
+
+CELLS = {"bristle", "layer", "layer with edges", "finite elements, 4 x 4 x 1, load step 0.17 mm"} | {
+    f"finite elements, {mesh} x 2, load step 0.17 mm" for mesh in ("6 x 6", "8 x 8")
+}
+
+EARLY = ("test, 0.6", "test, 0.8")  # from how sure on a decision might be made at once
+
+
+def figures(data: Row, front: AbstractSet[str]) -> list[Panel]:
+    """All panels of the page, from its data and the names of the choices on the front."""
+    kept = data["kept"]
+    return [*_boxes(data, front), _pressing(data), _networks(kept), _builds(kept), _tiers(kept)]
+
+
+def _boxes(data: Row, front: AbstractSet[str]) -> list[Panel]:
+    count, points = data["insertions"], data["points"]
+
+    def series(y: str) -> list[Series]:
+        def mark(point: Row) -> Mark:
+            share = wilson(point["inserted"], count)
+            up = Estimate(*point["force_95_n"]) if y == "force" else Estimate(*(100 * value for value in share))
+            short = point["name"].split(":")[0]
+            return Mark(short, Estimate(*point["seconds_a_box"]), up, point["name"] == SHIPPED)
+
+        best, rest = ([mark(p) for p in points if (p["name"] in front) == held] for held in (True, False))
+        return [Series("on the front", best, joined=y == "force"), Series("beaten", rest)]
+
+    seconds = "seconds a box"
+    return [
+        Panel("(a) force against time", seconds, "largest force of 95 % of boxes, N", series("force")),
+        Panel("(a) success against time", seconds, "inserted, %", series("share"), y_from=80.0),
+    ]
+
+
+def _percent(right: list[float]) -> Estimate:
+    return Estimate(*(100 * value for value in right))
+
+
+def _pressing(data: Row) -> Panel:
+    """Direction over the time that pressing takes, and what deciding as soon as it is sure would give."""
+    speed = next(p for p in data["points"] if p["name"] == SHIPPED)["client"]["ramps"]["descend"]["speed_mm_s"]
+    kept, ships_mm = data["kept"], data["kept"]["ships_mm"]
+    fixed = []
+    for name, right in kept["depths"].items():
+        depth = float(name.removeprefix("test, ").removesuffix(" mm"))
+        fixed.append(Mark(f"{depth:g} mm", exact(depth / speed), _percent(right), depth == ships_mm))
+    sure = [
+        Mark(name.removeprefix("test, "), exact(ships_mm * (1 - row["saved"]) / speed), _percent(row["right"]))
+        for name, row in kept["sure"].items()
+        if name in EARLY
+    ]
+    title = "(b) pressing less, or deciding when sure"
+    return Panel(
+        title,
+        f"seconds of pressing at {speed:g} mm/s",
+        "direction right, %",
+        [Series("always as deep", fixed, joined=True), Series("as soon as this sure", sure)],
+        y_from=40.0,
+    )
+
+
+def _networks(kept: Row) -> Panel:
+    def series(*, deep: bool) -> list[Mark]:
+        return [
+            Mark(row["name"], exact(row["cpu_ms"]), _percent(row["right"]), ships=row["name"] == "steps of depth")
+            for row in kept["networks"]
+            if row["deep"] == deep
+        ]
+
+    both = [Series("any cell", series(deep=True)), Series("gels as narrow as the object", series(deep=False))]
+    return Panel("(c) networks, fp32", "CPU ms after the last frame", "direction right, %", both)
+
+
+def _builds(kept: Row) -> Panel:
+    marks = [
+        Mark(row["name"], exact(row["cpu_ms"]), _percent(row["same"]), row["name"] == "fp32") for row in kept["builds"]
+    ]
+    return Panel(
+        "(c) precisions, networks of pictures",
+        "CPU ms a step",
+        "same command as fp32, %",
+        [Series("builds", marks)],
+    )
+
+
+def _tiers(kept: Row) -> Panel:
+    def series(own: bool) -> list[Mark]:
+        return [
+            Mark(_short(row["name"]), exact(row["cpu_ms"]), exact(row["um"]), row["name"] == "bristle")
+            for row in kept["tiers"]
+            if row["name"] in CELLS and row["name"].startswith("finite") != own
+        ]
+
+    title, y = "(d) physics against the foreign cell", "markers apart, um RMS"
+    both = [Series("tiers", series(True)), Series("finite elements, of the foreign cell", series(False))]
+    return Panel(title, "CPU ms of a descent", y, both, log_x=True)
+
+
+def _short(name: str) -> str:
+    return name.removeprefix("finite elements, ").removesuffix(", load step 0.17 mm")

@@ -1,0 +1,67 @@
+"""What other pages measured, as the figures of this one need it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from reporting.statistics import wilson
+from service.contract.shipped import released_models
+from simulation.closed_loop.play import models_of
+from simulation.closed_loop.statistics import Row
+
+PARTS = ("benchmark", "depths", "foreign_check", "slip_report")
+
+
+def kept(docs: Path) -> Row:
+    """Networks, builds, depths, tiers and slip from ``docs/*.json`` and the cards of the released networks.
+
+    Raises ValueError where a file is missing.
+    """
+    bench, depths, check, slip = (_read(docs / f"{name}.json") for name in PARTS)
+    pressing = models_of(released_models()).card.pressing
+    return {
+        "ships_mm": round(pressing.depth_mm, 6) if pressing else None,
+        "networks": [_network(row["folder"], row["cpu_p50_ms"]) for row in bench["alexnet"]["rows"]],
+        "builds": [
+            {
+                "name": row["precision"],
+                "cpu_ms": row["cpu_p50_ms"],
+                "same": list(wilson(row["same_commands"], row["decisions"])),
+            }
+            for row in bench["int8"]
+        ],
+        "depths": {name: _right(row) for name, row in depths["depths"].items() if _of_test(name)},
+        "sure": {
+            name: {"saved": row["saved"], "right": _right(row)}
+            for name, row in depths["sure"].items()
+            if _of_test(name)
+        },
+        "tiers": [{"name": row["cell"], "cpu_ms": row["cpu_ms"], "um": row["markers_um"]} for row in check["costs"]],
+        "slip": {
+            "ms": slip["path_ms"]["median"],
+            **{name: slip["slip"][name] for name in ("images", "true fields")},
+        },
+    }
+
+
+def _read(path: Path) -> Row:
+    if not path.exists():
+        raise ValueError(f"{path}: no such file; expected the published results, as in docs/")
+    found: Row = json.loads(path.read_text(encoding="utf-8"))
+    return found
+
+
+def _of_test(name: str) -> bool:
+    return name.startswith("test") and "nothing told" not in name
+
+
+def _network(folder: str, cpu_ms: float) -> Row:
+    card = models_of(Path(folder)).card
+    reads = "markers" if card.markers else "steps of depth" if card.pressing else "pictures"
+    name = f"{reads}, joint" if card.role == "joint" else reads
+    return {"name": name, "deep": card.pressing is not None, "cpu_ms": cpu_ms, "right": _right(card.validation)}
+
+
+def _right(row: Row) -> list[float]:
+    return list(wilson(row["accuracy"] * row["trials"], int(row["trials"])))

@@ -1,0 +1,136 @@
+"""The figures of the page, declared once: drawn as a picture, and as a page to hover and zoom in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from reporting.figure import GREY, PALETTE, drawing
+from reporting.files import write_durably
+from reporting.statistics import Estimate
+
+COLUMNS = 3
+PANEL_IN = 4.4  # width of a panel, inches
+OFFSETS = tuple((dx, dy) for dy in (6, -13, 17, -24, 28, -35) for dx in (5, -30, -60))
+"""Where a name may stand, points from its mark: the first place that is free is taken."""
+
+
+class Mark(NamedTuple):
+    """A point with its name; an axis without an interval has a figure that is its own ends."""
+
+    name: str
+    x: Estimate
+    y: Estimate
+    ships: bool = False
+
+
+class Series(NamedTuple):
+    """Marks of one family; ``joined`` by a line."""
+
+    name: str
+    marks: Sequence[Mark]
+    joined: bool = False
+
+
+class Panel(NamedTuple):
+    """One figure."""
+
+    title: str
+    x: str
+    y: str
+    series: Sequence[Series]
+    log_x: bool = False
+    y_from: float = 0.0
+
+
+def exact(value: float) -> Estimate:
+    """A figure without an interval."""
+    return Estimate(value, value, value)
+
+
+def _bars(estimates: Sequence[Estimate]) -> tuple[list[float], list[float]]:
+    return [of.value - of.low for of in estimates], [of.high - of.value for of in estimates]
+
+
+def draw(panels: Sequence[Panel], path: Path) -> None:
+    """As PNG. What ships is a star; both axes begin at zero, or say otherwise."""
+    rows = -(-len(panels) // COLUMNS)
+    with drawing(path, rows, COLUMNS, size=(PANEL_IN * COLUMNS, 3.6 * rows)) as axes:
+        for axis, panel in zip(axes.flat, panels, strict=True):
+            axis.set(xlabel=panel.x, ylabel=panel.y, xscale="log" if panel.log_x else "linear")
+            axis.set_title(panel.title)
+            for series, colour in zip(panel.series, PALETTE, strict=False):
+                _draw_series(axis, series, colour)
+            axis.legend(loc="lower left")
+            axis.margins(0.15)
+            axis.set_ylim(panel.y_from, None)
+            if not panel.log_x:
+                axis.set_xlim(0, None)
+        axes[0, 0].figure.draw_without_rendering()  # where a mark stands is known once the panels are laid out
+        for axis, panel in zip(axes.flat, panels, strict=True):
+            _name(axis, [mark for series in panel.series for mark in series.marks])
+
+
+def _draw_series(axis: Any, series: Series, colour: str) -> None:
+    marks = sorted(series.marks, key=lambda mark: mark.x.value)
+    x, y = [mark.x for mark in marks], [mark.y for mark in marks]
+    at = [of.value for of in x], [of.value for of in y]
+    style: dict[str, Any] = {"fmt": "o-" if series.joined else "o", "capsize": 2, "elinewidth": 0.8, "ecolor": GREY}
+    axis.errorbar(*at, xerr=_bars(x), yerr=_bars(y), color=colour, label=series.name, **style)
+    ships = [mark for mark in marks if mark.ships]
+    axis.plot([mark.x.value for mark in ships], [mark.y.value for mark in ships], "*", color=colour, markersize=13)
+
+
+def _name(axis: Any, marks: Sequence[Mark]) -> None:
+    """Write each name beside its mark where it covers neither another name nor a mark, and stays in the panel."""
+    from matplotlib.transforms import Bbox
+
+    points = [axis.transData.transform((mark.x.value, mark.y.value)) for mark in marks]
+    taken = [Bbox.from_bounds(x - 5, y - 5, 10, 10) for x, y in points]
+    taken.append(axis.get_legend().get_window_extent())
+    for mark in sorted(marks, key=lambda mark: -mark.y.value):
+        at = mark.x.value, mark.y.value
+        text = axis.annotate(mark.name, at, OFFSETS[0], fontsize=7, textcoords="offset points")
+        text.set_in_layout(False)
+        for offset in OFFSETS:
+            text.set_position(offset)
+            box = text.get_window_extent()
+            inside = axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1
+            if inside and not any(box.overlaps(other) for other in taken):
+                break
+        taken.append(box)
+        line = {"arrowstyle": "-", "color": GREY, "linewidth": 0.4}
+        axis.annotate("", at, offset, textcoords="offset points", arrowprops=line)
+
+
+def write_html(panels: Sequence[Panel], path: Path) -> None:
+    """As one HTML file of 5 MB that needs no network. Raises ValueError where plotly is not installed."""
+    try:
+        from plotly.subplots import make_subplots
+    except ImportError as error:
+        raise ValueError("--html needs plotly: pip install plotly") from error
+    figure = make_subplots(-(-len(panels) // COLUMNS), COLUMNS, subplot_titles=[panel.title for panel in panels])
+    for place, panel in enumerate(panels):
+        where = {"row": place // COLUMNS + 1, "col": place % COLUMNS + 1}
+        for series, colour in zip(panel.series, PALETTE, strict=False):
+            figure.add_scatter(**_hovering(series, panel, colour), **where)
+        figure.update_xaxes(title=panel.x, type="log" if panel.log_x else "linear", rangemode="tozero", **where)
+        figure.update_yaxes(title=panel.y, rangemode="normal" if panel.y_from else "tozero", **where)
+    figure.update_layout(template="plotly_white", height=900, showlegend=False, title="What accuracy costs (simulated)")
+    write_durably(path, figure.to_html(include_plotlyjs=True).encode())
+
+
+def _hovering(series: Series, panel: Panel, colour: str) -> dict[str, Any]:
+    marks = sorted(series.marks, key=lambda mark: mark.x.value)
+    ends = {name: _bars([getattr(mark, name) for mark in marks]) for name in ("x", "y")}
+    return {
+        **{name: [getattr(mark, name).value for mark in marks] for name in ends},
+        **{f"error_{name}": {"array": high, "arrayminus": low} for name, (low, high) in ends.items()},
+        "mode": "lines+markers" if series.joined else "markers",
+        "marker": {"color": colour, "size": 9, "symbol": ["star" if mark.ships else "circle" for mark in marks]},
+        "text": [
+            f"{mark.name} ({series.name})<br>{panel.x}: {mark.x:.3g}<br>{panel.y}: {mark.y:.3g}" for mark in marks
+        ],
+        "hoverinfo": "text",
+    }

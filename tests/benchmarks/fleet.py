@@ -1,0 +1,76 @@
+"""What many cells cost: recordings and an adaptation measured here, the fleet worked out from them."""
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+CELLS_N, BOXES_A_DAY, ADAPTS_FROM_N = 100, 2000, 50
+"""A fleet to work out: cells, boxes that each packs a day, and recordings that each adapts to at night."""
+ADAPT = ("training", "adapt", "--from", "models/pressing/checkpoint.pt")
+
+
+def fleet(recordings: Path | None) -> dict[str, Any]:
+    """Size of a recorded insertion, and processor time of an adaptation to a folder of them."""
+    if recordings is None:
+        raise RuntimeError("--recordings names no folder of recorded insertions")
+    files = sorted(recordings.glob("*/insertion.mcap"))
+    with tempfile.TemporaryDirectory() as out:
+        cpu_s = _cpu_s(*ADAPT, str(recordings), "--out", out)
+    return {
+        "recordings_n": len(files),
+        "insertion_mb": round(float(np.median([file.stat().st_size / 1e6 for file in files])), 1),
+        "adapt_cpu_s": cpu_s,
+        "cells_n": CELLS_N,
+        "boxes_a_day": BOXES_A_DAY,
+        "adapts_from_n": ADAPTS_FROM_N,
+    }
+
+
+def _cpu_s(*command: str) -> float:
+    """Processor time of a module; it may end with 3, for an adaptation that leaves the release as it is."""
+
+    def of_children() -> float:
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return used.ru_utime + used.ru_stime
+
+    before = of_children()
+    alone = os.environ | {"OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, "-m", *command], env=alone, capture_output=True, text=True, check=False)
+    if done.returncode not in {0, 3}:
+        raise RuntimeError(done.stderr[-500:])
+    return round(of_children() - before, 1)
+
+
+def fleet_section(facts: dict[str, Any]) -> str:
+    """The arithmetic of a fleet, with what it rests on; empty where that was not measured."""
+    found, cell = (facts.get(name, {"failed": "not run"}) for name in ("fleet", "cells 1"))
+    if "failed" in found or "failed" in cell:
+        return ""
+    cells, boxes = found["cells_n"], found["boxes_a_day"]
+    day_gb = boxes * found["insertion_mb"] / 1e3
+    mbit_s = cells * day_gb * 8e3 / 86_400
+    adapt_s = found["adapt_cpu_s"] * found["adapts_from_n"] / found["recordings_n"]
+    night_gb = cells * found["adapts_from_n"] * found["insertion_mb"] / 1e3
+    return f"""
+    ## A fleet, worked out
+
+    Measured: an insertion is {found["insertion_mb"]:g} MB (median of {found["recordings_n"]} simulated ones, live, JPEG
+    at 427 x 320; a second of 2 x 30 fps is {0.03 * cell["pair_kb"]:.1f} MB), and `training adapt` takes
+    {found["adapt_cpu_s"]:.0f} s of one core for these. Assumed: {cells} cells, {boxes:,} boxes a day each, and an
+    adaptation a night to the last {found["adapts_from_n"]} recordings of a cell.
+
+    - Recordings: {cells} x {boxes:,} = {cells * boxes:,} a day.
+    - Storage of all of them: {boxes:,} x {found["insertion_mb"]:g} MB = {day_gb:.0f} GB a cell and day,
+      {cells * day_gb / 1e3:.1f} TB a day for the fleet. So they stay on the cell's PC, where `--recordings-max-gb` lets
+      the oldest go: 500 GB hold {500 / day_gb:.0f} days.
+    - Bandwidth, were all sent: {mbit_s:.0f} Mbit/s around the clock. What the night needs is {night_gb:.0f} GB, which
+      8 hours carry at {night_gb * 8e3 / (8 * 3600):.0f} Mbit/s; nothing at all if each cell's PC adapts itself.
+    - Adaptation: {found["adapts_from_n"]} / {found["recordings_n"]} x {found["adapt_cpu_s"]:.0f} s = {adapt_s:.0f} s a
+      cell if it grows with the recordings, {cells * adapt_s / 3600:.1f} hours of one core for all.
+    """
