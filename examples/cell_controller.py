@@ -24,10 +24,7 @@ URL = "ws://127.0.0.1:8000/v1/insertion"
 PROTOCOL, ATTEMPTS = 2, 15
 TRAVEL_MM = 1.5  # the furthest way from the capture of the last judged frame to standstill
 HEARTBEAT_S = 0.5
-READY_S, ANSWER_S = (
-    5.0,
-    15.0,
-)  # the service answers within 2 s, and after `stopped` within 10 s: a little more than that
+READY_S, ANSWER_S = 5.0, 15.0  # the service answers within 2 s, and after `stopped` within 10 s
 CAMERA_FAULTS = {"camera_lost", "camera_stalled", "camera_frozen", "camera_size", "stale_frames"}
 FINAL_REASONS = {"non_finite", "contradictory"}  # of `no_decision`: probing again would not help
 MOST_NO_DECISIONS = 2  # in a row
@@ -36,7 +33,7 @@ Message = dict[str, Any]
 
 
 class Arm(Protocol):
-    """Your robot and gripper. Each call returns when it is done, `descend` at once; each may raise."""
+    """Your robot and gripper. Each call returns when it is done, `descend` and `go_on` at once; each may raise."""
 
     def grasp(self) -> None:
         """Close the fingers on the object."""
@@ -44,8 +41,11 @@ class Arm(Protocol):
     def width_mm(self) -> float | None:
         """How far the fingers are apart, None if the gripper does not tell."""
 
-    def descend(self, depth_mm: float, speed_mm_s: float) -> None:
-        """Begin to move straight down by ``depth_mm``. A watchdog in the arm should end this without its controller."""
+    def descend(self, depth_mm: float, speed_mm_s: float, for_s: float) -> None:
+        """Begin to move straight down by ``depth_mm``, for ``for_s`` from now at most."""
+
+    def go_on(self, for_s: float) -> None:
+        """Move on for ``for_s`` from now at most; then the arm's watchdog ends the descent, whatever became of us."""
 
     def descending(self) -> bool:
         """Whether that motion is still under way."""
@@ -253,10 +253,9 @@ def _descend(arm: Arm, service: Service, task: Task, armed: Message) -> bool:
     attempt, newest_ns = armed["attempt"], armed["frame_captured_ns"]
     service.say("descending", attempt=attempt, speed_mm_s=task.speed_mm_s)
     try:
-        arm.descend(task.depth_mm, task.speed_mm_s)
+        arm.descend(task.depth_mm, task.speed_mm_s, _left_s(service, task, newest_ns))
         while arm.descending():
-            if (age_s := service.age_s(newest_ns)) > task.lease_s:
-                raise Held("unwatched", f"the newest judged frame is {age_s * 1e3:.0f} ms old")
+            arm.go_on(_left_s(service, task, newest_ns))
             match service.hear(timeout_s=0.005):
                 case {"type": "slip" | "enough"}:
                     return True
@@ -264,6 +263,15 @@ def _descend(arm: Arm, service: Service, task: Task, armed: Message) -> bool:
                     return False  # a camera: `no_decision` will say so, and the same spot is probed again
                 case {"type": "watching", "attempt": number, "frame_captured_ns": stamp_ns} if number == attempt:
                     newest_ns = max(newest_ns, stamp_ns)
+        _left_s(service, task, newest_ns)  # or the arm's watchdog ended it
     finally:
         arm.stop()
     return False
+
+
+def _left_s(service: Service, task: Task, newest_ns: int) -> float:
+    """How long the arm may move on the newest judged frame; raises Held where that time is over."""
+    age_s = service.age_s(newest_ns)
+    if age_s > task.lease_s:
+        raise Held("unwatched", f"the newest judged frame is {age_s * 1e3:.0f} ms old")
+    return task.lease_s - age_s

@@ -40,10 +40,12 @@ class Cell:
         self.service, self.fingers = service, fingers
 
     def insert(
-        self, arm: TinyArm, port: int | None = None, token: str | None = None, name: str | None = None, **told: str
+        self, arm: TinyArm, port: int | None = None, token: str | None = None, name: str | None = None, **told
     ) -> dict:
         named = name or f"box-{next(NUMBERS)}"
-        task = controller.Task(name=named, gap_width_mm=56.0, depth_mm=4.0, speed_mm_s=SLOW_MM_S, **told)
+        task = controller.Task(
+            **{"name": named, "gap_width_mm": 56.0, "depth_mm": 4.0, "speed_mm_s": SLOW_MM_S, **told}
+        )
         self.open_hand(True)
         arm.on_grasp = lambda: self.open_hand(False)
         url = f"ws://127.0.0.1:{port or self.service.port}/v1/insertion"
@@ -115,13 +117,13 @@ def cell(shared):
     return shared
 
 
-def stands(arm: TinyArm) -> None:
+def stands(arm: TinyArm, more_mm: float = 0.0) -> None:
     """The arm stands, went no further than the bound after the fault, and goes nowhere any more."""
     assert arm.stopped
     assert not arm.descending()
     depth_mm = arm.depth_mm()
     if arm.broken_mm is not None:
-        assert depth_mm - arm.broken_mm <= BOUND_MM
+        assert depth_mm - arm.broken_mm <= BOUND_MM + more_mm
     time.sleep(0.1)
     assert arm.depth_mm() == depth_mm
     assert not arm.moves
@@ -148,7 +150,7 @@ def test_it_stops_on_touch_corrects_once_and_inserts(cell):
             finger.probe_started = None
 
     arm.retract = retract_and_rest
-    finished = cell.insert(arm)
+    finished = cell.insert(arm, speed_mm_s=0.5 * SLOW_MM_S)  # a stop that comes late on a busy machine hides a turn
     assert (finished["type"], finished["outcome"]) == ("finished", "inserted")
     assert arm.grasped == 1
     assert len(arm.moves) == finished["attempts"] - 1 >= 1
@@ -167,11 +169,20 @@ def stop_service(cell, _):
     threading.Timer(3.0, os.kill, (cell.service.process.pid, signal.SIGCONT)).start()
 
 
-RARE = {"camera late by a second", "link dripping byte by byte"}
+def stop_ourselves(_cell, _proxy):
+    """The controller's own process stands still for a second; what ends the descent is the arm's watchdog."""
+    ours = os.getpid()
+    subprocess.run(["sh", "-c", f"kill -STOP {ours}; sleep 1; kill -CONT {ours}"], check=True)
+
+
+FIRST_COPY_MM = SLOW_MM_S / 15.0  # it looks new, and a frame is as far from the next one at this speed and rate
+FREQUENT = {"service stopped", "camera stalled", "link half open", "nonsense"}
 FAULTS = {
     "service stopped": (stop_service, "unwatched"),
+    "controller stopped": (stop_ourselves, "unwatched"),
     "camera stalled": (camera("stalled"), "unwatched|no_reference|turned_in_hand"),
     "camera frozen": (camera("frozen"), "unwatched|no_reference|turned_in_hand"),
+    "camera frozen beneath fresh noise": (camera("repeated"), "unwatched|no_reference|turned_in_hand"),
     "camera black": (camera("black"), "unwatched|no_reference|turned_in_hand"),
     "camera late by a second": (camera("late"), "unwatched|no_reference|turned_in_hand"),
     "link half open": (lambda _, proxy: proxy.hang(), "unwatched"),
@@ -196,7 +207,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize(
-    "fault", [pytest.param(name, marks=pytest.mark.slow) if name in RARE else name for name in FAULTS]
+    "fault", [name if name in FREQUENT else pytest.param(name, marks=pytest.mark.slow) for name in FAULTS]
 )
 def test_a_fault_in_mid_descent_stops_the_arm(cell, fault):
     cause, expected = FAULTS[fault]
@@ -205,7 +216,7 @@ def test_a_fault_in_mid_descent_stops_the_arm(cell, fault):
     try:
         with pytest.raises(Exception) as raised:
             cell.insert(arm, proxy.port)
-        stands(arm)
+        stands(arm, FIRST_COPY_MM if "fresh noise" in fault else 0.0)
         assert re.search(expected, f"{getattr(raised.value, 'cause', '')} {raised.value}")
     finally:
         proxy.close()
@@ -240,6 +251,7 @@ def test_another_client_that_takes_over_ends_the_descent(cell):
     link[0].close()
 
 
+@pytest.mark.slow
 def test_a_wall_clock_that_is_stepped_in_mid_descent_changes_nothing(cell, monkeypatch):
     today = time.time
 

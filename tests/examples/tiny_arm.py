@@ -1,4 +1,4 @@
-"""An arm that is nothing but its clock: it goes down until somebody stops it, and a little longer."""
+"""An arm that is nothing but its clock: it goes down for as long as it may, also while its controller stands still."""
 
 import threading
 import time
@@ -38,15 +38,21 @@ class TinyArm:
     def width_mm(self) -> float | None:
         return self.widths_mm.pop(0) if len(self.widths_mm) > 1 else self.widths_mm[0]
 
-    def descend(self, depth_mm: float, speed_mm_s: float) -> None:
+    def descend(self, depth_mm: float, speed_mm_s: float, for_s: float) -> None:
         if self.refuses:
             raise RuntimeError(self.refuses)
         self._speed_mm_s, self._to_mm = speed_mm_s, depth_mm
-        self._from_s, self._until_s = time.monotonic(), float("inf")
+        self._from_s = time.monotonic()
+        self._until_s = self._from_s + for_s
         if self._trouble:
             self._at(self._trouble_mm, self._break)
         elif self._touch and not self.moves:
             self._at(self._contact_mm, self._touch)
+
+    def go_on(self, for_s: float) -> None:
+        now_s = time.monotonic()
+        if now_s < self._until_s:
+            self._until_s = now_s + for_s
 
     def _at(self, depth_mm: float, call: Callable[[], object]) -> None:
         threading.Timer(depth_mm / self._speed_mm_s, call).start()
