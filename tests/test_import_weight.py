@@ -9,7 +9,17 @@ LIGHT = {
     "service.contract": ("torch", "numba", "cv2", "onnxruntime", "fastapi"),
     "service.perception.slip.detector": ("torch", "numba", "onnxruntime", "fastapi"),
     "service.web.app": ("torch", "numba", "simulation", "training"),
-    "robot_client.__main__": ("torch", "numba", "cv2", "onnxruntime", "fastapi", "simulation", "service.perception"),
+    ", ".join(
+        f"robot_client.{name}" for name in ("__main__", "cli.insert", "cli.check", "cli.jog", "session.replay")
+    ): (
+        "torch",
+        "numba",
+        "cv2",
+        "onnxruntime",
+        "fastapi",
+        "simulation",
+        "service.perception",
+    ),
     "simulation.__main__": ("torch", "onnxruntime", "training"),
     "simulation.cli.run": ("torch", "onnxruntime", "numba", "scipy", "fastapi"),  # `make demo` shows a picture soon
     "simulation.data.dataset": ("torch", "onnxruntime"),

@@ -31,6 +31,7 @@ CLOSING_STEPS = 6
 TOUCH_MM = 0.05  # how far the fingers close beyond first touch before they push
 THROUGH = 0.9  # of the thickness: small strains mean nothing there
 HALVINGS = 4
+FAILED_N = 120  # solves of a grasp. Insertions that end need none, each costs seconds; one took minutes a millimetre
 LOST_MM, LOST_GRIP = 12.0, 0.1
 YAW_ARM_MM = 40.0  # a yaw counts as the arc at this radius
 POISSON_RATIO = 0.48
@@ -89,7 +90,7 @@ class ForeignCell:
             raise ValueError(f"regrasp: expected finite numbers, got {x_mm}, {theta_deg}")
         spread = self.scene.grasp
         tilt = np.radians(self.rng.normal(0.0, 1.0, 2) * (spread.pre_tilt_spread_deg, spread.pre_yaw_spread_deg))
-        self.grasp_lost = False
+        self.grasp_lost, self._failed_n = False, 0
         self.pose = np.array([0.0, 0.0, spread.height_mm + CLEAR_MM, 0.0])
         self.bodies.forget()
         self._pace = None
@@ -197,7 +198,8 @@ class ForeignCell:
             self._arrive(target, start)
             return
         self.bodies.beside, self.bodies.hand = beside, before
-        if depth == HALVINGS:
+        self._failed_n += 1
+        if depth == HALVINGS or self._failed_n > FAILED_N:
             raise PhysicsError(
                 f"scene {self.scene.name!r}: no equilibrium within {TOLERANCE_N} N at TCP "
                 f"{np.round(target[:3], 3).tolist()} mm",

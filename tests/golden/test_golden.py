@@ -89,7 +89,7 @@ def compare_probes(rows: list[dict[str, Any]]) -> None:
 
 
 def test_probes_are_as_recorded() -> None:
-    compare_probes(read("probes")[::10])
+    compare_probes(read("probes")[::20])
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def compare_insertions(rows: list[dict[str, Any]]) -> None:
 
 
 def test_insertions_in_lock_step_are_as_recorded() -> None:
-    compare_insertions([row for row in read("loops") if row["job"]["scene"] in {"rectangle", "can"}][::2])
+    compare_insertions([row for row in read("loops") if row["job"]["scene"] in {"rectangle", "can"}][::4])
 
 
 @pytest.mark.slow

@@ -215,6 +215,7 @@ def batches_of_one_and_of_sixty_four(seed: int) -> float:
     holds="one thread and two give the same decision: relative gap",
     guard="export.onnx.verify:verify_model",
     limit=1e-5,
+    quick=False,
 )
 def threads_one_and_two(seed: int) -> float:
     worst = 0.0
@@ -230,6 +231,7 @@ def threads_one_and_two(seed: int) -> float:
     holds="both forms of each network decide alike, on golden and on hard frames: relative gap",
     guard="training.networks.forms:SequenceForm.forward",
     limit=1e-5,
+    quick=False,
 )
 def steps_against_sequences(seed: int) -> float:
     worst = 0.0

@@ -62,6 +62,7 @@ def _golden_decisions() -> list[Decision]:
     why="products that saturate in 16 bits, or a scale found on other frames, are wrong and say nothing",
     holds="a build whose outputs are a quarter off is refused: builds that pass",
     guard=Guard("export.quantise.quantise:FAR_OFF", "no build is far off", math.inf),
+    quick=False,
 )
 def int8_far_from_fp32(seed: int) -> float:
     import onnx

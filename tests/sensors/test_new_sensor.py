@@ -96,7 +96,7 @@ def test_its_camera_is_calibrated_from_a_resting_gel(profile: str) -> None:
     assert fit.residual_px < 0.5
 
 
-@pytest.mark.parametrize("kind", ["compact", "markers"])
+@pytest.mark.parametrize("kind", [pytest.param("compact", marks=pytest.mark.slow), "markers"])
 def test_a_network_of_its_size_trains_a_step(collected: Dataset, kind: str, tmp_path: Path) -> None:
     fit = kind == "markers"
     settings = NetworkConfig(kind=kind, front_width=8, trunk_width=8, feature_size=16, state_size=16, affine_fit=fit)

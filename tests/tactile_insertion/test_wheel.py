@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 from pathlib import Path
 
@@ -25,6 +26,15 @@ def installed(tmp_path_factory):
     wheel = next(folder.glob("*.whl"))
     subprocess.run([python, "-m", "pip", "-q", "install", "--no-deps", str(wheel)], check=True, timeout=300)
     return python
+
+
+def test_what_the_wheel_carries_beside_the_code_are_files():
+    """A pattern that takes in a folder breaks every build."""
+    carried = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
+    for pattern in (pattern for patterns in carried.values() for pattern in patterns):
+        found = list(ROOT.glob(pattern))
+        assert found, pattern
+        assert all(path.is_file() for path in found), pattern
 
 
 def run(python, folder, *words):

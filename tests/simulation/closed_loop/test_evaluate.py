@@ -43,7 +43,11 @@ def test_a_blocked_object_is_stopped_by_slip_and_inserted_by_a_true_correction(m
 
 
 @pytest.mark.parametrize(
-    "changes", [{"gel.tier": "layer", "gel.friction": 0.56}, {"gel.shear_modulus_n_per_mm2": 0.24}]
+    "changes",
+    [
+        pytest.param({"gel.tier": "layer", "gel.friction": 0.56}, marks=pytest.mark.slow),
+        {"gel.shear_modulus_n_per_mm2": 0.24},
+    ],
 )
 def test_an_object_that_slid_up_in_the_hand_without_a_slip_message_is_not_claimed(models, changes):
     """Yawed above the gap's middle it stands on both blocks: the whole patch slides straight up at once."""

@@ -45,6 +45,7 @@ def test_it_is_collected_and_probed(box, tmp_path, capsys):
     assert "outcome blocked" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_every_world_is_played_with_every_object_and_continued(box, models, tmp_path, capsys):
     world = tmp_path / "weak.toml"
     world.write_text(WEAK)

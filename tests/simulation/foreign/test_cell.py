@@ -1,10 +1,12 @@
 """The foreign cell keeps the laws of mechanics."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
+from simulation.foreign import cell as foreign
 from simulation.foreign.cell import TOLERANCE_N, ForeignCell
 from simulation.foreign.elements import Pad
 from simulation.foreign.pads import OPEN, SLIP, STICK
@@ -169,3 +171,12 @@ def test_rounds_settle_what_goes_round_in_circles():
     """A slanted object between grippy pads: limits that follow the pressures lead back and forth, held ones do not."""
     cell = ForeignCell(load_scene("white_box", gel__friction=2.0), 6, COARSE)
     assert cell.look().residual_n <= TOLERANCE_N
+
+
+def test_a_grasp_that_seldom_comes_to_rest_ends_before_it_costs_an_hour(monkeypatch):
+    """Every other load step fails once and is halved: the way would be gone, at several times its price."""
+    monkeypatch.setattr(foreign, "FAILED_N", 3)
+    cell, solve, calls = held(), ForeignCell._rests, itertools.count()
+    monkeypatch.setattr(ForeignCell, "_rests", lambda self, *step: next(calls) % 3 != 0 and solve(self, *step))
+    with pytest.raises(PhysicsError, match="no equilibrium"):
+        lowered(cell, 2.0)

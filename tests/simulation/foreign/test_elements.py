@@ -54,6 +54,7 @@ def test_no_poisson_ratio_locks(poisson):
     assert coarse == pytest.approx(fine, rel=0.03)
 
 
+@pytest.mark.slow
 def test_more_gel_around_the_contact_makes_it_stiffer_until_it_is_endless():
     stiffness = [pushed(face_of(Pad(WIDE, HIGH, THICK, 0.48, (m, m), 3, 3, 1)), 0) for m in (0.0, 2.0, 7.5, 80.0)]
     assert stiffness[0] < stiffness[1] < stiffness[2]

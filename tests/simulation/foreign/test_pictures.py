@@ -24,6 +24,7 @@ def camera():
     return Camera(load_scene("circle").sensor, seed=3)
 
 
+@pytest.mark.slow
 def test_the_tracker_reads_how_far_the_markers_went(held, camera):
     eye = TactileFinger("left", camera.sensor.rectified, camera.calibration)
     opened = camera.raw(np.zeros_like(held[0]), 1)

@@ -96,9 +96,8 @@ def test_an_unseen_point_counts_for_nothing(tmp_path):
     assert batch.fields[0, :8, 1, 2].min() == 1.0
 
 
-@pytest.mark.parametrize(
-    "stages", [("calibration", "gain"), pytest.param(("calibration", "gain", "heads", "all"), marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("stages", [("calibration", "gain"), ("calibration", "gain", "heads", "all")])
 def test_a_cell_that_is_off_is_learnt_from_work(release, tmp_path, stages):
     judged = adapt(recorded(tmp_path / "runs", 80, off_mm=6.0, work=True), release, tmp_path / "out", stages=stages)
     assert judged.accepted, judged.text()

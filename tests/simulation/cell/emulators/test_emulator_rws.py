@@ -87,7 +87,7 @@ def test_xhtml_is_the_default_form(cell):
 def test_stop_answers_before_it_has_stopped(cell, rws):
     bring_up(rws)
     cabinet = cell.cell.cabinet
-    quick, cabinet.delays = cabinet.delays, replace(cabinet.delays, program_stop_s=2.0)
+    quick, cabinet.delays = cabinet.delays, replace(cabinet.delays, program_stop_s=0.5)
     assert post(rws, "/rw/rapid/execution", "stop", stopmode="stop").status_code == 204
     assert field(rws, "/rw/rapid/execution", "ctrlexecstate") == "running"
     until(rws, "/rw/rapid/execution", "ctrlexecstate", "stopped")
