@@ -14,11 +14,11 @@ import numpy as np
 
 from service.contract.model_card import Expectations
 from service.decision.evidence import Density, Evidence, Floats, Refusal
+from service.decision.outline import YAW_SHARES, Outlines
 
 HALF_RANGE = 22.0  # grid reaches +-22 mm and +-22 deg
 CELL = 0.5
 PRIOR_SOFTNESS = 0.6
-SOFT_X_MM, SOFT_THETA_DEG = 0.35, 0.7  # of the tolerance
 SURE_INSERT = 0.95  # probability of insertion at zero error
 SHORT_LEVER_MM, UNKNOWN_LEVER_MM = 30.0, 45.0
 # Both networks see the same images, so their errors are correlated: each gets less than its full weight.
@@ -43,6 +43,11 @@ def _blurred(distance: Floats, sigma: Floats) -> Floats:
     """[n, n]: probability of the row's cell where the column's has moved to ``distance`` from it, spread by sigma."""
     kernel = np.exp(np.maximum(-0.5 * (distance / sigma) ** 2, -80.0))  # no denormals: they cost ten times as much
     return np.asarray(kernel / kernel.sum(0), np.float64)
+
+
+def _shares() -> Floats:
+    """Of the two hypotheses, before anything is known."""
+    return np.array([1 - GAIN_UNKNOWN_SHARE, GAIN_UNKNOWN_SHARE])
 
 
 def _near(values: Floats, tolerance: float, softness: float) -> Floats:
@@ -70,29 +75,32 @@ def _sign_membership(values: Floats, threshold: float, softness: float) -> Float
 class BeliefGrid:
     """Probability [89, 89] over the first error, and the sum of the moves made since.
 
-    ``layers`` [2, 89, 89] are the two hypotheses, trusted and gain unknown; together they sum to 1. All methods cost
-    well under a millisecond: every kernel is separable, so each is two small matrix products. ``expected``: of the
-    networks whose evidence it takes.
+    ``layers`` [2, 3, 89, 89] are the two hypotheses, trusted and gain unknown, each for every outline that the object
+    may have; together they sum to 1. ``expected``: of the networks whose evidence it takes. ``length_mm``: the object's
+    along the gap, see `Outlines`.
     """
 
-    def __init__(self, grasp_height_mm: float | None = None, expected: Expectations = USUAL) -> None:
+    def __init__(
+        self,
+        grasp_height_mm: float | None = None,
+        expected: Expectations = USUAL,
+        length_mm: float | None = None,
+    ) -> None:
         self._expected = expected
         self._cells = np.arange(-HALF_RANGE, HALF_RANGE + CELL / 2, CELL)
         edges = [_near(self._cells, edge, PRIOR_SOFTNESS) for edge in expected.edge]
         self._prior = np.outer(*edges) / (edges[0].sum() * edges[1].sum())
-        shares = np.array([1 - GAIN_UNKNOWN_SHARE, GAIN_UNKNOWN_SHARE])
-        self.layers: Floats = shares[:, None, None] * self._prior
+        self._outlines = Outlines(self._cells, expected.tolerance, length_mm)
+        outline = np.full(len(YAW_SHARES), 1 / len(YAW_SHARES))
+        self.layers: Floats = _shares()[:, None, None, None] * outline[:, None, None] * self._prior
         self.offset = np.zeros(2)
-        distance = self._cells[:, None] - self._cells[None]
-        self._aim_x = _near(distance, expected.tolerance[0], SOFT_X_MM)
-        self._aim_theta = _near(distance, expected.tolerance[1], SOFT_THETA_DEG)
         self._lever_mm = max(0.0, (grasp_height_mm or UNKNOWN_LEVER_MM) - SHORT_LEVER_MM)
         self._turned = _blurred(self._cells[:, None] - self._cells, np.array(expected.creep_theta_deg))
 
     @property
     def probability(self) -> Floats:
-        """[89, 89], sums to 1: both hypotheses together."""
-        return np.asarray(self.layers.sum(0), np.float64)
+        """[89, 89], sums to 1: all hypotheses together."""
+        return np.asarray(self.layers.sum((0, 1)), np.float64)
 
     @property
     def trust(self) -> float:
@@ -127,18 +135,15 @@ class BeliefGrid:
 
     def absorb_failure(self) -> None:
         """The current pose did not insert, so the error is not near zero."""
-        near = np.outer(
-            _near(self.current_x_mm, self._expected.tolerance[0], SOFT_X_MM),
-            _near(self.current_theta_deg, self._expected.tolerance[1], SOFT_THETA_DEG),
-        )
-        self._normalise(self.layers * (1 - SURE_INSERT * near))
+        inserts = self._outlines.chances(self.current_x_mm, self.current_theta_deg)
+        self._normalise(self.layers * (1 - SURE_INSERT * inserts))
 
     def absorb(self, evidence: Evidence) -> bool:
         """Multiply in a failed attempt and its evidence; False if they contradict, and the belief starts from it."""
         self.absorb_failure()
-        likelihood = np.stack([self.likelihood(evidence), self._gain_unknown_likelihood(evidence)])
-        shares = np.array([1 - GAIN_UNKNOWN_SHARE, GAIN_UNKNOWN_SHARE])[:, None, None]
-        wide = shares * (self._prior + 1e-3 * self._prior.max())
+        likelihood = np.stack([self.likelihood(evidence), self._gain_unknown_likelihood(evidence)])[:, None]
+        outline = self.layers.sum((0, 2, 3))[:, None, None]  # what failures have shown of it stays
+        wide = _shares()[:, None, None, None] * outline * (self._prior + 1e-3 * self._prior.max())
         if float((self.layers * likelihood).sum()) < INCONSISTENT_BELOW * float((wide * likelihood).sum()):
             self._normalise(wide * likelihood)
             return False
@@ -210,23 +215,27 @@ class BeliefGrid:
 
         The bound: 1 + P(next misses) (1 + P(the one after misses | nothing is learnt from the next but its failure)).
         """
-        probability = self.probability
-        hits = self._aim_x @ probability @ self._aim_theta.T
+        by_outline = self.layers.sum(0)
+        hits = self._outlines.hits(by_outline)
         candidates = _peaks(hits)
-        costs = [self._two_step_cost(probability, hits, row, column) for row, column in candidates]
+        costs = [self._two_step_cost(by_outline, hits, row, column) for row, column in candidates]
         row, column = candidates[int(np.argmin(costs))]
-        target = self._refined(probability, row, column)
+        target = self._refined(by_outline, row, column)
         return (-target[0] - float(self.offset[0]), -target[1] - float(self.offset[1])), float(hits[row, column])
 
-    def _two_step_cost(self, probability: Floats, hits: Floats, row: int, column: int) -> float:
-        missed = probability * (1 - SURE_INSERT * np.outer(self._aim_x[row], self._aim_theta[column]))
-        second = float((self._aim_x @ missed @ self._aim_theta.T).max())
+    def _aimed(self, row: int, column: int) -> Floats:
+        """[3, 89, 89]: how likely each outline enters where this cell is aimed at, for each error."""
+        return self._outlines.chances(self._cells - self._cells[row], self._cells - self._cells[column])
+
+    def _two_step_cost(self, by_outline: Floats, hits: Floats, row: int, column: int) -> float:
+        missed = by_outline * (1 - SURE_INSERT * self._aimed(row, column))
+        second = float(self._outlines.hits(missed).max())
         miss = 1 - SURE_INSERT * float(hits[row, column])
         return 1 + miss + (miss - SURE_INSERT * second)
 
-    def _refined(self, probability: Floats, row: int, column: int) -> tuple[float, float]:
+    def _refined(self, by_outline: Floats, row: int, column: int) -> tuple[float, float]:
         """Centre of mass of the belief inside the aimed tolerance: finer than a cell."""
-        inside = probability * np.outer(self._aim_x[row], self._aim_theta[column])
+        inside = (by_outline * self._aimed(row, column)).sum(0)
         total = inside.sum()
         return float(inside.sum(1) @ self._cells / total), float(inside.sum(0) @ self._cells / total)
 

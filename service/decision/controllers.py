@@ -139,7 +139,16 @@ def _pair(values: tuple[float, float]) -> str:
 
 
 def make_controller(
-    name: ControllerName, limits: Limits, grasp_height_mm: float | None = None, expected: Expectations = USUAL
+    name: ControllerName,
+    limits: Limits,
+    grasp_height_mm: float | None = None,
+    expected: Expectations = USUAL,
+    length_mm: float | None = None,
 ) -> Controller:
-    """A fresh controller for one insertion; the belief expects what the networks' card says of attempts with them."""
-    return Belief(limits, grid=BeliefGrid(grasp_height_mm, expected)) if name == "belief" else Heuristic(limits)
+    """A fresh controller for one insertion; the belief expects what the networks' card says of attempts with them.
+
+    ``length_mm``: how far the held object reaches along the gap, None if the gripper does not tell.
+    """
+    return (
+        Belief(limits, grid=BeliefGrid(grasp_height_mm, expected, length_mm)) if name == "belief" else Heuristic(limits)
+    )

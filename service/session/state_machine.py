@@ -123,7 +123,7 @@ class InsertionSession:
             state = "decided" if decided else "not decided yet"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
         if self.decider is None:
-            known = message.grasp_height_mm, self.models.card.expectations
+            known = message.grasp_height_mm, self.models.card.expectations, message.gripper_width_mm
             controller = make_controller(self.controller_name, self.limits, *known)
             self.decider = Decider(message.insertion_id, self.models, controller, self.deadlines)
         if message.attempt == 1:

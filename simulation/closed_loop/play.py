@@ -235,7 +235,9 @@ class Insertion:
                 if isinstance(command.message, LearnOpen):
                     self._hear(self.session.on_pair(self.cell.open_pair(), self.cell.now_ns))
             case Grasp():
-                self._events.append(Grasped(at_s=self.cell.now_s, width_mm=80.0))
+                held = self.cell.scene.object
+                width_mm = held.held_size_y_mm or held.size_y_mm
+                self._events.append(Grasped(at_s=self.cell.now_s, width_mm=width_mm))
             case Hold():
                 if self.cell.moving:
                     self.cell.hold()

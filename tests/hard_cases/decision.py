@@ -43,9 +43,10 @@ def normalised_first(read: Callable[..., Evidence]) -> Callable[..., Evidence]:
     return joint
 
 
-def hard_edge(values: np.ndarray, tolerance: float, _softness: float) -> np.ndarray:
-    """Near or not, nothing between."""
-    return (np.abs(values) < tolerance).astype(float)
+def sure_at_zero() -> float:
+    """How likely an object without an error enters, as the outlines have it."""
+    grid = BeliefGrid()
+    return float(grid._outlines.chances(np.zeros(1), np.zeros(1)).max())
 
 
 @case(
@@ -228,16 +229,16 @@ def belief_with_impossible_evidence(seed: int) -> float:
     why="all mass on the cell that just failed leaves nothing to normalise",
     holds="a failure at the only believed pose still leaves a probability and a move: non-finite values",
     guard=Guard(
-        "service.decision.belief:BeliefGrid.absorb_failure",
+        "service.decision.belief:SURE_INSERT",
         "a failure excludes its pose for sure",
-        with_globals(SURE_INSERT=1.0, _near=hard_edge),
+        lambda _: 1.0 / sure_at_zero(),
     ),
 )
 def belief_with_all_mass_on_one_cell(seed: int) -> float:
     grid = BeliefGrid()
     grid.layers[:] = 0.0
-    middle = grid.layers.shape[1] // 2
-    grid.layers[0, middle, middle] = 1.0
+    middle = grid.layers.shape[-1] // 2
+    grid.layers[0, -1, middle, middle] = 1.0
     with np.errstate(invalid="ignore", divide="ignore"):
         grid.absorb_failure()
         (dx, dtheta), hit = grid.best_move()

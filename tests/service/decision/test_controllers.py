@@ -85,20 +85,23 @@ def test_the_belief_remembers_that_a_pose_failed() -> None:
 def test_a_moves_cost_counts_the_next_attempt_its_miss_and_the_miss_of_the_best_one_after(target) -> None:
     grid = Belief(LIMITS).grid
     grid.absorb(certain("5", 3.0, 6.0))
-    cells, probability = grid.current_x_mm, grid.probability
+    cells, by_outline = grid.current_x_mm, grid.layers.sum(0)
 
     def missed(x_mm: float, theta_deg: float) -> np.ndarray:
-        """P(an attempt at this error misses) for each true error: 1 - 0.95 inside soft edges of 2 mm and 3.5 deg."""
-        x = 1 / (1 + np.exp((np.abs(cells - x_mm) - 2.0) / 0.35))
-        theta = 1 / (1 + np.exp((np.abs(cells - theta_deg) - 3.5) / 0.7))
-        return 1 - 0.95 * np.outer(x, theta)
+        """P(an attempt at this error misses) for each outline and true error: 1 - 0.95 inside a soft edge of 2 mm.
 
-    after_one = probability * missed(*target)
+        Of these the yaw takes none, 0.3 or all of what it takes of a rectangle, all of them at 3.5 deg.
+        """
+        turned_mm = 2.0 * np.sin(np.radians(np.abs(cells - theta_deg))) / np.sin(np.radians(3.5))
+        reached_mm = np.abs(cells - x_mm)[:, None] + np.multiply.outer([0.0, 0.3, 1.0], turned_mm)[:, None]
+        return 1 - 0.95 / (1 + np.exp((reached_mm - 2.0) / 0.35))
+
+    after_one = by_outline * missed(*target)
     both = min((after_one * missed(x, theta)).sum() for x in cells[30:60] for theta in cells[30:70])
     row, column = (int(np.flatnonzero(cells == value)[0]) for value in target)
-    hits = grid._aim_x @ probability @ grid._aim_theta.T
+    hits = grid._outlines.hits(by_outline)
     expected = 1 + after_one.sum() + both
-    assert grid._two_step_cost(probability, hits, row, column) == pytest.approx(expected, abs=1e-9)
+    assert grid._two_step_cost(by_outline, hits, row, column) == pytest.approx(expected, abs=1e-9)
 
 
 def test_contradicting_evidence_falls_back_to_the_heuristic() -> None:
@@ -162,7 +165,7 @@ def test_memory_saves_trials_in_a_toy_loop() -> None:
 
 
 @pytest.mark.slow  # a timed test: other tests on the same core would be measured, too
-def test_a_belief_decides_within_2_ms_of_cpu() -> None:
+def test_a_belief_decides_within_6_ms_of_cpu() -> None:
     rng = np.random.default_rng(0)
     belief = Belief(LIMITS)
     costs = []
@@ -170,7 +173,7 @@ def test_a_belief_decides_within_2_ms_of_cpu() -> None:
         started = time.thread_time()
         belief.decide(entry, 1)
         costs.append(time.thread_time() - started)
-    assert min(costs) < 2e-3  # the least: what a shared machine adds is not the belief's
+    assert min(costs) < 6e-3  # the least: what a shared machine adds is not the belief's
 
 
 def test_an_estimate_no_surer_than_the_training_spread_says_nothing() -> None:

@@ -7,6 +7,7 @@ from service.decision.controllers import make_controller
 from service.decision.evidence import Evidence
 from tests.service.tiny_models import CLASSES, SIGNS
 
+SHARP = (1.5, 2.5)
 LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
 
 
@@ -28,11 +29,20 @@ def evidence(x_mm: float, theta_deg: float, rng: np.random.Generator, sigma: tup
     return Evidence(CLASSES, share, centre, sigma)
 
 
-def trials(name: str, x_mm: float, theta_deg: float, rng: np.random.Generator, sigma: tuple[float, float]) -> int:
-    """Attempts until insertion; 16 for a failure after 15."""
-    controller = make_controller(name, LIMITS)  # type: ignore[arg-type]
+def trials(
+    name: str,
+    x_mm: float,
+    theta_deg: float,
+    rng: np.random.Generator,
+    sigma: tuple[float, float],
+    *,
+    length_mm: float = 80.0,
+    told_mm: float | None = None,
+) -> int:
+    """Attempts until insertion; 16 for a failure after 15. ``told_mm``: the length that the gripper tells."""
+    controller = make_controller(name, LIMITS, length_mm=told_mm)  # type: ignore[arg-type]
     for attempt in range(1, 16):
-        if inserts(x_mm, theta_deg):
+        if inserts(x_mm, theta_deg, length_mm=length_mm):
             return attempt
         command = controller.decide(evidence(x_mm, theta_deg, rng, sigma), attempt)
         x_mm, theta_deg = x_mm + command.dx_mm, theta_deg + command.dtheta_deg

@@ -60,7 +60,7 @@ def test_prior_and_spread_follow_the_data():
 def test_a_belief_moves_as_far_as_its_card_says():
     still, creeping = (BeliefGrid(45.0, Expectations(creep_mm=far, creep_near_mm=far)) for far in (0.0, 2.0))
     for grid in (still, creeping):
-        grid.layers[:, :60] = 0.0  # the error is beyond 8 mm
+        grid.layers[..., :60, :] = 0.0  # the error is beyond 8 mm
         grid.layers /= grid.layers.sum()
         grid.creep()
     (still_mm, _), (creeping_mm, _) = (grid.moments()[0] for grid in (still, creeping))

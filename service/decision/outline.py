@@ -1,0 +1,48 @@
+"""Which errors let an object into the gap, for the outlines that it may have: its shape is not known.
+
+An object enters where its outline, yawed by the error, is no wider than the gap: |x| + growth(yaw) <= clearance. A
+rectangle grows by half its length times the sine of the yaw, that is by 0.9 mm a degree where it is 100 mm long; a
+round or hexagonal one hardly grows at all, a polygon by something between. The length along the gap is what the
+fingers hold, which the gripper tells.
+"""
+
+import math
+
+import numpy as np
+
+from service.decision.evidence import Floats
+
+YAW_SHARES = (
+    0.0,
+    0.3,
+    1.0,
+)  # of a rectangle's growth: round or hexagonal, polygon, rectangle (medians of drawn objects)
+SOFT_MM = 0.35  # of the clearance: what the belief's cells and the creep in the hand blur
+
+
+class Outlines:
+    """Chances to enter, of every outline on a grid of errors: ``cells`` [n], evenly spaced, are both axes, mm and deg.
+
+    ``tolerance``: the clearance in mm, and the yaw in deg at which a rectangle of usual length takes all of it up.
+    ``length_mm``: the object's along the gap, None if the gripper does not tell.
+    """
+
+    def __init__(self, cells: Floats, tolerance: tuple[float, float], length_mm: float | None) -> None:
+        self._clearance_mm = tolerance[0]
+        self._half_length_mm = 0.5 * length_mm if length_mm else tolerance[0] / math.sin(math.radians(tolerance[1]))
+        count, step = len(cells), float(cells[1] - cells[0])
+        self._count, self._size = count, 60 * math.ceil(count / 30)  # at least twice as many: nothing wraps around
+        away = np.asarray(step * np.fft.ifftshift(np.arange(self._size) - self._size // 2), np.float64)
+        self._kernels = np.fft.rfft2(self.chances(away, away))
+
+    def chances(self, x_mm: Floats, theta_deg: Floats) -> Floats:
+        """[outlines, n, m]: how likely each outline enters at errors x [n] and yaw [m]."""
+        whole_mm = self._half_length_mm * np.abs(np.sin(np.radians(theta_deg)))
+        left_mm = self._clearance_mm - np.abs(x_mm)[:, None] - np.multiply.outer(YAW_SHARES, whole_mm)[:, None, :]
+        return np.asarray(0.5 * (1.0 + np.tanh(0.5 * left_mm / SOFT_MM)), np.float64)
+
+    def hits(self, probability: Floats) -> Floats:
+        """[n, n]: how likely it enters where each cell is aimed at, of a probability [outlines, n, n] of errors."""
+        spectrum = np.fft.rfft2(probability, (self._size, self._size))
+        whole = np.fft.irfft2((spectrum * self._kernels).sum(0), (self._size, self._size))
+        return np.asarray(np.maximum(whole[: self._count, : self._count], 0.0), np.float64)
