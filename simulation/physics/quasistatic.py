@@ -127,10 +127,12 @@ class QuasiStaticCell:
         start, reach = self.pose.copy(), self._free_share(target)
         if reach > 0.0:
             self.pose = start + reach * (target - start)
+            if self.relaxes:
+                if self.coasting is not None:
+                    self.coasting.velocity[:] = 0.0  # against the hand, which has carried it here
+                self._advance(self.pose, duration_s(self.pose - start, self.pace_mm_s))
             if self.coasting is not None:
                 self.coasting.ride(target[:3] - start[:3])
-            if self.relaxes:
-                self._advance(self.pose, duration_s(self.pose - start, self.pace_mm_s))
         rest = target - self.pose
         length = max(float(np.max(np.abs(rest[:3]))), 40.0 * abs(float(rest[3])))
         if reach < 1.0 and length > 0.0:

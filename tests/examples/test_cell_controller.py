@@ -150,11 +150,12 @@ def test_it_stops_on_touch_corrects_once_and_inserts(cell):
             finger.probe_started = None
 
     arm.retract = retract_and_rest
-    finished = cell.insert(arm, speed_mm_s=0.5 * SLOW_MM_S)  # a stop that comes late on a busy machine hides a turn
+    slowly = {"depth_mm": 2.5, "speed_mm_s": 0.5 * SLOW_MM_S}  # a stop that comes late on a busy machine hides a turn
+    finished = cell.insert(arm, **slowly)
     assert (finished["type"], finished["outcome"]) == ("finished", "inserted")
     assert arm.grasped == 1
     assert len(arm.moves) == finished["attempts"] - 1 >= 1
-    assert arm.depth_mm() == 4.0
+    assert arm.depth_mm() == 2.5
 
 
 def camera(trouble):
@@ -166,7 +167,7 @@ def camera(trouble):
 
 def stop_service(cell, _):
     os.kill(cell.service.process.pid, signal.SIGSTOP)
-    threading.Timer(3.0, os.kill, (cell.service.process.pid, signal.SIGCONT)).start()
+    threading.Timer(2.0, os.kill, (cell.service.process.pid, signal.SIGCONT)).start()
 
 
 def stop_ourselves(_cell, _proxy):
@@ -331,7 +332,7 @@ def test_full_depth_without_the_object_is_not_taken_for_an_insertion(cell):
     arm = TinyArm()
     arm.widths_mm = [49.6, 40.0]
     with pytest.raises(controller.Held, match="not_confirmed") as raised:
-        cell.insert(arm)
+        cell.insert(arm, depth_mm=2.0)
     assert raised.value.cause == "not_confirmed"
     assert not arm.retracted
     stands(arm)

@@ -203,6 +203,29 @@ class Bench:
         return await self.runner.run()
 
 
+def side_by_side(stories, cells_n=6):
+    """How each coroutine of a dictionary ends, ``cells_n`` cells at a time: most of their time is waiting.
+
+    What went wrong in one is kept, and raised where :func:`outcome` is asked for it.
+    """
+
+    async def one(story, turn):
+        async with turn:
+            return await asyncio.wait_for(story, 60.0)
+
+    async def every():
+        turn = asyncio.Semaphore(cells_n)
+        return await asyncio.gather(*(one(story, turn) for story in stories.values()), return_exceptions=True)
+
+    return dict(zip(stories, asyncio.run(every()), strict=True))
+
+
+def outcome(ends, name):
+    if isinstance(ends[name], BaseException):
+        raise ends[name]
+    return ends[name]
+
+
 @contextlib.asynccontextmanager
 async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", part=None, omnicore=None):
     """``omnicore``: files of a certificate and its key, for a controller of RobotWare 7."""

@@ -3,11 +3,13 @@
 import asyncio
 import itertools
 import json
+import time
 
 import pytest
 
 from robot_client.insertion.state import Phase
 from robot_client.session.replay import replay
+from robot_client.session.telemetry import BATCH_N
 from service.contract import wire
 from tests.robot_client.live_cell import bench
 
@@ -19,6 +21,16 @@ def run(coroutine):
 async def _insert(tmp_path=None, lag_ms=20.0, **options):
     log = tmp_path / "episode.jsonl" if tmp_path else None
     async with bench(lag_ms=lag_ms, **options) as cell:
+        cell.heard = []
+
+        def listen(message):
+            if isinstance(message, wire.Episode | wire.Telemetry):
+                cell.heard.append((time.monotonic_ns(), message))
+            if isinstance(message, wire.Stopped) and message.outcome == "blocked":
+                return [cell.service.correction(message.attempt)] * 3
+            return None
+
+        cell.service.on_message = listen
         state = await cell.insert(log=log)
         cell.farewell = cell.runner.farewell
         return cell, state
@@ -26,7 +38,10 @@ async def _insert(tmp_path=None, lag_ms=20.0, **options):
 
 @pytest.fixture(scope="module", params=[20.0, pytest.param(50.0, marks=pytest.mark.slow)], ids="lag {:g} ms".format)
 def inserted(request, tmp_path_factory):
-    """One insertion by the real protocols, for each lag of the arm: the cell after it, the final state, its log."""
+    """One insertion by the real protocols, for each lag of the arm: the cell after it, the final state, its log.
+
+    The service repeats each correction twice.
+    """
     folder = tmp_path_factory.mktemp("episode")
     cell, state = run(_insert(folder, lag_ms=request.param, holding=False))
     assert state.phase is Phase.INSERTED, state.reason
@@ -91,22 +106,36 @@ def test_the_gripper_is_asked_to_grasp_what_it_does_not_hold_and_is_never_stoppe
     assert cell.wsg.counters.fast_stops_by_disconnect == 0
 
 
-def test_a_repeated_correction_moves_the_arm_once():
-    async def story():
-        async with bench() as cell:
+def test_a_repeated_correction_moves_the_arm_once(inserted):
+    assert inserted[0].report.rows[1].x_mm == pytest.approx(8.0 * 0.3, abs=0.05)
 
-            def twice(message):
-                if isinstance(message, wire.Stopped) and message.outcome == "blocked":
-                    return [cell.service.correction(message.attempt)] * 3
-                return None
 
-            cell.service.on_message = twice
-            state = await cell.insert()
-            return state, cell.report.rows
+def test_an_insertion_tells_what_was_to_be_done_and_where_the_robot_was(inserted):
+    cell, *_ = inserted
+    (_, episode), *batches = cell.heard
+    lowest_mm = min(pose.position_mm[2] for _, _, pose in cell.trace)
+    assert isinstance(episode, wire.Episode)
+    assert (episode.approach.x_mm, episode.approach.yaw_deg) == (8.0, 6.0)
+    assert episode.start.z_mm == pytest.approx(40.0, abs=0.5)
+    samples = [sample for _, batch in batches for sample in batch.samples]
+    stamps = [sample.at_ns for sample in samples]
+    assert stamps == sorted(stamps)
+    assert {sample.width_mm for sample in samples[-5:]} == {50.0}
+    deepest = max(sample.depth_mm for sample in samples if sample.depth_mm is not None)
+    assert deepest == pytest.approx(episode.approach.z_mm - lowest_mm, abs=1.0)
+    assert {sample.phase for sample in samples} >= {"approaching", "descending"}
+    moving = [sample for sample in samples if sample.phase == "descending"]
+    assert all(s.commanded.z_mm <= s.measured.z_mm + 0.5 for s in moving)  # the arm lags behind what it is told
+    assert any(s.commanded.z_mm < s.measured.z_mm - 0.05 for s in moving)
+    assert samples[-1].at_ns > cell.heard[-1][0] - int(0.5e9)
 
-    state, rows = run(story())
-    assert state.phase is Phase.INSERTED, state.reason
-    assert rows[1].x_mm == pytest.approx(8.0 * 0.3, abs=0.05)
+
+def test_nothing_waits_longer_than_a_batch_to_be_sent(inserted):
+    """So a client that is killed takes a tenth of a second with it, as far as its machine had the time."""
+    _, *batches = inserted[0].heard
+    assert all(len(batch.samples) <= BATCH_N for _, batch in batches)
+    spans = sorted((batch.samples[-1].at_ns - batch.samples[0].at_ns) * 1e-9 for _, batch in batches)
+    assert spans[len(spans) // 2] == pytest.approx(0.02 * (BATCH_N - 1), rel=0.25)
 
 
 def test_an_interrupt_holds_the_arm_and_stops_the_program():

@@ -14,8 +14,9 @@ class BusyPortError(ValueError):
 
 
 def _bind(kind: socket.SocketKind, port: int, name: str) -> socket.socket:
-    sock = socket.socket(socket.AF_INET, kind)
-    if kind == socket.SOCK_STREAM:
+    stream = kind == socket.SOCK_STREAM
+    sock = socket.socket(socket.AF_INET, kind, socket.IPPROTO_TCP if stream else 0)  # or asyncio delays
+    if stream:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         sock.bind((HOST, port))

@@ -16,9 +16,9 @@ from robot_client.session.cycle import CycleSettings
 from robot_client.session.handshake import HandshakeSettings
 from robot_client.settings import _merged, load_settings
 from service.contract import wire
-from tests.robot_client.live_cell import bench
+from tests.robot_client.live_cell import bench, outcome, side_by_side
 
-SOON = {"robot": {"rws": {"request_timeout_s": 0.5}}, "gripper": {"reply_timeout_s": 0.5}}
+SOON = {"robot": {"rws": {"request_timeout_s": 1.0}}, "gripper": {"reply_timeout_s": 0.5}}
 SOON["service"] = {"connect_timeout_s": 1.0}
 
 
@@ -139,19 +139,22 @@ async def found(inject):
 
 
 @pytest.fixture(scope="module")
-def healthy():
-    return asyncio.run(found(lambda _cell: None))
+def examined():
+    """The rows of a healthy cell, and of one for each fault."""
+    injected = {"healthy": lambda _cell: None} | {name: inject for name, (inject, _, _) in FAULTS.items()}
+    return side_by_side({name: found(inject) for name, inject in injected.items()})
 
 
-def test_a_healthy_cell_has_nothing_wrong(healthy):
-    assert [row for row in healthy if not row.good] == []
-    assert {row.area for row in healthy} >= {"limits", "controller", "network", "gripper", "service"}
+def test_a_healthy_cell_has_nothing_wrong(examined):
+    rows = outcome(examined, "healthy")
+    assert [row for row in rows if not row.good] == []
+    assert {row.area for row in rows} >= {"limits", "controller", "network", "gripper", "service"}
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_is_named_where_it_is_with_its_remedy(name):
-    inject, area, words = FAULTS[name]
-    wrong = [row for row in asyncio.run(found(inject)) if not row.good]
+def test_a_fault_is_named_where_it_is_with_its_remedy(name, examined):
+    _, area, words = FAULTS[name]
+    wrong = [row for row in outcome(examined, name) if not row.good]
     assert wrong, f"{name}: nothing was found"
     named = [
         row for row in wrong if re.search(words, row.remedy) and row.area in {area, row.area if area == "*" else area}

@@ -59,3 +59,24 @@ def test_a_fast_heavy_object_still_moves_after_the_arm_has_stopped() -> None:
     after = slice(calm.stop_frame, None)
     assert np.ptp(calm.in_hand[after, 2]) == 0.0
     assert np.ptp(fast.in_hand[fast.stop_frame :, 2]) > 0.01
+
+
+def test_an_object_that_is_lowered_steadily_in_creeping_gels_weighs_what_it_weighs() -> None:
+    """Before it touches anything: at constant speed nothing but gravity pulls at it."""
+    scene = load_scene(
+        "rectangle",
+        speed_mm_s=25.0,
+        effects__inertia="on",
+        effects__gravity="on",
+        object__mass_kg=0.4,
+        gel__relaxation_share=0.3,
+        gel__relaxation_s=0.6,
+        **CLEAN,
+    )
+    cell = QuasiStaticCell(scene)
+    cell.regrasp(0.0, 0.0)
+    x_mm, y_mm, z_mm, yaw_rad = cell.pose
+    forces_n = [
+        -cell.move_to(x_mm, y_mm, z_mm - 0.25 * step, np.degrees(yaw_rad)).wrench_n_nmm[2] for step in range(1, 17)
+    ]
+    assert forces_n[-8:] == pytest.approx([scene.object.mass_kg * 9.81] * 8, rel=0.01)
