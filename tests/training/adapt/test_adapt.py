@@ -10,9 +10,12 @@ from service.contract import ContractError, Sensor
 from tests.training.conftest import tiny
 from tests.training.data.test_pressed import down
 from training.adapt.adapt import adapt, hold_out, judge
+from training.adapt.stages import calibrated
 from training.data.episodes import read_episodes
+from training.data.labels import class_of
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import train
+from training.metrics.figures import Predictions, Scales
 from training.networks.pressing import LATTICE
 from training.networks.settings import NetworkConfig
 
@@ -135,6 +138,22 @@ def test_probes_that_say_nothing_never_make_a_surer_network(release, tmp_path):
     judged = judged_by(Checkpoint.load(release), samples, "calibration", "gain")
     assert judged.figures[judged.best]["coverage90_x"] > judged.figures["released"]["coverage90_x"]
     assert judged.figures[judged.best]["likelihood"] < judged.figures["released"]["likelihood"]
+
+
+@pytest.mark.parametrize(("known_of", "surer"), [("probe", True), ("work", False)])
+def test_only_probes_make_a_network_surer(known_of, surer):
+    """What went in by a network's own moves agrees with it, whatever its error was."""
+    rng, count = np.random.default_rng(0), 60
+    truth = rng.uniform(-12, 12, (count, 2))
+    error = truth + rng.normal(0.0, 0.2, truth.shape)
+    logits = 9.0 * np.eye(9)[class_of(truth.astype(np.float32))]
+    said = Predictions(logits, error, np.zeros((count, 2)), truth, np.full(count, known_of))
+    before = Scales(1.2, 1.1, 1.0)
+    after = calibrated(before, said)
+    for name in ("temperature", "sigma_x", "sigma_theta"):
+        assert (getattr(after, name) < getattr(before, name)) == surer
+    wrong = replace(said, error=truth + rng.normal(0.0, 3.0, truth.shape))
+    assert min(calibrated(before, wrong).sigma_x, calibrated(before, wrong).sigma_theta) > 2.0
 
 
 def test_a_cell_that_is_as_released_keeps_the_release_or_a_likelier_one(release, tmp_path):
