@@ -9,6 +9,7 @@ import asyncio
 import hashlib
 import json
 import math
+import os
 import random
 import time
 from collections.abc import Awaitable, Callable
@@ -113,11 +114,14 @@ def read_record(path: Path) -> Record | None:
 
 
 def keep_record(path: Path, record: Record) -> None:
-    """Write it whole or not at all, with its digest."""
+    """Write it whole or not at all, with its digest, so that a kill or a power cut leaves what was there before."""
     record = record.model_copy(update={"sha256": record.digest()})
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(record.model_dump(mode="json"), indent=1) + "\n", encoding="utf-8")
+    with temporary.open("w", encoding="utf-8") as file:
+        file.write(json.dumps(record.model_dump(mode="json"), indent=1) + "\n")
+        file.flush()
+        os.fsync(file.fileno())
     temporary.replace(path)
 
 

@@ -31,6 +31,7 @@ from simulation.scene.scene import Scene
 from simulation.scene.shapes import half_width_mm
 from simulation.scene.worlds import World
 from simulation.studies.episodes import Episode, carried_out, named_mistakes, play
+from simulation.studies.pace.points import client, with_care
 
 COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
@@ -99,7 +100,8 @@ class Cell:
         rows = []
         for index, (name, (x_mm, theta_deg)) in enumerate(zip(names, np.asarray(starts, float), strict=True)):
             seed = int(np.random.SeedSequence((self.seed, purpose, index)).generate_state(1)[0])
-            rows.append(job_in(self.world, name, index, (x_mm, theta_deg), seed, cell=self.cell))
+            more = {"cell": self.cell, "client": with_care(client(), self.world, name)}
+            rows.append(job_in(self.world, name, index, (x_mm, theta_deg), seed, **more))
         return rows
 
 

@@ -27,12 +27,14 @@ from training.data.labels import class_of
 from training.data.pressed import Pressed
 from training.fit.checkpoint import Checkpoint
 from training.metrics.figures import Z90, Predictions, figures, probabilities
+from training.metrics.joint import Densities
 
 FEWEST = 20
 DRAWS = 2000
 LIKELIER_THAN = 0.05
 COVERAGE_SLACK = 0.02
 Figures = dict[str, float]
+Held = dict[StageName, tuple[Predictions, Densities]]
 
 
 @dataclass(frozen=True)
@@ -84,28 +86,35 @@ def adapt(recordings: Path, start: Path, out: Path, *, stages: Iterable[StageNam
     samples = read_episodes(recordings, release.sensor)
     said = trainer_of(release.build(), samples).predict(np.arange(len(samples)), pictures=False)
     samples, gap = framed(samples, said.error)
-    judged = replace(judge(release, samples, tuple(stages), seed), gap=gap)
+    held = hold_out(release, samples, tuple(stages), seed)
+    judged = replace(judge(release, samples, held, seed), gap=gap)
     if judged.accepted:
-        _fitted(judged, release, samples, seed).save(out / "checkpoint.pt")
+        _fitted(judged, release, samples, held[judged.best], seed).save(out / "checkpoint.pt")
     return judged
 
 
-def judge(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], seed: int) -> Judged:
-    """Cross-validate all stages over fixtures; every count is compared with the release's in pairs.
+def hold_out(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], seed: int) -> Held:
+    """What each stage says of fixtures that it was not fitted to; of too few samples nothing."""
+    groups = samples.groups[samples.objects != LATER]
+    if len(groups) < FEWEST or len(np.unique(groups)) < FOLDS:
+        return {}
+    return {stage: held_out(stage, release, samples, seed) for stage in dict.fromkeys(("released", *stages))}
+
+
+def judge(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Judged:
+    """Compare what all stages said of held-out fixtures; every count is compared with the release's in pairs.
 
     The best is the likeliest that nothing speaks against; where there is none, the likeliest.
     """
     first = samples.objects != LATER
     groups = samples.groups[first]
     fixtures_n = len(np.unique(groups))
-    if len(groups) < FEWEST or fixtures_n < FOLDS:
+    if not held:
         few = (
             f"{len(groups)} first attempts of {fixtures_n} fixtures, expected {FEWEST} of {FOLDS} at least: probe more"
         )
         return Judged({}, "released", (few,), len(samples), fixtures_n)
-    said = {
-        stage: held_out(stage, release, samples, seed)[0].take(first) for stage in dict.fromkeys(("released", *stages))
-    }
+    said = {stage: pair.take(first) for stage, (pair, _) in held.items()}
     folds = folds_of(groups, seed)
     fair = {stage: _fair(stage, release, one, folds) for stage, one in said.items()}
     losses = {stage: _losses(one) for stage, one in fair.items()}
@@ -131,9 +140,11 @@ def _fair(stage: StageName, release: Checkpoint, said: Predictions, folds: list[
     return Predictions(**joined)
 
 
-def _fitted(judged: Judged, release: Checkpoint, samples: Pressed, seed: int) -> Checkpoint:
-    """The release after the accepted stage on all samples, calibrated on what was said of held-out ones."""
-    pair, joint = (said.take(samples.objects != LATER) for said in held_out(judged.best, release, samples, seed))
+def _fitted(
+    judged: Judged, release: Checkpoint, samples: Pressed, held: tuple[Predictions, Densities], seed: int
+) -> Checkpoint:
+    """The release after the accepted stage on all samples, calibrated on what was said of ``held`` out ones."""
+    pair, joint = (said.take(samples.objects != LATER) for said in held)
     network = fit_stage(judged.best, release, samples, np.arange(len(samples)), seed)
     lineage: dict[str, JsonValue] = {
         "from": release.weights_sha256(),

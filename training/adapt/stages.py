@@ -24,8 +24,10 @@ from training.networks.decider import ERROR_SCALE, Decider
 Rows = NDArray[np.int64]
 StageName = Literal["released", "calibration", "gain", "heads", "all"]
 STAGES: tuple[StageName, ...] = ("released", "calibration", "gain", "heads", "all")
-PULL_N, SCALES_PULL_N = 20, 5
-"""Samples that the release counts for, against those of the cell: in gains and weights, and in the few scales."""
+PULL_N, WEIGHTS_PULL_N, SCALES_PULL_N = 20, 5, 5
+"""Samples that the release counts for, against those of the cell: in gains, in weights, and in the few scales."""
+MOST_EPOCHS, SEEN_N = 60, 9000
+"""Epochs of few samples, and how often samples are seen in all where there are many; 18 epochs at least."""
 FOLDS = 5
 BATCH = 32
 _OF_DENSITIES = ("log_density", "truth", "objects")
@@ -113,9 +115,12 @@ def _tune(
 ) -> None:
     """A few epochs with symmetries and disturbances; ``parameters`` are pulled to where they were."""
     torch.manual_seed(seed)
+    network.requires_grad_(requires_grad=False)
+    for parameter in parameters:
+        parameter.requires_grad_()
     rng, trainer = np.random.default_rng(seed), trainer_of(network, samples)
     start = [parameter.detach().clone() for parameter in parameters]
-    epochs = max(6, min(20, 3000 // len(rows)))
+    epochs = max(18, min(MOST_EPOCHS, SEEN_N // len(rows)))
     optimiser = torch.optim.Adam(parameters, lr=rate)
     total = epochs * -(-len(rows) // BATCH)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=total, pct_start=0.1)
@@ -125,7 +130,7 @@ def _tune(
         for begin in range(0, len(order), BATCH):
             batch = samples.batch(order[begin : begin + BATCH], rng)
             pull = sum((now - was).square().sum() for now, was in zip(parameters, start, strict=True))
-            loss = trainer.trunk_loss(batch) + PULL_N / len(rows) * pull
+            loss = trainer.trunk_loss(batch) + WEIGHTS_PULL_N / len(rows) * pull
             optimiser.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(parameters, 1.0)

@@ -12,7 +12,7 @@ from simulation.closed_loop.client import longest_travel_mm
 from simulation.closed_loop.job import job_in
 from simulation.scene.drawn import fastest_mm_s
 from simulation.scene.scene import APPROACH_MM
-from simulation.scene.worlds import load_scene
+from simulation.scene.worlds import World, load_scene
 from simulation.studies.drawn_worlds import Start
 
 Tables = Mapping[str, Any]
@@ -75,7 +75,7 @@ def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Pa
                 (start.x_mm, start.theta_deg),
                 seed * 1_000_000 + index,
                 condition=point.name,
-                client=with_care(point, start),
+                client=with_care(point.client, start.world, start.scene),
                 told_reach=True,
             ),
         )
@@ -84,14 +84,13 @@ def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Pa
     ]
 
 
-def with_care(point: Point, start: Start) -> Tables:
-    """The point's tables, no faster than cameras and stop of a world allow; see `drawn.fastest_mm_s`."""
-    world = start.world
+def with_care(tables: Tables, world: World, scene: str) -> Tables:
+    """Tables of a client, no faster than cameras and stop of a world allow; see `drawn.fastest_mm_s`."""
     late_s = 1e-3 * world.changes.get("camera.latency_ms", 0.0) + world.unstated.stop_lag_s
-    top_mm_s = fastest_mm_s(world.around(load_scene(start.scene)).fps, late_s)
-    tables: dict[str, Any] = json.loads(json.dumps(point.client))
-    descend, pace = tables["ramps"]["descend"], tables["pace"]
+    top_mm_s = fastest_mm_s(world.around(load_scene(scene)).fps, late_s)
+    slowed: dict[str, Any] = json.loads(json.dumps(tables))
+    descend, pace = slowed["ramps"]["descend"], slowed["pace"]
     descend["speed_mm_s"] = min(descend["speed_mm_s"], top_mm_s)
     pace["fast_mm_s"] = min(pace["fast_mm_s"], top_mm_s)
     pace["fast_travel_mm"] = longest_travel_mm(pace["fast_mm_s"])
-    return tables
+    return slowed

@@ -2,6 +2,9 @@
 
 import asyncio
 import json
+import subprocess
+import sys
+import time
 
 import pytest
 from hypothesis import given
@@ -178,6 +181,35 @@ def test_it_goes_on_where_it_was_broken_off_and_loses_the_probe_under_way(tmp_pa
     assert len(record.probes) == 6
     assert broken.probed[:7] + broken.probed[8:] == whole.probed
     assert whole.fetched_n == len(whole.probed)
+
+
+ENDLESS = """
+import asyncio, sys
+from pathlib import Path
+from tests.robot_client.session.test_commission import Cell, commissioning
+asyncio.run(commissioning(Cell(), Path(sys.argv[1])).run(1000000))
+"""
+
+
+@pytest.mark.parametrize("least_n", [2, 7, 30])
+def test_a_kill_at_any_point_loses_no_probe_that_was_kept(least_n, tmp_path):
+    path, whole = tmp_path / "record.json", Cell()
+    process = subprocess.Popen([sys.executable, "-c", ENDLESS, str(path)])
+    try:
+        until_s = time.monotonic() + 60.0
+        while (record := read_record(path)) is None or len(record.signs) + len(record.probes) < least_n:
+            assert process.poll() is None
+            assert time.monotonic() < until_s
+    finally:
+        process.kill()
+        process.wait()
+    record = read_record(path)
+    total = max(len(record.probes), 1)
+    record = asyncio.run(commissioning(Cell(), path, record).run(total))
+    asyncio.run(commissioning(whole, tmp_path / "whole.json").run(total))
+    probed = [(probe.x_mm, probe.theta_deg) for probe in (*record.signs, *record.probes)]
+    assert len(probed) >= least_n
+    assert probed == whole.probed
 
 
 def test_nothing_goes_on_in_a_cell_with_the_wrong_signs(tmp_path):

@@ -66,7 +66,7 @@ def test_what_ships_is_a_choice_that_was_played():
 def test_no_choice_is_faster_in_a_world_than_its_cameras_bear():
     slow = Start(World(changes={"camera.fps": 10.0, "camera.latency_ms": 100.0}), "circle", 0.0, 0.0, 1.0)
     for point in POINTS:
-        tables = with_care(point, slow)
+        tables = with_care(point.client, slow.world, slow.scene)
         assert tables["pace"]["fast_mm_s"] < 8.0
         assert tables["ramps"]["descend"]["speed_mm_s"] < 8.0
 

@@ -9,7 +9,7 @@ import pytest
 from service.contract import ContractError, Sensor
 from tests.training.conftest import tiny
 from tests.training.data.test_pressed import down
-from training.adapt.adapt import adapt, judge
+from training.adapt.adapt import adapt, hold_out, judge
 from training.data.episodes import read_episodes
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import train
@@ -55,6 +55,10 @@ def keep(folder, attempts, purpose, outcome, x_mm, theta_deg):
         np.savez(path, steps=steps, conditions=CONDITIONS, decision=np.array(json.dumps(decision)))
     summary = {"purpose": purpose, "outcome": outcome, "approach": {"x_mm": x_mm, "yaw_deg": theta_deg}}
     (folder / "summary.json").write_text(json.dumps(summary))
+
+
+def judged_by(start, samples, *stages):
+    return judge(start, samples, hold_out(start, samples, stages, 0), 0)
 
 
 @pytest.fixture(scope="module")
@@ -108,8 +112,8 @@ def test_a_cell_that_is_off_is_learnt_from_work(release, tmp_path, stages):
     assert made.run["adapted"]["stage"] == judged.best
     assert made.weights_sha256() != Checkpoint.load(release).weights_sha256() or judged.best == "calibration"
     fresh = read_episodes(recorded(tmp_path / "fresh", 40, off_mm=6.0, seed=1, work=True), made.sensor)
-    again = judge(made, fresh, (), 0).figures["released"]
-    assert again["mae_x_mm"] < 0.8 * judge(Checkpoint.load(release), fresh, (), 0).figures["released"]["mae_x_mm"]
+    again, was = (judged_by(one, fresh).figures["released"] for one in (made, Checkpoint.load(release)))
+    assert again["mae_x_mm"] < 0.8 * was["mae_x_mm"]
 
 
 def test_a_tool_that_is_off_is_told_and_not_learnt(release, tmp_path):
@@ -128,7 +132,7 @@ def test_a_tool_that_is_off_is_told_and_not_learnt(release, tmp_path):
 def test_probes_that_say_nothing_never_make_a_surer_network(release, tmp_path):
     """Errors without any bearing on what was seen can at best teach the network how little it knows."""
     samples = read_episodes(recorded(tmp_path, 60, told_right=False), Sensor.load())
-    judged = judge(Checkpoint.load(release), samples, ("calibration", "gain"), 0)
+    judged = judged_by(Checkpoint.load(release), samples, "calibration", "gain")
     assert judged.figures[judged.best]["coverage90_x"] > judged.figures["released"]["coverage90_x"]
     assert judged.figures[judged.best]["likelihood"] < judged.figures["released"]["likelihood"]
 
