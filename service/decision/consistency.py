@@ -1,14 +1,11 @@
 """Whether the estimates of an insertion follow from the moves that were commanded between them.
 
 A cell that is wired wrong on its first day answers a good correction with a larger error, or with one out of the range
-that the networks know. So the error is followed through the attempts as a Kalman filter would, by what the estimates
-and the commanded corrections say: once as commanded, and once with x, yaw or both reversed. Which of them expected the
-estimates? A picture that is mirrored shows itself at once: both fingers see the object turn from opposite sides, a
-mirrored one from the same side.
+that the networks know. So the error is followed through the attempts by a Bayes filter: once with the moves as
+commanded, and once with x, yaw or both reversed. Which of them expected the estimates? A picture that is mirrored shows
+itself at once: both fingers see the object turn from opposite sides, a mirrored one from the same side.
 
-The constants were fitted on 855 insertions in good cells, drawn and mid-range, which reach odds of 90 at most, and on
-15 in reversed ones, half of which then are named (simulated, released networks). In a cell where the networks were sure
-of themselves once, as in the middle of their range, an estimate that is not says only that much.
+What counts is how the networks read an error, see `reading`. In drawn cells they tell the side, and hardly how far.
 """
 
 import math
@@ -23,68 +20,97 @@ from service.decision.evidence import Refusal
 from service.perception.observation import PairObservation
 
 Pair = NDArray[np.float64]  # x mm, theta deg
+Floats = NDArray[np.float64]
 Signs = tuple[int, int]
 
-ODDS = math.log(150.0)  # that a reversed cell must have against a good one
-NAMED = math.log(20.0)  # causes that explain it this much worse than the best one are named, too
-FITS = np.array([3.0, 4.0])  # such an error is often within the gap's clearance, and then not blocked
-FITS_BLOCKED = 0.4
-MODEL_SIGMA = np.array([1.0, 2.0])  # beyond what the networks say of themselves
-WALK_SIGMA = np.array([1.5, 2.0])  # that a correction adds
+ODDS = math.log(20.0)  # that a reversed cell must have against a good one
+NAMED = math.log(5.0)  # causes that explain it this much worse than the best one are named, too
+CELLS = np.arange(-15.0, 15.5)  # errors of the first attempt, mm and deg
+SIDE = np.array([1.0, 3.0])  # an error twice as large is read as being on its side
+MIDDLE = 7.5  # of the errors on one side that were trained on
+SPREAD = 8.7  # one sigma of all of them
+NOISE_SHARE, NOISE = 0.75, np.array([1.0, 1.5])  # of an estimate: of the sigma that it comes with, and besides
+WALK = np.array([1.5, 2.0])  # one sigma that a correction adds
 UNKNOWN = np.array([50.0, 50.0])  # one sigma of an estimate that has none
-OUTLIERS, RANGE = 0.05, 40.0
+OUTLIERS, RANGE = 0.02, 40.0
 FAR = np.array([15.0, 14.0])  # beyond, the networks often answer with hardly any error at all
-FAR_OUTLIERS, FAR_SIGMA = 0.5, 4.0
+FAR_OUTLIERS, FAR_SIGMA = 0.3, 4.0
 SURE = np.array([2.2, 5.0])  # one sigma. Networks that were so sure once seldom are in doubt in that cell, but for far
 SURE_SHARE, FAR_SURE_SHARE = 0.93, 0.35
-JUDGED_N = 8  # attempts. All reversed cells were named by the sixth, the two good ones that were after ten and fourteen
+JUDGED_N = 8  # attempts: what contradicts itself later is a search in which the networks err
 LEAST_TURN_DEG, LIKE = 1.0, 0.5  # the smaller turn is at least this share of the larger
+_BLUR = np.exp(-0.5 * np.square((CELLS[:, None] - CELLS) / WALK[:, None, None]))
+_BLUR /= _BLUR.sum(axis=1, keepdims=True)
 
 
-class Expected:
-    """The error that one way of wiring expects, and its variance; both [2]."""
+def reading(error: Floats, sigma: float, side: float) -> Floats:
+    """What networks estimate of errors [n] on the mean, mm or deg, where they come with this sigma.
 
-    def __init__(self, mean: Pair, variance: Pair) -> None:
-        self.mean, self.variance = mean, variance
+    Networks that see no more than the side answer with the middle of it and a sigma of half the spread; those that see
+    nothing answer with 0. ``side``: of `SIDE`.
+    """
+    only_side = min(1.0, 2.0 * sigma / SPREAD)
+    known = max(0.0, 1.0 - (sigma / SPREAD) ** 2) / 0.75 if sigma > 0.5 * SPREAD else 1.0
+    return known * ((1.0 - only_side) * error + only_side * MIDDLE * np.tanh(error / side))
 
-    @property
-    def far(self) -> bool:
-        """Whether it is out of the range that the networks know."""
-        return bool((np.abs(self.mean) > FAR).any())
 
-    @property
-    def blocked(self) -> float:
-        """Log-likelihood that it blocks an attempt."""
-        return math.log(FITS_BLOCKED) if (np.abs(self.mean) < FITS).all() else 0.0
+class Followed:
+    """The error of the first attempt as one way of wiring has it: ``weights`` [n, n] over x and yaw, and its evidence.
 
-    def log_share(self, *, sure: bool) -> float:
-        """Log-likelihood that networks which know their cell are sure, or are not."""
-        share = FAR_SURE_SHARE if self.far else SURE_SHARE
-        return math.log(share if sure else 1.0 - share)
+    ``log_evidence``: the logarithm of the probability of all estimates so far.
+    """
 
-    def log_likelihood(self, seen: Pair, variance: Pair) -> float:
-        """Of an estimate; an outlier may be anywhere in the range."""
-        outliers = FAR_OUTLIERS if self.far else OUTLIERS
-        stray = _density(seen, variance + FAR_SIGMA**2) if self.far else 1.0 / RANGE
-        density = (1.0 - outliers) * _density(seen - self.mean, self.variance + variance) + outliers * stray
-        return float(np.log(density).sum())
+    def __init__(self, signs: Signs) -> None:
+        self.signs = np.array(signs)
+        self.moved: Pair = np.zeros(2)
+        self.weights: Floats = np.full((len(CELLS), len(CELLS)), 1.0 / len(CELLS) ** 2)
+        self.log_evidence = 0.0
 
-    def learn(self, seen: Pair, variance: Pair) -> None:
-        """Take in an estimate; of what is far the networks know nothing."""
-        gain = np.zeros(2) if self.far else self.variance / (self.variance + variance)
-        self.mean, self.variance = self.mean + gain * (seen - self.mean), (1.0 - gain) * self.variance
+    def learn(self, seen: Pair, sigma: Pair, *, sure: bool, sure_once: bool) -> None:
+        """Take in an estimate. Where networks were sure once and are not now, it says no more than that."""
+        here = [CELLS + moved for moved in self.moved]
+        far = np.logical_or.outer(np.abs(here[0]) > FAR[0], np.abs(here[1]) > FAR[1])
+        likelihood = np.ones_like(self.weights)
+        if sure or not sure_once:
+            near = [_near(*axis) for axis in zip(here, seen, sigma, SIDE, NOISE, strict=True)]
+            likelihood = np.where(far, math.prod(map(_far, seen, sigma)), np.outer(*near))
+        if sure_once:
+            share = np.where(far, FAR_SURE_SHARE, SURE_SHARE)
+            likelihood = likelihood * (share if sure else 1.0 - share)
+        weights = self.weights * likelihood
+        self.log_evidence += math.log(weights.sum())
+        self.weights = weights / weights.sum()
 
     def move(self, command: Pair) -> None:
         """Go on after a correction."""
-        self.mean, self.variance = self.mean + command, self.variance + np.square(WALK_SIGMA)
+        self.moved = self.moved + self.signs * command
+        self.weights = _BLUR[0] @ self.weights @ _BLUR[1].T
+
+
+def _density(off: Floats, sigma: float) -> Floats:
+    """Of a normal deviate."""
+    return np.asarray(np.exp(-0.5 * np.square(off / sigma)) / (math.sqrt(2.0 * math.pi) * sigma))
+
+
+def _near(error: Floats, seen: float, sigma: float, side: float, noise: float) -> Floats:
+    """[n]: density of an estimate for errors [n] in the networks' range; an outlier may be anywhere."""
+    off = seen - reading(error, sigma, side)
+    return (1.0 - OUTLIERS) * _density(off, math.hypot(NOISE_SHARE * sigma, noise)) + OUTLIERS / RANGE
+
+
+def _far(seen: float, sigma: float) -> float:
+    """The same beyond that range."""
+    stray = _density(np.array(seen), math.hypot(FAR_SIGMA, sigma))
+    return float((1.0 - FAR_OUTLIERS) * stray + FAR_OUTLIERS / RANGE)
 
 
 @dataclass(slots=True)
 class Consistency:
-    """The log-likelihood of each way that a cell may be wired, given the attempts so far."""
+    """What each way that a cell may be wired made of the attempts so far."""
 
-    _log: dict[Signs, float] = field(default_factory=lambda: dict.fromkeys([(1, 1), *WIRINGS], 0.0))
-    _expected: dict[Signs, Expected] = field(default_factory=dict)
+    _followed: dict[Signs, Followed] = field(
+        default_factory=lambda: {signs: Followed(signs) for signs in [(1, 1), *WIRINGS]}
+    )
     _sure_once: bool = False
     _attempts_n: int = 0
 
@@ -98,33 +124,22 @@ class Consistency:
         estimate = correction.estimate
         seen = np.array([estimate.dx_mm, estimate.dtheta_deg])
         sigma = np.array([estimate.sigma_x_mm or UNKNOWN[0], estimate.sigma_theta_deg or UNKNOWN[1]])
-        sure, variance = bool((sigma < SURE).all()), np.square(sigma) + np.square(MODEL_SIGMA)
-        for signs, expected in self._expected.items():
-            self._log[signs] += expected.blocked
-            if self._sure_once:
-                self._log[signs] += expected.log_share(sure=sure)
-            if sure or not self._sure_once:
-                self._log[signs] += expected.log_likelihood(seen, variance)
-                expected.learn(seen, variance)
+        sure = bool((sigma < SURE).all())
+        for followed in self._followed.values():
+            followed.learn(seen, sigma, sure=sure, sure_once=self._sure_once)
+            followed.move(np.array([correction.dx_mm, correction.dtheta_deg]))
         self._sure_once |= sure
-        self._expected = self._expected or {signs: Expected(seen, variance) for signs in self._log}
-        for signs, expected in self._expected.items():
-            expected.move(np.array(signs) * (correction.dx_mm, correction.dtheta_deg))
         if causes := self.causes():
             raise Refusal("contradictory", f"the estimates contradict the moves: {'; or '.join(causes)}")
 
     def causes(self) -> list[str]:
         """The causes that explain the attempts, best first; none while a good cell explains them well enough."""
-        best = max(self._log.values())
-        if not best - self._log[1, 1] > ODDS:
+        log = {signs: followed.log_evidence for signs, followed in self._followed.items()}
+        best = max(log.values())
+        if not best - log[1, 1] > ODDS:
             return []
-        likely = sorted((signs for signs in WIRINGS if best - self._log[signs] < NAMED), key=lambda s: -self._log[s])
+        likely = sorted((signs for signs in WIRINGS if best - log[signs] < NAMED), key=lambda signs: -log[signs])
         return [WIRINGS[signs] for signs in likely]
-
-
-def _density(off: Pair, variance: Pair) -> Pair:
-    """Of a normal deviate, each axis for itself."""
-    return np.asarray(np.exp(-0.5 * np.square(off) / variance) / np.sqrt(2.0 * np.pi * variance))
 
 
 def turns_deg(both: PairObservation) -> tuple[float, float]:
