@@ -20,8 +20,8 @@ from service.cameras.sources import capture_ns
 from service.contract import FINGERS, Finger, TactileFrame, wire
 from service.decision.attempt import Attempt, Stage
 from service.perception.observation import Observation
-from tests.hard_cases.links import MESSAGES, deciding
 from tests.hard_cases.registry import Guard, case, not_refused
+from tests.hard_cases.rooms.links import MESSAGES, deciding
 
 FRAME_S, JUDGED_S, LAG_S = 1 / 30, 0.02, 0.02
 FAULT_S, END_S = 0.7, 4.0
