@@ -62,7 +62,7 @@ def _int8(report: Row) -> Iterator[str | Table]:
             ("CPU ms a step", "cpu_p50_ms", ".2f"),
             ("files MB", "size_mb", ".2f"),
             ("the same command", _same, ".0%"),
-            ("verdict", lambda row: _verdict(row, rows[0])),
+            ("verdict", lambda row: _worth(row, rows[0])),
         )
 
 
@@ -70,7 +70,7 @@ def _same(row: Row) -> Any:
     return wilson(row["same_commands"], row["decisions"]) if "decisions" in row else None
 
 
-def _verdict(row: Row, exact: Row) -> str:
+def _worth(row: Row, exact: Row) -> str:
     if "refused" in row:
         return f"refused: {row['refused']}"
     if row is exact:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import cv2
 
-from service.tools.judge import JudgeError, judged, runs_of
+from service.tools.judge import RunError, report_of, runs_of
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Judge every run and write the rows, 1 if a run could not be read; raises JudgeError where there is none."""
+    """Judge every run and write the rows, 1 if a run could not be read; raises RunError where there is none."""
     options = _parse(arguments)
     cv2.setNumThreads(1)  # the milliseconds of a frame are those of one core
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -20,8 +20,8 @@ def main(arguments: Sequence[str]) -> int:
     rows, evidence, unread_n = [], {}, 0
     for folder in runs_of(options.folder):
         try:
-            run = judged(folder)
-        except JudgeError as error:
+            run = report_of(folder)
+        except RunError as error:
             print(f"{folder.name}: {error}", file=sys.stderr)
             unread_n += 1
             continue

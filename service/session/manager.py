@@ -19,7 +19,6 @@ from service import __version__
 from service.cameras.capture import Camera, now_ns
 from service.contract import FINGERS, Finger, wire
 from service.contract.replies import beat, unspoken
-from service.decision.decider import Decider
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.hub import Hub
@@ -27,6 +26,7 @@ from service.perception.markers.fingerprint import gel_name
 from service.perception.rectification import Calibration
 from service.recordings.retention import make_room, problem_of
 from service.recordings.writer import Recorder
+from service.session.decider import Decider
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
 from service.session.memory import give_back

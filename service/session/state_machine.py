@@ -14,10 +14,10 @@ from service.contract.wire import CameraEntry, ControllerName, Limits, ServiceMe
 from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.claim import Doubts, unclaimed
 from service.decision.controllers import Command, make_controller
-from service.decision.decider import Decider, Decision
 from service.decision.models import ModelSet
 from service.decision.work import Work, plan, seen_enough, slip_message
 from service.perception.observation import FingerWatch, Observation
+from service.session.decider import Decider, Decision
 from service.session.fingers import Fingers
 from service.session.learn_open import OpenGels
 from service.settings import Deadlines

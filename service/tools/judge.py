@@ -30,7 +30,7 @@ _LEAST_PX = 64
 _BUFFERED_N = 16  # first frames, in which a camera may still hand out what it had seen of an earlier grasp
 
 
-class JudgeError(ValueError):
+class RunError(ValueError):
     """Recordings that are not where they should be."""
 
 
@@ -63,11 +63,11 @@ class FingerRun:
 
 
 def watched(clip: Path) -> FingerRun:
-    """One finger's recording through tracker, grasp watch and imprint. JudgeError: no frames, or too small ones."""
+    """One finger's recording through tracker, grasp watch and imprint. RunError: no frames, or too small ones."""
     run, tracker, watch, imprint = FingerRun(), MarkerTracker(), GraspWatch(), ImprintWatch()
     for k, (image, _) in enumerate(clip_images(clip)):
         if min(image.shape[:2]) < _LEAST_PX:
-            raise JudgeError(f"{clip} is {image.shape[1]} x {image.shape[0]}, expected {_LEAST_PX} px a side or more")
+            raise RunError(f"{clip} is {image.shape[1]} x {image.shape[0]}, expected {_LEAST_PX} px a side or more")
         begun = time.process_time()
         seen = tracker.update(image, k * FRAME_NS)
         state = watch.update(seen)
@@ -80,20 +80,20 @@ def watched(clip: Path) -> FingerRun:
         run.slips.append(state.slip)
         run.changes.append(change)
     if not run.fields:
-        raise JudgeError(f"{clip} holds no frame that can be decoded")
+        raise RunError(f"{clip} holds no frame that can be decoded")
     return run
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class RunReport:
     """The row of one run, and what the slide witness read in each frame, None before it could."""
 
     row: dict[str, Any]
     evidence: list[list[float] | None]
 
 
-def judged(folder: Path) -> Judged:
-    """One run, up to where its shortest video ends; raises JudgeError if a video of it cannot be used."""
+def report_of(folder: Path) -> RunReport:
+    """One run, up to where its shortest video ends; raises RunError if a video of it cannot be used."""
     clips = clips_of(folder)
     fingers = [watched(clip) for clip in clips]
     frames_n = min(len(finger.fields) for finger in fingers)
@@ -116,7 +116,7 @@ def judged(folder: Path) -> Judged:
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
         "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fingers) / len(statuses),
     }
-    return Judged(row, [None if terms is None else terms.tolist() for terms in evidence])
+    return RunReport(row, [None if terms is None else terms.tolist() for terms in evidence])
 
 
 def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.float64] | None]:
@@ -181,12 +181,12 @@ def _largest(phases: list[Phase], fingers: Sequence[FingerRun]) -> dict[str, flo
 
 
 def runs_of(folder: Path) -> Iterator[Path]:
-    """The folders that hold videos: ``folder``, those in it and those one level further down. JudgeError: none."""
+    """The folders that hold videos: ``folder``, those in it and those one level further down. RunError: none."""
     if not folder.is_dir():
-        raise JudgeError(f"no folder {folder}: expected runs of one video a finger")
+        raise RunError(f"no folder {folder}: expected runs of one video a finger")
     runs = [run for run in (folder, *sorted(folder.glob("*")), *sorted(folder.glob("*/*"))) if clips_of(run)]
     if not runs:
-        raise JudgeError(f"{folder}: expected runs, folders of one video a finger")
+        raise RunError(f"{folder}: expected runs, folders of one video a finger")
     yield from runs
 
 

@@ -118,7 +118,7 @@ def choose(arguments: list[str]) -> int:
         data = _played(played, begun, POINTS)
     best, kept = choosing.choose(data, wanted)
     write_durably(options.out, choosing.settings_toml(best, data["insertions"]).encode())
-    print(choosing.told(best, data["insertions"], wanted, kept=kept), f"written to {options.out}", sep="\n")
+    print(choosing.summary(best, data["insertions"], wanted, kept=kept), f"written to {options.out}", sep="\n")
     return 0 if kept else 1
 
 

@@ -26,12 +26,11 @@ from simulation.cell.emulators.abb.frames import CellFrames
 from simulation.cell.emulators.abb.motion import Follower, MotionLimits, Pose, tool_down
 from simulation.cell.emulators.abb.rapid import RapidServers
 from simulation.cell.emulators.abb.rws import Gate, create_app
-from simulation.cell.emulators.abb.rws2 import create_app2
-from simulation.cell.emulators.abb.rws_format import Basic
 from simulation.cell.emulators.faults import FaultBoard
 from simulation.cell.emulators.net import HttpServer, bind_tcp, bind_udp, free_port, port_of
 from simulation.cell.emulators.wsg50 import Wsg50Emulator
 from simulation.cell.emulators.wsg50_gripper import Gripper
+from tests.robot_client.robots.abb_rws.omnicore import Basic, create_app2
 
 # A busy machine may stop this process, emulators included, for long: who tests a time sets it.
 _RWS_TIMES = ("request_timeout_s", "motors_timeout_s", "start_timeout_s", "stop_timeout_s")

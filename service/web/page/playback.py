@@ -59,7 +59,7 @@ class Curves:
         elif sender == "service" and (said := event(parse_service(json.dumps(message)))):
             self.events.append((at_ns, said))
 
-    def told(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """Seconds since the first of all points, and values; ``moments`` are the stamps of both fingers' frames."""
         curves = [*self.slip.values(), *self.push.values(), self.depth]
         start_ns = min([points[0][0] for points in curves if points] + [at for at, _ in self.events], default=0)
@@ -99,7 +99,7 @@ def timeline(path: Path) -> dict[str, Any]:
                     curves.message(at_ns, content["from"], content["message"])
                 case _:
                     curves.markers(topic.split("/")[1], at_ns, data)
-    return curves.told()
+    return curves.as_json()
 
 
 def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:

@@ -46,7 +46,7 @@ class Running:
         again.afresh_n, again.earlier_n = self.afresh_n + 1, tried_n
         return again
 
-    def told(self, message: Any) -> None:
+    def from_client(self, message: Any) -> None:
         """A message of the client."""
         match message:
             case wire.Episode():
@@ -73,7 +73,7 @@ class Running:
         self.width_mm = sample.width_mm if sample.width_mm is not None else self.width_mm
         self.depth_mm = sample.depth_mm if sample.depth_mm is not None else self.depth_mm
 
-    def said(self, message: Any) -> None:
+    def from_service(self, message: Any) -> None:
         """A message of the service."""
         match message:
             case wire.Armed():

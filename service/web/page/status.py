@@ -92,7 +92,7 @@ class Status:
         if isinstance(message, wire.Finished):
             self._on_finished(message, self._running)
         else:
-            self._running.said(message)
+            self._running.from_service(message)
 
     def _begin(self, insertion_id: str) -> None:
         """An insertion opens: a new one, or one that goes on with an object taken afresh."""
@@ -110,7 +110,7 @@ class Status:
         if isinstance(message, wire.ClientHello):
             self._continues = message.continues
         if self._running is not None:
-            self._running.told(message)
+            self._running.from_client(message)
 
     def _on_robot(self, sample: wire.RobotSample) -> None:
         if self._running is not None:

@@ -38,12 +38,12 @@ def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:
     return order[0], wanted.short(order[0], count) == 0.0
 
 
-def told(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
+def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
     """What was chosen and what it reached, simulated."""
     asked = f"{wanted.seconds_a_box:g} s a box, {wanted.success:.1%} inserted, {wanted.force_n:g} N"
-    verdict = "keeps" if kept else "NEAREST, nothing measured keeps"
+    answer = "keeps" if kept else "NEAREST, nothing measured keeps"
     return (
-        f"{point['name']}: {verdict} {asked}\n"
+        f"{point['name']}: {answer} {asked}\n"
         f"  simulated, {count} insertions: {Estimate(*point['seconds_a_box']):.2f} s a box,"
         f" {wilson(point['inserted'], count):.1%} inserted, {point['claimed_wrongly']} false claims,"
         f" force below {point['force_n']['95']:.1f} N in 95 %, largest {point['force_n']['largest']:.1f} N"

@@ -25,7 +25,7 @@ def foreign_world_page(data: Row) -> str:
         f"""
         # The sealed test in another physics, simulated
 
-        {_verdict(whole)}
+        {_asked_and_reached(whole)}
         """,
         data.get("note", ""),
         f"""
@@ -78,13 +78,13 @@ _FIGURES: tuple[Any, ...] = (
 )
 
 
-def _verdict(whole: Row) -> str:
+def _asked_and_reached(whole: Row) -> str:
     """What was asked for and what came of it, what is missed first."""
     count = whole["insertions"]
     inserted, wrong = wilson(whole["inserted"], count), wilson(whole["claimed_wrongly"], count)
     covered = min(share if share is not None else 0.0 for share in (whole["covered_x"], whole["covered_theta"]))
     wrongly, done = whole["claimed_wrongly"], whole["inserted"]
-    told = (
+    sentences = (
         f"{wrongly} of {count} insertions ended in a claim that was not true, {wrong:.1%}; asked for: none",
         f"{done} of {count} were inserted, {inserted:.1%}; asked for: a lower bound of {number(LEAST_INSERTED, '.0%')}",
         f"{whole['mean_trials']:.2f} trials on the mean; asked for: at most {MOST_TRIALS}",
@@ -100,7 +100,7 @@ def _verdict(whole: Row) -> str:
         covered >= LEAST_COVERED,
     )
     missed, reached = (
-        [text for text, good in zip(told, holds, strict=True) if good is asked] for asked in (False, True)
+        [text for text, good in zip(sentences, holds, strict=True) if good is asked] for asked in (False, True)
     )
     said = [f"**Missed:** {'. '.join(missed)}." if missed else "", f"Reached: {'. '.join(reached)}." if reached else ""]
     return "\n\n".join(said)

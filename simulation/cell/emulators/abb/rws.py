@@ -21,7 +21,6 @@ from simulation.cell.emulators.abb.frames import CellFrames
 from simulation.cell.emulators.abb.rws_format import (
     JSON_TYPE,
     XHTML_TYPE,
-    Credentials,
     Digest,
     State,
     as_json,
@@ -68,7 +67,7 @@ async def _form(request: Request) -> dict[str, str]:
 class Gate:
     """What stands before every resource: faults, digest access, sessions."""
 
-    def __init__(self, board: FaultBoard, user: str, password: str, credentials: Credentials = Digest) -> None:
+    def __init__(self, board: FaultBoard, user: str, password: str, credentials: type[Digest] = Digest) -> None:
         self._board = board
         self._credentials = credentials(user, password)
         self._sessions: dict[str, float] = {}

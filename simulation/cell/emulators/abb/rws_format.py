@@ -1,6 +1,5 @@
 """Robot Web Services as text: states as XHTML (the controller's default) or JSON, errors, passwords."""
 
-import base64
 import hashlib
 import json
 import secrets
@@ -70,28 +69,6 @@ def _md5(text: str) -> str:
     return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()  # RFC 7616's default, what the IRC5 speaks
 
 
-def as_hal(base: str, states: Sequence[State], *, listed: bool = False) -> bytes:
-    """JSON of generation 2.0: ``{"_links", "status", "state": [...]}``; of a list, the items as embedded resources."""
-    inside = {"_embedded": {"resources": _rows(states)}} if listed else {"state": _rows(states)}
-    return json.dumps({"_links": {"base": {"href": base}}, "status": {"code": DONE}} | inside).encode()
-
-
-class Basic:
-    """HTTP basic access for one user, as OmniCore asks for it."""
-
-    def __init__(self, user: str, password: str) -> None:
-        self._expected = base64.b64encode(f"{user}:{password}".encode()).decode()
-
-    def challenge(self) -> str:
-        """A ``WWW-Authenticate`` value."""
-        return f'Basic realm="{REALM}"'
-
-    def accepts(self, header: str | None, _method: str) -> bool:
-        """True for the right user and password."""
-        scheme, _, offered = (header or "").partition(" ")
-        return scheme.lower() == "basic" and secrets.compare_digest(offered.strip().encode(), self._expected.encode())
-
-
 class Digest:
     """HTTP digest access (MD5, qop auth) for one user; nonces are remembered, replies must match one of them."""
 
@@ -124,6 +101,3 @@ class Digest:
             middle += [sent.get("nc", ""), sent.get("cnonce", ""), sent["qop"]]
         expected = _md5(":".join([self._secret, *middle, second]))
         return secrets.compare_digest(expected, sent.get("response", ""))
-
-
-Credentials = type[Digest] | type[Basic]

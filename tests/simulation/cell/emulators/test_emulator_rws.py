@@ -264,10 +264,13 @@ def test_the_stock_rws_client_subscribes(cell):
     script = (
         "import sys, time; from abb_robot_client.rws import *\n"
         "r = RWS(sys.argv[1]); seen = []\n"
+        "def wait(value):\n"
+        "    until = time.monotonic() + 10\n"
+        "    while not any(value == str(e[0]) for e in seen) and time.monotonic() < until: time.sleep(0.01)\n"
         "kinds = [SubscriptionResourceType.ControllerState, SubscriptionResourceType.ExecutionState]\n"
         "asked = [SubscriptionResourceRequest(k, SubscriptionResourcePriority.Medium) for k in kinds]\n"
-        "s = r.subscribe(asked, seen.append); time.sleep(0.5)\n"
-        "r.set_controller_state('motoron'); time.sleep(0.8); r.start(); time.sleep(0.8)\n"
+        "s = r.subscribe(asked, seen.append); time.sleep(0.3)\n"
+        "r.set_controller_state('motoron'); wait('motoron'); r.start(); wait('running')\n"
         "s.close(); print([type(e).__name__ + ':' + str(e[0]) for e in seen])\n"
     )
     cell.call(cell.cell.cabinet.request_stop)

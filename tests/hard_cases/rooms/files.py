@@ -13,7 +13,7 @@ from service.contract import ContractError, ModelCard, Sensor
 from service.contract.model_card import CARD_KEY
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
 from service.recordings.reader import Recording, RecordingError
-from service.tools.judge import FingerRun, JudgeError, watched
+from service.tools.judge import FingerRun, RunError, watched
 from simulation.scene.parts import Gel
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import load_scene
@@ -190,4 +190,4 @@ def clips_that_hold_nothing(_seed: int) -> float:
     with tempfile.TemporaryDirectory() as scratch:
         text = Path(scratch) / "x.avi"
         text.write_text("no video")
-        return not_refused([lambda: watched(text), lambda: watched(Path(scratch) / "none.avi")], JudgeError)
+        return not_refused([lambda: watched(text), lambda: watched(Path(scratch) / "none.avi")], RunError)

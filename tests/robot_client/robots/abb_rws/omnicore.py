@@ -5,7 +5,10 @@ ros-industrial/abb_librws, folder v2_0; [P] addresses, bodies and recorded answe
 RobotWare 7.x have published; [D] ABB's reference of 1.0 (3HAC050973-001), where 2.0 is told to be the same.
 """
 
-from collections.abc import Awaitable, Callable
+import base64
+import json
+import secrets
+from collections.abc import Awaitable, Callable, Sequence
 
 from fastapi import FastAPI, Request, Response
 from starlette.middleware.base import BaseHTTPMiddleware
@@ -14,7 +17,7 @@ from simulation.cell.emulators.abb import rws_states
 from simulation.cell.emulators.abb.cabinet import Cabinet, RefusedError
 from simulation.cell.emulators.abb.frames import CellFrames
 from simulation.cell.emulators.abb.rws import BAD_ARGUMENT, NOT_FOUND, Gate, execute, fields, motors, speed_ratio
-from simulation.cell.emulators.abb.rws_format import State, as_hal, as_xhtml
+from simulation.cell.emulators.abb.rws_format import DONE, REALM, State, _rows, as_xhtml
 from simulation.cell.emulators.abb.rws_more import add_core, modules
 from simulation.cell.emulators.abb.rws_subscriptions import add_subscriptions
 
@@ -65,7 +68,7 @@ def _wants_json(request: Request) -> bool:
 def _answer(request: Request, states: list[State], *, listed: bool = False) -> Response:
     base = str(request.url.replace(query=""))
     if _wants_json(request):
-        return Response(as_hal(base, states, listed=listed), media_type=HAL)
+        return Response(_as_hal(base, states, listed=listed), media_type=HAL)
     return Response(as_xhtml(base, states), media_type=XHTML)
 
 
@@ -77,7 +80,7 @@ def _refusal(request: Request, status: int, code: int, text: str) -> Response:
     states = [State("status", "error", {"code": code, "msg": text})]
     if not _wants_json(request):
         return Response(as_xhtml("", states), status, media_type=XHTML)
-    body = as_hal("", []).replace(b'"code": 294912', f'"code": {code}, "msg": "{text}"'.encode())
+    body = _as_hal("", []).replace(b'"code": 294912', f'"code": {code}, "msg": "{text}"'.encode())
     return Response(body, status, media_type=HAL)
 
 
@@ -211,3 +214,25 @@ def _add_mastership(app: FastAPI, held: dict[str, str]) -> None:
         for domain in [name for name, session in held.items() if session == request.cookies.get("ABBCX")]:
             del held[domain]
         return _answer(request, [])
+
+
+def _as_hal(base: str, states: Sequence[State], *, listed: bool = False) -> bytes:
+    """JSON of generation 2.0: ``{"_links", "status", "state": [...]}``; of a list, the items as embedded resources."""
+    inside = {"_embedded": {"resources": _rows(states)}} if listed else {"state": _rows(states)}
+    return json.dumps({"_links": {"base": {"href": base}}, "status": {"code": DONE}} | inside).encode()
+
+
+class Basic:
+    """HTTP basic access for one user, as OmniCore asks for it."""
+
+    def __init__(self, user: str, password: str) -> None:
+        self._expected = base64.b64encode(f"{user}:{password}".encode()).decode()
+
+    def challenge(self) -> str:
+        """A ``WWW-Authenticate`` value."""
+        return f'Basic realm="{REALM}"'
+
+    def accepts(self, header: str | None, _method: str) -> bool:
+        """True for the right user and password."""
+        scheme, _, offered = (header or "").partition(" ")
+        return scheme.lower() == "basic" and secrets.compare_digest(offered.strip().encode(), self._expected.encode())

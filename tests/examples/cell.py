@@ -1,0 +1,100 @@
+"""The controller that docs/api.md teaches, and a cell for it: the real service as a process, with two cameras."""
+
+import importlib.util
+import json
+import sys
+import time
+from pathlib import Path
+
+import httpx
+
+from tests.examples.tiny_arm import TinyArm
+from tests.service import drawn
+from tests.service.mjpeg import FakeFinger
+from tests.service.process import ServiceProcess, service_process
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "cell_controller.py"
+spec = importlib.util.spec_from_file_location("cell_controller", EXAMPLE)
+controller = importlib.util.module_from_spec(spec)
+sys.modules["cell_controller"] = controller
+spec.loader.exec_module(controller)
+
+BOUND_MM = 1.5
+SLOW_MM_S = 2.0  # this machine is shared: a lease of 0.7 s outlasts its pauses, and the bound stays the same
+NUMBERS = iter(range(1000))
+
+
+class Cell:
+    """A service with two cameras, and one insertion of the example's in it."""
+
+    def __init__(self, service: ServiceProcess, fingers: tuple[FakeFinger, FakeFinger]) -> None:
+        self.service, self.fingers = service, fingers
+
+    def insert(
+        self, arm: TinyArm, port: int | None = None, token: str | None = None, name: str | None = None, **told
+    ) -> dict:
+        named = name or f"box-{next(NUMBERS)}"
+        task = controller.Task(
+            **{"name": named, "gap_width_mm": 56.0, "depth_mm": 4.0, "speed_mm_s": SLOW_MM_S, **told}
+        )
+        self.open_hand(True)
+        arm.on_grasp = lambda: self.open_hand(False)
+        url = f"ws://127.0.0.1:{port or self.service.port}/v1/insertion"
+        return controller.insert(arm, self.service.token if token is None else token, task, url)
+
+    def open_hand(self, is_open: bool) -> None:
+        for finger in self.fingers:
+            finger.open = is_open
+
+    def touch(self) -> None:
+        for finger in self.fingers:
+            finger.probe(time.monotonic() - 0.6)  # it begins to move at once, and slips within a millimetre
+
+    def rest(self) -> None:
+        heal(self.fingers)
+        until_s = time.monotonic() + 20
+        while time.monotonic() < until_s:
+            ready = httpx.get(self.service.url("/readyz"), timeout=10).status_code == 200
+            idle = httpx.get(self.service.url("/v1/insertions"), timeout=10).json()["active"] is None
+            if ready and idle:
+                return
+            time.sleep(0.05)
+        raise AssertionError("the service is not at rest")
+
+    def outcome(self, name: str) -> tuple[str, str | None]:
+        """How the service's own record says that an insertion ended."""
+        summary = self.summary(name)
+        return summary["outcome"], summary["cause"]
+
+    def summary(self, name: str) -> dict:
+        until_s = time.monotonic() + 10
+        while time.monotonic() < until_s:
+            for path in self.service.recordings.glob(f"*{name}*/summary.json"):
+                return json.loads(path.read_text())
+            time.sleep(0.05)
+        raise AssertionError(f"no record of {name}")
+
+
+def heal(fingers: tuple[FakeFinger, FakeFinger]) -> None:
+    for finger in fingers:
+        finger.probe_started, finger.trouble, finger.connected = None, "", True
+
+
+def started(folder: Path, models_folder: Path, fingers: tuple[FakeFinger, FakeFinger]):
+    calibration = folder / "calibration.toml"
+    drawn.calibration().save(calibration)
+    cameras = ("--camera-left", fingers[0].url, "--camera-right", fingers[1].url)
+    options = (*cameras, "--calibration", str(calibration), "--max-frame-age-ms", "500", "--client-timeout-s", "3")
+    return service_process(models_folder, folder / "recordings", *options)
+
+
+def stands(arm: TinyArm, more_mm: float = 0.0) -> None:
+    """The arm stands, went no further than the bound after the fault, and goes nowhere any more."""
+    assert arm.stopped
+    assert not arm.descending()
+    depth_mm = arm.depth_mm()
+    if arm.broken_mm is not None:
+        assert depth_mm - arm.broken_mm <= BOUND_MM + more_mm
+    time.sleep(0.1)
+    assert arm.depth_mm() == depth_mm
+    assert not arm.moves
