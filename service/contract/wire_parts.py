@@ -31,7 +31,7 @@ Cause = Literal[
     "client",  # a defect of the client
 ]
 Ending = Literal["inserted", "not_confirmed", "failed", "aborted"]
-RefusalReason = Literal["no_reference", "nothing_held", "implausible_width", "turned_in_hand"]
+RefusalReason = Literal["no_reference", "nothing_held", "implausible_width", "turned_in_hand", "untrained"]
 NoDecisionReason = Literal[
     "no_motion",
     "out_of_distribution",

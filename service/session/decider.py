@@ -34,6 +34,14 @@ class Decider:
     grasp: GraspRecord = field(default_factory=GraspRecord)
     consistency: Consistency | None = field(default_factory=Consistency)
 
+    def before_descending(self, attempt: Attempt) -> list[wire.Refused]:
+        """What forbids an attempt whatever its frames will show: the grasp, or a cell that the networks do not know."""
+        if why := self.grasp.turned:
+            return [attempt.refusal("turned_in_hand", why)]
+        spec = self.models.card.pressing
+        why = spec.outside(attempt.told()) if spec else ""
+        return [attempt.refusal("untrained", why)] if why else []
+
     def conclude(self, attempt: Attempt, now_ns: int) -> Decision | None:
         """The answer to a blocked attempt, None while its frames or the networks' result may still come."""
         decision = self._decide(attempt, now_ns)

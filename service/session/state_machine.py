@@ -130,7 +130,7 @@ class InsertionSession:
             self.decider.grasp.width_mm = message.gripper_width_mm
         self._generation += 1
         self.attempt = Attempt(message, now_ns, self._generation, self.decider.grasp.turned_deg)
-        return [self.attempt.refusal("turned_in_hand", why)] if (why := self.decider.grasp.turned) else []
+        return [*self.decider.before_descending(self.attempt)]
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:
         if self.attempt and self._is_current(message.attempt, {Stage.ARMED}):

@@ -1,6 +1,7 @@
 """All rooms' cases, registered by import."""
 
-from tests.hard_cases import (
+from tests.hard_cases.registry import CASES, run
+from tests.hard_cases.rooms import (
     data,
     decision,
     doors,
@@ -15,7 +16,6 @@ from tests.hard_cases import (
     physics,
     precision,
 )
-from tests.hard_cases.registry import CASES, run
 
 __all__ = [
     "CASES",

@@ -95,6 +95,16 @@ def test_a_speed_that_nobody_trained_for_is_refused_by_name(made: Callable[..., 
     assert "speed_mm_s is 10" in refused.detail
 
 
+def test_a_gap_that_nobody_trained_for_is_refused_before_the_arm_goes_down(made: Callable[..., ModelSet]) -> None:
+    insertion = stage(
+        Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields"), made(trained={"gap_width_mm": Span(low=80, high=120)})
+    )
+    height_mm = insertion.cell.pose[2]
+    outcome = insertion.run()
+    assert outcome.reason.startswith("service: refused: untrained: gap_width_mm is 56")
+    assert insertion.cell.pose[2] == height_mm
+
+
 def test_a_strange_field_is_refused_with_its_strangeness(made: Callable[..., ModelSet]) -> None:
     _, said = first_attempt(made(strangeness_limit=1e-6))
     refused = next(message for message in said if isinstance(message, wire.NoDecision))

@@ -25,10 +25,10 @@ from service.perception.slip.rigid import fit_motion, moving_patch
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene
-from tests.hard_cases.decision import LIMITS, _cards, evidence_for
 from tests.hard_cases.instead import blind
-from tests.hard_cases.motion import pose
 from tests.hard_cases.registry import Guard, case, non_finite, not_refused
+from tests.hard_cases.rooms.decision import LIMITS, _cards, evidence_for
+from tests.hard_cases.rooms.motion import pose
 from tests.service.perception.synthetic import patch_fields, rigid
 from tests.simulation.strategies import made_up_trial
 from training.data.labels import class_of

@@ -3,7 +3,8 @@
 import numpy as np
 
 from tests.hard_cases.instead import blind
-from tests.hard_cases.physics import (
+from tests.hard_cases.registry import Guard, case, non_finite, not_refused
+from tests.hard_cases.rooms.physics import (
     CONE,
     EXACT,
     HALVED,
@@ -15,7 +16,6 @@ from tests.hard_cases.physics import (
     lowered,
     worst_of,
 )
-from tests.hard_cases.registry import Guard, case, non_finite, not_refused
 
 
 @case(

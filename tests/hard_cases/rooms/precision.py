@@ -13,8 +13,8 @@ from export.onnx.model import Model, open_model
 from export.onnx.verify import decide
 from export.quantise.quantise import FarOffError, quantise, refuse_far_off
 from service.contract import Sensor
-from tests.hard_cases.networks import LARGEST, PICTURES, golden, largest_of, released
 from tests.hard_cases.registry import ROOT, Guard, case
+from tests.hard_cases.rooms.networks import LARGEST, PICTURES, golden, largest_of, released
 
 
 @case(

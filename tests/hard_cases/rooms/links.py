@@ -23,8 +23,8 @@ from robot_client.robots.abb_egm.codec import (
 from robot_client.robots.abb_egm.watch import EgmWatch
 from robot_client.silence import Silence
 from service.contract import wire
-from tests.hard_cases.motion import BAD, pose
 from tests.hard_cases.registry import Guard, case, non_finite, not_refused
+from tests.hard_cases.rooms.motion import BAD, pose
 
 
 def never_wrapping(take: Callable[..., float | None]) -> Callable[..., float | None]:

@@ -10,11 +10,11 @@ from robot_client.insertion.profile import plan_profile
 from service.decision.belief import BeliefGrid
 from service.decision.controllers import axis_command, make_controller
 from service.decision.evidence import from_joint, from_pair, softmax
-from tests.hard_cases.decision import LIMITS, _cards, evidence_for
-from tests.hard_cases.doors import Door
 from tests.hard_cases.instead import blind
-from tests.hard_cases.motion import pose
 from tests.hard_cases.registry import Guard, case
+from tests.hard_cases.rooms.decision import LIMITS, _cards, evidence_for
+from tests.hard_cases.rooms.doors import Door
+from tests.hard_cases.rooms.motion import pose
 
 EXTREMES = (1e308, -1e308, 1e150, 1e-308, 5e-324, 0.0)
 

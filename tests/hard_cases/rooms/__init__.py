@@ -1,0 +1,1 @@
+"""What is hard in each room, and what answers it."""
