@@ -22,7 +22,7 @@ WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; g
 BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry,
 BLIND_MM = 2.5  # or as long as a slow arm takes for this
 SLID_MM = 0.8  # where the object slid further on than this, nothing shows how far it turned
-LATE_S = 0.05  # that pictures may come late: what a fast arm turns meanwhile slides before anything shows it
+LATE_S = 0.075  # that pictures may come late: what a fast arm turns meanwhile slides before anything shows it
 PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
 
 

@@ -174,7 +174,7 @@ def test_an_object_that_slid_far_or_was_not_seen_has_turned_by_nobody_knows_how_
 
 def test_what_a_quick_arm_turns_before_a_picture_shows_it_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(claim, "lasting_turn_deg", lambda both: math.nan if both is None else 0.2)
-    for speed_mm_s, known in ((15.9, True), (16.1, False), (None, True)):
+    for speed_mm_s, known in ((10.6, True), (10.7, False), (None, True)):
         grasp = GraspRecord(50.0)
         grasp.blocked(replace(blocked(0.5, 1.9), speed_mm_s=speed_mm_s))
         assert math.isfinite(grasp.turned_deg) == known
