@@ -92,7 +92,7 @@ def _verdict(asked: Sequence[Row], learnt: Sequence[Row]) -> str:
             right == len(asked) - good_n,
             f"{right} of {len(asked) - good_n} mistakes were named by their right cause; asked for: all",
         ),
-        (minutes <= MOST_MINUTES, f"{minutes:.0f} min of robot time at most; asked for: {MOST_MINUTES:.0f}"),
+        (minutes <= MOST_MINUTES, f"{minutes:.1f} min of robot time at most; asked for: {MOST_MINUTES:.0f}"),
         (adapt_s <= MOST_ADAPT_S, f"{adapt_s:.0f} s for adapting at most; asked for: {MOST_ADAPT_S:.0f}"),
         *(_reached(learnt) if learnt else ()),
     ):
