@@ -26,7 +26,7 @@ def hello(session: InsertionSession, **changes: object) -> wire.ServiceHello:
 
 
 def probe(session: InsertionSession, attempt: int, start_ns: int, frames: int = 30, outcome: str = "blocked") -> list:
-    """One attempt in lock step: the arm stops one frame after slip, or at the last frame."""
+    """One attempt in lock step at 10 mm/s: the arm stops one frame after slip, or at the last frame."""
     said = session.handle(
         wire.Arm(insertion_id=ID, attempt=attempt, gap_width_mm=56.0, expected_depth_mm=25.0), start_ns
     )
@@ -38,7 +38,7 @@ def probe(session: InsertionSession, attempt: int, start_ns: int, frames: int = 
             said += session.handle(wire.Descending(insertion_id=ID, attempt=attempt), pair.captured_ns)
         if not stopped and (any(isinstance(m, wire.Slip) for m in said) or index == frames - 1):
             stopped = True
-            message = wire.Stopped(insertion_id=ID, attempt=attempt, depth_mm=6.0, outcome=outcome)
+            message = wire.Stopped(insertion_id=ID, attempt=attempt, depth_mm=5.0, outcome=outcome)
             said += session.handle(message, pair.captured_ns)
     return said
 
