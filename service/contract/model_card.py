@@ -61,9 +61,6 @@ class Span(Contract):
         return self
 
 
-SLACK = 0.02
-
-
 class Pressing(Contract):
     """How a network reads a descent: ``steps_n`` steps of ``step_mm`` of depth since the object first moved.
 
@@ -98,12 +95,11 @@ class Pressing(Contract):
     def outside(self, told: Mapping[str, float | None]) -> str:
         """Which condition lies outside what the network was trained on, as a sentence; empty if none does.
 
-        What is not told is not outside; a number that is not finite is. What is told errs, so that a number counts as
-        inside up to 2 % beyond the ends.
+        What is not told is not outside; a number that is not finite is.
         """
         for name, span in self.trained.items():
             value = told.get(name)
-            if value is not None and not (1.0 - SLACK) * span.low <= value <= (1.0 + SLACK) * span.high:
+            if value is not None and not span.low <= value <= span.high:
                 return f"{name} is {value:g}, the networks were trained on {span.low:g} to {span.high:g}"
         return ""
 

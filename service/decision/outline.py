@@ -12,11 +12,8 @@ import numpy as np
 
 from service.decision.evidence import Floats
 
-YAW_SHARES = (
-    0.0,
-    0.3,
-    1.0,
-)  # of a rectangle's growth: round or hexagonal, polygon, rectangle (medians of drawn objects)
+# Of a rectangle's growth: round or hexagonal, polygon, rectangle (medians of drawn objects).
+YAW_SHARES = (0.0, 0.3, 1.0)
 SOFT_MM = 0.35  # of the clearance: what the belief's cells and the creep in the hand blur
 
 

@@ -97,7 +97,6 @@ def test_what_lies_outside_training_is_named() -> None:
     assert spec.outside({"speed_mm_s": 10.0, "grip_n": None}) == ""
     assert "speed_mm_s is 50" in spec.outside({"speed_mm_s": 50.0})
     assert "speed_mm_s is 41" in spec.outside({"speed_mm_s": 41.0})
-    assert spec.outside({"speed_mm_s": 40.5}) == "", "what is told errs"
     assert "speed_mm_s is nan" in spec.outside({"speed_mm_s": float("nan")})
     assert CONDITIONS[4] == "speed_mm_s"
     with pytest.raises(ValueError, match="none of"):
