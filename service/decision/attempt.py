@@ -267,7 +267,7 @@ class Attempt:
                 return []
             pairs = list(self.ring)
             self.decision_pairs += pairs[index:]
-            self.descent = Descent(card, self.told())
+            self.descent = Descent(card, self.told(), self.arm.until_slip)
             fresh = self.descent.begin(pairs, index)
         self.steps += fresh
         return fresh
@@ -279,7 +279,6 @@ class Attempt:
             return {}
         pairs = self.decision_pairs or [reference]
         last = pairs[-1].fingers
-        decision = self.decision.model_dump_json() if self.decision else "{}"
         return {
             "frames": np.stack([pair.pixels() for pair in pairs]),
             "reference": reference.pixels(),
@@ -288,13 +287,14 @@ class Attempt:
             "rest_px": np.stack([finger.field.rest_px for finger in last]),
             "displacement_px": np.stack([finger.field.displacement_px for finger in last]),
             "valid": np.stack([finger.field.valid for finger in last]),
-            "decision": np.array(decision),
-            **self._read_by_depth(),
+            **self.read_by_depth(),
         }
 
-    def _read_by_depth(self) -> dict[str, NDArray[np.generic]]:
-        """What networks that read steps of depth were shown."""
-        if not self.steps or self.descent is None:
-            return {}
+    def read_by_depth(self) -> dict[str, NDArray[np.generic]]:
+        """The decision, and what networks that read steps of depth were shown; no pictures."""
+        decision = {"decision": np.array(self.decision.model_dump_json() if self.decision else "{}")}
+        if not self.steps or self.descent is None or self.reference is None:
+            return decision
         told = [self.descent.told.get(name) or 0.0 for name in CONDITIONS]
-        return {"steps": np.stack(self.steps), "conditions": np.array(told, np.float32)}
+        steps = {"steps": np.stack(self.steps), "conditions": np.array(told, np.float32)}
+        return {**decision, **steps, "held_px": self.reference.markers_px()}

@@ -20,6 +20,7 @@ from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
 
 Floats = NDArray[np.float32]
 FELT, FELT_BY_N = 0.1, 10  # a press moves so many lattice points by this share of itself; an object that sags, fewer
+UNTIL_SLIP_N = 20  # steps of a press until slip, at most
 REACHES, FEWEST_N = 2.0, 4  # an attempt presses by so many shear reaches where they are told, and steps at least
 
 
@@ -74,10 +75,14 @@ class PressedFinger:
 
 @dataclass(slots=True)
 class Descent:
-    """The steps of depth of one attempt. ``speed_mm_s`` None: the client did not tell, and no depth is known."""
+    """The steps of depth of one attempt. ``speed_mm_s`` None: the client did not tell, and no depth is known.
+
+    ``until_slip``: it presses on after the last step that the networks read.
+    """
 
     card: ModelCard
     told: dict[str, float | None]
+    until_slip: bool = False
     problem: Refusal | None = None
     _steps: DepthSteps | None = None
     _last: Floats | None = None
@@ -108,6 +113,8 @@ class Descent:
         """As many steps as the networks read, fewer where the gel slides before: what turns then stays turned."""
         spec, reach_mm = self.card.pressing, self.told.get("shear_reach_mm")
         assert spec is not None
+        if self.until_slip:
+            return UNTIL_SLIP_N
         if not reach_mm:
             return spec.steps_n
         return min(spec.steps_n, max(FEWEST_N, round(REACHES * reach_mm / spec.step_mm)))
@@ -124,7 +131,8 @@ class Descent:
             speed_mm_s, spec = self.told["speed_mm_s"], self.card.pressing
             assert spec is not None
             assert speed_mm_s is not None
-            self._steps = DepthSteps(spec, speed_mm_s)
+            longest_n = max(spec.steps_n, self.worth_n)
+            self._steps = DepthSteps(spec.model_copy(update={"steps_n": longest_n}), speed_mm_s)
             self._steps.begin([pair.captured_ns for pair in pairs], [self._read(pair) for pair in pairs], first)
             return self._fresh()
         except Refusal as refusal:

@@ -73,6 +73,7 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
     if attempt.fed:
         return []
     steps, pair, descent = attempt.take_steps(models.card), attempt.ring[-1], attempt.descent
+    steps = steps[: max(0, _read_n(models) - len(attempt.steps) + len(steps))]
     if descent is None or attempt.dismisses(descent):
         return []
     number, generation, problem = attempt.arm.attempt, attempt.generation, descent.problem
@@ -98,6 +99,12 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
             return WorkResult(number, generation, None, Refusal("non_finite", f"the networks failed: {error}"), {})
 
     return [Work(number, compute)] if steps or complete else []
+
+
+def _read_n(models: ModelSet) -> int:
+    """How many steps of depth the networks read."""
+    assert models.card.pressing is not None
+    return models.card.pressing.steps_n
 
 
 def latencies(run: DecisionRun, last: PairObservation) -> dict[str, float]:

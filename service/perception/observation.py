@@ -84,6 +84,12 @@ class PairObservation:
         """Rectified uint8 [2, H, W, 3], left first, as the networks take them."""
         return np.stack([self.left.image, self.right.image])
 
+    def markers_px(self) -> NDArray[np.float32]:
+        """Where both fingers' markers are, float32 [2, rows, columns, 2]; NaN where they were not found."""
+        fields = self.left.field, self.right.field
+        places = [np.where(one.valid[..., None], one.rest_px + one.displacement_px, np.nan) for one in fields]
+        return np.stack(places).astype(np.float32)
+
 
 def belongs(observation: Observation, pair: FramePair) -> bool:
     """Whether an observation is of this pair's frame of the same finger."""

@@ -23,12 +23,16 @@ from simulation.scene.state import PhysicsError
 
 @dataclass(frozen=True)
 class Episode:
-    """One insertion, or one probe that ends with its first decision, to play and keep in ``folder``."""
+    """One insertion, or one probe that ends with its first decision, to play and keep in ``folder``.
+
+    ``until_slip``: a probe that presses on until the gel slides.
+    """
 
     folder: Path
     models: Path
     job: Mapping[str, Any]
     probe: bool
+    until_slip: bool = False
 
 
 def play(episode: Episode) -> Row:
@@ -44,7 +48,7 @@ def play(episode: Episode) -> Row:
         insertion = stage(job, models_of(episode.models))
         plan = insertion.state.plan
         if episode.probe:
-            insertion.state = State(plan.model_copy(update={"purpose": "probe"}))
+            insertion.state = State(plan.model_copy(update={"purpose": "probe", "until_slip": episode.until_slip}))
         insertion.session.on_attempt = attempts.append
         outcome = insertion.run()
         robot_s = insertion.seconds.total_s + trip_s(plan)
@@ -58,8 +62,7 @@ def play(episode: Episode) -> Row:
 def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> None:
     episode.folder.mkdir(parents=True, exist_ok=True)
     for number, attempt in enumerate(attempts, 1):  # those of each grasp begin with 1
-        arrays = attempt.arrays()
-        kept = {name: arrays[name] for name in ("steps", "conditions", "decision") if name in arrays}
+        kept = attempt.read_by_depth()
         if "steps" in kept:
             np.savez(episode.folder / f"attempt_{number:02d}.npz", **kept)  # type: ignore[arg-type]
     summary = {

@@ -16,6 +16,7 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.commission import (
+    PRESSES,
     SIDES,
     WENT_IN,
     Commissioning,
@@ -104,6 +105,14 @@ def test_a_cell_that_is_framed_wrong_or_feels_nothing_is_named(wrong, says):
     assert says in named
 
 
+@pytest.mark.parametrize(("purpose", "until_slip"), [("probe", True), ("insert", False)])
+def test_only_a_probe_is_ever_pressed_until_slip(purpose, until_slip):
+    plan = PLAN.model_copy(update={"purpose": purpose, "until_slip": True})
+    _, commands = run(TO_DESCENT, State(plan))
+    (arm,) = (c.message for c in commands if isinstance(c, Send) and isinstance(c.message, wire.Arm))
+    assert arm.until_slip == until_slip
+
+
 @given(st.floats(-1.0, 1.0), st.floats(-1.5, 1.5))
 def test_a_good_cell_is_never_accused(x, theta):
     assert mistakes(tuple(answers(off=(x, theta)))) == ()
@@ -181,6 +190,33 @@ def test_it_goes_on_where_it_was_broken_off_and_loses_the_probe_under_way(tmp_pa
     assert len(record.probes) == 6
     assert broken.probed[:7] + broken.probed[8:] == whole.probed
     assert whole.fetched_n == len(whole.probed)
+
+
+def test_presses_come_after_the_signs_once_and_older_records_keep_their_digest(tmp_path):
+    cell, path, pressed = Cell(), tmp_path / "record.json", []
+
+    async def press(x_mm, theta_deg):
+        pressed.append((x_mm, theta_deg))
+        return await cell.probe(x_mm, theta_deg)
+
+    record = asyncio.run(commissioning(cell, path).run(2))
+    was = record.digest()
+    for _ in range(2):
+        running = commissioning(cell, path, read_record(path))
+        running.press = press
+        record = asyncio.run(running.run(2))
+    assert pressed == list(PRESSES)
+    assert [(probe.x_mm, probe.theta_deg) for probe in record.presses] == pressed
+    assert record.digest() != was
+    assert record.model_copy(update={"presses": ()}).digest() == was
+
+
+def test_a_cell_with_the_wrong_signs_is_not_pressed(tmp_path):
+    cell = Cell(sign=-1)
+    running = commissioning(cell, tmp_path / "pressed.json")
+    running.press = cell.probe
+    assert asyncio.run(running.run(0)).presses == ()
+    assert len(cell.probed) == len(SIDES)
 
 
 ENDLESS = """

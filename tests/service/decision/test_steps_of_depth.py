@@ -6,6 +6,7 @@ from pathlib import Path
 import onnx
 import pytest
 
+from robot_client.insertion.state import State
 from service.contract import wire
 from service.contract.model_card import Pressing, Span
 from service.decision import network_input
@@ -39,11 +40,16 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
     return make
 
 
-def first_attempt(models: ModelSet, *, told_reach: bool = False, **changes: float) -> tuple[Insertion, Said]:
+def first_attempt(
+    models: ModelSet, *, told_reach: bool = False, until_slip: bool = False, **changes: float
+) -> tuple[Insertion, Said]:
     """An insertion that is blocked at first, played until its first answer, and all that the service said."""
     soft = {"gel.friction": 1.0, "gel.shear_modulus_n_per_mm2": 0.08}
     job = Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", soft | changes, told_reach=told_reach)
     insertion, said = stage(job, models), Said()
+    if until_slip:
+        plan = insertion.state.plan.model_copy(update={"purpose": "probe", "until_slip": True})
+        insertion.state = State(plan)
     hear = insertion._hear
 
     def listen(messages: Said) -> None:
@@ -77,6 +83,24 @@ def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..
 def test_a_gel_that_slides_soon_is_pressed_less_where_that_is_told(made, reach_mm: float | None, steps_n: int) -> None:
     card = made().steps[0].card
     assert network_input.Descent(card, {"shear_reach_mm": reach_mm}).worth_n == steps_n
+
+
+def test_a_press_until_slip_goes_on_after_what_the_networks_read(made: Callable[..., ModelSet]) -> None:
+    models = made()
+    _, usual = first_attempt(models)
+    insertion, said = first_attempt(models, until_slip=True)
+    attempt, read_n = insertion.session.attempt, models.card.pressing.steps_n
+    assert answers(said)[0] == "slip"
+    assert read_n < len(attempt.steps) < network_input.UNTIL_SLIP_N
+    assert attempt.descent.pressed_mm > models.card.pressing.depth_mm
+    decided = [next(one for one in heard if isinstance(one, wire.Correction)) for heard in (usual, said)]
+    assert decided[0].estimate == decided[1].estimate
+
+
+def test_a_press_until_slip_ends_where_nothing_slips(made: Callable[..., ModelSet]) -> None:
+    _, said = first_attempt(made(), until_slip=True, **{"gel.friction": 2.0, "grasp.force_n": 40.0})
+    enough = next(message for message in said if isinstance(message, wire.Enough))
+    assert enough.pressed_mm < network_input.UNTIL_SLIP_N * 0.15 + 10.0 / 30.0
 
 
 def test_what_moves_the_markers_too_little_for_a_press_stops_nothing(
