@@ -190,13 +190,13 @@ def scene(arguments: list[str]) -> int:
 
 
 def _identify(options: Identify) -> None:
-    known = posterior.load(options.posterior)
-    grip_n, told = study.identified(options.recordings, load_scene(options.object), known)
+    fitted = posterior.load(options.posterior)
+    grip_n, intervals = study.identified(options.recordings, load_scene(options.object), fitted)
     comment = f"Identified from {options.recordings.name}, held: {options.object}, at {grip_n:g} N."
-    write_durably(options.out, study.world_file(grip_n, told, comment).encode())
-    write_json(options.out.with_suffix(".json"), study.as_json(grip_n, told, known))
-    for one in told:
-        print(f"{one.key:<24} {one.estimate:8.3g}   {study.said(one)}")
+    write_durably(options.out, study.world_file(grip_n, intervals, comment).encode())
+    write_json(options.out.with_suffix(".json"), study.as_json(grip_n, intervals, fitted))
+    for one in intervals:
+        print(f"{one.key:<24} {one.estimate:8.3g}   {study.range_text(one)}")
     print(f"written: {options.out}")
 
 
@@ -222,9 +222,9 @@ def _fit(options: Fit) -> None:
 def _judge(options: Judge) -> None:
     cells = _cells(options, options.first, options.cells, "whole")
     cells += _cells(options, options.first, options.layer_cells, "whole", "layer")
-    known = posterior.load(options.posterior)
-    rows = [study.judged(row, known) for row in study.played(cells, options.workers)]
-    data = {"simulated": True, "note": options.note, "posterior": dict(known.about), "rows": rows}
+    fitted = posterior.load(options.posterior)
+    rows = [study.judged(row, fitted) for row in study.played(cells, options.workers)]
+    data = {"simulated": True, "note": options.note, "posterior": dict(fitted.about), "rows": rows}
     options.out.mkdir(parents=True, exist_ok=True)
     write_json(options.out / "judged.json", data)
     page = identify_page(data)

@@ -22,11 +22,11 @@ NOISE_MM, NOISE_PX = 3e-3, 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
-    """What one probe showed. ``steps`` [n, 2, rows, columns, 3] and ``conditions`` are those that the networks read.
+class Touch:
+    """What one probe showed. ``steps`` [n, 2, rows, columns, 3] are those of depth, in mm: see `DepthSteps`.
 
-    ``markers_px`` [2, marker rows, marker columns, 2] is where the markers were when the gels last were seen, NaN where
-    they were not; ``x_mm`` and ``yaw_deg`` the error that it began at, ``grip_n`` the fingers' force.
+    ``markers_px`` [2, marker rows, marker columns, 2] is where the markers were before the descent, NaN where they were
+    not found; ``x_mm`` and ``yaw_deg`` the error that it began at, ``grip_n`` the fingers' force.
     """
 
     x_mm: float
@@ -38,12 +38,12 @@ class Shown:
 
 
 def numbers_of(
-    signs: Sequence[Shown], presses: Mapping[float, Sequence[Shown]], size_mm: tuple[float, float]
+    signs: Sequence[Touch], presses: Mapping[float, Sequence[Touch]], size_mm: tuple[float, float]
 ) -> Floats:
     """All numbers that the posterior reads; ``presses`` by grip, the cell's own first."""
     (own, firm), (other, light) = presses.items()
-    told = np.log([own, other, *size_mm, firm[0].speed_mm_s])
-    parts = [told, _sheared(signs)]
+    conditions = np.log([own, other, *size_mm, firm[0].speed_mm_s])
+    parts = [conditions, _sheared(signs)]
     for made in (firm, light):
         parts.append(_sheared(made))
         parts.append(_profiles(made))
@@ -51,23 +51,23 @@ def numbers_of(
     return np.concatenate(parts)
 
 
-def _folded(shown: Shown) -> Floats:
+def _folded(touch: Touch) -> Floats:
     """Both fingers' steps [n, rows, columns, 2] in mm laid over each other, as the left finger sees a push at +x."""
-    right_side = shown.x_mm > 0.0 or (shown.x_mm == 0.0 and shown.yaw_deg > 0.0)
-    seen = np.where(shown.steps[..., 2:] > 0.0, shown.steps[..., :2], np.nan)
-    turned = seen[:, :, :, ::-1] * (-1.0, 1.0)
-    both = np.stack([seen[:, 0], turned[:, 1]] if right_side else [turned[:, 0], seen[:, 1]])
+    right_side = touch.x_mm > 0.0 or (touch.x_mm == 0.0 and touch.yaw_deg > 0.0)
+    fields = np.where(touch.steps[..., 2:] > 0.0, touch.steps[..., :2], np.nan)
+    turned = fields[:, :, :, ::-1] * (-1.0, 1.0)
+    both = np.stack([fields[:, 0], turned[:, 1]] if right_side else [turned[:, 0], fields[:, 1]])
     return np.asarray(np.nanmean(both, 0))
 
 
-def _together(shown: Sequence[Shown]) -> list[Floats]:
-    return [_folded(one) for one in shown if len(one.steps)]
+def _together(touches: Sequence[Touch]) -> list[Floats]:
+    return [_folded(one) for one in touches if len(one.steps)]
 
 
-def _sheared(shown: Sequence[Shown]) -> Floats:
+def _sheared(touches: Sequence[Touch]) -> Floats:
     """Motion, turn and unevenness of the pad's middle over depth, and how deep it went."""
     rows = []
-    for field in _together(shown):
+    for field in _together(touches):
         core = field[[min(at, len(field) - 1) for at in AT]][:, CORE, CORE]
         motion = -np.nanmean(core[..., 1], (1, 2))
         turn = np.nanmean(np.diff(core[..., 1], axis=2), (1, 2))
@@ -79,10 +79,10 @@ def _sheared(shown: Sequence[Shown]) -> Floats:
     return np.asarray(np.mean(rows, 0))
 
 
-def _profiles(shown: Sequence[Shown]) -> Floats:
+def _profiles(touches: Sequence[Touch]) -> Floats:
     """How motion falls off towards the pad's edges, early and at the end: along it up and down, and to either side."""
     rows = []
-    for field in _together(shown):
+    for field in _together(touches):
         for at in (min(EARLY, len(field) - 1), LATE):
             moved = -field[at, :, :, 1]
             middle = max(float(np.nanmean(moved[CORE, CORE])), NOISE_MM)
@@ -91,7 +91,7 @@ def _profiles(shown: Sequence[Shown]) -> Floats:
     return np.concatenate([np.mean(rows[0::2], 0), np.mean(rows[1::2], 0)])
 
 
-def _bulged(firm: Sequence[Shown], light: Sequence[Shown]) -> Floats:
+def _bulged(firm: Sequence[Touch], light: Sequence[Touch]) -> Floats:
     """How much further the firmer grip drives the markers outwards: by rows and by columns, from the middle out."""
     grown = np.nanmean([one.markers_px for one in firm], 0) - np.nanmean([one.markers_px for one in light], 0)
     down = np.nanmean(grown[..., 1], (0, 2))

@@ -14,7 +14,7 @@ from robot_client.session.commission import PRESSES, SIDES
 from service.contract import ContractError, Sensor
 from service.contract.model_card import CONDITIONS
 from simulation.scene.scene import Scene
-from simulation.studies.identify.evidence import Floats, Shown, numbers_of
+from simulation.studies.identify.evidence import Floats, Touch, numbers_of
 
 GRIPS_N = (10.0, 40.0)
 GRIPS_APART = (1.8, 2.2)
@@ -25,10 +25,10 @@ AT_MM, AT_DEG = 0.5, 1.0  # of where a press or a probe for signs begins
 
 
 class Sorted(NamedTuple):
-    """Probes for signs, and presses by grip, the grip of the signs first."""
+    """Probes for signs, and presses by grip: first the cell's own, at which the first signs were asked for."""
 
-    signs: Sequence[Shown]
-    presses: Mapping[float, Sequence[Shown]]
+    signs: Sequence[Touch]
+    presses: Mapping[float, Sequence[Touch]]
 
     def numbers(self, scene: Scene) -> Floats:
         """What they show, of a part that the posterior was fitted for. Raises ContractError."""
@@ -44,16 +44,17 @@ class Sorted(NamedTuple):
 
 def read(folder: Path) -> Sorted:
     """The probes below ``folder``. Raises ContractError where they are not those that tell of a gel."""
-    shown = [one for path in sorted(folder.glob("*/summary.json")) for one in _shown(path)]
-    signs = [one for one in shown if _begins(one, SIDES)]
-    presses = defaultdict[float, list[Shown]](list)
-    for one in shown:
+    touches = [one for path in sorted(folder.glob("*/summary.json")) for one in _touches(path)]
+    signs = [one for one in touches if _begins(one, SIDES)]
+    signs = [one for one in signs if one.grip_n == signs[0].grip_n]  # those of a second commissioning tell no more
+    presses = defaultdict[float, list[Touch]](list)
+    for one in touches:
         if _begins(one, PRESSES):
             presses[one.grip_n].append(one)
     return sorted_out(signs, presses)
 
 
-def sorted_out(signs: Sequence[Shown], presses: Mapping[float, Sequence[Shown]]) -> Sorted:
+def sorted_out(signs: Sequence[Touch], presses: Mapping[float, Sequence[Touch]]) -> Sorted:
     """Probes that are known by their kind. Raises ContractError where some are missing, or made at other grips."""
     if not signs:
         raise ContractError("no probe for signs that touched; expected the recordings of a commissioning")
@@ -76,22 +77,22 @@ def sorted_out(signs: Sequence[Shown], presses: Mapping[float, Sequence[Shown]])
     return Sorted(signs, {grip: presses[grip] for grip in grips})
 
 
-def _begins(shown: Shown, places: Sequence[tuple[float, float]]) -> bool:
-    return any(abs(shown.x_mm - x) < AT_MM and abs(shown.yaw_deg - yaw) < AT_DEG for x, yaw in places)
+def _begins(touch: Touch, places: Sequence[tuple[float, float]]) -> bool:
+    return any(abs(touch.x_mm - x) < AT_MM and abs(touch.yaw_deg - yaw) < AT_DEG for x, yaw in places)
 
 
-def _shown(summary: Path) -> list[Shown]:
+def _touches(summary: Path) -> list[Touch]:
     """What a probe showed; nothing where it touched nothing, or was no probe."""
     try:
-        said = json.loads(summary.read_text(encoding="utf-8"))
-        if said.get("purpose") != "probe" or not (path := summary.with_name("attempt_01.npz")).exists():
+        content = json.loads(summary.read_text(encoding="utf-8"))
+        if content.get("purpose") != "probe" or not (path := summary.with_name("attempt_01.npz")).exists():
             return []
         with np.load(path) as stored:
             if "held_px" not in stored.files:
                 return []
             steps, held = stored["steps"].astype(np.float64), stored["held_px"].astype(np.float64)
-            told = dict(zip(CONDITIONS, map(float, stored["conditions"]), strict=True))
-        begun = said["approach"]
-        return [Shown(float(begun["x_mm"]), float(begun["yaw_deg"]), told["grip_n"], told["speed_mm_s"], steps, held)]
+            conditions = dict(zip(CONDITIONS, map(float, stored["conditions"]), strict=True))
+        begun = (float(content["approach"][axis]) for axis in ("x_mm", "yaw_deg"))
+        return [Touch(*begun, conditions["grip_n"], conditions["speed_mm_s"], steps, held)]
     except (OSError, ValueError, KeyError) as error:
         raise ContractError(f"{summary.parent} is no recording of a probe: {error}") from error

@@ -18,25 +18,25 @@ from simulation.studies.identify.cells import Cell, pressed
 from simulation.studies.identify.posterior import Interval, Posterior
 
 
-def identified(recordings: Path, scene: Scene, known: Posterior) -> tuple[float, list[Interval]]:
+def identified(recordings: Path, scene: Scene, model: Posterior) -> tuple[float, list[Interval]]:
     """The grip of a cell (N), and what the recordings of its commissioning tell of its gel. Raises ContractError."""
-    shown = recorded.read(recordings)
-    return next(iter(shown.presses)), known.intervals(shown.numbers(scene))
+    sorted_probes = recorded.read(recordings)
+    return next(iter(sorted_probes.presses)), model.intervals(sorted_probes.numbers(scene))
 
 
-def world_file(grip_n: float, told: Sequence[Interval], comment: str) -> str:
+def world_file(grip_n: float, intervals: Sequence[Interval], comment: str) -> str:
     """The world as a file: estimates, with their 90 % intervals as comments."""
-    by_key = {one.key: one for one in told}
+    by_key = {one.key: one for one in intervals}
     x, z, reach = (by_key.pop(key) for key in ("margin_x_mm", "margin_z_mm", posterior.REACH))
     return "\n".join(
         [
             f"# {comment}",
             "# Estimates; of cells alike, 90 % lie between the ends that stand behind.",
-            f"# {reach.key} = {reach.estimate:.4g}, {said(reach)}: for [task] of the client",
+            f"# {reach.key} = {reach.estimate:.4g}, {range_text(reach)}: for [task] of the client",
             "",
             "[gel]",
-            *(f"{one.key} = {one.estimate:.4g}  # {said(one)}" for one in by_key.values()),
-            f"margin_mm = [{x.estimate:.3g}, {z.estimate:.3g}]  # x {said(x)}; z {said(z)}",
+            *(f"{one.key} = {one.estimate:.4g}  # {range_text(one)}" for one in by_key.values()),
+            f"margin_mm = [{x.estimate:.3g}, {z.estimate:.3g}]  # x {range_text(x)}; z {range_text(z)}",
             "",
             "[grasp]",
             f"force_n = {grip_n:g}",
@@ -45,15 +45,15 @@ def world_file(grip_n: float, told: Sequence[Interval], comment: str) -> str:
     )
 
 
-def said(one: Interval) -> str:
+def range_text(one: Interval) -> str:
     """An interval in words."""
     return f"{one.low:.3g} to {one.high:.3g}" + ("" if one.known else ", not told by the probes")
 
 
-def as_json(grip_n: float, told: Sequence[Interval], known: Posterior) -> Row:
+def as_json(grip_n: float, intervals: Sequence[Interval], model: Posterior) -> Row:
     """The same as plain data."""
-    rows = {one.key: {**one._asdict(), "known": one.known} for one in told}
-    return {"level": posterior.LEVEL, "grip_n": grip_n, "gel": rows, "posterior": dict(known.about)}
+    rows = {one.key: {**one._asdict(), "known": one.known} for one in intervals}
+    return {"level": posterior.LEVEL, "grip_n": grip_n, "gel": rows, "posterior": dict(model.about)}
 
 
 def played(cells: Sequence[Cell], workers: int) -> Iterator[Row]:
@@ -74,18 +74,18 @@ def fitted(rows: Sequence[Row], about: Mapping[str, Any]) -> Posterior:
     return posterior.fit(numbers[sound], truth[sound], fine[sound], about)
 
 
-def judged(row: Row, known: Posterior) -> Row:
+def judged(row: Row, model: Posterior) -> Row:
     """A fresh cell: for each parameter the interval, the truth, and whether it is held; or why there is none."""
     out = {"number": row["number"], "tier": row["tables"]["gel"]["tier"]}
     if "numbers" not in row:
         return {**out, "refused": row["refused"]}
     truth = posterior.truth_of(row["tables"])
     try:
-        told = known.intervals(np.array(row["numbers"]))
+        intervals = model.intervals(np.array(row["numbers"]))
     except ContractError as error:
         return {**out, "refused": str(error)}
     gel = {}
-    for one, by, share in zip(told, posterior.PARAMETERS, truth, strict=True):
+    for one, by, share in zip(intervals, posterior.PARAMETERS, truth, strict=True):
         value = by.value(float(share))
         holds = bool(by.share(one.low) - 1e-6 <= share <= by.share(one.high) + 1e-6)
         off = float(abs(by.share(one.estimate) - share))

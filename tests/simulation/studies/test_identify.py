@@ -1,4 +1,4 @@
-"""What presses tell of a gel: intervals hold what they promise, and what is not told is as wide as before."""
+"""What presses tell of a gel: intervals hold what they promise, and what is not intervals is as wide as before."""
 
 import json
 
@@ -39,10 +39,10 @@ def test_nine_of_ten_fresh_cells_lie_within_their_intervals(made):
 
 def test_what_is_not_shown_is_as_wide_as_before_and_what_is_shown_is_not(made):
     rng = np.random.default_rng(3)
-    told = made.intervals(numbers(np.full((1, len(posterior.PARAMETERS)), 0.7), rng)[0])
-    assert told[0].known
-    assert not any(one.known for one in told[2:])
-    assert all(one.low <= one.estimate <= one.high for one in told)
+    intervals = made.intervals(numbers(np.full((1, len(posterior.PARAMETERS)), 0.7), rng)[0])
+    assert intervals[0].known
+    assert not any(one.known for one in intervals[2:])
+    assert all(one.low <= one.estimate <= one.high for one in intervals)
 
 
 def test_numbers_like_no_drawn_cells_are_refused(made):
@@ -72,32 +72,32 @@ def test_the_recordings_of_a_cell_become_a_world_file(played, tmp_path, capsys):
     assert main(["scene", "identify", str(folder), "--object", str(folder / "object.toml"), "--out", str(out)]) == 0
     changes = load_world(out).changes
     assert changes["grasp.force_n"] == pytest.approx(row["tables"]["grasp"]["force_n"], rel=1e-4)
-    said = json.loads(out.with_suffix(".json").read_text())
-    assert set(said["gel"]) == {one.key for one in posterior.PARAMETERS}
-    assert said["posterior"]["made_by"].startswith("python -m simulation scene fit")
-    untold = [key for key, one in said["gel"].items() if not one["known"]]
-    assert out.read_text().count("not told by the probes") == len(untold)
-    assert capsys.readouterr().out.count("not told by the probes") == len(untold)
+    content = json.loads(out.with_suffix(".json").read_text())
+    assert set(content["gel"]) == {one.key for one in posterior.PARAMETERS}
+    assert content["posterior"]["made_by"].startswith("python -m simulation scene fit")
+    unknown = [key for key, one in content["gel"].items() if not one["known"]]
+    assert out.read_text().count("not told by the probes") == len(unknown)
+    assert capsys.readouterr().out.count("not told by the probes") == len(unknown)
 
 
 def test_the_shipped_posterior_knows_the_stiffness_of_a_cell_that_it_was_not_fitted_to(played):
-    told = posterior.load().intervals(np.array(played[1]["numbers"]))
-    gel = next(one for one in told if one.key == "shear_modulus_n_per_mm2")
+    intervals = posterior.load().intervals(np.array(played[1]["numbers"]))
+    gel = next(one for one in intervals if one.key == "shear_modulus_n_per_mm2")
     assert gel.known
     assert study.judged(played[1], posterior.load())["gel"]["friction"]["width"] <= 1.3
 
 
 def test_presses_that_do_not_tell_are_refused_by_name(played):
     folder, _ = played
-    shown = recorded.read(folder)
-    own, other = shown.presses
+    probes = recorded.read(folder)
+    own, other = probes.presses
     for presses, says in (
         ({}, "presses at no grip"),
-        ({own: shown.presses[own]}, f"presses at {own:g} N"),
-        ({own: shown.presses[own], 1.1 * own: shown.presses[other]}, "one twice the other"),
+        ({own: probes.presses[own]}, f"presses at {own:g} N"),
+        ({own: probes.presses[own], 1.1 * own: probes.presses[other]}, "one twice the other"),
     ):
         with pytest.raises(ContractError, match=says):
-            recorded.sorted_out(shown.signs, presses)
+            recorded.sorted_out(probes.signs, presses)
     with pytest.raises(ContractError, match="no probe for signs"):
         recorded.read(folder / "00")
 
@@ -110,6 +110,6 @@ def test_the_second_grip_stays_within_what_the_networks_were_trained_on(grip_n):
 def test_a_part_that_does_not_cover_the_pads_is_refused(played):
     from simulation.scene.worlds import load_scene
 
-    shown = recorded.read(played[0])
+    probes = recorded.read(played[0])
     with pytest.raises(ContractError, match="expected a rectangle"):
-        shown.numbers(load_scene("circle"))
+        probes.numbers(load_scene("circle"))
