@@ -150,7 +150,7 @@ class Play:
 
 @dataclass(frozen=True)
 class Fit(Play):
-    """Fit the posterior to drawn cells, anew and to the bit: what ships is made so."""
+    """Fit the posterior to drawn cells, anew: what ships is made so."""
 
     coarse_cells: int = 306
     """cells on coarser pads, which the intervals are not calibrated on"""

@@ -92,7 +92,7 @@ def _touches(summary: Path) -> list[Touch]:
                 return []
             steps, held = stored["steps"].astype(np.float64), stored["held_px"].astype(np.float64)
             conditions = dict(zip(CONDITIONS, map(float, stored["conditions"]), strict=True))
-        begun = (float(content["approach"][axis]) for axis in ("x_mm", "yaw_deg"))
-        return [Touch(*begun, conditions["grip_n"], conditions["speed_mm_s"], steps, held)]
+        x_mm, yaw_deg = float(content["approach"]["x_mm"]), float(content["approach"]["yaw_deg"])
+        return [Touch(x_mm, yaw_deg, conditions["grip_n"], conditions["speed_mm_s"], steps, held)]
     except (OSError, ValueError, KeyError) as error:
         raise ContractError(f"{summary.parent} is no recording of a probe: {error}") from error
