@@ -49,7 +49,7 @@ def test_what_the_pads_do_balances_blocks_and_weight(pressed):
 def test_no_node_pulls_penetrates_or_leaves_the_friction_cone(pressed):
     cell, _ = pressed
     grip, planes = cell.grip, cell.pads.planes(cell.held, cell.grip.on)
-    judged = cell.pads.judge(grip, planes, grip.on, None)
+    judged = cell.pads.evaluate(grip, planes, grip.on, None)
     drag = np.linalg.norm(judged.drag, axis=1)
     closed = grip.status != OPEN
     assert judged.pressing[closed].min() >= -1e-6

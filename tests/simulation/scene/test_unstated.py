@@ -37,9 +37,9 @@ def test_a_wrong_sign_turns_over_what_follows_the_approach() -> None:
 @pytest.mark.parametrize("unstated", [{}, ALL_AT_ONCE, *({key: value} for key, value in ALL_AT_ONCE.items())])
 def test_what_the_arm_says_is_where_it_was_sent(unstated: dict[str, object]) -> None:
     misplaced, told = Misplacement(Unstated(**unstated), APPROACH), (-3.0, 2.0, 28.0, -7.0)
-    assert misplaced.told(misplaced.true(told)) == pytest.approx(told, abs=1e-12)
+    assert misplaced.reported(misplaced.true(told)) == pytest.approx(told, abs=1e-12)
     if not unstated:
-        assert misplaced.told(misplaced.true(told)) == told
+        assert misplaced.reported(misplaced.true(told)) == told
 
 
 def test_a_residual_of_a_calibration_is_about_the_middle_and_clockwise_on_screen() -> None:
