@@ -98,8 +98,8 @@ def rigid_fits_without_a_solution(seed: int) -> tuple[float, str]:
 def rigid_fits_without_weight(seed: int) -> float:
     points = np.random.default_rng(seed).uniform(0, 300, (30, 2))
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = [fit_motion(points, points, w, PITCH, scale=True) for w in (np.zeros(30), np.eye(30)[0])]
-    return float(sum(motion is not None for motion in found))
+        motions = [fit_motion(points, points, w, PITCH, scale=True) for w in (np.zeros(30), np.eye(30)[0])]
+    return float(sum(motion is not None for motion in motions))
 
 
 @case(
@@ -137,11 +137,11 @@ def rotations_of_any_angle(seed: int) -> float:
 )
 def rotations_far_from_the_origin(seed: int) -> float:
     points = np.random.default_rng(seed).uniform(0, 300, (60, 2))
-    found = []
+    turns_deg = []
     for offset in (0.0, 1e6):
         before, after = points + offset, twist(points, 7.0) + offset
-        found.append(np.rad2deg(fit_motion(before, after, np.ones(60), PITCH, scale=False).angle_rad))
-    return abs(float(found[0] - found[1]))
+        turns_deg.append(np.rad2deg(fit_motion(before, after, np.ones(60), PITCH, scale=False).angle_rad))
+    return abs(float(turns_deg[0] - turns_deg[1]))
 
 
 @case(

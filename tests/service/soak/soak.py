@@ -54,7 +54,7 @@ class Story:
     id: str
     rng: random.Random
     kill_share: float
-    seen: Counter[str]
+    counts: Counter[str]
     wrong: list[str]
     attempt: int = 0
     decided: bool = True
@@ -80,19 +80,19 @@ class Story:
         """The process dies: the kernel resets its connection, no goodbye is said."""
         self.link.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self.link.socket.close()
-        self.seen["clients killed"] += 1
+        self.counts["clients killed"] += 1
         raise Killed
 
     def until(self, kinds: set[str]) -> object:
         deadline = time.monotonic() + ANSWER_S
         while True:
             message = wire.parse_service(self.link.recv(max(0.01, deadline - time.monotonic())))
-            self.seen[f"message {message.type}"] += 1
+            self.counts[f"message {message.type}"] += 1
             self.check(message)
             if message.type in kinds:
                 return message
             if isinstance(message, wire.Fault):
-                self.seen[f"fault {message.code}"] += 1
+                self.counts[f"fault {message.code}"] += 1
                 if message.fatal:
                     raise ConnectionError(message.code)
             if isinstance(message, wire.Refused):
@@ -147,7 +147,7 @@ class Soak:
 
     service: ServiceProcess
     fingers: tuple[FakeFinger, FakeFinger]
-    seen: Counter[str] = field(default_factory=Counter)
+    counts: Counter[str] = field(default_factory=Counter)
     wrong: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     abandoned: list[str] = field(default_factory=list)
@@ -164,27 +164,27 @@ class Soak:
         while time.monotonic() < self.started + 60 * minutes and self.service.process.poll() is None:
             number += 1
             share = rng.choice((0.0, 0.0, 0.05))
-            self._tell(Story(self.service, self.fingers, f"soak-{number}", rng, share, self.seen, self.wrong))
+            self._tell(Story(self.service, self.fingers, f"soak-{number}", rng, share, self.counts, self.wrong))
             self._rest()
             if number % 20 == 0:
-                print(f"{number} insertions, {self.samples[-1][1]:.0f} MB, {dict(self.seen)}", flush=True)
+                print(f"{number} insertions, {self.samples[-1][1]:.0f} MB, {dict(self.counts)}", flush=True)
         self._stop.set()
         watcher.join(10)
 
     def _tell(self, story: Story) -> None:
         """An insertion; a killed client comes back half of the time and takes it up again."""
-        self.seen["insertions"] += 1
+        self.counts["insertions"] += 1
         while True:
             try:
                 story.tell()
             except Killed:
                 if story.rng.random() < 0.5:
-                    self.seen["clients that came back"] += 1
+                    self.counts["clients that came back"] += 1
                     continue
                 self.abandoned += [story.id] if story.opened else []
                 return
             except (ConnectionError, WebSocketException, TimeoutError) as error:
-                self.seen[f"given up: {type(error).__name__} {error}"[:60]] += 1
+                self.counts[f"given up: {type(error).__name__} {error}"[:60]] += 1
                 if str(error) == "busy":  # the client before is given up in a moment
                     time.sleep(0.5)
                     continue
@@ -218,15 +218,15 @@ class Soak:
         path = Path(story.finished.recording or "nowhere")
         try:
             recording = Recording(path)
-            said = [e.json()["message"]["type"] for e in recording.of("/messages")]
+            kinds = [e.json()["message"]["type"] for e in recording.of("/messages")]
             summary = json.loads((path.parent / "summary.json").read_text())
         except (OSError, ValueError, RecordingError) as error:
             self.lost.append(f"{story.id}: {error}")
             return
-        whole = recording.complete and summary["outcome"] == "inserted" and said.count("finished") == 1
-        if not whole or said.count("correction") < story.corrections:
-            self.lost.append(f"{story.id}: {summary}, {Counter(said)}")
-        self.seen["finished recordings verified"] += 1
+        whole = recording.complete and summary["outcome"] == "inserted" and kinds.count("finished") == 1
+        if not whole or kinds.count("correction") < story.corrections:
+            self.lost.append(f"{story.id}: {summary}, {Counter(kinds)}")
+        self.counts["finished recordings verified"] += 1
         folder = self.service.url(f"/v1/recordings/{path.parent.name}")
         httpx.delete(folder, headers=self.service.bearer, timeout=60).raise_for_status()
 
@@ -236,7 +236,7 @@ class Soak:
             folders = list(self.service.recordings.glob(f"*_{insertion}"))
             if len(folders) != 1 or not (folders[0] / "insertion.mcap").is_file():
                 self.lost.append(f"{insertion}: {[sorted(p.name for p in f.iterdir()) for f in folders]}")
-        self.seen["abandoned recordings verified"] = len(self.abandoned)
+        self.counts["abandoned recordings verified"] = len(self.abandoned)
 
     def _watch(self) -> None:
         while not self._stop.wait(SAMPLE_S):
@@ -265,15 +265,15 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
 def main() -> int:
     from tests.service.soak.report import report
 
-    told = arguments()
+    given = arguments()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the service is asked to stop as well
-    fingers = FakeFinger("left", told.rate_hz), FakeFinger("right", told.rate_hz)
+    fingers = FakeFinger("left", given.rate_hz), FakeFinger("right", given.rate_hz)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         drawn.calibration().save(root / "calibration.toml")
         models = root / "models"
         models.mkdir()
-        for path in told.models.glob("*.onnx"):
+        for path in given.models.glob("*.onnx"):
             shutil.copy(path, models)
         options = ["--camera-left", fingers[0].url, "--camera-right", fingers[1].url, "--log-json", "true"]
         options += ["--calibration", str(root / "calibration.toml"), "--max-frame-age-ms", "5000"]
@@ -281,11 +281,11 @@ def main() -> int:
         with service_process(models, root / "recordings", *options) as service:
             soak, garbage = Soak(service, fingers), Garbage(service)
             troubles = [
-                Trouble(0.7, told.seed + 1, garbage),
-                Trouble(15.0, told.seed + 2, Reloads(service, models, told.models)),
-                Trouble(30.0, told.seed + 3, Cuts(fingers)),
+                Trouble(0.7, given.seed + 1, garbage),
+                Trouble(15.0, given.seed + 2, Reloads(service, models, given.models)),
+                Trouble(30.0, given.seed + 3, Cuts(fingers)),
             ]
-            soak.run(told.minutes, told.seed)
+            soak.run(given.minutes, given.seed)
             for trouble in troubles:
                 trouble.close()
             garbage.close()
@@ -296,7 +296,7 @@ def main() -> int:
         code = service.process.returncode if alive else f"died: {service.log[-5:]}"
     for finger in fingers:
         finger.close()
-    return report(soak, done, errors, code, told, machine())
+    return report(soak, done, errors, code, given, machine())
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ def gripper(cell):
     cell.call(cell.cell.board.clear)
     cell.physics.lost = False
     cell.call(setattr, cell.cell.part, "_there", True)
-    client = WsgClient(cell.told["gripper"])
+    client = WsgClient(cell.description["gripper"])
     client.ask(Command.ACKNOWLEDGE, b"ack")
     client.do(Command.RELEASE, 100.0, 400.0)
     yield client
@@ -244,7 +244,7 @@ def test_datagrams_are_answered_like_the_stream_and_cannot_say_goodbye(cell, gri
     """The bytes are those that drake-schunk-driver's demo sends."""
     gripper.close()
     cell.wait(lambda: cell.cell.wsg.connection is None)
-    host, port = cell.told["gripper_udp"].split(":")
+    host, port = cell.description["gripper_udp"].split(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         udp.settimeout(30.0)
         udp.sendto(bytes.fromhex("AAAAAA 21 0900 00 0000A042 0000F041 8038"), (host, int(port)))
@@ -267,7 +267,7 @@ def test_nothing_moves_before_homing(cell, gripper):
 def test_a_client_that_vanishes_leaves_a_fast_stop_until_acknowledged(cell, gripper):
     gripper.reset()
     cell.wait(lambda: cell.cell.wsg.connection is None)
-    again = WsgClient(cell.told["gripper"])
+    again = WsgClient(cell.description["gripper"])
     assert SystemState.FAST_STOP in bits(again)
     assert state(again) is GraspingState.ERROR
     assert again.ask(Command.MOVE, 0, 90.0, 50.0).status is Status.ACCESS_DENIED
@@ -279,7 +279,7 @@ def test_a_client_that_vanishes_leaves_a_fast_stop_until_acknowledged(cell, grip
 def test_a_goodbye_prevents_the_fast_stop(cell, gripper):
     gripper.close()
     cell.wait(lambda: cell.cell.wsg.connection is None)
-    again = WsgClient(cell.told["gripper"])
+    again = WsgClient(cell.description["gripper"])
     assert SystemState.FAST_STOP not in bits(again)
     again.close()
 
