@@ -61,4 +61,4 @@ def bootstrap(value: float, resampled: Sequence[float]) -> Estimate:
 def percentiles(values: ArrayLike, *shares: float) -> list[float]:
     """Percentiles in 0..100, in the order asked for; NaN of nothing."""
     sample = np.asarray(values, float)
-    return [float(found) for found in np.percentile(sample, shares)] if sample.size else [math.nan] * len(shares)
+    return [float(value) for value in np.percentile(sample, shares)] if sample.size else [math.nan] * len(shares)

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from simulation.studies.witness import calculix
+
 ROOT = Path(__file__).parents[1]
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 PATIENCE_S = 2.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
@@ -48,22 +50,28 @@ def interrupted(process: subprocess.Popen, name: str) -> None:
     assert took_s < PATIENCE_S
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+NEEDS = {
+    "foreign-check": pytest.mark.skipif(
+        not calculix.is_installed(), reason="no CalculiX (apt-get install calculix-ccx)"
+    )
+}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=NEEDS.get(name, ())) for name in COMMANDS])
 def test_an_interrupt_ends_it_at_once_in_one_line(name, tmp_path):
     typed, work_s = COMMANDS[name]
     words = typed.replace("OUT", str(tmp_path)).split()
     (tmp_path / "world.toml").write_text("[gel]\nfriction = 0.9\n")
     command = [sys.executable, "-m", *words]
-    process = subprocess.Popen(
+    with subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-    )
-    try:
-        time.sleep(work_s)
-        if process.poll() is not None:
-            raise AssertionError(f"it ended by itself: {process.stdout.read()[-500:]}")
-        interrupted(process, words[1])
-    finally:
-        process.kill()
+    ) as process:
+        try:
+            time.sleep(work_s)
+            assert process.poll() is None, f"it ended by itself: {process.stdout.read()[-500:]}"
+            interrupted(process, words[1])
+        finally:
+            process.kill()
 
 
 RUN = """name = "mine"

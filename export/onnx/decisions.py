@@ -66,8 +66,8 @@ def _drawn(path: str, split: str, count: int) -> Iterator[Decision]:
     for place in np.linspace(0, len(inside) - 1, min(count, len(inside))).astype(int):
         trial = source.trial(inside[place])
         frames = source.frames(inside[place], int(trial.onset_frame), FRAMES)
-        told_mm = float(trial.gap_width_mm), float(trial.grasp_height_mm)
-        yield Decision(frames, *told_mm, source.manifest.sensor)
+        geometry_mm = float(trial.gap_width_mm), float(trial.grasp_height_mm)
+        yield Decision(frames, *geometry_mm, source.manifest.sensor)
 
 
 def _collided(trial: object, split: str) -> bool:

@@ -71,6 +71,6 @@ def geometry_inputs(card: ModelCard, batch: int, gap_width_mm: float = 56.0, gra
     geometry |= {"grasp_height_mm": grasp_height_mm} if card.grasp_height_input else {}
     inputs: Arrays = {name: np.full((batch, 1), value, np.float32) for name, value in geometry.items()}
     if card.pressing:
-        told = (gap_width_mm, grasp_height_mm, *CONDITIONS[2:])
-        inputs["conditions"] = np.tile(np.array(told, np.float32), (batch, 1))
+        conditions = (gap_width_mm, grasp_height_mm, *CONDITIONS[2:])
+        inputs["conditions"] = np.tile(np.array(conditions, np.float32), (batch, 1))
     return inputs

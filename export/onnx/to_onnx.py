@@ -92,7 +92,7 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
     why = why_untrained(checkpoint)
     joint = role == "joint"
     scales = checkpoint.joint_scales if joint else checkpoint.scales
-    told = network.uses_geometry and not checkpoint.pressing  # with steps of depth these are conditions
+    reads_geometry = network.uses_geometry and not checkpoint.pressing  # with steps of depth these are conditions
     return ModelCard(
         name=f"{checkpoint.name}-{role}",
         role=role,
@@ -106,8 +106,8 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         classes=CLASSES,
         threshold_x_mm=THRESHOLD_X_MM,
         threshold_theta_deg=THRESHOLD_THETA_DEG,
-        gap_width_input=told,
-        grasp_height_input=told,
+        gap_width_input=reads_geometry,
+        grasp_height_input=reads_geometry,
         has_sigma=role in ("magnitude", "pair"),
         grid_x_mm=GRID_X_MM if joint else (),
         grid_theta_deg=GRID_THETA_DEG if joint else (),

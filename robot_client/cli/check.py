@@ -47,10 +47,10 @@ async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
     try:
         for name, read in checks.items():
             try:
-                found = await read()
+                findings = await read()
             except (ValueError, TimeoutError) as error:
-                found = [Finding(False, str(error) or "no answer in time")]
-            for finding in found:
+                findings = [Finding(False, str(error) or "no answer in time")]
+            for finding in findings:
                 yield name, finding
     finally:
         for port in (arm, gripper):
@@ -60,15 +60,15 @@ async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
 
 async def _plc(signals: Signals, names: list[str]) -> list[Finding]:
     """Read each signal of the handshake."""
-    found = []
+    findings = []
     for name in names:
         try:
             on = await signals.read_signal(name)
         except DriverError as error:
-            found.append(Finding(False, f"signal {name}: {error}"))
+            findings.append(Finding(False, f"signal {name}: {error}"))
         else:
-            found.append(Finding(True, f"signal {name} is {'on' if on else 'off'}"))
-    return found
+            findings.append(Finding(True, f"signal {name} is {'on' if on else 'off'}"))
+    return findings
 
 
 async def _plan(settings: Settings) -> list[Finding]:

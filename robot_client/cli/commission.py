@@ -70,7 +70,7 @@ class Felt:
 
     def __init__(self) -> None:
         self.answer: wire.Correction | None = None
-        self.said = WENT_IN
+        self.ending = WENT_IN
         self.gels: dict[Finger, str] = {}
 
     def on_event(self, state: State, event: Event) -> None:  # noqa: ARG002 the protocol's signature
@@ -82,7 +82,7 @@ class Felt:
         if isinstance(event.message, wire.Correction):
             self.answer = event.message
         elif isinstance(event.message, wire.NoDecision):
-            self.said = f"{event.message.reason}: {event.message.detail}"
+            self.ending = f"{event.message.reason}: {event.message.detail}"
 
     def summary(self) -> dict[str, object]:
         """Nothing that the log lacks."""
@@ -102,7 +102,7 @@ class Probing:
         log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
         runner = Runner(plan, *live_ports(self._settings, plan), log, (felt,))
         state = await runner.run()
-        done = probe_of(plan.insertion_id, plan.approach, felt.answer, felt.said)
+        done = probe_of(plan.insertion_id, plan.approach, felt.answer, felt.ending)
         return Ended(done, state.phase, state.reason, felt.gels)
 
     async def begin(self) -> None:

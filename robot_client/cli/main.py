@@ -75,12 +75,12 @@ def _parser() -> argparse.ArgumentParser:
         _uncommissioned,
         _insertion,
     )
-    told = "pick, insert and let go, part after part; only told unless --live is typed"
-    cycling = add("cycle", told, _connection, _mode, _uncommissioned)
+    summary = "pick, insert and let go, part after part; only told unless --live is typed"
+    cycling = add("cycle", summary, _connection, _mode, _uncommissioned)
     cycling.add_argument("--parts", type=int, metavar="N", help="stop after so many inserted parts (default: never)")
     cycling.add_argument("--logs", type=Path, metavar="DIR", help="folder for episode logs (default runs/robot)")
-    told = "probe from known errors: is the cell wired right, and what does it feel?"
-    add("commission", told, _connection, _mode, _commissioning)
+    summary = "probe from known errors: is the cell wired right, and what does it feel?"
+    add("commission", summary, _connection, _mode, _commissioning)
     examining = add(
         "doctor", "name what is wrong with PC, network, controller, gripper, cameras, and its remedy", _connection
     )

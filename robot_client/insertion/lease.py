@@ -14,7 +14,7 @@ from service.contract import wire
 from service.contract.frames import Contract
 
 SLOW_MM, FAST_S = 1.5, 0.1  # the largest travel that may be asked for: 1.5 mm, from 15 mm/s on what 0.1 s are
-FRAMES_N, JUDGING_S = 1.5, 0.02  # a lease outlasts so many frame periods, and this much for transport and judging
+FRAMES_N, HANDLING_S = 1.5, 0.02  # a lease outlasts so many frame periods, and this much for transport and judging
 PAUSE_S = 0.25  # the target of a descent stands this long without a lease before the arm holds for good
 _DRIFT = 2e-4  # two quartz clocks may drift apart this fast
 _ROUNDING_S = 1e-6
@@ -47,7 +47,7 @@ class Lease(Contract):
         if not self.travel_mm <= most_mm:
             where = f"allowed up to {most_mm:g} at {speed_mm_s:g} mm/s"
             raise LimitError(f"lease.travel_mm = {self.travel_mm:g}, {where}")
-        if not self.lasts_s(speed_mm_s) > JUDGING_S:
+        if not self.lasts_s(speed_mm_s) > HANDLING_S:
             lag = f"{self.stop_lag_s * 1e3:.0f} ms of stop lag"
             raise LimitError(f"lease.travel_mm = {self.travel_mm:g} is used up by {lag} at {speed_mm_s:g} mm/s")
 
@@ -55,7 +55,7 @@ class Lease(Contract):
         """Raise LimitError for a camera too slow for this speed: descend slower then, never on a longer lease."""
         if camera.frame_rate_hz is None:
             return
-        needed_s = FRAMES_N / camera.frame_rate_hz + JUDGING_S
+        needed_s = FRAMES_N / camera.frame_rate_hz + HANDLING_S
         if self.lasts_s(speed_mm_s) < needed_s:
             slower = self.travel_mm / (needed_s + self.stop_lag_s)
             raise LimitError(

@@ -60,12 +60,12 @@ class Pace(Contract):
                 height_mm = lower_mm
         return () if all(speed_mm_s == probing_mm_s for _, speed_mm_s in legs) else tuple(legs)
 
-    def up_to_mm(self, approach_mm: float, told: Tops, tops: Tops, stop_mm: float) -> float:
+    def up_to_mm(self, approach_mm: float, planned: Tops, tops: Tops, stop_mm: float) -> float:
         """The height that an attempt stopped at ``stop_mm`` is taken up to before it is moved sideways.
 
-        ``told``: where the plan has the tops. An object that went well below them stands between the blocks.
+        ``planned``: where the plan has the tops. An object that went well below them stands between the blocks.
         """
-        if self.lift_mm is None or stop_mm < told.low_mm - self.below_mm:
+        if self.lift_mm is None or stop_mm < planned.low_mm - self.below_mm:
             return approach_mm
         return min(approach_mm, tops.high_mm + self.lift_mm)
 

@@ -127,14 +127,14 @@ class LegsProfile:
 
     def speeds(self) -> list[tuple[float, float, float]]:
         """(time, way, speed): what the speed is by and large from there on, a change of it being told at its middle."""
-        told: list[tuple[float, float, float]] = []
+        changes: list[tuple[float, float, float]] = []
         at_s = 0.0
         for stretch in self.stretches:
             if stretch.before != stretch.after > 0.0:
-                changed_s = at_s + 0.5 * stretch.duration_s if told else 0.0
-                told.append((changed_s, self.position(changed_s), stretch.after))
+                changed_s = at_s + 0.5 * stretch.duration_s if changes else 0.0
+                changes.append((changed_s, self.position(changed_s), stretch.after))
             at_s += stretch.duration_s
-        return told
+        return changes
 
 
 Leg = tuple[float, float]

@@ -75,8 +75,8 @@ class Record(Contract):
 
     def digest(self) -> str:
         """SHA-256 of all that it says."""
-        said = self.model_dump(mode="json", exclude={"sha256"})
-        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+        content = self.model_dump(mode="json", exclude={"sha256"})
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 class Ended(NamedTuple):
@@ -140,16 +140,16 @@ def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
         undecided = [probe.said for probe in signs if probe.said not in {"", WENT_IN}]
         felt_nothing = f"nothing was felt {SIDES[0][0]:g} mm beside the gap: is the block there, is its width right?"
         return tuple(dict.fromkeys(undecided)) or (felt_nothing,)
-    found = []
+    causes = []
     if not x[0]:
-        found.append("opposite errors in x give like estimates: the gels do not feel the block")
+        causes.append("opposite errors in x give like estimates: the gels do not feel the block")
     yaws = (theta[0],) if theta and theta[0] else (1, -1) if x[0] < 0 else (1,)  # what is not felt may be either
-    found += [WIRINGS[x[0], yaw] for yaw in yaws if (x[0], yaw) in WIRINGS]
+    causes += [WIRINGS[x[0], yaw] for yaw in yaws if (x[0], yaw) in WIRINGS]
     if abs(x[1]) > OFF_MM:
-        found.append(f"the tool frame or the fixture is off by about {x[1]:+.1f} mm in x")
+        causes.append(f"the tool frame or the fixture is off by about {x[1]:+.1f} mm in x")
     if theta and abs(theta[1]) > OFF_DEG:
-        found.append(f"the tool frame or the fixture is off by about {theta[1]:+.1f} deg in yaw")
-    return tuple(found)
+        causes.append(f"the tool frame or the fixture is off by about {theta[1]:+.1f} deg in yaw")
+    return tuple(causes)
 
 
 def _felt_x(probe: Probe) -> tuple[float | None, float | None]:
@@ -160,11 +160,11 @@ def _felt_x(probe: Probe) -> tuple[float | None, float | None]:
 
 
 def _axis(felt: list[tuple[float, float | None, float | None]]) -> tuple[int, float] | None:
-    """Sign (0 where it is not clear) and offset of (told, felt, sigma); None where a side says nothing."""
+    """Sign (0 where it is not clear) and offset of (error, felt, sigma); None where a side says nothing."""
     sides: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
-    for told, value, sigma in felt:
+    for error, value, sigma in felt:
         if value is not None:
-            sides[told > 0.0].append((value, (sigma or UNSTATED_SIGMA) ** -2.0))
+            sides[error > 0.0].append((value, (sigma or UNSTATED_SIGMA) ** -2.0))
     if not all(sides.values()):
         return None
     means = [sum(value for value, _ in side) / len(side) for side in sides.values()]
@@ -266,9 +266,9 @@ class Commissioning:
         keep_record(self.path, self.record)
 
 
-def probe_of(plan_id: str, approach: WorkPose, answer: wire.Correction | None, said: str) -> Probe:
-    """A probe as it is kept; ``said`` is why there is no answer."""
-    probe = Probe(x_mm=approach.x_mm, theta_deg=approach.yaw_deg, said=said, insertion_id=plan_id)
+def probe_of(plan_id: str, approach: WorkPose, answer: wire.Correction | None, ending: str) -> Probe:
+    """A probe as it is kept; ``ending`` is how it ended without an answer."""
+    probe = Probe(x_mm=approach.x_mm, theta_deg=approach.yaw_deg, said=ending, insertion_id=plan_id)
     if answer is None:
         return probe
     felt = answer.estimate

@@ -124,16 +124,16 @@ class Cycle:
 
     async def _asked(self) -> bool:
         """Wait until the next part may begin; False if none is wanted any more."""
-        told = ""
+        shown = ""
         while not self.pace.ending:
             waits = "paused" if self.pace.paused else "waiting for the PLC" if self.plc else ""
             if not self.pace.paused and (self.plc is None or await self.plc.asked()):
                 if self.plc:
                     await self.plc.busy()
                 return True
-            if waits != told:
+            if waits != shown:
                 self.show(waits)
-                told = waits
+                shown = waits
             await asyncio.sleep(PATIENCE_S)
         return False
 

@@ -25,13 +25,18 @@ class Telemetry:
 
     def begin(self, start: WorkPose) -> None:
         """Say what is to be done."""
-        told = {"client": _version(), "protocol": str(wire.PROTOCOL), "python": platform.python_version()}
+        versions = {"client": _version(), "protocol": str(wire.PROTOCOL), "python": platform.python_version()}
         task, approach = self.plan.object, pose(self.plan.approach)
         named = self.plan.insertion_id
         purpose = self.plan.purpose
         self.send(
             wire.Episode(
-                insertion_id=named, purpose=purpose, object=task, start=pose(start), approach=approach, versions=told
+                insertion_id=named,
+                purpose=purpose,
+                object=task,
+                start=pose(start),
+                approach=approach,
+                versions=versions,
             )
         )
 

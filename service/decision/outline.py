@@ -15,6 +15,7 @@ from service.decision.evidence import Floats
 # Of a rectangle's growth: round or hexagonal, polygon, rectangle (medians of drawn objects).
 YAW_SHARES = (0.0, 0.3, 1.0)
 SOFT_MM = 0.35  # of the clearance: what the belief's cells and the creep in the hand blur
+WRAPS_AT = 28.0  # times as far beyond the clearance: a chance of exp(-28), below 1e-12
 
 
 class Outlines:
@@ -28,9 +29,11 @@ class Outlines:
         self._clearance_mm = tolerance[0]
         self._half_length_mm = 0.5 * length_mm if length_mm else tolerance[0] / math.sin(math.radians(tolerance[1]))
         count, step = len(cells), float(cells[1] - cells[0])
-        self._count, self._size = count, 60 * math.ceil(count / 30)  # at least twice as many: nothing wraps around
-        away = np.asarray(step * np.fft.ifftshift(np.arange(self._size) - self._size // 2), np.float64)
-        self._kernels = np.fft.rfft2(self.chances(away, away))
+        # No outline enters from far off in x, but a round one from any yaw: the axis of yaw is twice as long.
+        reach = math.ceil((tolerance[0] + WRAPS_AT * SOFT_MM) / step)
+        self._count, self._size = count, (60 * math.ceil((count + reach) / 60), 60 * math.ceil(count / 30))
+        away = [np.asarray(step * np.fft.ifftshift(np.arange(n) - n // 2), np.float64) for n in self._size]
+        self._kernels = np.fft.rfft2(self.chances(*away))
 
     def chances(self, x_mm: Floats, theta_deg: Floats) -> Floats:
         """[outlines, n, m]: how likely each outline enters at errors x [n] and yaw [m]."""
@@ -40,6 +43,6 @@ class Outlines:
 
     def hits(self, probability: Floats) -> Floats:
         """[n, n]: how likely it enters where each cell is aimed at, of a probability [outlines, n, n] of errors."""
-        spectrum = np.fft.rfft2(probability, (self._size, self._size))
-        whole = np.fft.irfft2((spectrum * self._kernels).sum(0), (self._size, self._size))
+        spectrum = np.fft.rfft2(probability, self._size)
+        whole = np.fft.irfft2((spectrum * self._kernels).sum(0), self._size)
         return np.asarray(np.maximum(whole[: self._count, : self._count], 0.0), np.float64)

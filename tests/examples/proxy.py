@@ -57,12 +57,14 @@ class Proxy:
 
     def _pass_on(self, source: socket.socket, sink: socket.socket) -> None:
         with contextlib.suppress(OSError):
-            while content := source.recv(1 if self._drips else 65536):
+            while content := source.recv(65536):
                 self._open.wait()
-                if self._ended:
-                    return
-                sink.sendall(content)
-                if self._drips:
-                    time.sleep(0.1)
+                # What was waited for when the dripping began drips, too.
+                for part in [content] if not self._drips else [bytes([byte]) for byte in content]:
+                    if self._ended:
+                        return
+                    sink.sendall(part)
+                    if self._drips:
+                        time.sleep(0.1)
             if self._open.is_set():
                 sink.shutdown(socket.SHUT_RDWR)

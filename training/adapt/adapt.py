@@ -38,7 +38,7 @@ Held = dict[StageName, tuple[Predictions, Densities]]
 
 
 @dataclass(frozen=True)
-class Judged:
+class Comparison:
     """Every stage on held-out fixtures, the best of them, and what keeps it from replacing the release."""
 
     figures: dict[StageName, Figures]
@@ -65,9 +65,9 @@ class Judged:
             ("90 % holds x", "coverage90_x", ".0%"),
             ("90 % holds yaw", "coverage90_theta", ".0%"),
         )
-        verdict = f"accepted: {self.best}" if self.accepted else f"the release stays: {'; '.join(self.objections)}"
+        conclusion = f"accepted: {self.best}" if self.accepted else f"the release stays: {'; '.join(self.objections)}"
         held = f"{self.samples_n} attempts of {self.fixtures_n} fixtures, every figure on fixtures held out"
-        return "\n".join((table(rows, *columns).text(), held, *self._gap_text(), verdict))
+        return "\n".join((table(rows, *columns).text(), held, *self._gap_text(), conclusion))
 
     def _gap_text(self) -> Iterable[str]:
         if self.gap and self.gap.probes_n:
@@ -75,7 +75,9 @@ class Judged:
             yield f"the gap is at x {x} mm, yaw {yaw} deg in the frame that the arm was taught"
 
 
-def adapt(recordings: Path, start: Path, out: Path, *, stages: Iterable[StageName] = STAGES, seed: int = 0) -> Judged:
+def adapt(
+    recordings: Path, start: Path, out: Path, *, stages: Iterable[StageName] = STAGES, seed: int = 0
+) -> Comparison:
     """Fit the released checkpoint ``start`` to ``recordings``; write ``out/checkpoint.pt`` if it is accepted.
 
     Raises ContractError where there is nothing to learn from, or the checkpoint reads no depth.
@@ -84,13 +86,13 @@ def adapt(recordings: Path, start: Path, out: Path, *, stages: Iterable[StageNam
     if release.pressing is None:
         raise ContractError(f"{start} holds a {release.network.kind} network, expected one that reads steps of depth")
     samples = read_episodes(recordings, release.sensor)
-    said = trainer_of(release.build(), samples).predict(np.arange(len(samples)), pictures=False)
-    samples, gap = framed(samples, said.error)
+    predicted = trainer_of(release.build(), samples).predict(np.arange(len(samples)), pictures=False)
+    samples, gap = framed(samples, predicted.error)
     held = hold_out(release, samples, tuple(stages), seed)
-    judged = replace(judge(release, samples, held, seed), gap=gap)
-    if judged.accepted:
-        _fitted(judged, release, samples, held[judged.best], seed).save(out / "checkpoint.pt")
-    return judged
+    comparison = replace(compare(release, samples, held, seed), gap=gap)
+    if comparison.accepted:
+        _fitted(comparison, release, samples, held[comparison.best], seed).save(out / "checkpoint.pt")
+    return comparison
 
 
 def hold_out(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], seed: int) -> Held:
@@ -101,7 +103,7 @@ def hold_out(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...
     return {stage: held_out(stage, release, samples, seed) for stage in dict.fromkeys(("released", *stages))}
 
 
-def judge(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Judged:
+def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Comparison:
     """Compare what all stages said of held-out fixtures; every count is compared with the release's in pairs.
 
     The best is the likeliest that nothing speaks against; where there is none, the likeliest.
@@ -113,10 +115,10 @@ def judge(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Judge
         few = (
             f"{len(groups)} first attempts of {fixtures_n} fixtures, expected {FEWEST} of {FOLDS} at least: probe more"
         )
-        return Judged({}, "released", (few,), len(samples), fixtures_n)
-    said = {stage: pair.take(first) for stage, (pair, _) in held.items()}
+        return Comparison({}, "released", (few,), len(samples), fixtures_n)
+    predictions = {stage: pair.take(first) for stage, (pair, _) in held.items()}
     folds = folds_of(groups, seed)
-    fair = {stage: _fair(stage, release, one, folds) for stage, one in said.items()}
+    fair = {stage: _fair(stage, release, one, folds) for stage, one in predictions.items()}
     losses = {stage: _losses(one) for stage, one in fair.items()}
     by_loss = sorted(fair, key=lambda stage: float(losses[stage].mean()))
     likelier = by_loss[: by_loss.index("released")]
@@ -124,36 +126,36 @@ def judge(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Judge
     best = next((stage for stage in likelier if not against[stage]), by_loss[0])
     objections = against.get(best, ("no stage is likelier than the release",))
     described = {stage: {**figures(one), "likelihood": float(losses[stage].mean())} for stage, one in fair.items()}
-    return Judged(described, best, objections, len(samples), fixtures_n)
+    return Comparison(described, best, objections, len(samples), fixtures_n)
 
 
-def _fair(stage: StageName, release: Checkpoint, said: Predictions, folds: list[Rows]) -> Predictions:
+def _fair(stage: StageName, release: Checkpoint, predictions: Predictions, folds: list[Rows]) -> Predictions:
     """Calibrated predictions, each fold of the fixtures by the others: none by a fit that it was part of."""
     if stage == "released":
-        return said.rescaled(release.scales)
+        return predictions.rescaled(release.scales)
     parts = []
     for held in folds:
-        mine = np.isin(np.arange(len(said.truth)), held)
-        parts.append(said.take(mine).rescaled(calibrated(release.scales, said.take(~mine))))
+        mine = np.isin(np.arange(len(predictions.truth)), held)
+        parts.append(predictions.take(mine).rescaled(calibrated(release.scales, predictions.take(~mine))))
     back = np.argsort(np.concatenate([np.sort(held) for held in folds]))
     joined = {name: np.concatenate([getattr(part, name) for part in parts])[back] for name in Predictions.__slots__}
     return Predictions(**joined)
 
 
 def _fitted(
-    judged: Judged, release: Checkpoint, samples: Pressed, held: tuple[Predictions, Densities], seed: int
+    comparison: Comparison, release: Checkpoint, samples: Pressed, held: tuple[Predictions, Densities], seed: int
 ) -> Checkpoint:
     """The release after the accepted stage on all samples, calibrated on what was said of ``held`` out ones."""
-    pair, joint = (said.take(samples.objects != LATER) for said in held)
-    network = fit_stage(judged.best, release, samples, np.arange(len(samples)), seed)
+    pair, joint = (predictions.take(samples.objects != LATER) for predictions in held)
+    network = fit_stage(comparison.best, release, samples, np.arange(len(samples)), seed)
     lineage: dict[str, JsonValue] = {
         "from": release.weights_sha256(),
         "attempts": samples.sha256,
-        "attempts_n": judged.samples_n,
-        "fixtures_n": judged.fixtures_n,
-        "stage": judged.best,
-        "before": dict(judged.figures["released"]),
-        "after": dict(judged.figures[judged.best]),
+        "attempts_n": comparison.samples_n,
+        "fixtures_n": comparison.fixtures_n,
+        "stage": comparison.best,
+        "before": dict(comparison.figures["released"]),
+        "after": dict(comparison.figures[comparison.best]),
     }
     return replace(
         release,
@@ -165,21 +167,21 @@ def _fitted(
     )
 
 
-def _losses(said: Predictions) -> NDArray[np.float64]:
+def _losses(predictions: Predictions) -> NDArray[np.float64]:
     """[N]: negative log likelihood of class and error."""
-    labels = class_of(said.truth.astype(np.float32))
-    p = probabilities(said.logits, 1.0)[np.arange(len(labels)), labels]
-    z = (said.error - said.truth) / np.exp(said.log_sigma)
-    return np.asarray(-np.log(np.maximum(p, 1e-12)) + (0.5 * z**2 + said.log_sigma).mean(1), np.float64)
+    labels = class_of(predictions.truth.astype(np.float32))
+    p = probabilities(predictions.logits, 1.0)[np.arange(len(labels)), labels]
+    z = (predictions.error - predictions.truth) / np.exp(predictions.log_sigma)
+    return np.asarray(-np.log(np.maximum(p, 1e-12)) + (0.5 * z**2 + predictions.log_sigma).mean(1), np.float64)
 
 
 def _objections(before: Predictions, after: Predictions, groups: NDArray[np.str_], seed: int) -> Iterable[str]:
     """What speaks against a replacement: the gain by a paired bootstrap over fixtures, each count on its mean."""
     fixtures = np.unique(groups, return_inverse=True)[1]
     counts: dict[str, Callable[[Predictions], NDArray[np.float64]]] = {
-        "direction": lambda said: (said.logits.argmax(1) != class_of(said.truth.astype(np.float32))).astype(np.float64),
-        "error in x": lambda said: np.abs(said.error - said.truth)[:, 0],
-        "error in yaw": lambda said: np.abs(said.error - said.truth)[:, 1],
+        "direction": lambda one: (one.logits.argmax(1) != class_of(one.truth.astype(np.float32))).astype(np.float64),
+        "error in x": lambda one: np.abs(one.error - one.truth)[:, 0],
+        "error in yaw": lambda one: np.abs(one.error - one.truth)[:, 1],
     }
     gained = _means(_losses(before) - _losses(after), fixtures, seed)
     if np.quantile(gained, LIKELIER_THAN) <= 0.0:
@@ -189,14 +191,14 @@ def _objections(before: Predictions, after: Predictions, groups: NDArray[np.str_
         if lost > 0.0:
             yield f"{name} is worse by {lost:.3f}"
     for axis, name in enumerate(("x", "yaw")):
-        was, now = (_coverage(said, axis) for said in (before, after))
+        was, now = (_coverage(predictions, axis) for predictions in (before, after))
         if abs(now - 0.9) > abs(was - 0.9) + COVERAGE_SLACK:
             yield f"the 90 % interval of {name} holds {now:.0%} of errors, {was:.0%} before"
 
 
-def _coverage(said: Predictions, axis: int) -> float:
-    off = np.abs(said.error - said.truth)[:, axis]
-    return float((off <= Z90 * np.exp(said.log_sigma[:, axis])).mean())
+def _coverage(predictions: Predictions, axis: int) -> float:
+    off = np.abs(predictions.error - predictions.truth)[:, axis]
+    return float((off <= Z90 * np.exp(predictions.log_sigma[:, axis])).mean())
 
 
 def _means(values: NDArray[np.float64], fixtures: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
@@ -207,6 +209,6 @@ def _means(values: NDArray[np.float64], fixtures: NDArray[np.int64], seed: int) 
     return np.asarray(total[drawn].sum(1) / count[drawn].sum(1), np.float64)
 
 
-def report(judged: Judged) -> dict[str, object]:
+def report(comparison: Comparison) -> dict[str, object]:
     """The verdict as plain data."""
-    return {**asdict(judged), "accepted": judged.accepted}
+    return {**asdict(comparison), "accepted": comparison.accepted}

@@ -29,17 +29,17 @@ class Gap(NamedTuple):
     probes_n: int
 
 
-def find_gap(told: NDArray[np.float64], said: NDArray[np.float64]) -> Gap:
-    """The told error [N, 2] at which the release says 0: a line through what it ``said`` [N, 2], pulled to 0 by USUAL.
+def find_gap(stated: NDArray[np.float64], estimates: NDArray[np.float64]) -> Gap:
+    """The stated error [N, 2] where the release says 0: a line through its ``estimates`` [N, 2], pulled to 0 by USUAL.
 
     At 0 with the usual sigma on an axis that it does not feel, or with fewer than LEAST_N probes.
     """
     at, sigma = np.zeros(2), USUAL.copy()
-    if len(told) >= LEAST_N:
-        known = np.column_stack([told, np.ones(len(told))])
+    if len(stated) >= LEAST_N:
+        known = np.column_stack([stated, np.ones(len(stated))])
         inverse = np.linalg.pinv(known.T @ known)
-        line = inverse @ known.T @ said
-        rest = said - known @ line
+        line = inverse @ known.T @ estimates
+        rest = estimates - known @ line
         for axis in range(2):
             gain = line[axis, axis]
             if gain < LEAST_GAIN:
@@ -47,12 +47,12 @@ def find_gap(told: NDArray[np.float64], said: NDArray[np.float64]) -> Gap:
             error = float(np.sqrt(rest[:, axis].var(ddof=3) * inverse[2, 2])) / gain
             share = USUAL[axis] ** 2 / (USUAL[axis] ** 2 + error**2)
             at[axis], sigma[axis] = -share * line[2, axis] / gain, np.sqrt(share) * error
-    return Gap((float(at[0]), float(at[1])), (float(sigma[0]), float(sigma[1])), len(told))
+    return Gap((float(at[0]), float(at[1])), (float(sigma[0]), float(sigma[1])), len(stated))
 
 
-def framed(samples: Pressed, said: NDArray[np.float64]) -> tuple[Pressed, Gap]:
-    """The samples with the errors of probes from where the gap is; ``said`` [N, 2] is what the release says of each."""
+def framed(samples: Pressed, estimates: NDArray[np.float64]) -> tuple[Pressed, Gap]:
+    """The samples with the errors of probes from where the gap is; ``estimates`` [N, 2] are the release's."""
     probes = samples.objects == PROBE
-    gap = find_gap(samples.error[probes].astype(np.float64), said[probes])
+    gap = find_gap(samples.error[probes].astype(np.float64), estimates[probes])
     error = samples.error - np.where(probes[:, None], gap.at, 0.0).astype(np.float32)
     return replace(samples, error=error), gap

@@ -27,7 +27,7 @@ StageName = Literal["released", "calibration", "gain", "heads", "all"]
 STAGES: tuple[StageName, ...] = ("released", "calibration", "gain", "heads", "all")
 PULL_N, WEIGHTS_PULL_N, SCALES_PULL_N = 20, 5, 5
 """Samples that the release counts for, against those of the cell: in gains, in weights, and in the few scales."""
-MOST_EPOCHS, SEEN_N = 60, 9000
+MOST_EPOCHS, SAMPLES_N = 60, 9000
 """Epochs of few samples, and how often samples are seen in all where there are many; 18 epochs at least."""
 FOLDS = 5
 BATCH = 32
@@ -71,11 +71,11 @@ def calibrated(scales: Scales, sample: Predictions | Densities) -> Scales:
     known = sample.objects == PROBE
     if hindsight := not known.any():
         known = ~known
-    found, share = sample.take(known).calibration(), _share(int(known.sum()), SCALES_PULL_N)
+    fitted, share = sample.take(known).calibration(), _share(int(known.sum()), SCALES_PULL_N)
 
     def pulled(name: str) -> float:
         was = float(getattr(scales, name))
-        scale = float(was ** (1.0 - share) * getattr(found, name) ** share)
+        scale = float(was ** (1.0 - share) * getattr(fitted, name) ** share)
         return max(was, scale) if hindsight else scale
 
     return Scales(pulled("temperature"), pulled("sigma_x"), pulled("sigma_theta"))
@@ -105,11 +105,11 @@ def _heads(network: Decider) -> list[nn.Parameter]:
 
 def _scale_errors(network: Decider, samples: Pressed, rows: Rows) -> None:
     """Multiply what the heads say of the error by the gain that fits, and add the offset; pulled to 1 and 0."""
-    said = trainer_of(network, samples).predict(rows, pictures=False)
+    predictions = trainer_of(network, samples).predict(rows, pictures=False)
     share = _share(len(rows))
     with torch.no_grad():
         for axis in range(2):
-            x, y = said.error[:, axis], said.truth[:, axis]
+            x, y = predictions.error[:, axis], predictions.truth[:, axis]
             gain = 1.0 + share * (float(np.cov(x, y)[0, 1] / max(np.var(x, ddof=1), 1e-6)) - 1.0)
             offset = share * float(np.mean(y - gain * x))
             network.magnitude.weight[axis] *= gain
@@ -129,7 +129,7 @@ def _tune(
         parameter.requires_grad_()
     rng, trainer = np.random.default_rng(seed), trainer_of(network, samples)
     start = [parameter.detach().clone() for parameter in parameters]
-    epochs = max(18, min(MOST_EPOCHS, SEEN_N // len(rows)))
+    epochs = max(18, min(MOST_EPOCHS, SAMPLES_N // len(rows)))
     optimiser = torch.optim.Adam(parameters, lr=rate)
     total = epochs * -(-len(rows) // BATCH)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=total, pct_start=0.1)

@@ -114,14 +114,14 @@ def adapt(
 
     from reporting.files import write_json
     from training.adapt.adapt import adapt as fit
-    from training.adapt.adapt import report as verdict_of
+    from training.adapt.adapt import report as plain_data
 
     torch.set_num_threads(1)
-    judged = fit(recordings, start, out, seed=seed)
-    print(judged.text())
+    comparison = fit(recordings, start, out, seed=seed)
+    print(comparison.text())
     if json is not None:
-        write_json(json, verdict_of(judged))
-    return 0 if judged.accepted else 3
+        write_json(json, plain_data(comparison))
+    return 0 if comparison.accepted else 3
 
 
 def expect(
@@ -139,9 +139,9 @@ def expect(
     from training.fit.expectations import of_insertions
 
     loaded = Checkpoint.load(checkpoint)
-    found = of_insertions(insertions, loaded.expectations)
-    replace(loaded, expectations=found).save(checkpoint)
-    print(found.model_dump_json(indent=1))
+    creep = of_insertions(insertions, loaded.expectations)
+    replace(loaded, expectations=creep).save(checkpoint)
+    print(creep.model_dump_json(indent=1))
 
 
 def print_table(figures: dict[str, dict[str, float]]) -> None:

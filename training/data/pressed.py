@@ -30,7 +30,7 @@ TRACKING_MM = (0.001, 0.004)
 """Error of a lattice point, RMS of an axis: a tracker's 0.04 to 0.08 px, averaged over the markers around it."""
 NOTICED_MM = (0.012, 0.03)
 """Motion at which the service notices the onset."""
-TOLD_ERROR = (2.0, 5.0, 0.1, 0.3, 0.03, 0.0)
+STATED_ERROR = (2.0, 5.0, 0.1, 0.3, 0.03, 0.0)
 """Of each condition as a cell tells it, at most: mm of gap and height, shares of the rest."""
 UNTOLD_SHARE = (0.1, 0.2, 0.3, 0.4, 0.0, 0.0)
 """Of training decisions without a condition: cells may not know it."""
@@ -71,8 +71,8 @@ class Pressed:
     def batch(self, chosen: NDArray[np.int64], rng: np.random.Generator | None) -> Batch:
         """Decisions; with ``rng``, symmetries, cameras' scale, markers that are lost, and conditions left out."""
         moved = self.fields[chosen].astype(np.float32)
-        seen = np.isfinite(moved).all(-1, keepdims=True)
-        fields = np.concatenate([np.where(seen, moved, 0.0), seen], -1, dtype=np.float32)
+        visible = np.isfinite(moved).all(-1, keepdims=True)
+        fields = np.concatenate([np.where(visible, moved, 0.0), visible], -1, dtype=np.float32)
         error, conditions = self.error[chosen].copy(), self.conditions[chosen].copy()
         if rng is not None:
             _vary(fields, error, conditions, rng)
@@ -87,10 +87,10 @@ class Pressed:
 
     def pressing(self, strangeness_limit: float | None) -> Pressing:
         """What the card says of how such networks read, with the ranges of the training views."""
-        told = self.conditions[self.of("train")]
+        conditions = self.conditions[self.of("train")]
         pitch = self.sensor.marker_pitch_mm
         trained = {MARKER_PITCH: Span(low=0.75 * pitch, high=1.3 * pitch)}
-        for name, values in zip(CONDITIONS, told.T, strict=True):
+        for name, values in zip(CONDITIONS, conditions.T, strict=True):
             known = values[values > 0]
             if len(known):
                 trained[name] = Span(low=float(known.min()), high=float(known.max()))
@@ -157,10 +157,10 @@ def _table(source: Source, count: int, views: int) -> dict[str, NDArray[Any]]:
         stored = reader.stored(trial)
         for _ in range(views if trial.split == "train" else 1):
             fields, length, spacing_mm = reader.view(stored, rng)
-            told = _told(stored, spacing_mm, rng)
+            conditions = _stated_conditions(stored, spacing_mm, rng)
             values = (
                 (trial.x_mm, trial.theta_deg),
-                told,
+                conditions,
                 SPLITS.index(trial.split),
                 trial.object_name,
                 f"{trial.object_name}/{trial.group}",
@@ -176,11 +176,14 @@ def _table(source: Source, count: int, views: int) -> dict[str, NDArray[Any]]:
     return {name: np.array(values, kinds.get(name, np.float32)) for name, values in rows.items()}
 
 
-def _told(stored: "Stored", spacing_mm: float, rng: np.random.Generator) -> NDArray[np.float32]:
+def _stated_conditions(stored: "Stored", spacing_mm: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """The conditions as a cell would state them, a little wrong; 0 stays unknown."""
-    true, error = np.array([*stored.conditions, spacing_mm]), rng.uniform(-1.0, 1.0, len(TOLD_ERROR)) * TOLD_ERROR
-    told = np.where(np.arange(len(true)) < 2, true + error, true * np.exp(error))
-    return np.asarray(np.where(true > 0, np.maximum(told, 1e-3), 0.0), np.float32)
+    true, error = (
+        np.array([*stored.conditions, spacing_mm]),
+        rng.uniform(-1.0, 1.0, len(STATED_ERROR)) * STATED_ERROR,
+    )
+    stated = np.where(np.arange(len(true)) < 2, true + error, true * np.exp(error))
+    return np.asarray(np.where(true > 0, np.maximum(stated, 1e-3), 0.0), np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,8 +259,8 @@ class Reader:
         noticed = taken @ stored.carried_mm > rng.uniform(*NOTICED_MM)
         first = min(max(int(np.argmax(noticed)) if noticed.any() else len(taken), 1), len(taken) - 2)
         moved = np.zeros((first + 2, stored.fields.shape[1]), np.float32)
-        seen = taken[first : first + 2] @ stored.fields
-        moved[first:] = seen + rng.normal(0.0, noise_mm, seen.shape)
+        clean = taken[first : first + 2] @ stored.fields
+        moved[first:] = clean + rng.normal(0.0, noise_mm, clean.shape)
         return first, onset_depth(frames_mm[: first + 2], moved, first)
 
     def _steps(

@@ -47,7 +47,7 @@ def of_insertions(paths: Iterable[Path], given: Expectations) -> Expectations:
     near_mm, per_mm = _line(lever_mm[near], outwards[near])
     _, near_spread = _middle(outwards[near] - near_mm - per_mm * lever_mm[near], LEAST_SPREAD_MM)
     _, theta_spread = _middle(turned_deg, LEAST_SPREAD_DEG)
-    found = {
+    measured = {
         "creep_mm": far_mm,
         "creep_near_mm": near_mm,
         "creep_near_mm_per_mm": per_mm,
@@ -55,7 +55,7 @@ def of_insertions(paths: Iterable[Path], given: Expectations) -> Expectations:
         "creep_near_more_mm": max(0.0, near_spread - far_spread),
         "creep_theta_deg": theta_spread,
     }
-    return Expectations.model_validate(given.model_dump() | found)
+    return Expectations.model_validate(given.model_dump() | measured)
 
 
 def _rows(path: Path) -> Iterator[Mapping[str, Any]]:

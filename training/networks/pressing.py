@@ -97,15 +97,15 @@ class PressingNetwork(Decider):
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
         """A step, which is a change already, against a reference of no change -> features."""
-        seen = (torch.minimum(frame[..., 2:], reference[..., 2:]) > VISIBLE).to(frame.dtype)
-        moved = (frame[..., :2] - reference[..., :2]) * self.field_scale[:2] * seen
-        return self.encode(torch.cat([moved, seen], -1).movedim(-1, -3))
+        visible = (torch.minimum(frame[..., 2:], reference[..., 2:]) > VISIBLE).to(frame.dtype)
+        moved = (frame[..., :2] - reference[..., :2]) * self.field_scale[:2] * visible
+        return self.encode(torch.cat([moved, visible], -1).movedim(-1, -3))
 
     def encode(self, fields: Tensor) -> Tensor:
         """Normalised steps [N, 2, 3, rows, columns] -> features, with the patch's motion and strangeness at the end."""
-        moved, seen = fields[:, :, :2], fields[:, :, 2:]
+        moved, visible = fields[:, :, :2], fields[:, :, 2:]
         size = (moved.square().sum(2, keepdim=True).mean((3, 4), keepdim=True)).mean(1, keepdim=True).sqrt()
-        maps = torch.cat([moved, moved / (size + LEAST), seen], 2)
+        maps = torch.cat([moved, moved / (size + LEAST), visible], 2)
         affine = self.trunk.affine
         assert isinstance(affine, AffineFit)
         raw = affine.raw(fields)
@@ -117,10 +117,10 @@ class PressingNetwork(Decider):
         count = SHARES.stop - SHARES.start + 1
         known = (geometry > 0).to(geometry.dtype)
         usual = torch.tensor(USUAL, dtype=geometry.dtype)
-        told = known * torch.log(geometry.clamp_min(LEAST) / usual)
+        log_ratios = known * torch.log(geometry.clamp_min(LEAST) / usual)
         reach = geometry[:, 3:4].clamp_min(0.02) * self.field_scale[:1]
         shares = torch.tanh(features[:, -count:-1] / reach) * known[:, 3:4]
-        conditions = torch.cat([known, told, functional.relu(self.shares(shares))], 1)
+        conditions = torch.cat([known, log_ratios, functional.relu(self.shares(shares))], 1)
         following: Tensor = self.trunk.cell(torch.cat([features[:, :-count], conditions], 1), state)
         return following
 

@@ -82,15 +82,17 @@ def by_sureness(trainer: Trainer, checkpoint: Checkpoint) -> Rows:
     for split, chosen in _held_out(trainer):
         length = decisions(trainer.trials, chosen, None, pictures=False).length
         assert length is not None
-        seen = [
+        predictions = [
             replace(trainer, most_steps=steps).predict(chosen, pictures=False).rescaled(checkpoint.scales)
             for steps in range(1, DECISION_STEPS + 1)
         ]
         full = length.numpy().clip(max=DECISION_STEPS)
         for sure in SURE:
-            steps = np.minimum(first_sure([probabilities(each.logits, 1.0).max(-1) for each in seen], sure), full)
-            found = figures(_seen_after(seen, steps))
-            rows[f"{split}, {sure:.1f}"] = found | {"saved": float(1.0 - steps.sum() / full.sum())}
+            steps = np.minimum(
+                first_sure([probabilities(each.logits, 1.0).max(-1) for each in predictions], sure), full
+            )
+            row = figures(_after_steps(predictions, steps))
+            rows[f"{split}, {sure:.1f}"] = row | {"saved": float(1.0 - steps.sum() / full.sum())}
     return rows
 
 
@@ -100,14 +102,14 @@ def first_sure(confidences: Sequence[NDArray[np.float64]], sure: float) -> NDArr
     return np.where(enough.any(0), enough.argmax(0) + 2, len(confidences))
 
 
-def _seen_after(seen: Sequence[Predictions], steps: NDArray[np.int64]) -> Predictions:
+def _after_steps(predictions: Sequence[Predictions], steps: NDArray[np.int64]) -> Predictions:
     """Of each trial what was predicted after its own number of steps."""
     rows = np.arange(len(steps))
     picked = {
-        name: np.array([getattr(each, name) for each in seen])[steps - 1, rows]
+        name: np.array([getattr(each, name) for each in predictions])[steps - 1, rows]
         for name in ("logits", "error", "log_sigma")
     }
-    return replace(seen[-1], **picked)
+    return replace(predictions[-1], **picked)
 
 
 def _untold(trials: object) -> Pressed:

@@ -35,7 +35,7 @@ class Motions(NamedTuple):
     """Of each press: motion [N, steps, 6] in mm and rad, conditions [N, 5] as logarithms, error (mm, deg), split."""
 
     motion: Floats
-    told: Floats
+    conditions: Floats
     error: Floats
     split: NDArray[np.int64]
     groups: NDArray[np.str_]
@@ -53,15 +53,15 @@ class Motions(NamedTuple):
             motion[turned] *= HALF_TURNED
             error[mirrored] *= MIRROR_SIGNS
             error[turned] *= HALF_TURN_SIGNS
-        return torch.from_numpy(motion), torch.from_numpy(self.told[chosen]), torch.from_numpy(error)
+        return torch.from_numpy(motion), torch.from_numpy(self.conditions[chosen]), torch.from_numpy(error)
 
 
 def read_motions(source: Source) -> Motions:
     """The true motion of every press that collided, at the steps of depth that a decision takes."""
     kept = [_motion(source.trial(index)) for index in track(range(len(source)), "reading motions", transient=True)]
     rows = [row for row in kept if row is not None]
-    motion, told, error, split, groups = zip(*rows, strict=True)
-    single = [np.array(values, np.float32) for values in (motion, told, error)]
+    motion, conditions, error, split, groups = zip(*rows, strict=True)
+    single = [np.array(values, np.float32) for values in (motion, conditions, error)]
     return Motions(single[0], single[1], single[2], np.array(split), np.array(groups))
 
 
@@ -74,8 +74,8 @@ def _motion(trial: Any) -> tuple[Any, ...] | None:
     at_mm = depths_mm[0] + STEP_MM * np.arange(1, DECISION_STEPS + 1)
     moved = np.stack([np.interp(at_mm, depths_mm, axis) - axis[0] for axis in hand.T], 1)
     known = (trial.gap_width_mm, trial.grasp_height_mm, trial.grip_n, trial.shear_reach_mm, trial.speed_mm_s)
-    told = np.log(np.maximum(known, 1e-3) / np.array(USUAL[: len(known)]))
-    return moved, told, (trial.x_mm, trial.theta_deg), SPLITS.index(trial.split), str(trial.group)
+    conditions = np.log(np.maximum(known, 1e-3) / np.array(USUAL[: len(known)]))
+    return moved, conditions, (trial.x_mm, trial.theta_deg), SPLITS.index(trial.split), str(trial.group)
 
 
 class MotionOracle(nn.Module):
@@ -83,27 +83,27 @@ class MotionOracle(nn.Module):
 
     spread: Tensor
 
-    def __init__(self, spread: Tensor, told: int, width: int = 128) -> None:
+    def __init__(self, spread: Tensor, conditions_n: int, width: int = 128) -> None:
         super().__init__()
         self.read = nn.Sequential(nn.Linear(6, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
-        self.cell = nn.GRUCell(width + told, width)
+        self.cell = nn.GRUCell(width + conditions_n, width)
         self.direction = nn.Linear(width, len(CLASSES))
         self.magnitude = nn.Linear(width, 4)
         self.register_buffer("spread", spread)
 
-    def forward(self, motion: Tensor, told: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, motion: Tensor, conditions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Class logits, error in (mm, deg) and its log sigma."""
         features = self.read(motion / self.spread)
         state = torch.zeros(len(motion), self.cell.hidden_size)
         for step in range(motion.shape[1]):
-            state = self.cell(torch.cat([features[:, step], told], 1), state)
+            state = self.cell(torch.cat([features[:, step], conditions], 1), state)
         out = self.magnitude(state)
         return self.direction(state), out[:, :2] * ERROR_SCALE, out[:, 2:].clamp(-4.0, 4.0)
 
 
-def loss_of(said: tuple[Tensor, Tensor, Tensor], error: Tensor) -> Tensor:
+def loss_of(outputs: tuple[Tensor, Tensor, Tensor], error: Tensor) -> Tensor:
     """Cross-entropy of the direction and half the normal likelihood of the error."""
-    logits, estimate, log_sigma = said
+    logits, estimate, log_sigma = outputs
     z = (estimate - error) * torch.exp(-log_sigma)
     label = torch.from_numpy(class_of(error.numpy()))
     total: Tensor = functional.cross_entropy(logits, label) + 0.5 * (0.5 * z.square() + log_sigma).mean()
@@ -116,7 +116,7 @@ def oracle_rows(source: Source, folder: Path, seed: int = 0) -> Rows:
     motions = read_motions(source)
     chosen, held = motions.of("train"), motions.of("validation")
     spread = torch.from_numpy(motions.motion[chosen].std((0, 1)) + 1e-6)
-    oracle = MotionOracle(spread, told=motions.told.shape[1])
+    oracle = MotionOracle(spread, conditions_n=motions.conditions.shape[1])
 
     def loss(batch: tuple[Tensor, ...]) -> Tensor:
         return loss_of(oracle(batch[0], batch[1]), batch[2])
@@ -144,10 +144,10 @@ def _scored(oracle: MotionOracle, motions: Motions) -> Rows:
     samples = {}
     for split in SPLITS[1:]:
         if len(chosen := motions.of(split)):
-            motion, told, error = motions.tensors(chosen)
+            motion, conditions, error = motions.tensors(chosen)
             with torch.inference_mode():
-                logits, estimate, log_sigma = (value.double().numpy() for value in oracle(motion, told))
+                logits, estimate, log_sigma = (value.double().numpy() for value in oracle(motion, conditions))
             names = np.full(len(chosen), "cells")
-            said = Predictions(logits, estimate, log_sigma, error.double().numpy(), names)
-            samples[split] = said, motions.groups[chosen]
+            predictions = Predictions(logits, estimate, log_sigma, error.double().numpy(), names)
+            samples[split] = predictions, motions.groups[chosen]
     return by_split(samples, samples["validation"][0].calibration())

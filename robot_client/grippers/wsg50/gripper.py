@@ -34,7 +34,7 @@ class Wsg50(Gripper):
     state: GraspingState | None = None
     _post: Post | None = None
     _writer: asyncio.StreamWriter | None = None
-    _told_mm: float = math.inf
+    _posted_mm: float = math.inf
     _silence: Silence = field(init=False)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
@@ -175,8 +175,8 @@ class Wsg50(Gripper):
                 self._fail("released", f"gripper: left HOLDING for {self.state.name} without an order")
 
     def _on_width(self, width_mm: float) -> None:
-        if self._post is not None and math.isfinite(width_mm) and abs(width_mm - self._told_mm) >= _WIDTH_STEP_MM:
-            self._told_mm = width_mm
+        if self._post is not None and math.isfinite(width_mm) and abs(width_mm - self._posted_mm) >= _WIDTH_STEP_MM:
+            self._posted_mm = width_mm
             self._post(Width(at_s=time.monotonic(), width_mm=width_mm))
 
     async def _watch(self) -> None:

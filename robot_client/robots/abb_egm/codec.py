@@ -100,14 +100,14 @@ def _get_pose(source: pb.EgmPose, name: str) -> Pose:
     position = (source.pos.x, source.pos.y, source.pos.z)
     if not (source.HasField("orient") or source.HasField("euler")):
         raise EgmError(f"{name} has no orientation")
-    told = (source.orient.u0, source.orient.u1, source.orient.u2, source.orient.u3)
+    quaternion = (source.orient.u0, source.orient.u1, source.orient.u2, source.orient.u3)
     if not source.HasField("euler"):
-        return _checked(name, Pose(*position, *told))
+        return _checked(name, Pose(*position, *quaternion))
     angles = (source.euler.x, source.euler.y, source.euler.z)
     _check_finite(name, angles)
     pose = _checked(name, Pose(*position, *_euler_quaternion(*angles)))
     if source.HasField("orient"):
-        apart_deg = _apart_deg(pose.quaternion, _checked(name, Pose(*position, *told)).quaternion)
+        apart_deg = _apart_deg(pose.quaternion, _checked(name, Pose(*position, *quaternion)).quaternion)
         if not apart_deg <= SAME_TURN_DEG:
             raise EgmError(f"{name} has Euler angles and a quaternion that differ by {apart_deg:.3f} deg")
     return pose

@@ -137,14 +137,14 @@ class RwsClient:
         """Which generation the controller speaks, by how it refuses a request without a password; raises RwsError."""
         if self._generation is None:
             refusal = await self._exchange("GET", "/rw", headers={"Accept": f"{MEDIA}, */*"})
-            found = next((known for known in GENERATIONS if known.answered(refusal)), None)
-            if found is None:
+            generation = next((known for known in GENERATIONS if known.answered(refusal)), None)
+            if generation is None:
                 known = " nor ".join(one.name for one in GENERATIONS)
-                said = f"HTTP {refusal.status_code}, {refusal.headers.get(CHALLENGE, 'no question for a password')}"
-                raise RwsError(f"{self.settings.url} is neither {known} ({said[:80]}); check robot.rws.url")
+                refused = f"HTTP {refusal.status_code}, {refusal.headers.get(CHALLENGE, 'no question for a password')}"
+                raise RwsError(f"{self.settings.url} is neither {known} ({refused[:80]}); check robot.rws.url")
             user, password = self.settings.user, self.settings.password.get_secret_value()
             self._auth = credentials(refusal.headers[CHALLENGE], self.settings.url, user, password)
-            self._generation = found
+            self._generation = generation
         return self._generation
 
     async def _until(self, key: Resource, wanted: str, timeout_s: float) -> None:

@@ -165,7 +165,7 @@ def test_memory_saves_trials_in_a_toy_loop() -> None:
 
 
 @pytest.mark.slow  # a timed test: other tests on the same core would be measured, too
-def test_a_belief_decides_within_6_ms_of_cpu() -> None:
+def test_a_belief_decides_within_4_ms_of_cpu() -> None:
     rng = np.random.default_rng(0)
     belief = Belief(LIMITS)
     costs = []
@@ -173,7 +173,7 @@ def test_a_belief_decides_within_6_ms_of_cpu() -> None:
         started = time.thread_time()
         belief.decide(entry, 1)
         costs.append(time.thread_time() - started)
-    assert min(costs) < 6e-3  # the least: what a shared machine adds is not the belief's
+    assert min(costs) < 4e-3  # the least: what a shared machine adds is not the belief's
 
 
 def test_an_estimate_no_surer_than_the_training_spread_says_nothing() -> None:

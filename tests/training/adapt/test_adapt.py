@@ -9,7 +9,7 @@ import pytest
 from service.contract import ContractError, Sensor
 from tests.training.conftest import tiny
 from tests.training.data.test_pressed import down
-from training.adapt.adapt import adapt, hold_out, judge
+from training.adapt.adapt import adapt, compare, hold_out
 from training.adapt.stages import calibrated
 from training.data.episodes import read_episodes
 from training.data.labels import class_of
@@ -61,7 +61,7 @@ def keep(folder, attempts, purpose, outcome, x_mm, theta_deg):
 
 
 def judged_by(start, samples, *stages):
-    return judge(start, samples, hold_out(start, samples, stages, 0), 0)
+    return compare(start, samples, hold_out(start, samples, stages, 0), 0)
 
 
 @pytest.fixture(scope="module")
