@@ -73,10 +73,10 @@ class TactileFinger:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
         image, rectify_ms = self._rectified(frame)
         rectified = time.perf_counter()
-        found = self._tracker.update(image, frame.captured_ns)
+        tracked_field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
-        bulge = self._open.bulge(found)
-        field = self._liveness.judged(image, found, touched=bulge is None or bulge >= 1.0)
+        bulge = self._open.bulge(tracked_field)
+        field = self._liveness.checked(image, tracked_field, touched=bulge is None or bulge >= 1.0)
         marked = self._open.mark(field)
         if self._rearm:
             slip = self._slip.rearm(field)

@@ -204,9 +204,9 @@ class Status:
             if running.afresh_n and running.attempt == running.earlier_n:
                 counted = "Taken afresh: "
             words = PHASES.get(running.phase, running.phase)
-            said = words[0].lower() + words[1:] if counted else words
+            text = words[0].lower() + words[1:] if counted else words
             level = "warning" if running.phase in {"no_decision", "refused"} or bad else "busy"
-            return {"level": level, "words": counted + said, "detail": running.problem}
+            return {"level": level, "words": counted + text, "detail": running.problem}
         if stop is not None:
             return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy} {stop.detail}".strip()}
         if bad:
@@ -243,7 +243,7 @@ def _newest(station: Station) -> Last | None:
     listed, _ = list_recordings(station.settings.recordings, most_n=1)
     if not listed:
         return None
-    found = listed[0]
-    outcome, cause, attempts_n, named = (found[key] for key in ("outcome", "cause", "attempts", "object"))
+    newest = listed[0]
+    outcome, cause, attempts_n, named = (newest[key] for key in ("outcome", "cause", "attempts", "object"))
     words = ended(outcome, cause, attempts_n, named or "")
-    return Last(found["insertion_id"], outcome, cause, words, attempts_n, named or "", None, found["seconds"])
+    return Last(newest["insertion_id"], outcome, cause, words, attempts_n, named or "", None, newest["seconds"])

@@ -59,7 +59,7 @@ def test_the_grid_is_found_where_it_truly_is(seed, k1, hidden):
     assert grid is not None
     assert grid.shape == (ROWS, COLUMNS)
     shown = 1 - hidden[0] * hidden[1] / (ROWS * COLUMNS)
-    assert grid.found.mean() > shown - 0.16
+    assert grid.present.mean() > shown - 0.16
     assert grid.displaced_n < 0.05 * ROWS * COLUMNS
     nodes = np.argwhere(np.ones(grid.shape, bool))[:, ::-1].astype(float)
     covered = (nodes[:, 0] >= COLUMNS - hidden[0]) & (nodes[:, 1] < hidden[1])
