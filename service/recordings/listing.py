@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.contract.frames import first_error
+from service.contract.wire_parts import errors_left
 from service.recordings.recovery import is_being_written
 from service.recordings.writer import NAME
 
@@ -45,13 +46,12 @@ class Summary(BaseModel):
         held = stated = 0
         if self.outcome != "inserted":
             return 0, 0
-        left_x = left_theta = 0.0
-        for decided in reversed(self.decisions):
+        errors = errors_left([decided.correction or (0.0, 0.0) for decided in self.decisions])
+        for decided, error in zip(self.decisions, errors, strict=True):
             if decided.correction is None:
                 continue
-            left_x, left_theta = left_x - decided.correction[0], left_theta - decided.correction[1]
-            sides = ((decided.interval_x_mm, left_x), (decided.interval_theta_deg, left_theta))
-            given = [(interval, truth) for interval, truth in sides if interval is not None]
+            intervals = zip((decided.interval_x_mm, decided.interval_theta_deg), error, strict=True)
+            given = [(interval, truth) for interval, truth in intervals if interval is not None]
             stated += len(given)
             held += sum(interval[0] <= truth <= interval[1] for interval, truth in given)
         return held, stated

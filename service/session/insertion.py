@@ -15,6 +15,7 @@ from service.decision.seating import strongest_push
 from service.perception.observation import Observation
 from service.recordings.writer import Recorder
 from service.session.state_machine import InsertionSession, Replies, ignore
+from service.versions.beside import Beside
 
 Send = Callable[[ServiceMessage], None]
 LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
@@ -46,6 +47,7 @@ class Insertion:
     telemetry_lost_n: int = 0
     opened_ns: int = field(default_factory=now_ns)
     continues: wire.InsertionId | None = None
+    beside: Beside | None = None
     _decisions: list[dict[str, Any]] = field(default_factory=list)
     _client_ahead_ns: int | None = None
     _observed: list[Observation] = field(default_factory=list)
@@ -152,8 +154,10 @@ class Insertion:
     def attempt_decided(self, attempt: Attempt) -> None:
         """Keep the frames of the decision; a decided attempt no longer changes, so they may be gathered later."""
         if attempt.decision is not None:
-            self._decisions.append(_facts_of(attempt, attempt.decision))
+            self._decisions.append(facts := _facts_of(attempt, attempt.decision))
             self._note(Recorder.attempt, attempt.arm.attempt, attempt.arrays)
+            if self.beside:
+                self._note(Recorder.work_out, "/beside", partial(_answers, self.beside, attempt, facts), now_ns())
 
     # ---- what can wait until the client has its answer --------------------------------------------------------------
 
@@ -238,6 +242,12 @@ def _facts_of(attempt: Attempt, decision: wire.Correction | wire.NoDecision) -> 
     felt = decision.estimate
     moved = {"correction": (decision.dx_mm, decision.dtheta_deg), "confidence": decision.confidence}
     return facts | moved | {"interval_x_mm": felt.interval_x_mm, "interval_theta_deg": felt.interval_theta_deg}
+
+
+def _answers(beside: Beside, attempt: Attempt, facts: dict[str, Any]) -> dict[str, Any]:
+    """What others would have answered, for the recording and, as ``facts`` are written last, for its summary."""
+    facts["beside"] = beside.decide(attempt)
+    return {"attempt": attempt.arm.attempt, "active": beside.active, "answers": facts["beside"]}
 
 
 def _record_told(recorder: Recorder, message: Any, now: int) -> None:

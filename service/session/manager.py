@@ -32,6 +32,7 @@ from service.session.insertion import Insertion, Send
 from service.session.memory import give_back
 from service.session.state_machine import InsertionSession, ignore
 from service.settings import Settings
+from service.versions.versions import Versions
 
 VERSIONS = {
     "service": __version__,
@@ -54,6 +55,7 @@ class InsertionManager:
     cameras: Mapping[Finger, Camera]
     hub: Hub
     submit: Callable[[Work], None]
+    versions: Versions | None = None
     active: Insertion | None = None
     opened_n: int = 0
     jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
@@ -156,6 +158,8 @@ class InsertionManager:
 
     def _open(self, hello: wire.ClientHello) -> Insertion:
         given = self.settings
+        if self.versions and not hello.continues:  # what goes on is decided by whom it was begun with
+            self.models = self.versions.active
         session = make_session(
             self.models, self.calibration, given.controller, given.limits, imprint=given.imprint_slip
         )
@@ -168,6 +172,8 @@ class InsertionManager:
         recorder = self._recorder(hello.insertion_id, session, before.insertion_id if before else "")
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
         insertion.continues = hello.continues
+        if self.versions and recorder:  # what is not recorded is no evidence
+            insertion.beside = self.versions.beside(session.models, given.limits, given.controller)
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
         try:
@@ -189,7 +195,7 @@ class InsertionManager:
             "limits": self.settings.limits.model_dump_json(),
             "versions": json.dumps(VERSIONS),
             "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
-            "models_folder": str(self.settings.models),
+            "models_folder": str(session.models.steps[0].path.parent),
             "calibration": self._calibration_text,
             "continues": continues,
         }
@@ -237,5 +243,16 @@ class InsertionManager:
         if insertion.send:
             insertion.send(finished)
         self.hub.publish("recorded", finished)
+        self._learn(insertion, finished)
         del insertion
         give_back()
+
+    def _learn(self, insertion: Insertion, finished: wire.Finished) -> None:
+        """Another version may have shown that it should decide."""
+        if self.versions is None or insertion.beside is None:
+            return
+        inserted, fresh = finished.outcome == "inserted", insertion.continues is None
+        try:
+            self.versions.learn(insertion.beside, inserted=inserted, cause=finished.cause, fresh=fresh)
+        except Exception as error:  # the insertion has ended well all the same
+            self.hub.publish("error", f"versions: {error or type(error).__name__}")
