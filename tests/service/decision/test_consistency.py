@@ -122,9 +122,9 @@ def test_a_good_cell_whose_networks_are_never_sure_is_not_accused(
     """Its estimates err by up to 1.2 of the sigma that they come with, and each is taken off."""
     sigma, true, steps = (3.5, 6.0), np.array(error), []
     for share in off:
-        seen = true + np.multiply(share, sigma)
-        steps.append((tuple(seen), sigma, tuple(-seen)))
-        true = true - seen
+        estimate = true + np.multiply(share, sigma)
+        steps.append((tuple(estimate), sigma, tuple(-estimate)))
+        true = true - estimate
     assert answered(steps) == ""
 
 
