@@ -73,7 +73,7 @@ class Insertion:
         if isinstance(message, wire.Episode):
             self.episode = message
             self._later.append(partial(self.publish, "client", message))
-            self._note(_record_told, message, now)
+            self._note(_record_episode, message, now)
             return
         if message.type != "heartbeat":
             self._note(_record_received, message, now)
@@ -98,8 +98,8 @@ class Insertion:
     @property
     def facts(self) -> dict[str, Any]:
         """What the summary says of the task."""
-        told = self.episode
-        task = {} if told is None else told.model_dump(mode="json", include=_TASK)
+        episode = self.episode
+        task = {} if episode is None else episode.model_dump(mode="json", include=_TASK)
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         task |= {"continues": self.continues} if self.continues else {}
@@ -252,7 +252,7 @@ def _answers(beside: Beside, attempt: Attempt, facts: dict[str, Any]) -> dict[st
     return {"attempt": attempt.arm.attempt, "active": beside.active, "answers": facts["beside"]}
 
 
-def _record_told(recorder: Recorder, message: Any, now: int) -> None:
+def _record_episode(recorder: Recorder, message: Any, now: int) -> None:
     recorder.message("client", message.model_dump(mode="json"), now)
 
 

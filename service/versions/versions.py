@@ -77,9 +77,9 @@ class Versions:
         self._store, self._lock = Store(home), threading.Lock()
         self._now = _of_release(released)
         try:
-            found = self._store.open()
-            if found is not None and found.released == self._now.wiring.released:
-                self._load(found)
+            kept = self._store.open()
+            if kept is not None and kept.released == self._now.wiring.released:
+                self._load(kept)
         except BaseException:
             self._store.close()
             raise
@@ -186,9 +186,9 @@ class Versions:
                 wiring = wiring.with_one(role, version, contest)
             self._now = self._now._replace(wiring=wiring)
             self._store.wire(wiring)
-            self._judge(wiring)
+            self._decide(wiring)
 
-    def _judge(self, wiring: Wiring) -> None:
+    def _decide(self, wiring: Wiring) -> None:
         """Going back comes before going on."""
         changes: dict[Role, Callable[[str], None]] = {"previous": self._roll_back, "shadow": self._promote}
         for role, change in changes.items():

@@ -42,9 +42,9 @@ def create_app(station: Station) -> FastAPI:
     app.state.station, app.state.access, app.state.bodies = station, access, Bodies()
     app.include_router(health.router(station, Metrics(station)))
     app.include_router(insertion.router(station, access))
-    told = Status(station)
-    app.include_router(live.router(station, access, told))
-    app.include_router(status.router(told, access))
+    page_status = Status(station)
+    app.include_router(live.router(station, access, page_status))
+    app.include_router(status.router(page_status, access))
     for module in (api, cameras, oip, playback, recordings, versions):
         app.include_router(module.router(station, access))
     app.mount("/dashboard", live.static_files())

@@ -85,9 +85,9 @@ def _attempts(folder: Path, number: int) -> Iterator[Attempt]:
     except (OSError, ValueError, KeyError) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
     first = PROBE if summary.get("purpose") == "probe" else WORK
-    for index, (off, (seen, _)) in enumerate(zip(_errors(summary, [move for _, move in shown]), shown, strict=False)):
-        if off is not None and seen is not None:
-            yield Attempt(LATER if index else first, off, *seen, number)
+    for index, (off, (inputs, _)) in enumerate(zip(_errors(summary, [move for _, move in shown]), shown, strict=False)):
+        if off is not None and inputs is not None:
+            yield Attempt(LATER if index else first, off, *inputs, number)
 
 
 def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[float, float]]:
