@@ -40,6 +40,7 @@ class TactileFinger:
         self._onset = OnsetDetector()
         self._open = OpenGel()
         self._imprint = ImprintWatch() if imprint else None
+        self.gel_distance: float | None = None
         self._rearm = False
         self._held = False
         self._stopped = False
@@ -62,6 +63,7 @@ class TactileFinger:
             return str(error)
         self._liveness.learn_open(image)
         alike = likeness(self._fingerprint, fingerprint_of(field))
+        self.gel_distance = None if alike is None else 1.0 - alike
         if alike is None or alike >= OTHER_GEL or field.valid.sum() < TELLING_N:
             return ""
         return (

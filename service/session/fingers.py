@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
 from service.decision.attempt import Attempt
 from service.perception.observation import FingerWatch, Observation, PairObservation, belongs
@@ -85,3 +87,15 @@ class Fingers:
         if age_ms is None or age_ms <= allowed_ms:
             return ""
         return f"a finger's newest frame is {age_ms:.0f} ms old; hold until it is back"
+
+
+def gels_of(watches: tuple[FingerWatch, ...], attempt: Attempt | None) -> dict[str, float | None]:
+    """What the summary says of the gels, by the last reference and the open gels; what is not known is left out."""
+    known = [watch.gel_distance for watch in watches if watch.gel_distance is not None]
+    facts: dict[str, float | None] = {"gel_distance": round(max(known), 4)} if known else {}
+    if attempt is not None and attempt.reference is not None:
+        fingers = attempt.reference.fingers
+        shares = [float(one.field.valid.mean()) if one.field.valid.size else 0.0 for one in fingers]
+        brightness = float(np.mean([one.image.mean() for one in fingers]))
+        facts |= {"markers_share": round(min(shares), 4), "brightness_grey": round(brightness, 2)}
+    return facts

@@ -14,6 +14,7 @@ from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.seating import strongest_push
 from service.perception.observation import Observation
 from service.recordings.writer import Recorder
+from service.session.fingers import gels_of
 from service.session.state_machine import InsertionSession, Replies, ignore
 from service.versions.beside import Beside
 
@@ -102,7 +103,8 @@ class Insertion:
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         task |= {"continues": self.continues} if self.continues else {}
-        return {**task, "seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}
+        task |= {"seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}
+        return task | gels_of((self.session.left, self.session.right), self.session.attempt)
 
     def prime(self, frame: CameraFrame) -> None:
         """Show the trackers a first frame."""

@@ -113,6 +113,7 @@ class TrueFieldFinger:
         self._onset = OnsetDetector()
         self._open = OpenGel()
         self._rearm = False
+        self.gel_distance: float | None = None
         noise = cell.scene.camera.noise_grey
         self._error_px = max(0.02, TRACKING_PX + TRACKING_PX_PER_GREY * (noise - 2.0))
 
