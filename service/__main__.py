@@ -11,6 +11,7 @@ COMMANDS = {
     "calibrate": "fit the rectification of a camera from frames of a resting gel",
     "judge": "find contact, hold, slip and loss in recorded grasps, run by run",
     "models": "check a folder of models and print their cards",
+    "versions": "show, promote or roll back the versions of a running service",
 }
 EXIT_BAD_INPUT = 2
 

@@ -69,6 +69,7 @@ class Settings(BaseSettings):
     )
 
     models: Path = Field(default_factory=released_models, description="folder with the ONNX files and their cards")
+    shadow: Path | None = Field(None, description="folder with networks to run beside, and to decide once shown better")
     camera_left: str = Field(description="left finger: http://HOST:PORT/PATH (MJPEG), v4l2:N, file:PATH or push:")
     camera_right: str = Field(description="right finger, same forms")
     calibration: Path | None = Field(None, description="rectification TOML; leave out for rectified cameras")

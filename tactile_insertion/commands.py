@@ -20,6 +20,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "calibrate": Command("service", "calibrate", "fit the rectification of both cameras"),
         "judge": Command("service", "judge", "find touch, hold, slip and loss in recorded runs"),
         "models": Command("service", "models", "check a folder of networks, print their cards"),
+        "versions": Command("service", "versions", "versions in shadow: show, promote, roll back"),
         "replay": Command("service", "replay", "decide a recorded insertion again"),
         "doctor": Command("robot_client", "doctor", "name what is wrong with a cell, and the remedy"),
         "check": Command("robot_client", "check", "read every device and move nothing"),

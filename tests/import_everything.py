@@ -15,8 +15,8 @@ PACKAGES: list[str] = tomllib.loads(Path("pyproject.toml").read_text())["tool"][
 
 def modules(package: str) -> list[str]:
     """The package and every module below it; commands, which run when they are imported, are left out."""
-    found = pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}.")
-    return [package, *(module.name for module in found if not module.name.endswith("__main__"))]
+    walked = pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}.")
+    return [package, *(module.name for module in walked if not module.name.endswith("__main__"))]
 
 
 def main() -> int:

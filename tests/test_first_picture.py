@@ -34,19 +34,19 @@ def until_served(url: str, process: subprocess.Popen[str]) -> None:
 def pictures_after_s(page, folder: Path, port: int) -> dict[str, float]:
     """When each finger was first drawn, counted from the command, s."""
     command = [sys.executable, "-m", "simulation", "demo", "--out", str(folder), "--port", str(port)]
-    began, found = time.monotonic(), {}
+    began, pictures_s = time.monotonic(), {}
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, text=True) as process:
         try:
             until_served(url := f"http://127.0.0.1:{port}/", process)
             page.goto(url)
-            while len(found) < 2:
-                for finger in {"left", "right"} - set(found):
+            while len(pictures_s) < 2:
+                for finger in {"left", "right"} - set(pictures_s):
                     if colours(page, finger) > 50:
-                        found[finger] = time.monotonic() - began
+                        pictures_s[finger] = time.monotonic() - began
                 page.wait_for_timeout(20)
         finally:
             process.send_signal(signal.SIGINT)
-    return found
+    return pictures_s
 
 
 def test_the_first_pictures_are_there_within_ten_seconds(tmp_path):
@@ -55,6 +55,6 @@ def test_the_first_pictures_are_there_within_ten_seconds(tmp_path):
         page = running.chromium.launch(executable_path=CHROMIUM, args=FLAGS).new_page()
         for folder, port in (("compiles", 8101), ("counts", 8102)):
             load = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
-            found = pictures_after_s(page, tmp_path / folder, port)
-    print(f"first pictures after {found} s, at {load:.1f} times the load that this machine bears")
-    assert max(found.values()) <= MOST_S * load
+            pictures_s = pictures_after_s(page, tmp_path / folder, port)
+    print(f"first pictures after {pictures_s} s, at {load:.1f} times the load that this machine bears")
+    assert max(pictures_s.values()) <= MOST_S * load

@@ -38,7 +38,7 @@ def main(arguments: Sequence[str]) -> int:
         url = getattr(options, f"camera_{finger}")
         image = still_image(url, options.frames)
         if sensor is None:
-            sensor = _found(options, image, finger)
+            sensor = _new_profile(options, image, finger)
         fits[finger] = fit = fit_camera(image, finger, sensor, serial_of(url))
         print(_line(finger, fit))
         _draw(options.pictures, finger, image, fit)
@@ -56,7 +56,7 @@ def _measure(options: argparse.Namespace) -> int:
     if image is None:
         raise CalibrationError(f"--picture {path}: expected a picture file")
     picture = np.asarray(image, np.uint8)
-    sensor = _found(options, picture, path.name) if options.new_profile else _sensor(options.sensor)
+    sensor = _new_profile(options, picture, path.name) if options.new_profile else _sensor(options.sensor)
     try:
         grid = find_grid(picture, path.name, sensor)
     except CalibrationError as error:
@@ -79,7 +79,7 @@ def _sensor(name: str) -> Sensor:
         raise CalibrationError(f"--sensor: {error}") from error
 
 
-def _found(options: argparse.Namespace, image: np.ndarray, name: str) -> Sensor:
+def _new_profile(options: argparse.Namespace, image: np.ndarray, name: str) -> Sensor:
     """A new profile from this picture."""
     grid = find_grid(image, name, None)
     sensor = profile_of(image, grid, options.new_profile.stem, options.pitch_mm, options.fps)

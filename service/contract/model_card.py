@@ -92,13 +92,13 @@ class Pressing(Contract):
         """How far the object is pressed for a whole decision."""
         return self.steps_n * self.step_mm
 
-    def outside(self, told: Mapping[str, float | None]) -> str:
+    def outside(self, conditions: Mapping[str, float | None]) -> str:
         """Which condition lies outside what the network was trained on, as a sentence; empty if none does.
 
         What is not told is not outside; a number that is not finite is.
         """
         for name, span in self.trained.items():
-            value = told.get(name)
+            value = conditions.get(name)
             if value is not None and not span.low <= value <= span.high:
                 return f"{name} is {value:g}, the networks were trained on {span.low:g} to {span.high:g}"
         return ""

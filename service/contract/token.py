@@ -51,8 +51,8 @@ def keep_token(folder: Path) -> tuple[str, Path]:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _make(path)
-        found = path.lstat()
-        if found.st_mode & 0o170077 != 0o100000 or found.st_uid != os.geteuid():
+        status = path.lstat()
+        if status.st_mode & 0o170077 != 0o100000 or status.st_uid != os.geteuid():
             raise TokenError(f"{path} must be a file of this user that nobody else may read; remove it, or chmod 600")
         return read_token(path), path
     except OSError as error:

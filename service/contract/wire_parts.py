@@ -1,5 +1,6 @@
 """What the messages of :mod:`service.contract.wire` are made of, and those that only the record is made of."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -62,6 +63,19 @@ FaultCode = Literal[
     "watch_only",
     "internal",
 ]
+
+
+def errors_left(moves: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """What each attempt of an insertion that went in was off by (mm, deg), to within what fits the gap.
+
+    ``moves`` followed the attempts, (0, 0) where none did: what was off is all that was moved since, reversed.
+    """
+    left: list[tuple[float, float]] = []
+    x_mm = theta_deg = 0.0
+    for dx_mm, dtheta_deg in reversed(moves):
+        x_mm, theta_deg = x_mm - dx_mm, theta_deg - dtheta_deg
+        left.append((x_mm, theta_deg))
+    return left[::-1]
 
 
 MAX_ATTEMPTS = 15

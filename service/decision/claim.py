@@ -84,12 +84,12 @@ def slid_mm(attempt: Attempt) -> float:
     began, stopped = attempt.descending_ns, attempt.stopped_ns
     if began is None or stopped is None:
         return math.nan
-    seen = [((push.captured_ns - began) * 1e-9, push.moved_pitch) for push in attempt.pushes]
+    moves = [((push.captured_ns - began) * 1e-9, push.moved_pitch) for push in attempt.pushes]
     lasted_s = (stopped - began) * 1e-9
-    seen = [(at_s, moved) for at_s, moved in seen if at_s <= lasted_s and math.isfinite(moved)]
-    if not seen or not max(moved for _, moved in seen) > 0.0:
+    moves = [(at_s, moved) for at_s, moved in moves if at_s <= lasted_s and math.isfinite(moved)]
+    if not moves or not max(moved for _, moved in moves) > 0.0:
         return math.nan
-    stamps_s, moved = np.array(seen).T
+    stamps_s, moved = np.array(moves).T
     grown = np.maximum.accumulate(moved)
     from_s, to_s = np.interp([0.1, 0.9], grown / grown[-1], stamps_s)
     slid_s = lasted_s - to_s - (to_s - from_s) / 8
@@ -105,14 +105,14 @@ def doubts(attempt: Attempt, grasp: GraspRecord) -> Doubts:
     return tuple(doubt for check in checks for doubt in check(attempt, grasp))
 
 
-def unclaimed(found: Doubts, *, afresh: bool) -> Cause | None:
+def unclaimed(doubts: Doubts, *, afresh: bool) -> Cause | None:
     """What an insertion at full depth ends for, None if nothing was found against it.
 
     ``afresh``: the client can take an object that has turned upright again, which mends a turn and nothing else.
     """
-    if not found:
+    if not doubts:
         return None
-    return "afresh" if afresh and {doubt.reason for doubt in found} == {"moved_in_hand"} else "not_confirmed"
+    return "afresh" if afresh and {doubt.reason for doubt in doubts} == {"moved_in_hand"} else "not_confirmed"
 
 
 def _doubt(reason: DoubtReason, detail: str, value: float | None = None, bound: float | None = None) -> Doubt:

@@ -3,7 +3,7 @@
 A cell that is wired wrong on its first day answers a good correction with a larger error, or with one out of the range
 that the networks know. So the error is followed through the attempts by a Bayes filter: once with the moves as
 commanded, and once with x, yaw or both reversed. Which of them expected the estimates? A picture that is mirrored shows
-itself at once: both fingers see the object turn from opposite sides, a mirrored one from the same side.
+itself sooner: both fingers see the object turn from opposite sides, a mirrored one from the same side.
 
 What counts is how the networks read an error, see `reading`. In drawn cells they tell the side, and hardly how far.
 """
@@ -37,8 +37,10 @@ FAR = np.array([15.0, 14.0])  # beyond, the networks often answer with hardly an
 FAR_OUTLIERS, FAR_SIGMA = 0.3, 4.0
 SURE = np.array([2.2, 5.0])  # one sigma. Networks that were so sure once seldom are in doubt in that cell, but for far
 SURE_SHARE, FAR_SURE_SHARE = 0.93, 0.35
-JUDGED_N = 8  # attempts: what contradicts itself later is a search in which the networks err
-LEAST_TURN_DEG, LIKE = 1.0, 0.5  # the smaller turn is at least this share of the larger
+CHECKED_N = 8  # attempts: what contradicts itself later is a search in which the networks err
+TURN_DEG, LIKE = 0.2, 0.5  # of the larger turn, and the smaller one as its share: both fingers saw the object turn
+CLEAR_TURN_DEG, CLEARLY_LIKE = 1.0, 0.7
+ONE_SIDED = 2  # turns seen from the same side; a clear one counts twice
 _BLUR = np.exp(-0.5 * np.square((CELLS[:, None] - CELLS) / WALK[:, None, None]))
 _BLUR /= _BLUR.sum(axis=1, keepdims=True)
 
@@ -66,14 +68,14 @@ class Followed:
         self.weights: Floats = np.full((len(CELLS), len(CELLS)), 1.0 / len(CELLS) ** 2)
         self.log_evidence = 0.0
 
-    def learn(self, seen: Pair, sigma: Pair, *, sure: bool, sure_once: bool) -> None:
+    def learn(self, estimate: Pair, sigma: Pair, *, sure: bool, sure_once: bool) -> None:
         """Take in an estimate. Where networks were sure once and are not now, it says no more than that."""
         here = [CELLS + moved for moved in self.moved]
         far = np.logical_or.outer(np.abs(here[0]) > FAR[0], np.abs(here[1]) > FAR[1])
         likelihood = np.ones_like(self.weights)
         if sure or not sure_once:
-            near = [_near(*axis) for axis in zip(here, seen, sigma, SIDE, NOISE, strict=True)]
-            likelihood = np.where(far, math.prod(map(_far, seen, sigma)), np.outer(*near))
+            near = [_near(*axis) for axis in zip(here, estimate, sigma, SIDE, NOISE, strict=True)]
+            likelihood = np.where(far, math.prod(map(_far, estimate, sigma)), np.outer(*near))
         if sure_once:
             share = np.where(far, FAR_SURE_SHARE, SURE_SHARE)
             likelihood = likelihood * (share if sure else 1.0 - share)
@@ -92,15 +94,15 @@ def _density(off: Floats, sigma: float) -> Floats:
     return np.asarray(np.exp(-0.5 * np.square(off / sigma)) / (math.sqrt(2.0 * math.pi) * sigma))
 
 
-def _near(error: Floats, seen: float, sigma: float, side: float, noise: float) -> Floats:
+def _near(error: Floats, estimate: float, sigma: float, side: float, noise: float) -> Floats:
     """[n]: density of an estimate for errors [n] in the networks' range; an outlier may be anywhere."""
-    off = seen - reading(error, sigma, side)
+    off = estimate - reading(error, sigma, side)
     return (1.0 - OUTLIERS) * _density(off, math.hypot(NOISE_SHARE * sigma, noise)) + OUTLIERS / RANGE
 
 
-def _far(seen: float, sigma: float) -> float:
+def _far(estimate: float, sigma: float) -> float:
     """The same beyond that range."""
-    stray = _density(np.array(seen), math.hypot(FAR_SIGMA, sigma))
+    stray = _density(np.array(estimate), math.hypot(FAR_SIGMA, sigma))
     return float((1.0 - FAR_OUTLIERS) * stray + FAR_OUTLIERS / RANGE)
 
 
@@ -113,20 +115,22 @@ class Consistency:
     )
     _sure_once: bool = False
     _attempts_n: int = 0
+    _one_sided: int = 0
 
     def add(self, correction: Correction, both: PairObservation) -> None:
         """Take in an attempt's correction and last pair. Raises Refusal that names the likely causes."""
-        if mirrored(both):
+        self._one_sided = max(0, self._one_sided + one_sided(both))
+        if self._one_sided >= ONE_SIDED:
             raise Refusal("contradictory", "both fingers see the object turn the same way: one picture is mirrored")
         self._attempts_n += 1
-        if self._attempts_n > JUDGED_N:
+        if self._attempts_n > CHECKED_N:
             return
         estimate = correction.estimate
-        seen = np.array([estimate.dx_mm, estimate.dtheta_deg])
+        measured = np.array([estimate.dx_mm, estimate.dtheta_deg])
         sigma = np.array([estimate.sigma_x_mm or UNKNOWN[0], estimate.sigma_theta_deg or UNKNOWN[1]])
         sure = bool((sigma < SURE).all())
         for followed in self._followed.values():
-            followed.learn(seen, sigma, sure=sure, sure_once=self._sure_once)
+            followed.learn(measured, sigma, sure=sure, sure_once=self._sure_once)
             followed.move(np.array([correction.dx_mm, correction.dtheta_deg]))
         self._sure_once |= sure
         if causes := self.causes():
@@ -148,11 +152,15 @@ def turns_deg(both: PairObservation) -> tuple[float, float]:
     return left, right
 
 
-def mirrored(both: PairObservation) -> bool:
-    """Whether both fingers see a turn of like size and the same sign; facing each other, they must see opposite ones.
+def one_sided(both: PairObservation) -> int:
+    """Both fingers saw a turn from the same side: 1, clearly so: 2; from opposite ones, as they must: -1; else 0.
 
     A turn that one finger alone sees says nothing: the other may have been let go, or be blind.
     """
     left, right = turns_deg(both)
     smaller, larger = sorted((abs(left), abs(right)))
-    return left * right > 0.0 and larger > LEAST_TURN_DEG and LIKE * larger < smaller < math.inf
+    if not (larger > TURN_DEG and LIKE * larger < smaller < math.inf):
+        return 0
+    if left * right < 0.0:
+        return -1
+    return 2 if larger > CLEAR_TURN_DEG and CLEARLY_LIKE * larger < smaller else 1

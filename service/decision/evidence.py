@@ -87,7 +87,7 @@ class DecisionRun:
     """The networks over one attempt: fed pair by pair as they arrive, so that one step remains after the last frame.
 
     ``reference`` and every frame are [2, *card.input_shape], left finger first: pictures, marker fields or steps of
-    depth, for which ``told`` are the conditions. Not thread safe: one thread feeds a run.
+    depth, for which ``conditions`` go. Not thread safe: one thread feeds a run.
     """
 
     def __init__(
@@ -96,11 +96,11 @@ class DecisionRun:
         reference: NDArray[np.uint8] | NDArray[np.float32],
         gap_width_mm: float,
         grasp_height_mm: float | None = None,
-        told: Mapping[str, float | None] = MappingProxyType({}),
+        conditions: Mapping[str, float | None] = MappingProxyType({}),
     ) -> None:
         self._models = models
         self._reference = reference
-        self._geometry = gap_width_mm, grasp_height_mm, told
+        self._geometry = gap_width_mm, grasp_height_mm, conditions
         self._states = [step.fresh_state() for step in models.steps]
         self._outputs: list[dict[str, Array]] = []
         self.frames_n = 0

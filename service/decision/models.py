@@ -70,11 +70,11 @@ class LoadedModel:
         state: NDArray[np.float32],
         gap_width_mm: float,
         grasp_height_mm: float | None = None,
-        told: Mapping[str, float | None] = MappingProxyType({}),
+        conditions: Mapping[str, float | None] = MappingProxyType({}),
     ) -> tuple[dict[str, Array], NDArray[np.float32]]:
         """Outputs after one pair; ``frame`` and ``reference`` are [2, *card.input_shape], left finger first.
 
-        ``told`` are the conditions by name, for a network that reads steps of depth.
+        ``conditions`` are by name, for a network that reads steps of depth.
         """
         inputs: dict[str, Array] = {"frame": frame[None], "reference": reference[None], "state": state}
         if self.card.gap_width_input:
@@ -82,7 +82,7 @@ class LoadedModel:
         if self.card.grasp_height_input:
             inputs["grasp_height_mm"] = np.array([[grasp_height_mm or 0.0]], np.float32)
         if self.card.pressing:
-            inputs["conditions"] = np.array([[told.get(name) or 0.0 for name in CONDITIONS]], np.float32)
+            inputs["conditions"] = np.array([[conditions.get(name) or 0.0 for name in CONDITIONS]], np.float32)
         outputs = self.run(inputs)
         return outputs, outputs.pop("next_state")
 

@@ -69,17 +69,17 @@ def lasting_turn_deg(both: PairObservation | None) -> float:
     return math.degrees(math.copysign(max(0.0, slid_rad), object_rad))
 
 
-def _carried_rad(seen: Observation) -> float:
+def _carried_rad(observation: Observation) -> float:
     """The mean turn of all markers in a finger's contact, by least squares; NaN where there are too few."""
-    slip, contact = seen.slip, seen.slip.sticking | seen.slip.slipping
+    slip, contact = observation.slip, observation.slip.sticking | observation.slip.slipping
     if contact.sum() < FEWEST_N:
         return math.nan
-    return slip.angle_rad + _turn_rad(seen.field.rest_px[contact], slip.residual_px[contact])
+    return slip.angle_rad + _turn_rad(observation.field.rest_px[contact], slip.residual_px[contact])
 
 
-def _shown_rad(seen: Observation) -> float:
+def _shown_rad(observation: Observation) -> float:
     """The mean turn of the markers that are away from where they lie in the open gel."""
-    field = seen.field
+    field = observation.field
     away = np.where(field.valid, np.hypot(*np.moveaxis(field.displacement_px, -1, 0)), 0.0)
     carried = away > CARRIED * float(away.max(initial=0.0))
     if carried.sum() < FEWEST_N:

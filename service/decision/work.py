@@ -12,7 +12,7 @@ from service.decision.consistency import turns_deg
 from service.decision.controllers import Command
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.models import ModelSet
-from service.decision.network_input import network_pair
+from service.decision.network_input import Descent, network_pair
 from service.perception.observation import Observation, PairObservation
 from service.settings import Deadlines
 
@@ -79,9 +79,7 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
     number, generation, problem = attempt.arm.attempt, attempt.generation, descent.problem
     attempt.fed = descent.enough or attempt.spoilt or attempt.stage is Stage.STOPPED or problem is not None
     if attempt.run is None:
-        still = np.zeros((2, *models.card.input_shape), np.float32)
-        still[..., 2] = 1.0  # a step is a change already, and says itself what was seen
-        attempt.run = DecisionRun(models, still, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm, descent.told)
+        attempt.run = _run_of_steps(models, attempt, descent)
     run, complete = attempt.run, attempt.fed
 
     def compute() -> WorkResult | None:
@@ -105,6 +103,33 @@ def _read_n(models: ModelSet) -> int:
     """How many steps of depth the networks read."""
     assert models.card.pressing is not None
     return models.card.pressing.steps_n
+
+
+def _run_of_steps(models: ModelSet, attempt: Attempt, descent: Descent) -> DecisionRun:
+    still = np.zeros((2, *models.card.input_shape), np.float32)
+    still[..., 2] = 1.0  # a step is a change already, and says itself what was seen
+    return DecisionRun(models, still, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm, descent.told)
+
+
+def decide_again(models: ModelSet, attempt: Attempt) -> Evidence:
+    """What other networks make of all that an attempt has shown those that decided it.
+
+    Raises Refusal where these would refuse, or where nothing was shown.
+    """
+    card, descent = models.card, attempt.descent
+    if card.pressing:
+        if descent is None or descent.problem is not None:
+            raise descent.problem if descent and descent.problem else Refusal("no_motion", "no step of depth was shown")
+        run, shown = _run_of_steps(models, attempt, descent), list(attempt.steps[: card.pressing.steps_n])
+    else:
+        if attempt.network_reference is None:
+            raise Refusal("no_motion", "no frame pair was shown")
+        reference = network_pair(card, attempt.network_reference)
+        run = DecisionRun(models, reference, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm)
+        shown = [network_pair(card, pair) for pair in attempt.decision_pairs]
+    for one in shown:
+        run.step(one)
+    return run.evidence()
 
 
 def latencies(run: DecisionRun, last: PairObservation) -> dict[str, float]:

@@ -35,6 +35,8 @@ def _on_event(kind: str, content: Any) -> None:
         log.warning("camera", **content)
     elif kind == "error":
         log.error("error", detail=str(content))
+    elif kind in {"version", "drift"}:
+        log.warning(kind, **content)
     elif kind == "recorded":
         log.info("recorded", insertion=content.insertion_id, path=content.recording)
 

@@ -40,6 +40,7 @@ class TactileFinger:
         self._onset = OnsetDetector()
         self._open = OpenGel()
         self._imprint = ImprintWatch() if imprint else None
+        self.gel_distance: float | None = None
         self._rearm = False
         self._held = False
         self._stopped = False
@@ -62,6 +63,7 @@ class TactileFinger:
             return str(error)
         self._liveness.learn_open(image)
         alike = likeness(self._fingerprint, fingerprint_of(field))
+        self.gel_distance = None if alike is None else 1.0 - alike
         if alike is None or alike >= OTHER_GEL or field.valid.sum() < TELLING_N:
             return ""
         return (
@@ -73,10 +75,10 @@ class TactileFinger:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
         image, rectify_ms = self._rectified(frame)
         rectified = time.perf_counter()
-        found = self._tracker.update(image, frame.captured_ns)
+        tracked_field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
-        bulge = self._open.bulge(found)
-        field = self._liveness.judged(image, found, touched=bulge is None or bulge >= 1.0)
+        bulge = self._open.bulge(tracked_field)
+        field = self._liveness.checked(image, tracked_field, touched=bulge is None or bulge >= 1.0)
         marked = self._open.mark(field)
         if self._rearm:
             slip = self._slip.rearm(field)

@@ -43,7 +43,12 @@ class Observation:
 
 
 class FingerWatch(Protocol):
-    """Perception of one finger; not thread safe."""
+    """Perception of one finger; not thread safe.
+
+    ``gel_distance``: how unlike its open gel is to the one that was calibrated, 0 to 2; None if that is not known.
+    """
+
+    gel_distance: float | None
 
     def rearm(self) -> None:
         """The next frame shows the held object at rest: it becomes the reference of slip and onset."""

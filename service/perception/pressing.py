@@ -14,7 +14,7 @@ from service.contract.model_card import Lattice, Pressing
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
-SEEN = 0.25  # of the markers that could show a point's motion
+VISIBLE_SHARE = 0.25  # of the markers that could show a point's motion
 CLOSEST_MM = 1e-4  # no two moments are nearer
 _LEAST_GROWTH = 1e-6
 
@@ -31,12 +31,12 @@ def lattice_weights(rest_mm: Floats, lattice: Lattice, pitch_mm: float) -> Float
     return np.asarray(near * (pitch_mm / reach) ** 2, np.float32)
 
 
-def on_lattice(moved_mm: Floats, seen: NDArray[np.bool_], weights: Floats) -> Floats:
-    """Motion [n, 2] in mm of markers that were ``seen`` [n] -> [points, 3]: (du_mm, dv_mm, 1 or 0 if not seen)."""
-    shared = weights * seen
+def on_lattice(moved_mm: Floats, visible: NDArray[np.bool_], weights: Floats) -> Floats:
+    """Motion [n, 2] in mm of markers that are ``visible`` [n] -> [points, 3]: (du_mm, dv_mm, 1 or 0 if not seen)."""
+    shared = weights * visible
     total = shared.sum(1, keepdims=True)
-    mean = shared @ np.where(seen[:, None], moved_mm, 0.0) / np.maximum(total, _LEAST_GROWTH)
-    enough = (total > SEEN).astype(np.float32)
+    mean = shared @ np.where(visible[:, None], moved_mm, 0.0) / np.maximum(total, _LEAST_GROWTH)
+    enough = (total > VISIBLE_SHARE).astype(np.float32)
     return np.concatenate([mean * enough, enough], 1).astype(np.float32)
 
 
@@ -127,14 +127,14 @@ class DepthSteps:
     def _mean(self, weights: Doubles) -> Floats:
         used = np.flatnonzero(weights)
         stack = np.stack([self._fields[k] for k in used])
-        seen = stack[..., 2:].min(0)
-        moved = np.tensordot(weights[used], stack[..., :2], 1) * seen
-        return np.concatenate([moved, seen], -1).astype(np.float32)
+        visible = stack[..., 2:].min(0)
+        moved = np.tensordot(weights[used], stack[..., :2], 1) * visible
+        return np.concatenate([moved, visible], -1).astype(np.float32)
 
     def _moved(self, field_mm: Floats) -> Floats:
         assert self._rest is not None
-        seen = np.minimum(field_mm[..., 2:], self._rest[..., 2:])
-        return np.concatenate([(field_mm[..., :2] - self._rest[..., :2]) * seen, seen], -1)
+        visible = np.minimum(field_mm[..., 2:], self._rest[..., 2:])
+        return np.concatenate([(field_mm[..., :2] - self._rest[..., :2]) * visible, visible], -1)
 
     def _find_onset(self) -> None:
         """Put a field at rest where the motion began, in place of the frames before it."""

@@ -1,5 +1,6 @@
 """What lies in the folder of recordings: finished insertions, and why others that should be there are not."""
 
+import math
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.contract.frames import first_error
+from service.contract.wire_parts import errors_left
 from service.recordings.recovery import is_being_written
 from service.recordings.writer import NAME
 
@@ -24,7 +26,11 @@ class Decided(BaseModel):
 
 
 class Summary(BaseModel):
-    """What ``summary.json`` says of a finished insertion; newer ones may say more, older ones say less."""
+    """What ``summary.json`` says of a finished insertion; newer ones may say more, older ones say less.
+
+    Of its last reference: ``markers_share`` that the worse finger showed, ``brightness_grey`` of both pictures. And
+    ``gel_distance`` of the gel that is less like the one that was calibrated, when the open gels were learnt.
+    """
 
     model_config = ConfigDict(extra="allow")
     insertion_id: str
@@ -35,6 +41,9 @@ class Summary(BaseModel):
     continues: str | None = None
     seconds: float | None = None
     decisions: list[Decided] = []
+    markers_share: float | None = None
+    brightness_grey: float | None = None
+    gel_distance: float | None = None
 
     @property
     def held_n(self) -> tuple[int, int]:
@@ -45,16 +54,33 @@ class Summary(BaseModel):
         held = stated = 0
         if self.outcome != "inserted":
             return 0, 0
-        left_x = left_theta = 0.0
-        for decided in reversed(self.decisions):
+        errors = errors_left([decided.correction or (0.0, 0.0) for decided in self.decisions])
+        for decided, error in zip(self.decisions, errors, strict=True):
             if decided.correction is None:
                 continue
-            left_x, left_theta = left_x - decided.correction[0], left_theta - decided.correction[1]
-            sides = ((decided.interval_x_mm, left_x), (decided.interval_theta_deg, left_theta))
-            given = [(interval, truth) for interval, truth in sides if interval is not None]
+            intervals = zip((decided.interval_x_mm, decided.interval_theta_deg), error, strict=True)
+            given = [(interval, truth) for interval, truth in intervals if interval is not None]
             stated += len(given)
             held += sum(interval[0] <= truth <= interval[1] for interval, truth in given)
         return held, stated
+
+    @property
+    def charted(self) -> dict[str, float]:
+        """What control charts are given of it; nothing of one that a person ended or that went on in another."""
+        if self.outcome == "aborted":
+            return {}
+        held_n, stated_n = self.held_n
+        reach = [one.reach_pitch for one in self.decisions if one.reach_pitch]
+        decided = self.outcome == "inserted" or self.cause == "attempts"
+        values = {
+            "light": self.brightness_grey,
+            "markers": self.markers_share,
+            "gel": self.gel_distance,
+            "reach": sum(reach) / len(reach) if reach else None,
+            "coverage": held_n / stated_n if stated_n else None,
+            "trials": float(self.attempts) if decided and not self.continues else None,
+        }
+        return {name: value for name, value in values.items() if value is not None and math.isfinite(value)}
 
 
 def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[str, Any]], list[str]]:

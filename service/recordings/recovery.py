@@ -87,7 +87,7 @@ def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, tuple[int, str]] = {}
     facts: dict[str, object] | None = None
-    attempts, told = 0, {}
+    attempts, task = 0, {}
     for record in _records(stream):
         match record:
             case Schema():
@@ -109,11 +109,11 @@ def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
                 number = message.get("attempt", 0)
                 attempts = max(attempts, number if isinstance(number, int) else 0)
                 if message.get("type") == "episode":
-                    told = {key: message.get(key) for key in ("object", "start", "approach", "versions")}
+                    task = {key: message.get(key) for key in ("object", "start", "approach", "versions")}
     writer.add_metadata(RECOVERY, {"reason": "the service ended without closing this recording"})
     writer.finish()
     return (
-        None if facts is None else facts | told | {"outcome": "interrupted", "cause": "service", "attempts": attempts}
+        None if facts is None else facts | task | {"outcome": "interrupted", "cause": "service", "attempts": attempts}
     )
 
 

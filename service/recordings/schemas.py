@@ -79,7 +79,20 @@ class Call(BaseModel):
     detail: str | None = None
 
 
-TOPICS: dict[str, type[BaseModel]] = {"/messages": Message, "/calls": Call, "/robot": wire.RobotSample}
+class Beside(BaseModel):
+    """What versions beside the active one would have answered to an attempt that it decided, by version."""
+
+    attempt: int
+    active: str
+    answers: dict[str, dict[str, JsonValue]]
+
+
+TOPICS: dict[str, type[BaseModel]] = {
+    "/messages": Message,
+    "/calls": Call,
+    "/robot": wire.RobotSample,
+    "/beside": Beside,
+}
 
 
 @cache

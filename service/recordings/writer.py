@@ -8,10 +8,11 @@
   pixels, ``/left/image_raw`` and ``/right/image_raw`` (foxglove.RawImage), ``/left/markers`` and ``/right/markers``
   (tactile_insertion.Markers: every judged frame), ``/robot`` (arm and gripper, 50 times a second, from the client),
   ``/messages`` (``from`` client or service, ``message``), ``/calls`` (the calls of the session in order, which make a
-  replay exact to the bit). Metadata: ``insertion`` (id, versions, models, controller, calibration, clock offset) and,
-  once it has ended, ``outcome``. Attachments: ``configuration.json`` (the service's settings without its tokens),
-  ``calibration.toml`` where cameras are rectified, and ``NAME.card.json`` of each network. Log times are wall-clock
-  nanoseconds: capture stamp + ``wall_minus_monotonic_ns`` of the metadata.
+  replay exact to the bit), ``/beside`` (what versions beside the active one would have answered). Metadata:
+  ``insertion`` (id, versions, models, controller, calibration, clock offset) and, once it has ended, ``outcome``.
+  Attachments: ``configuration.json`` (the service's settings without its tokens), ``calibration.toml`` where cameras
+  are rectified, and ``NAME.card.json`` of each network. Log times are wall-clock nanoseconds: capture stamp +
+  ``wall_minus_monotonic_ns`` of the metadata.
 - ``attempt_01.npz``, ``attempt_02.npz``, ... for each blocked attempt, read with ``numpy.load``:
 
   ===================  ==========================================================================================
@@ -27,8 +28,7 @@
   ``decision``         0-d string array: JSON of the ``correction`` or ``no_decision`` message; "{}" if there was none
   ===================  ==========================================================================================
 
-- ``summary.json``: insertion id, outcome, cause, attempts, object, start, seconds, decisions, frames left out for lack
-  of speed or room.
+- ``summary.json``: insertion id, outcome, cause, attempts, object, start, seconds, decisions, frames left out.
 """
 
 import contextlib
@@ -175,6 +175,10 @@ class Recorder:
         """Record where the arm and the gripper were at ``at_ns`` of this machine's monotonic clock."""
         self._queue.put(lambda: self._mcap.json("/robot", sample.model_dump(mode="json"), at_ns + self._offset_ns))
 
+    def work_out(self, topic: str, work: Callable[[], Mapping[str, Any]], now_ns: int) -> None:
+        """Record what is still to be worked out, in the recorder's thread, which has the time."""
+        self._queue.put(lambda: self._mcap.json(topic, work(), now_ns + self._offset_ns))
+
     def attempt(self, number: int, gather: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
         """Write ``attempt_XX.npz``; its 5 MB or so are gathered in the recorder's thread; no arrays, no file."""
         path = self.folder / f"attempt_{number:02d}.npz"
@@ -247,8 +251,7 @@ class Recorder:
         facts = {"insertion_id": self.insertion_id, "left_out_n": self.left_out_n} | dict(summary)
         facts |= {"problem": self.error} if self.error else {}
         if not self._stuck:
-            told = {key: value if isinstance(value, str) else json.dumps(value) for key, value in facts.items()}
-            self._mcap.metadata(OUTCOME, told)
+            self._mcap.metadata(OUTCOME, {k: v if isinstance(v, str) else json.dumps(v) for k, v in facts.items()})
         write_whole(self.folder / "summary.json", json.dumps(facts, indent=1))
 
 

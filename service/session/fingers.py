@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
 from service.decision.attempt import Attempt
 from service.perception.observation import FingerWatch, Observation, PairObservation, belongs
@@ -18,7 +20,7 @@ class Fingers:
 
     left: FingerWatch
     right: FingerWatch
-    _seen: dict[Finger, Observation] = field(default_factory=dict)
+    _observations: dict[Finger, Observation] = field(default_factory=dict)
     _newest_ns: dict[Finger, int] = field(default_factory=dict)
     grasp: Grasp = field(default_factory=lambda: Grasp(len(FINGERS)))
     _grasped_in: int = 0
@@ -36,26 +38,28 @@ class Fingers:
 
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame, and keep it as its finger's newest."""
-        seen = self.watch(frame.finger).observe(frame)
-        self._seen[frame.finger] = seen
-        if self._slides() and not seen.slip.stop and seen.judged:
-            slip = replace(seen.slip, state="gross_slip", score=1.0, reason="the imprint slides, held lightly")
-            self._seen[frame.finger] = replace(seen, slip=slip)
-        return self._seen[frame.finger]
+        observation = self.watch(frame.finger).observe(frame)
+        self._observations[frame.finger] = observation
+        if self._slides() and not observation.slip.stop and observation.judged:
+            slip = replace(observation.slip, state="gross_slip", score=1.0, reason="the imprint slides, held lightly")
+            self._observations[frame.finger] = replace(observation, slip=slip)
+        return self._observations[frame.finger]
 
     def _slides(self) -> bool:
         """Whether both fingers' imprints, once each was looked at anew, say that the object slides out."""
-        score = self._witness.update([seen.imprint for seen in self._seen.values()])
+        score = self._witness.update([observation.imprint for observation in self._observations.values()])
         return score is not None and score >= 0
 
     def missing(self, pair: FramePair) -> list[TactileFrame]:
         """The frames of a pair that were not perceived yet."""
         frames = (pair.left, pair.right)
-        return [f for f in frames if f.finger not in self._seen or not belongs(self._seen[f.finger], pair)]
+        return [
+            f for f in frames if f.finger not in self._observations or not belongs(self._observations[f.finger], pair)
+        ]
 
     def both(self) -> PairObservation:
         """What both fingers showed last."""
-        return PairObservation(self._seen["left"], self._seen["right"])
+        return PairObservation(self._observations["left"], self._observations["right"])
 
     def emptied(self, attempt: Attempt) -> str:
         """Why the hand counts as empty since the attempt was armed, said once; or nothing.
@@ -63,12 +67,12 @@ class Fingers:
         A finger that its picture did not show touched when it was armed, as under a face that covers all of a stiff
         gel, is judged by its markers. At full depth it is the claim that asks whether the object is still held.
         """
-        seen, before = self.both().fingers, self.grasp.whole.phase
+        observations, before = self.both().fingers, self.grasp.whole.phase
         if attempt.generation != self._grasped_in:  # arming has shown that something is held
             self._grasped_in, self.grasp = attempt.generation, Grasp(len(FINGERS), "hold")
-            self._faint = {finger.finger for finger in seen if (finger.touch or 0.0) < 1.0}
-        touches = [finger.bulge if finger.finger in self._faint else finger.touch for finger in seen]
-        phase = self.grasp.update(touches, [finger.slip.slip for finger in seen])
+            self._faint = {finger.finger for finger in observations if (finger.touch or 0.0) < 1.0}
+        touches = [finger.bulge if finger.finger in self._faint else finger.touch for finger in observations]
+        phase = self.grasp.update(touches, [finger.slip.slip for finger in observations])
         if phase != "lost" or before == "lost" or attempt.outcome == "inserted":
             return ""
         return "both gels are empty: the object has left the hand"
@@ -83,3 +87,15 @@ class Fingers:
         if age_ms is None or age_ms <= allowed_ms:
             return ""
         return f"a finger's newest frame is {age_ms:.0f} ms old; hold until it is back"
+
+
+def gels_of(watches: tuple[FingerWatch, ...], attempt: Attempt | None) -> dict[str, float | None]:
+    """What the summary says of the gels, by the last reference and the open gels; what is not known is left out."""
+    known = [watch.gel_distance for watch in watches if watch.gel_distance is not None]
+    facts: dict[str, float | None] = {"gel_distance": round(max(known), 4)} if known else {}
+    if attempt is not None and attempt.reference is not None:
+        fingers = attempt.reference.fingers
+        shares = [float(one.field.valid.mean()) if one.field.valid.size else 0.0 for one in fingers]
+        brightness = float(np.mean([one.image.mean() for one in fingers]))
+        facts |= {"markers_share": round(min(shares), 4), "brightness_grey": round(brightness, 2)}
+    return facts

@@ -14,7 +14,9 @@ from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.seating import strongest_push
 from service.perception.observation import Observation
 from service.recordings.writer import Recorder
+from service.session.fingers import gels_of
 from service.session.state_machine import InsertionSession, Replies, ignore
+from service.versions.beside import Beside
 
 Send = Callable[[ServiceMessage], None]
 LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
@@ -46,6 +48,7 @@ class Insertion:
     telemetry_lost_n: int = 0
     opened_ns: int = field(default_factory=now_ns)
     continues: wire.InsertionId | None = None
+    beside: Beside | None = None
     _decisions: list[dict[str, Any]] = field(default_factory=list)
     _client_ahead_ns: int | None = None
     _observed: list[Observation] = field(default_factory=list)
@@ -70,7 +73,7 @@ class Insertion:
         if isinstance(message, wire.Episode):
             self.episode = message
             self._later.append(partial(self.publish, "client", message))
-            self._note(_record_told, message, now)
+            self._note(_record_episode, message, now)
             return
         if message.type != "heartbeat":
             self._note(_record_received, message, now)
@@ -95,12 +98,13 @@ class Insertion:
     @property
     def facts(self) -> dict[str, Any]:
         """What the summary says of the task."""
-        told = self.episode
-        task = {} if told is None else told.model_dump(mode="json", include=_TASK)
+        episode = self.episode
+        task = {} if episode is None else episode.model_dump(mode="json", include=_TASK)
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         task |= {"continues": self.continues} if self.continues else {}
-        return {**task, "seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}
+        task |= {"seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}
+        return task | gels_of((self.session.left, self.session.right), self.session.attempt)
 
     def prime(self, frame: CameraFrame) -> None:
         """Show the trackers a first frame."""
@@ -152,8 +156,10 @@ class Insertion:
     def attempt_decided(self, attempt: Attempt) -> None:
         """Keep the frames of the decision; a decided attempt no longer changes, so they may be gathered later."""
         if attempt.decision is not None:
-            self._decisions.append(_facts_of(attempt, attempt.decision))
+            self._decisions.append(facts := _facts_of(attempt, attempt.decision))
             self._note(Recorder.attempt, attempt.arm.attempt, attempt.arrays)
+            if self.beside:
+                self._note(Recorder.work_out, "/beside", partial(_answers, self.beside, attempt, facts), now_ns())
 
     # ---- what can wait until the client has its answer --------------------------------------------------------------
 
@@ -240,7 +246,13 @@ def _facts_of(attempt: Attempt, decision: wire.Correction | wire.NoDecision) -> 
     return facts | moved | {"interval_x_mm": felt.interval_x_mm, "interval_theta_deg": felt.interval_theta_deg}
 
 
-def _record_told(recorder: Recorder, message: Any, now: int) -> None:
+def _answers(beside: Beside, attempt: Attempt, facts: dict[str, Any]) -> dict[str, Any]:
+    """What others would have answered, for the recording and, as ``facts`` are written last, for its summary."""
+    facts["beside"] = beside.decide(attempt)
+    return {"attempt": attempt.arm.attempt, "active": beside.active, "answers": facts["beside"]}
+
+
+def _record_episode(recorder: Recorder, message: Any, now: int) -> None:
     recorder.message("client", message.model_dump(mode="json"), now)
 
 

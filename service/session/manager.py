@@ -21,9 +21,11 @@ from service.contract import FINGERS, Finger, wire
 from service.contract.replies import beat, unspoken
 from service.decision.models import ModelSet
 from service.decision.work import Work
+from service.observability.charts import Charts
 from service.observability.hub import Hub
 from service.perception.markers.fingerprint import gel_name
 from service.perception.rectification import Calibration
+from service.recordings.listing import Summary
 from service.recordings.retention import make_room, problem_of
 from service.recordings.writer import Recorder
 from service.session.decider import Decider
@@ -32,6 +34,7 @@ from service.session.insertion import Insertion, Send
 from service.session.memory import give_back
 from service.session.state_machine import InsertionSession, ignore
 from service.settings import Settings
+from service.versions.versions import Versions
 
 VERSIONS = {
     "service": __version__,
@@ -41,6 +44,7 @@ VERSIONS = {
     "onnxruntime": onnxruntime.__version__,
     "opencv": cv2.__version__,
 }
+CHARTS = "charts.json"
 REMEMBERED_N = 256  # ended insertions whose `finished` is sent again to a client that missed it
 
 
@@ -54,6 +58,7 @@ class InsertionManager:
     cameras: Mapping[Finger, Camera]
     hub: Hub
     submit: Callable[[Work], None]
+    versions: Versions | None = None
     active: Insertion | None = None
     opened_n: int = 0
     jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
@@ -63,10 +68,12 @@ class InsertionManager:
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
     _calibration_text: str = field(init=False)
     _gels: dict[Finger, str] = field(init=False)
+    charts: Charts = field(init=False)
 
     def __post_init__(self) -> None:
         """Read the calibration's file once: later it may have changed or gone."""
         self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
+        self.charts = Charts(self.settings.recordings / CHARTS)
         measured = {f: self.calibration.camera(f).measured for f in FINGERS} if self.calibration else {}
         self._gels = {f: gel_name(one.fingerprint) for f, one in measured.items() if one and one.fingerprint}
 
@@ -156,6 +163,8 @@ class InsertionManager:
 
     def _open(self, hello: wire.ClientHello) -> Insertion:
         given = self.settings
+        if self.versions and not hello.continues:  # what goes on is decided by whom it was begun with
+            self.models = self.versions.active
         session = make_session(
             self.models, self.calibration, given.controller, given.limits, imprint=given.imprint_slip
         )
@@ -168,6 +177,8 @@ class InsertionManager:
         recorder = self._recorder(hello.insertion_id, session, before.insertion_id if before else "")
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
         insertion.continues = hello.continues
+        if self.versions and recorder:  # what is not recorded is no evidence
+            insertion.beside = self.versions.beside(session.models, given.limits, given.controller)
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
         try:
@@ -189,7 +200,7 @@ class InsertionManager:
             "limits": self.settings.limits.model_dump_json(),
             "versions": json.dumps(VERSIONS),
             "models": " ".join(f"{entry.card.name}:{entry.sha256}" for entry in session.models.entries),
-            "models_folder": str(self.settings.models),
+            "models_folder": str(session.models.steps[0].path.parent),
             "calibration": self._calibration_text,
             "continues": continues,
         }
@@ -229,13 +240,37 @@ class InsertionManager:
     def _keep(self, ended: list[Insertion], finished: wire.Finished) -> None:
         """Close an ended insertion's recording, inform its client, and free its memory."""
         insertion = ended.pop()
+        how = finished.model_dump(mode="json", include={"outcome", "cause", "attempts", "doubts"}) | insertion.facts
         if recorder := insertion.recorder:
-            how = finished.model_dump(mode="json", include={"outcome", "cause", "attempts", "doubts"})
-            recorder.close(how | insertion.facts)
+            recorder.close(how)
             self._note_recorded(f"recording {recorder.path}: {recorder.error}" if recorder.error else "")
         insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
         if insertion.send:
             insertion.send(finished)
         self.hub.publish("recorded", finished)
+        self._learn(insertion, finished)
+        self._chart({"insertion_id": finished.insertion_id, **how}, insertion.session.models)
         del insertion
         give_back()
+
+    def _learn(self, insertion: Insertion, finished: wire.Finished) -> None:
+        """Another version may have shown that it should decide."""
+        if self.versions is None or insertion.beside is None:
+            return
+        inserted, fresh = finished.outcome == "inserted", insertion.continues is None
+        try:
+            self.versions.learn(insertion.beside, inserted=inserted, cause=finished.cause, fresh=fresh)
+        except Exception as error:  # the insertion has ended well all the same
+            self.hub.publish("error", f"versions: {error or type(error).__name__}")
+
+    def _chart(self, summary: dict[str, Any], models: ModelSet) -> None:
+        """What drifts in the cell may alarm; with another gel or other networks it is learnt anew."""
+        within = " ".join([*self._gels.values(), *(entry.sha256[:12] for entry in models.entries)])
+        try:
+            ended = Summary.model_validate(summary)
+            alarms = self.charts.add(values, ended.object or "", within) if (values := ended.charted) else []
+        except (OSError, ValueError) as error:
+            self.hub.publish("error", f"charts: {error}")
+            return
+        for chart, cause in alarms:
+            self.hub.publish("drift", {"chart": chart, "cause": cause.what, "remedy": cause.remedy})

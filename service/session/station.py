@@ -30,6 +30,7 @@ from service.session.manager import InsertionManager
 from service.session.memory import give_back
 from service.session.warm_up import warm_up
 from service.settings import Settings
+from service.versions.versions import Versions
 
 BACKLOG_FRAMES = 8  # two fingers' worth of about 4 frames; older ones are dropped
 RECENT_N = 16  # frames a finger, whose JPEG is at hand when they make a pair
@@ -69,7 +70,10 @@ class Station:
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._networks = ThreadPoolExecutor(1, "networks")  # slip detection never waits for a network
-        self.manager = InsertionManager(settings, models, calibration, self.cameras, self.hub, self._submit)
+        self.versions = Versions(settings.state / "versions", models, self.hub.publish)
+        self.manager = InsertionManager(
+            settings, self.versions.active, calibration, self.cameras, self.hub, self._submit, self.versions
+        )
         self._thread = threading.Thread(target=self._run, name="perception", daemon=True)
 
     # ---- life ------------------------------------------------------------------------------------------------------
@@ -110,6 +114,7 @@ class Station:
         for camera in self.cameras.values():
             camera.stop()
         self._networks.shutdown()
+        self.versions.close()
 
     @property
     def models(self) -> ModelSet:
@@ -252,6 +257,7 @@ class Station:
             )
         if self.active is not None:
             raise ContractError("an insertion is under way; load models between insertions")
+        self.versions.begin_anew(fresh)
         self.manager.models = fresh
 
     # ---- clients ---------------------------------------------------------------------------------------------------
@@ -278,4 +284,7 @@ def open_station(settings: Settings) -> Station:
         )
     Path(settings.recordings).mkdir(parents=True, exist_ok=True)
     recover(settings.recordings)
-    return Station(settings, models, calibration)
+    station = Station(settings, models, calibration)
+    if settings.shadow:
+        station.versions.give(settings.shadow, at_start=True)
+    return station

@@ -24,7 +24,7 @@ from service.perception.rectification import CalibrationError, CameraCalibration
 from service.tools.grid_fit import GridFit, fit_grid
 
 MIN_SIDE = 0.71  # of the rows and of the columns
-MIN_FOUND = 0.7
+MIN_PRESENT = 0.7
 MAX_DISPLACED = 0.1  # of the grid's markers: seen, but not where a resting gel has them
 MAX_RESIDUAL_PX = 1.0
 WAIT_S = 10.0
@@ -46,7 +46,7 @@ class Fit(NamedTuple):
     @property
     def found_share(self) -> float:
         """Share of the grid's nodes that show a marker where it belongs."""
-        return float(self.grid.found.mean())
+        return float(self.grid.present.mean())
 
 
 def still_image(url: str, frames: int) -> NDArray[np.uint8]:
@@ -91,13 +91,13 @@ def rectify(image: NDArray[np.uint8], grid: GridFit, sensor: Sensor, serial: str
     residual_px = float(np.sqrt(np.square(grid.off).sum(-1).mean())) * sensor.marker_pitch_px
     raw = FrameSpec(height_px=image.shape[0], width_px=image.shape[1], rectified=False)
     camera = CameraCalibration(projection.homography, raw, sensor.rectified, projection.lens, projection.warp)
-    seen = MarkerTracker().update(Rectifier(camera).apply(image), 0)
+    field = MarkerTracker().update(Rectifier(camera).apply(image), 0)
     measured = Measured(
         datetime.now(UTC).isoformat(timespec="seconds"),
         serial,
         round(residual_px, 4),
-        round(float(grid.found.mean()), 4),
-        fingerprint_of(seen),
+        round(float(grid.present.mean()), 4),
+        fingerprint_of(field),
     )
     return Fit(replace(camera, measured=measured), grid, residual_px, first, sensor.marker_pitch_px)
 
@@ -105,7 +105,7 @@ def rectify(image: NDArray[np.uint8], grid: GridFit, sensor: Sensor, serial: str
 def of_sensor(grid: GridFit, sensor: Sensor) -> bool:
     """Whether a grid can be the sensor's: not larger, and all but the dark edges of it."""
     pairs = zip(grid.shape, (sensor.marker_rows, sensor.marker_columns), strict=True)
-    return all(ceil(MIN_SIDE * count) <= found <= count for found, count in pairs)
+    return all(ceil(MIN_SIDE * count) <= fitted <= count for fitted, count in pairs)
 
 
 def refusal(fit: Fit, sensor: Sensor) -> str | None:
@@ -116,9 +116,9 @@ def refusal(fit: Fit, sensor: Sensor) -> str | None:
             f"{columns} x {rows} markers found, the profile {sensor.name} has {sensor.marker_columns} x"
             f" {sensor.marker_rows}: is it another sensor (--new-profile), or does something touch the gel?"
         )
-    if fit.found_share < MIN_FOUND:
+    if fit.found_share < MIN_PRESENT:
         return (
-            f"{fit.found_share:.0%} of {columns} x {rows} markers found on a regular grid, expected {MIN_FOUND:.0%}:"
+            f"{fit.found_share:.0%} of {columns} x {rows} markers found on a regular grid, expected {MIN_PRESENT:.0%}:"
             " clean the gel, and look whether something touches the gel"
         )
     if fit.grid.displaced_n > MAX_DISPLACED * rows * columns:

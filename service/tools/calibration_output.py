@@ -40,7 +40,7 @@ def residual_map(image: NDArray[np.uint8], fit: Fit) -> NDArray[np.uint8]:
     picture = cv2.resize(Rectifier(fit.camera).apply(image), None, fx=2, fy=2)
     grid = fit.grid
     pitch_px, first_px = fit.pitch_px, fit.first_px
-    for row, column in np.argwhere(~grid.found):
+    for row, column in np.argwhere(~grid.present):
         place = 2 * (first_px + pitch_px * np.array([column, row]))
         cv2.drawMarker(picture, _pixel(place), _ABSENT, cv2.MARKER_TILTED_CROSS, 9, 1, cv2.LINE_AA)
     off_px = grid.off * pitch_px

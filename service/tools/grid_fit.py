@@ -50,7 +50,7 @@ class GridFit:
     displaced_n: int
 
     @property
-    def found(self) -> BoolArray:
+    def present(self) -> BoolArray:
         """Which nodes [rows, columns] show a marker where it belongs."""
         there = np.zeros(self.shape, np.bool_)
         there[self.cells[:, 1], self.cells[:, 0]] = True
@@ -70,7 +70,7 @@ def fit_grid(image: Image, sensor: Sensor | None = None) -> GridFit | None:
         fit = None if start is None else _refined(picture, start, sensor)
         if fit is not None and (best is None or len(fit.cells) > len(best.cells)):
             best = fit
-        if best is not None and best.found.mean() > 0.85:
+        if best is not None and best.present.mean() > 0.85:
             break
     return best
 
@@ -269,7 +269,7 @@ def fit_model(raw: Float64, cells: NDArray[np.intp], size: tuple[int, int], term
             return None
         return (transformed(np.asarray(matrix), ideal) - cells).ravel(), np.asarray(matrix, np.float64)
 
-    p = _least_squares(lambda q: None if (found := off_of(q)) is None else found[0], terms)
+    p = _least_squares(lambda q: None if (residual := off_of(q)) is None else residual[0], terms)
     best = None if p is None else off_of(p)
     if p is None or best is None or (terms and not lens_of(p).one_to_one(width, height)):
         return None

@@ -51,12 +51,12 @@ class FingerRun:
         Touched wherever its markers are seen if no frame shows the gel open: then nothing can be said to be lost.
         """
         if opened is None:
-            return [1.0 if seen.usable else None for seen in self.fields]
+            return [1.0 if markers.usable else None for markers in self.fields]
         begun, gel = time.process_time(), OpenGel()
         gel.learn(self.fields[opened], self.pictures[opened].astype(np.float32))
         touches = [
-            gel.touch(seen, picture.astype(np.float32))
-            for seen, picture in zip(self.fields, self.pictures, strict=True)
+            gel.touch(markers, picture.astype(np.float32))
+            for markers, picture in zip(self.fields, self.pictures, strict=True)
         ]
         self.spent_s += time.process_time() - begun
         return touches
@@ -69,13 +69,13 @@ def watched(clip: Path) -> FingerRun:
         if min(image.shape[:2]) < _LEAST_PX:
             raise RunError(f"{clip} is {image.shape[1]} x {image.shape[0]}, expected {_LEAST_PX} px a side or more")
         begun = time.process_time()
-        seen = tracker.update(image, k * FRAME_NS)
-        state = watch.update(seen)
-        change = imprint.update(image, seen)
+        markers = tracker.update(image, k * FRAME_NS)
+        state = watch.update(markers)
+        change = imprint.update(image, markers)
         picture = shrunk(image)
         run.spent_s += time.process_time() - begun
         run.pictures.append(np.rint(picture).astype(np.uint8))
-        run.fields.append(seen)
+        run.fields.append(markers)
         run.scores.append(state.score)
         run.slips.append(state.slip)
         run.changes.append(change)
@@ -100,7 +100,7 @@ def report_of(folder: Path) -> RunReport:
     opened = open_frame([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
     evidence = _evidence(fingers, frames_n)
     slides = [terms is not None and slide_score(terms) >= 0 for terms in evidence]
-    statuses = [seen.status for finger in fingers for seen in finger.fields]
+    statuses = [markers.status for finger in fingers for markers in finger.fields]
     touches = [finger.touches(opened) for finger in fingers]
     whole, *alone = _stories(fingers, touches, slides)
     row = {
@@ -140,11 +140,11 @@ def _stories(
     phases: list[list[Phase]] = [[] for _ in range(len(fingers) + 1)]
     for k, slides_now in enumerate(slides):
         grasp.update([touch[k] for touch in touches], [finger.slips[k] for finger in fingers], slides=slides_now)
-        for seen, followed in zip(phases, [grasp.whole, *grasp.fingers], strict=True):
-            seen.append(followed.phase)
+        for history, followed in zip(phases, [grasp.whole, *grasp.fingers], strict=True):
+            history.append(followed.phase)
     return [
-        {**_firsts(seen), "largest_score": _largest(seen, whose)}
-        for seen, whose in zip(phases, [fingers, *([finger] for finger in fingers)], strict=True)
+        {**_firsts(history), "largest_score": _largest(history, whose)}
+        for history, whose in zip(phases, [fingers, *([finger] for finger in fingers)], strict=True)
     ]
 
 

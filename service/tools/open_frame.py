@@ -36,8 +36,8 @@ def open_frame(pictures: Sequence[Pictures], fields: Sequence[Sequence[MarkerFie
     frames_n = min(len(one) for one in pictures)
     off = np.array([[irregular_pitch(field) for field in one[:frames_n]] for one in fields])
     rough = np.array([_roughness(one[:frames_n]) for one in pictures])
-    for seen in (off, rough):
-        seen[:, : min(_BUFFERED_N, frames_n - 1)] = np.inf
+    for disturbance in (off, rough):
+        disturbance[:, : min(_BUFFERED_N, frames_n - 1)] = np.inf
     disturbed = _calm(_beyond_least(off) + _beyond_least(rough))
     looks_open = (disturbed <= disturbed.min() + _AS_OPEN) & (off.max(0) <= _REGULAR_PITCH)
     if not looks_open.any():
@@ -46,17 +46,19 @@ def open_frame(pictures: Sequence[Pictures], fields: Sequence[Sequence[MarkerFie
     return first + int(np.where(looks_open, disturbed, np.inf)[first : first + _FIRST_N].argmin())
 
 
-def _beyond_least(seen: NDArray[np.float64]) -> NDArray[np.float64]:
+def _beyond_least(disturbance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sum over the fingers [fingers, frames] of the logarithm of how much more is seen than at the least."""
-    least = np.array([np.percentile(one[np.isfinite(one)], 2) if np.isfinite(one).any() else np.inf for one in seen])
+    least = np.array(
+        [np.percentile(one[np.isfinite(one)], 2) if np.isfinite(one).any() else np.inf for one in disturbance]
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
-        logs = np.log(seen / np.maximum(least, 1e-9)[:, None])
+        logs = np.log(disturbance / np.maximum(least, 1e-9)[:, None])
     return np.asarray(np.where(np.isfinite(logs), logs, np.inf).sum(0))
 
 
-def _calm(seen: NDArray[np.float64]) -> NDArray[np.float64]:
+def _calm(disturbance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean over the frames around each; infinite where any of them is."""
-    padded = np.pad(seen, _CALM_N // 2, "edge")
+    padded = np.pad(disturbance, _CALM_N // 2, "edge")
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _CALM_N).mean(1))
 
 

@@ -15,7 +15,7 @@ from service.web.access import Access
 from service.web.metrics import Metrics
 from service.web.middleware import Bodies, RequestLimits
 from service.web.page.status import Status
-from service.web.routes import api, cameras, health, insertion, live, oip, playback, recordings, status
+from service.web.routes import api, cameras, health, insertion, live, oip, playback, recordings, status, versions
 
 METHOD_NOT_ALLOWED = 405
 
@@ -42,10 +42,10 @@ def create_app(station: Station) -> FastAPI:
     app.state.station, app.state.access, app.state.bodies = station, access, Bodies()
     app.include_router(health.router(station, Metrics(station)))
     app.include_router(insertion.router(station, access))
-    told = Status(station)
-    app.include_router(live.router(station, access, told))
-    app.include_router(status.router(told, access))
-    for module in (api, cameras, oip, playback, recordings):
+    page_status = Status(station)
+    app.include_router(live.router(station, access, page_status))
+    app.include_router(status.router(page_status, access))
+    for module in (api, cameras, oip, playback, recordings, versions):
         app.include_router(module.router(station, access))
     app.mount("/dashboard", live.static_files())
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=station.settings.hosts, www_redirect=False)

@@ -107,8 +107,8 @@ def document(version: str) -> dict[str, Any]:
     )
     both = {model.__name__: _message(model) for model in (*CLIENT, *SERVICE)}
     frame = {"Frame": {"name": "frame", "contentType": BINARY, "summary": FRAME_LAYOUT, "payload": {"type": "string"}}}
-    told = "What the page draws: `status` is what GET /v1/status answers, `finger` a picture with its markers."
-    page = {"PageEvent": {"name": "page", "contentType": "application/json", "summary": told, "payload": PAGE}}
+    summary = "What the page draws: `status` is what GET /v1/status answers, `finger` a picture with its markers."
+    page = {"PageEvent": {"name": "page", "contentType": "application/json", "summary": summary, "payload": PAGE}}
     order = " ".join((wire.__doc__ or "").split())
     pushed = "Frames of one finger, pushed in where its camera is `push:`."
     shown = "Live frames of one finger, newest wins; query max_hz, form=raw or jpeg."
@@ -119,14 +119,14 @@ def document(version: str) -> dict[str, Any]:
         "servers": {"cell": {"host": "127.0.0.1:8000", "protocol": "ws", "description": "wss where TLS is set up"}},
         "channels": {
             "insertion": _channel("/v1/insertion", "One connection is one insertion.", [*client, *service]),
-            "page": _channel("/v1/live", told, ["PageEvent"]),
+            "page": _channel("/v1/live", summary, ["PageEvent"]),
             "push": _channel("/v1/cameras/{finger}/push", pushed, ["Frame"], parameters=FINGER),
             "frames": _channel("/v1/cameras/{finger}/frames", shown, ["Frame"], parameters=FINGER),
         },
         "operations": {
             "hearClient": _operation("receive", "insertion", "What a cell controller sends.", client),
             "tellClient": _operation("send", "insertion", "What the service answers and warns of.", service),
-            "tellPage": _operation("send", "page", told, ["PageEvent"]),
+            "tellPage": _operation("send", "page", summary, ["PageEvent"]),
             "takeFrames": _operation("receive", "push", pushed, ["Frame"]),
             "showFrames": _operation("send", "frames", shown, ["Frame"]),
         },

@@ -63,7 +63,7 @@ async def until_gone(socket: WebSocket) -> Ending:
 
 
 @dataclass(slots=True)
-class Seats:
+class Slots:
     """How many clients of one kind are served at once."""
 
     most_n: int

@@ -8,6 +8,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, G
 from service.cameras.capture import now_ns
 from service.contract import Finger, wire
 from service.contract.replies import ending
+from service.observability.charts import CAUSES, SIDES
 from service.perception.observation import Observation
 from service.session.station import Station
 
@@ -40,6 +41,12 @@ class Metrics:
         caught = Gauge("internal_errors", "Errors caught inside the service, each with a log line", ["where"], **make)
         recording = Gauge("recording_ok", "1 if insertions are recorded whole", **make)
         unrecorded = Gauge("insertions_unrecorded", "Insertions that were not recorded whole", **make)
+        drift = Gauge("drift", "Control charts of the cell; 1 is their limit", ["chart"], **make)
+        self._drifts = Counter("drift_alarms", "Control charts that crossed their limit, by cause", ["cause"], **make)
+        for cause in CAUSES:
+            self._drifts.labels(cause.what)
+        for chart in SIDES:
+            drift.labels(chart).set_function(partial(station.manager.charts.level, chart))
         ready = Gauge("ready", "1 if models are warm and cameras live", **make)
         for finger in station.cameras:
             age.labels(finger).set_function(partial(self._age_s, finger))
@@ -85,5 +92,7 @@ class Metrics:
             self._messages.labels(content.type).inc()
         elif kind == "finished":
             self._finished.labels(content.outcome, content.cause or NO_CAUSE).inc()
+        elif kind == "drift":
+            self._drifts.labels(content["cause"]).inc()
         elif kind == "camera_fault":
             self._faults.labels(content["finger"], content["code"]).inc()

@@ -183,15 +183,15 @@ class Compiling:
         self._say = say
         self._folder = Path(os.environ[VARIABLE])
         self._began_n = self._count()
-        self._began_s = self._said_s = time.monotonic()
+        self._began_s = self._reported_s = time.monotonic()
 
     def look(self) -> None:
         """Called often while the cell starts."""
         now_s = time.monotonic()
         waited_s = now_s - self._began_s
-        if waited_s < QUIET_S or now_s - self._said_s < SAY_EVERY_S:
+        if waited_s < QUIET_S or now_s - self._reported_s < SAY_EVERY_S:
             return
-        self._said_s = now_s
+        self._reported_s = now_s
         done_n = self._count()
         made_n = done_n - self._began_n
         if not made_n or done_n >= KERNELS_N:

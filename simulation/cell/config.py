@@ -57,10 +57,10 @@ def client_config(
 
 def flat(tables: Mapping[str, Any], above: str = "") -> dict[str, dict[str, Any]]:
     """Nested tables by their dotted names, as a TOML file heads them."""
-    found: dict[str, dict[str, Any]] = {}
+    flattened: dict[str, dict[str, Any]] = {}
     for name, table in tables.items():
         inner = {key: value for key, value in table.items() if isinstance(value, Mapping)}
         if plain := {key: value for key, value in table.items() if key not in inner}:
-            found[above + name] = plain
-        found |= flat(inner, f"{above}{name}.")
-    return found
+            flattened[above + name] = plain
+        flattened |= flat(inner, f"{above}{name}.")
+    return flattened

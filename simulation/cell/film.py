@@ -84,7 +84,7 @@ def _gel(moved: NDArray[Any], sensor: Sensor, name: str) -> Image:
         colour = STICKS if np.hypot(*(end - start)) > 3.0 or pressed > 0 else QUIET
         cv2.line(picture, _px(start), _px(end), colour, 1, cv2.LINE_AA)
         cv2.circle(picture, _px(start), 1, QUIET, -1, cv2.LINE_AA)
-    return _said(picture, name)
+    return _captioned(picture, name)
 
 
 def _side(place: NDArray[Any], gap_mm: float) -> Image:
@@ -101,10 +101,10 @@ def _side(place: NDArray[Any], gap_mm: float) -> Image:
         cv2.rectangle(picture, at(min(inner, outer), 0.0), at(max(inner, outer), -40.0), BLOCK, -1)
     half = gap_mm / 2 - 2.0
     cv2.rectangle(picture, at(x_mm - half, bottom_mm + 40.0), at(x_mm + half, bottom_mm), OBJECT, 2, cv2.LINE_AA)
-    return _said(picture, f"x {x_mm:+.1f} mm, yaw {theta_deg:+.1f} deg, {max(0.0, -bottom_mm):.1f} mm deep")
+    return _captioned(picture, f"x {x_mm:+.1f} mm, yaw {theta_deg:+.1f} deg, {max(0.0, -bottom_mm):.1f} mm deep")
 
 
-def _said(picture: Image, text: str) -> Image:
+def _captioned(picture: Image, text: str) -> Image:
     cv2.putText(picture, text, (8, HIGH - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.42, TEXT, 1, cv2.LINE_AA)
     return picture
 

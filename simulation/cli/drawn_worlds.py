@@ -71,15 +71,15 @@ def main(arguments: list[str]) -> int:
 
 
 def _variants(options: Options) -> list[Variant]:
-    found = [
+    variants = [
         Variant("release, reach told", options.models, "belief", told_reach=True),
         Variant("release, reach not told", options.models, "belief", told_reach=False),
     ]
     if list(options.older.glob("*.step.onnx")) and options.older.resolve() != options.models.resolve():
-        found.append(Variant("release before", options.older, "belief", told_reach=False))
+        variants.append(Variant("release before", options.older, "belief", told_reach=False))
     if list(options.paper_models.glob("*.step.onnx")):
-        found.append(Variant("the paper's recipe", options.paper_models, "heuristic", told_reach=False))
-    return found
+        variants.append(Variant("the paper's recipe", options.paper_models, "heuristic", told_reach=False))
+    return variants
 
 
 def drawn_worlds_of(count: int, seed: int, layer_share: float) -> list[World]:
@@ -165,8 +165,8 @@ def _write(options: DrawOptions, kind: str, tables: list[drawn.Tables], comment:
     options.out.mkdir(parents=True, exist_ok=True)
     for number, each in enumerate(tables):
         name = f"{kind}-{options.seed}-{number:04d}"
-        said = comment(drawn.world(each, name)) if kind == "world" else f"drawn with seed {options.seed}"
-        (options.out / f"{name}.toml").write_text(drawn.toml(each, said), encoding="utf-8")
+        note = comment(drawn.world(each, name)) if kind == "world" else f"drawn with seed {options.seed}"
+        (options.out / f"{name}.toml").write_text(drawn.toml(each, note), encoding="utf-8")
     print(f"{len(tables)} {kind}s under {options.out}")
     return 0
 

@@ -84,8 +84,8 @@ def _insert(start: Start, options: RunOptions) -> Result:
     drawn = run_report.draw_last_attempt(recording, folder / "last_attempt.png", result) if recording else None
     filmed = film.draw(folder / "cell" / "course.npz", folder / "insertion.gif", load_scene(start.object).sensor)
     (folder / "result.json").write_text(result.as_json() + "\n")
-    said = map(fitted, run_report.screen(result, recording, drawn, folder, filmed))
-    print("", *said, "", sep="\n", flush=True)
+    lines = map(fitted, run_report.screen(result, recording, drawn, folder, filmed))
+    print("", *lines, "", sep="\n", flush=True)
     return result
 
 

@@ -37,7 +37,7 @@ def plan_of(
     cell: LockstepCell, approach: WorkPose, limits: Limits, reach_mm: float | None, client: Settings | None
 ) -> Plan:
     """What the client is told, which need not be so."""
-    scene, told, ramps = cell.scene, cell.unstated, Ramps()
+    scene, unstated, ramps = cell.scene, cell.unstated, Ramps()
     top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
     limits = limits.model_copy(update={"max_descent_speed_mm_s": top_mm_s})
     descend = ramps.descend.model_copy(update={"speed_mm_s": scene.speed_mm_s})
@@ -45,8 +45,8 @@ def plan_of(
     plan = Plan(
         insertion_id="simulated",
         approach=approach,
-        gap_width_mm=scene.blocks.gap_mm + told.told_gap_error_mm,
-        grasp_height_mm=scene.grasp.height_mm + told.told_height_error_mm,
+        gap_width_mm=scene.blocks.gap_mm + unstated.told_gap_error_mm,
+        grasp_height_mm=scene.grasp.height_mm + unstated.told_height_error_mm,
         grip_n=scene.grasp.force_n,
         shear_reach_mm=reach_mm,
         expected_depth_mm=scene.full_depth_mm,

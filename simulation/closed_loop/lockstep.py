@@ -111,7 +111,7 @@ class LockstepCell:
     @property
     def pose(self) -> tuple[float, float, float, float]:
         """TCP x, y, z in mm and yaw in deg, as the arm says."""
-        return self.misplaced.told(_pose_of(self.physics))
+        return self.misplaced.reported(_pose_of(self.physics))
 
     def travel(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float, duration_s: float) -> None:
         """Go there in a straight line; no frame is looked at on the way.
@@ -227,18 +227,18 @@ class LockstepCell:
             return self.speed_mm_s * passed_s
         return self._law(self._walked_s + passed_s) - self._law(self._walked_s)
 
-    def _seen(self, index: int) -> int:
+    def _finger_at(self, index: int) -> int:
         """Which finger is seen by the camera that is called ``index`` (0 left, 1 right)."""
         return 1 - index if self.unstated.swapped_fingers else index
 
     def view(self, index: int) -> Camera:
         """What draws the frames that come under a finger's name."""
-        return self.cameras[self._seen(index)]
+        return self.cameras[self._finger_at(index)]
 
     def gels(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The gel that the last frame of that name shows, and what the frame before it showed."""
-        seen = self._seen(index)
-        return self.shots[1].gel[seen], self.shots[0].gel[seen]
+        finger = self._finger_at(index)
+        return self.shots[1].gel[finger], self.shots[0].gel[finger]
 
     def calibration(self, index: int) -> CameraCalibration:
         """What the software takes for that camera's calibration."""

@@ -90,7 +90,7 @@ class Trouble:
         """Whether the object has left the hand, whatever the mechanics say."""
         return self.struck and self.fault.kind == "dropped"
 
-    def told(self, field: MarkerField) -> MarkerField:
+    def marked(self, field: MarkerField) -> MarkerField:
         """The field, marked as what the tracker finds to be no new picture.
 
         A copy beneath fresh noise is found from the second on: see `service.perception.markers.liveness`.
@@ -104,7 +104,7 @@ class TrueFieldFinger:
 
     def __init__(self, cell: LockstepCell, finger: Finger, trouble: Trouble | None = None) -> None:
         self._trouble = trouble
-        self._seen: NDArray[np.floating] | None = None
+        self._gel: NDArray[np.floating] | None = None
         self._cell = cell
         self._finger = finger
         self._index = FINGERS.index(finger)
@@ -113,6 +113,7 @@ class TrueFieldFinger:
         self._onset = OnsetDetector()
         self._open = OpenGel()
         self._rearm = False
+        self.gel_distance: float | None = None
         noise = cell.scene.camera.noise_grey
         self._error_px = max(0.02, TRACKING_PX + TRACKING_PX_PER_GREY * (noise - 2.0))
 
@@ -146,14 +147,14 @@ class TrueFieldFinger:
         """What is found in a frame: the cell's gel, or what a fault has made of it."""
         trouble = self._trouble
         if trouble is None or not trouble.strikes(self._cell.pose[2]):
-            self._seen = self._exposed()
-            return self._tracked(self._seen, frame, 7)
+            self._gel = self._exposed()
+            return self._tracked(self._gel, frame, 7)
         if trouble.fault.kind == "dark":
             return empty_field(frame.captured_ns, "lost", "no marker was found")
-        if self._seen is None:
-            self._seen = np.zeros_like(self._cell.gels(self._index)[0])  # it had stood still since the hand was open
+        if self._gel is None:
+            self._gel = np.zeros_like(self._cell.gels(self._index)[0])  # it had stood still since the hand was open
         trouble.copies += 1
-        return trouble.told(self._tracked(np.zeros_like(self._seen) if trouble.gone else self._seen, frame, 7))
+        return trouble.marked(self._tracked(np.zeros_like(self._gel) if trouble.gone else self._gel, frame, 7))
 
     def _tracked(self, gel: NDArray[np.floating], frame: TactileFrame, what: int) -> MarkerField:
         """The field of a gel state with the tracker's error on it, which ``what`` and the frame decide."""

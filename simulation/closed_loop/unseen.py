@@ -11,13 +11,13 @@ class Unseen:
     def __init__(self) -> None:
         self.most_mm = 0.0
         self._heights: dict[int, float] = {}
-        self._judged_mm: float | None = None
+        self._answered_mm: float | None = None
 
     def frame(self, captured_ns: int, height_mm: float) -> None:
         """The arm was at this height when these frames were taken."""
         self._heights[captured_ns] = height_mm
-        if self._judged_mm is not None:
-            self.most_mm = max(self.most_mm, self._judged_mm - height_mm)
+        if self._answered_mm is not None:
+            self.most_mm = max(self.most_mm, self._answered_mm - height_mm)
 
     def heard(self, message: Any) -> None:
         """What the service said; `armed`, `watching` and `slip` name the frame that they rest on."""
@@ -29,5 +29,5 @@ class Unseen:
             case _:
                 return
         if captured_ns in self._heights:  # else a newer one was judged meanwhile
-            self._judged_mm = self._heights[captured_ns]
+            self._answered_mm = self._heights[captured_ns]
             self._heights = {stamp: height for stamp, height in self._heights.items() if stamp >= captured_ns}

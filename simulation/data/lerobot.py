@@ -203,8 +203,8 @@ class _Stats:
 
     def columns(self) -> dict[str, Any]:
         """The result as columns of the table of episodes: ``stats/FEATURE/FIGURE``."""
-        found = self.result()
-        return {f"stats/{name}/{key}": value for name, figures in found.items() for key, value in figures.items()}
+        results = self.result()
+        return {f"stats/{name}/{key}": value for name, figures in results.items() for key, value in figures.items()}
 
     def result(self) -> dict[str, dict[str, Any]]:
         """Feature -> min, max, mean, std, count; channels of images as [3, 1, 1]."""

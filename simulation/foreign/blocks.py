@@ -94,7 +94,7 @@ class Bodies:
         self._block_start = (self.block_turn.copy(), self.block_place.copy())
         self._old = self.stretch.copy()
         for b in range(2):
-            self.beside[b] = is_beside(self._seen_from(b, grip), bool(self.beside[b]))
+            self.beside[b] = is_beside(self._bottom_from(b, grip), bool(self.beside[b]))
 
     def arrive(self, grip: Grip) -> None:
         """The step came to rest: keep what friction has stretched."""
@@ -110,7 +110,7 @@ class Bodies:
         """The object's turn [3, 3] and place [3] in the work-object frame."""
         return self.hand.turn @ grip.turn, self.hand.place + self.hand.turn @ grip.place
 
-    def _seen_from(self, b: int, grip: Grip) -> Array:
+    def _bottom_from(self, b: int, grip: Grip) -> Array:
         """The bottom's corners in block b's frame, [v, 3]."""
         turn, place = self.pose(grip)
         return np.asarray((self.foot @ turn.T + place - self.block_place[b]) @ self.block_turn[b])
@@ -126,18 +126,18 @@ class Bodies:
         return Contacts(*joined), np.concatenate(bodies)
 
     def _of_block(self, b: int, grip: Grip) -> Contacts:
-        corners, axis = self._seen_from(b, grip), self.block_turn[b].T @ self.pose(grip)[0][:, 2]
+        corners, axis = self._bottom_from(b, grip), self.block_turn[b].T @ self.pose(grip)[0][:, 2]
         find = against_wall if self.beside[b] else on_top
-        found, frame = find(corners, axis, self._props), self.block_turn[b]
-        close = found.gaps < NEAR_MM
+        contacts, frame = find(corners, axis, self._props), self.block_turn[b]
+        close = contacts.gaps < NEAR_MM
         if not close.all():
-            near: list[Any] = [part[close] for part in found]
-            found = Contacts(*near)
-        return found._replace(
-            points=found.points @ frame.T + self.block_place[b],
-            normals=found.normals @ frame.T,
-            slots=found.slots + b * self._slots,
-            travel=frame @ found.travel @ frame.T,
+            near: list[Any] = [part[close] for part in contacts]
+            contacts = Contacts(*near)
+        return contacts._replace(
+            points=contacts.points @ frame.T + self.block_place[b],
+            normals=contacts.normals @ frame.T,
+            slots=contacts.slots + b * self._slots,
+            travel=frame @ contacts.travel @ frame.T,
         )
 
     def _on_table(self, b: int) -> Contacts:

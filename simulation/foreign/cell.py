@@ -235,8 +235,8 @@ class ForeignCell:
         turn, place = self.bodies.pose(grip)
         pose = Pose(turn, place - turn[:, 2] * scene.grasp.height_mm, scene.object.footprint_mm)
         motion = self.bodies.block_motion()
-        judged = self.pads.judge(grip, self.pads.planes(self.held, grip.on), grip.on, None)
-        pressure = np.maximum(judged.pressing, 0.0) / self.pads.area
+        terms = self.pads.evaluate(grip, self.pads.planes(self.held, grip.on), grip.on, None)
+        pressure = np.maximum(terms.pressing, 0.0) / self.pads.area
         closed = (grip.status != OPEN).reshape(2, -1).sum(axis=1)
         return CellState(
             gel=self.readout(grip.points - self.pads.rested(grip.opening), pressure),

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.foreign.pads import SLIP, STICK, Grip, Judged, Pads, Planes
+from simulation.foreign.pads import SLIP, STICK, Grip, NodeTerms, Pads, Planes
 from simulation.foreign.surface import HeldSurface
 
 Array = NDArray[np.float64]
@@ -115,7 +115,7 @@ class Step:
         return np.inf
 
     def _pressing(self) -> Array:
-        return self.pads.judge(self.grip, self.planes, self.start, None).pressing
+        return self.pads.evaluate(self.grip, self.planes, self.start, None).pressing
 
     def run(self, tolerance_n: float, limit: Array | None, most: int) -> float:
         """Newton's iteration with limits held [n] or following (None). The residual, N; infinite: not at rest."""
@@ -131,29 +131,29 @@ class Step:
         for i in range(most):
             if i < CURVED:
                 self.planes = pads.planes(self.held, grip.on)
-            judged = pads.judge(grip, self.planes, self.start, limit)
+            terms = pads.evaluate(grip, self.planes, self.start, limit)
             lines, push = drive.lines(grip, grip.points), drive.push(grip)
             left = push.force.copy()
-            left[: lines.shape[2]] -= judged.forces.ravel() @ lines.reshape(3 * len(grip.on), -1)
-            before, residual = residual, max(drive.weight(left), judged.amiss_n)
+            left[: lines.shape[2]] -= terms.forces.ravel() @ lines.reshape(3 * len(grip.on), -1)
+            before, residual = residual, max(drive.weight(left), terms.amiss_n)
             if residual <= tolerance_n or not np.isfinite(residual):
                 return residual
             if abs(residual - before) < STUCK * residual:
                 break
-            if ((judged.status != grip.status).any() or i < CURVED) and pads.settle(
-                grip, self.planes, self.start, judged.status
+            if ((terms.status != grip.status).any() or i < CURVED) and pads.settle(
+                grip, self.planes, self.start, terms.status
             ):
-                judged = pads.judge(grip, self.planes, self.start, limit)
+                terms = pads.evaluate(grip, self.planes, self.start, limit)
             self.iterations += 1
-            self._improve(judged, lines, push, follow=limit is None)
+            self._improve(terms, lines, push, follow=limit is None)
         return np.inf
 
-    def _improve(self, judged: Judged, lines: Array, push: Push, *, follow: bool) -> None:
+    def _improve(self, terms: NodeTerms, lines: Array, push: Push, *, follow: bool) -> None:
         """Newton's step of the pads, whose slipping nodes are eliminated; what they then are to the drive is linear."""
         pads, grip, drive, k = self.pads, self.grip, self.drive, lines.shape[2]
         matrix, force, answers = np.zeros((drive.count, drive.count)), np.zeros(drive.count), []
         for pad in range(2):
-            rows = pads.rows(pad, grip, judged, lines, follow=follow, turns=drive.turns)
+            rows = pads.rows(pad, grip, terms, lines, follow=follow, turns=drive.turns)
             back = -(rows.stiffness @ rows.lines).T
             if drive.turns:
                 back[3:6] += _torque_rows(rows.forces.reshape(-1, 3))

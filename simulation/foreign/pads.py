@@ -75,7 +75,7 @@ class Planes(NamedTuple):
         return np.stack([first, second], axis=1)
 
 
-class Judged(NamedTuple):
+class NodeTerms(NamedTuple):
     """What a state asks of its nodes: forces [n, 3] on the gel, N, hand frame, and by node the friction law's terms."""
 
     forces: Array
@@ -163,7 +163,7 @@ class Pads:
         second = np.broadcast_to(np.array([0.0, 0.0, 1.0]), on.shape)
         return Planes(normal, first, second, (height - slope * on[:, 0]) / size)
 
-    def judge(self, grip: Grip, planes: Planes, start: Array, held_limit: Array | None) -> Judged:
+    def evaluate(self, grip: Grip, planes: Planes, start: Array, held_limit: Array | None) -> NodeTerms:
         """Forces at a state and the status that each node should have; held_limit [n] in place of mu p."""
         forces, turn = self.forces(grip), grip.turn.T
         normal = planes.normal @ turn
@@ -184,7 +184,7 @@ class Pads:
             np.maximum(np.maximum(np.abs(drag - limit[:, None] * ahead).max(axis=1), limit - size), -pressing),
         )
         worst = float(np.choose(grip.status, amiss).max())
-        return Judged(forces, normal, tangents, pressing, drag, trial, limit, ahead, status, worst)
+        return NodeTerms(forces, normal, tangents, pressing, drag, trial, limit, ahead, status, worst)
 
     def let_go(self, pad: int, opened: NDArray[np.bool_]) -> Closed:
         """A pad with some of its nodes open [n / 2]; kept for the few sets that a step comes back to."""
@@ -214,19 +214,19 @@ class Pads:
             moved = (part.follow @ (points[held] - rested[held]).ravel()).reshape(-1, 3)
             grip.on[free] = (rested[free] + moved - grip.place) @ grip.turn
 
-    def rows(self, pad: int, grip: Grip, judged: Judged, lines: Array, *, follow: bool, turns: bool) -> Rows:
+    def rows(self, pad: int, grip: Grip, terms: NodeTerms, lines: Array, *, follow: bool, turns: bool) -> Rows:
         """Equations of a pad's slips; lines [n, 3, k], limits that follow the pressures, y that is a twist."""
         first = pad * self.count
         part = self.let_go(pad, grip.status[first : first + self.count] == OPEN)
         held = first + part.closed
         own = np.flatnonzero(grip.status[held] == SLIP)
         slipping = held[own]
-        tangents, ahead, limit = (each[slipping] for each in (judged.tangents, judged.ahead, judged.limit))
-        size = np.maximum(np.linalg.norm(judged.trial[slipping], axis=1), 1e-15)
+        tangents, ahead, limit = (each[slipping] for each in (terms.tangents, terms.ahead, terms.limit))
+        size = np.maximum(np.linalg.norm(terms.trial[slipping], axis=1), 1e-15)
         stiff = (limit / size)[:, None, None] * (np.eye(2) - ahead[:, :, None] * ahead[:, None, :])
         test = tangents - stiff @ tangents
         if follow:
-            test -= self.friction * ahead[:, :, None] * judged.normal[slipping][:, None, :]
+            test -= self.friction * ahead[:, :, None] * terms.normal[slipping][:, None, :]
         count, closed = len(own), len(held)
         answer = (test @ part.stiffness.reshape(closed, 3, 3 * closed)[own]).reshape(2 * count, 3 * closed)
         matrix, each = _along(answer, own, tangents), np.arange(count)
@@ -234,9 +234,9 @@ class Pads:
         flat = lines[held].reshape(3 * closed, lines.shape[2])
         coupling = answer @ flat
         if turns:
-            coupling[:, 3:6] += (test @ cross_matrix(judged.forces[slipping])).reshape(-1, 3)
-        slid = judged.drag[slipping] - limit[:, None] * ahead
-        forces = judged.forces[held].ravel()
+            coupling[:, 3:6] += (test @ cross_matrix(terms.forces[slipping])).reshape(-1, 3)
+        slid = terms.drag[slipping] - limit[:, None] * ahead
+        forces = terms.forces[held].ravel()
         return Rows(matrix, coupling, slid.ravel(), part.stiffness, flat, forces, slipping, own, tangents)
 
     def settle(self, grip: Grip, planes: Planes, start: Array, status: NDArray[np.int8]) -> bool:

@@ -151,9 +151,9 @@ class Renderer:
 
     def _bumps(self, relief: Floats, where: Floats, touched: Floats) -> Floats:
         """The held surface's texture [h, w] as a share of the light."""
-        seen = _remap(relief, where)
-        seen *= self._to_raw(touched * np.float32(self.appearance.object_texture_gain))
-        return seen
+        bumps = _remap(relief, where)
+        bumps *= self._to_raw(touched * np.float32(self.appearance.object_texture_gain))
+        return bumps
 
     def _shaded(self, albedo: Floats, bumps: Floats | None, gains: Floats) -> tuple[Floats, ...]:
         """Three planes [h, w]: light times albedo times slope shading."""

@@ -85,10 +85,10 @@ def cloth(rng: np.random.Generator, sensor: Sensor, period_px: float, contrast: 
     warp_yarn = np.sin(2 * np.pi * (u + sway) / period_px)
     weft_yarn = np.sin(2 * np.pi * (v - sway) / period_px)
     weave = warp_yarn * weft_yarn + 0.4 * (warp_yarn + weft_yarn) + 0.5 * smooth_noise(rng, sensor, 3)
-    seat = coarse_noise(rng, sensor, SPOT_PX)  # drawn even where nothing is worn: what is drawn next must not change
+    noise = coarse_noise(rng, sensor, SPOT_PX)  # drawn even where nothing is worn: what is drawn next must not change
     if worn <= 0:
         return np.asarray(1 + contrast * weave, np.float32)
-    spots = worn_spots(seat, sensor, worn)
+    spots = worn_spots(noise, sensor, worn)
     pattern: Floats = (1 + contrast * weave * (1 - spots) - 0.35 * spots).astype(np.float32)
     return pattern
 

@@ -69,11 +69,11 @@ def _assembled(widths: Array) -> _Line:
 
 def _halves(count: int) -> tuple[Array, Array]:
     """Orthonormal bases [count, m] of what is even and of what is odd under a mirror."""
-    eye, turned, middle = np.eye(count), np.eye(count)[::-1], count // 2
-    even = ((eye + turned) / np.sqrt(2.0))[:, : count - middle]
+    identity, turned, middle = np.eye(count), np.eye(count)[::-1], count // 2
+    even = ((identity + turned) / np.sqrt(2.0))[:, : count - middle]
     if count % 2:
         even[:, -1] /= np.sqrt(2.0)
-    return even, ((eye - turned) / np.sqrt(2.0))[:, :middle]
+    return even, ((identity - turned) / np.sqrt(2.0))[:, :middle]
 
 
 def _split(line: _Line, bases: tuple[Array, Array]) -> dict[tuple[int, int], _Line]:

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 LOST_MM, LOST_GRIP, MAX_HALVINGS = 12.0, 0.1, 6
 PAUSE_SHARE, MOST_PAUSES = 0.25, 16  # a wait is solved in steps of this share of the relaxation time, this many at most
-DAMPING = 0.02  # share of a round by which friction limits follow where no shorter step helps
+EASED = 0.5, 0.02  # shares of a round by which friction limits follow where no shorter step helps
 
 
 class QuasiStaticCell:
@@ -203,16 +203,16 @@ class QuasiStaticCell:
             self._divide(target, 0, dt_s, rescue=False)
         except PhysicsError:
             # the object may have nowhere to go but far: leap over what no short step passes, or else crawl through it
-            status = self._pass(target, dt_s, DAMPING)
-            if status == load_step.STALLED:
-                self._divide(target, 0, dt_s, rescue=True)
-            else:
-                self._arrive(target, status)
+            for blend in EASED:
+                status = self._pass(target, dt_s, blend)
+                if status != load_step.STALLED:
+                    return self._arrive(target, status)
+            self._divide(target, 0, dt_s, rescue=True)
 
     def _divide(self, target: Array, depth: int, dt_s: float | None, *, rescue: bool) -> None:
         status = self._pass(target, dt_s)
         if status == load_step.STALLED and rescue and depth == MAX_HALVINGS:
-            status = self._pass(target, dt_s, DAMPING)
+            status = self._pass(target, dt_s, EASED[-1])
         if status == load_step.STALLED and self._drops():
             status = load_step.LOST
         if status == load_step.STALLED and depth < MAX_HALVINGS:

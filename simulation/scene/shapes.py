@@ -114,8 +114,8 @@ def faces(vertices: Vertices) -> Array:
     """Held sides (+y, -y) of a polygon, [2, MAX_FACES, 2]: lines (height at x = 0 in mm, slope), the lowest counts."""
     lines: Array = np.zeros((2, MAX_FACES, 2))
     lines[..., 0] = FAR_MM
-    for side, found in zip(lines, _sides(centred(vertices)), strict=True):
-        side[: len(found)] = found
+    for side, edges in zip(lines, _sides(centred(vertices)), strict=True):
+        side[: len(edges)] = edges
     return lines
 
 

@@ -84,17 +84,17 @@ class Misplacement:
     unstated: Unstated
     approach: Pose
 
-    def true(self, told: Pose) -> Pose:
-        """Where the hand is when the arm says ``told``."""
+    def true(self, reported: Pose) -> Pose:
+        """Where the hand is when the arm says ``reported``."""
         world = self.unstated
         if world.well_placed:
-            return told
-        x, y, z, yaw = self._signed(told)
+            return reported
+        x, y, z, yaw = self._signed(reported)
         dx, dy = _turned(*world.tcp_offset_mm, yaw)
         x, y = _turned(x + dx, y + dy, world.frame_yaw_deg)
         return x, y, z - world.blocks_up_mm, yaw + world.frame_yaw_deg
 
-    def told(self, true: Pose) -> Pose:
+    def reported(self, true: Pose) -> Pose:
         """What the arm says when the hand is at ``true``."""
         world = self.unstated
         if world.well_placed:

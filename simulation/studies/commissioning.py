@@ -38,7 +38,7 @@ COUNTED = (
     *("mean_trials", "inserted", "insertions", "claimed_wrongly"),
 )
 VERSIONS = ("released", "after_50", "after_150", "after_work")
-PROBES, WORK, JUDGING, SIGNS = 1, 2, 3, 4
+PROBES, WORK, SCORING, SIGNS = 1, 2, 3, 4
 FEW = 50
 REFUSED, STAYS = 2, 3
 """Exit statuses of `training adapt`: bad input, such as nothing to learn from, and a release that is not replaced."""
@@ -135,18 +135,18 @@ def commission(cell: Cell, plan: Plan) -> Row:
         return {**row, "robot_minutes": _minutes(signs), "adapt_s": 0.0, "accepted": False, "verdicts": {}}
     probes = _played(cell, plan, "probes", cell.probes(plan.probes), probe=True)
     _played(cell, plan, "work", cell.jobs(plan.insertions, WORK), probe=False)
-    row["released"] = _judged(cell, plan, "released", plan.models)
-    verdicts = {}
+    row["released"] = _scored(cell, plan, "released", plan.models)
+    outcomes = {}
     learnt = {"after_50": ("probes", min(FEW, plan.probes)), "after_150": ("probes", plan.probes)}
     for name, (source, count) in {**learnt, "after_work": ("work", plan.insertions)}.items():
-        verdicts[name], models = _adapted(cell, plan, name, source, count)
-        row[name] = row["released"] if models is None else _judged(cell, plan, name, models)
+        outcomes[name], models = _adapted(cell, plan, name, source, count)
+        row[name] = row["released"] if models is None else _scored(cell, plan, name, models)
     return {
         **row,
         "robot_minutes": _minutes([*signs, *probes]),
-        "adapt_s": max(verdict["took_s"] for verdict in verdicts.values()),
-        "accepted": verdicts["after_150"]["accepted"],
-        "verdicts": verdicts,
+        "adapt_s": max(outcome["took_s"] for outcome in outcomes.values()),
+        "accepted": outcomes["after_150"]["accepted"],
+        "verdicts": outcomes,
     }
 
 
@@ -174,9 +174,9 @@ def _played(
     return rows
 
 
-def _judged(cell: Cell, plan: Plan, name: str, models: Path) -> Row:
+def _scored(cell: Cell, plan: Plan, name: str, models: Path) -> Row:
     """The same fresh starts for every version of the networks."""
-    jobs = cell.jobs(plan.insertions, JUDGING)
+    jobs = cell.jobs(plan.insertions, SCORING)
     rows = _played(cell, plan, f"judged-{name}", jobs, probe=False, models=models)
     counted = {**ends(rows), **benchmark.first_answers(rows)}
     return {key: counted[key] for key in COUNTED}
@@ -185,35 +185,35 @@ def _judged(cell: Cell, plan: Plan, name: str, models: Path) -> Row:
 def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tuple[Row, Path | None]:
     """What ``training adapt`` says of the first ``count`` episodes, and where the new networks are if it accepts."""
     shown, run = cell.folder / f"{name}-episodes", cell.folder / name
-    verdict, models, began = run / "verdict.json", run / "models", time.monotonic()
-    if not verdict.exists():
+    kept, models, began = run / "verdict.json", run / "models", time.monotonic()
+    if not kept.exists():
         shutil.rmtree(shown, ignore_errors=True)
         shutil.rmtree(run, ignore_errors=True)
         shown.mkdir(parents=True)
         run.mkdir(parents=True)
         for index in range(count):
             (shown / f"{index:05d}").symlink_to((cell.folder / source / f"{index:05d}").resolve())
-        told, fresh = run / "told.json", ("--out", str(run), "--json", str(run / "told.json"))
+        answer, fresh = run / "told.json", ("--out", str(run), "--json", str(run / "told.json"))
         refused = _call("training", "adapt", str(shown), "--from", str(plan.checkpoint), *fresh)
-        said: Row = {"accepted": False, "best": "released", "objections": [refused], "samples_n": 0}
-        if told.exists():
-            said = json.loads(told.read_text(encoding="utf-8"))
-        if said["accepted"]:
+        outcome: Row = {"accepted": False, "best": "released", "objections": [refused], "samples_n": 0}
+        if answer.exists():
+            outcome = json.loads(answer.read_text(encoding="utf-8"))
+        if outcome["accepted"]:
             refused = _call("export", "onnx", str(run / "checkpoint.pt"), "--out", str(models))
             if not list(models.glob("*.step.onnx")):
                 raise ContractError(f"python -m export onnx: {refused}")
-        write_json(verdict, {**said, "took_s": time.monotonic() - began})
-    said = json.loads(verdict.read_text(encoding="utf-8"))
-    return said, models if said["accepted"] else None
+        write_json(kept, {**outcome, "took_s": time.monotonic() - began})
+    outcome = json.loads(kept.read_text(encoding="utf-8"))
+    return outcome, models if outcome["accepted"] else None
 
 
 def _call(package: str, *words: str) -> str:
     """What a command said where it refused."""
     done = subprocess.run([sys.executable, "-m", package, *words], capture_output=True, text=True, check=False)
-    said = done.stderr.strip() or done.stdout.strip()
+    text = done.stderr.strip() or done.stdout.strip()
     if done.returncode not in {0, REFUSED, STAYS}:
-        raise ContractError(f"python -m {package} {words[0]}: exit status {done.returncode}: {said[-2000:]}")
-    return said
+        raise ContractError(f"python -m {package} {words[0]}: exit status {done.returncode}: {text[-2000:]}")
+    return text
 
 
 def write(rows: Sequence[Row], path: Path) -> None:

@@ -40,7 +40,7 @@ def commissioning_page(data: Row) -> str:
     learnt = [row for row in data["rows"] if row["verdicts"] and row["released"]["direction_n"]]
     return page(
         "# The first day of a cell, simulated",
-        _verdict(asked, learnt),
+        _conclusion(asked, learnt),
         data["note"],
         """
         Every cell is drawn over what cells are ([worlds](worlds.md)), and the software is told none of it. Markers are
@@ -78,7 +78,7 @@ def commissioning_page(data: Row) -> str:
     )
 
 
-def _verdict(asked: Sequence[Row], learnt: Sequence[Row]) -> str:
+def _conclusion(asked: Sequence[Row], learnt: Sequence[Row]) -> str:
     named = [(row, _mistake(row)) for row in asked]
     wrong = sum(bool(row["mistakes_named"]) for row, mistake in named if not mistake)
     good_n = sum(not mistake for _, mistake in named)
@@ -212,6 +212,6 @@ def _worlds(learnt: Sequence[Row]) -> Table:
     )
 
 
-def _gap(verdict: Row, axis: int) -> str:
-    at, sigma, probes_n = verdict.get("gap") or ((0.0, 0.0), (0.0, 0.0), 0)
+def _gap(outcome: Row, axis: int) -> str:
+    at, sigma, probes_n = outcome.get("gap") or ((0.0, 0.0), (0.0, 0.0), 0)
     return f"{at[axis]:+.1f} +- {sigma[axis]:.1f}" if probes_n else "-"

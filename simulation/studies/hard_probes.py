@@ -113,8 +113,8 @@ def _cone(cell: QuasiStaticCell | ForeignCell) -> float:
     """How far friction is outside its cone at the worst node, N/mm2."""
     if isinstance(cell, QuasiStaticCell):
         return float(cell.state["report"][4])
-    judged = cell.pads.judge(cell.grip, cell.pads.planes(cell.held, cell.grip.on), cell.grip.on, None)
-    beyond = np.linalg.norm(judged.drag, axis=1) - cell.pads.friction * np.maximum(judged.pressing, 0.0)
+    terms = cell.pads.evaluate(cell.grip, cell.pads.planes(cell.held, cell.grip.on), cell.grip.on, None)
+    beyond = np.linalg.norm(terms.drag, axis=1) - cell.pads.friction * np.maximum(terms.pressing, 0.0)
     return float((beyond / cell.pads.area).max())
 
 

@@ -122,9 +122,9 @@ def _short(reason: str) -> str:
 
 def trust_page(data: Row) -> str:
     """The whole of docs/trust.md from trust.json."""
-    every, found = data["all"], {row["fault"]: row for row in data["faults"]}
+    every, by_fault = data["all"], {row["fault"]: row for row in data["faults"]}
     wrong = wilson(every["claimed_wrongly"], every["insertions"])
-    good = found.get(WITHOUT, figures([]))
+    good = by_fault.get(WITHOUT, figures([]))
     truths = good["inserted"] + good["good_refused"]
     refused = wilson(good["good_refused"], truths)
     return page(

@@ -50,10 +50,10 @@ def in_process_ms(models: ModelSet) -> float:
     session.handle(stopped, int(LAST * PERIOD_S * 1e9))
     time.sleep(PERIOD_S)
     started = time.perf_counter()
-    said = feed(LAST)
+    lines = feed(LAST)
     taken = (time.perf_counter() - started) * 1e3
-    if not any('"correction"' in line for line in said):
-        raise RuntimeError(f"no correction but {said}")
+    if not any('"correction"' in line for line in lines):
+        raise RuntimeError(f"no correction but {lines}")
     return taken
 
 

@@ -49,28 +49,28 @@ def _cpu_s(*command: str) -> float:
 
 def fleet_section(facts: dict[str, Any]) -> str:
     """The arithmetic of a fleet, with what it rests on; empty where that was not measured."""
-    found, cell = (facts.get(name, {"failed": "not run"}) for name in ("fleet", "cells 1"))
-    if "failed" in found or "failed" in cell:
+    fleet, cell = (facts.get(name, {"failed": "not run"}) for name in ("fleet", "cells 1"))
+    if "failed" in fleet or "failed" in cell:
         return ""
-    cells, boxes = found["cells_n"], found["boxes_a_day"]
-    day_gb = boxes * found["insertion_mb"] / 1e3
+    cells, boxes = fleet["cells_n"], fleet["boxes_a_day"]
+    day_gb = boxes * fleet["insertion_mb"] / 1e3
     mbit_s = cells * day_gb * 8e3 / 86_400
-    adapt_s = found["adapt_cpu_s"] * found["adapts_from_n"] / found["recordings_n"]
-    night_gb = cells * found["adapts_from_n"] * found["insertion_mb"] / 1e3
+    adapt_s = fleet["adapt_cpu_s"] * fleet["adapts_from_n"] / fleet["recordings_n"]
+    night_gb = cells * fleet["adapts_from_n"] * fleet["insertion_mb"] / 1e3
     return f"""
     ## A fleet, worked out
 
-    Measured: an insertion is {found["insertion_mb"]:g} MB (median of {found["recordings_n"]} simulated ones, live, JPEG
+    Measured: an insertion is {fleet["insertion_mb"]:g} MB (median of {fleet["recordings_n"]} simulated ones, live, JPEG
     at 427 x 320; a second of 2 x 30 fps is {0.03 * cell["pair_kb"]:.1f} MB), and `training adapt` takes
-    {found["adapt_cpu_s"]:.0f} s of one core for these. Assumed: {cells} cells, {boxes:,} boxes a day each, and an
-    adaptation a night to the last {found["adapts_from_n"]} recordings of a cell.
+    {fleet["adapt_cpu_s"]:.0f} s of one core for these. Assumed: {cells} cells, {boxes:,} boxes a day each, and an
+    adaptation a night to the last {fleet["adapts_from_n"]} recordings of a cell.
 
     - Recordings: {cells} x {boxes:,} = {cells * boxes:,} a day.
-    - Storage of all of them: {boxes:,} x {found["insertion_mb"]:g} MB = {day_gb:.0f} GB a cell and day,
+    - Storage of all of them: {boxes:,} x {fleet["insertion_mb"]:g} MB = {day_gb:.0f} GB a cell and day,
       {cells * day_gb / 1e3:.1f} TB a day for the fleet. So they stay on the cell's PC, where `--recordings-max-gb` lets
       the oldest go: 500 GB hold {500 / day_gb:.0f} days.
     - Bandwidth, were all sent: {mbit_s:.0f} Mbit/s around the clock. What the night needs is {night_gb:.0f} GB, which
       8 hours carry at {night_gb * 8e3 / (8 * 3600):.0f} Mbit/s; nothing at all if each cell's PC adapts itself.
-    - Adaptation: {found["adapts_from_n"]} / {found["recordings_n"]} x {found["adapt_cpu_s"]:.0f} s = {adapt_s:.0f} s a
+    - Adaptation: {fleet["adapts_from_n"]} / {fleet["recordings_n"]} x {fleet["adapt_cpu_s"]:.0f} s = {adapt_s:.0f} s a
       cell if it grows with the recordings, {cells * adapt_s / 3600:.1f} hours of one core for all.
     """

@@ -55,16 +55,16 @@ def greeted_s(service: ServiceProcess) -> float:
 @contextlib.contextmanager
 def most_mb(service: ServiceProcess) -> Iterator[list[float]]:
     """The largest resident memory while the context lasts, looked at fifty times a second."""
-    seen, stop = [0.0], threading.Event()
+    most, stop = [0.0], threading.Event()
 
     def look() -> None:
         while not stop.wait(0.02):
-            seen[0] = max(seen[0], service.memory_mb()["all"])
+            most[0] = max(most[0], service.memory_mb()["all"])
 
     watcher = threading.Thread(target=look)
     watcher.start()
     try:
-        yield seen
+        yield most
     finally:
         stop.set()
         watcher.join()
@@ -90,29 +90,29 @@ def bodies(service: ServiceProcess) -> dict[str, Any]:
             answers.append(int(link.recv(4096).split(b" ")[1]))
 
     senders = [threading.Thread(target=send, args=(number,)) for number in range(BODIES)]
-    with most_mb(service) as seen:
+    with most_mb(service) as most:
         for sender in senders:
             sender.start()
         greeted = greeted_s(service)
         for sender in senders:
             sender.join(60)
-    return {"n": BODIES, "most_mb": round(seen[0]), "greeted_s": round(greeted, 2), "answers": sorted(set(answers))}
+    return {"n": BODIES, "most_mb": round(most[0]), "greeted_s": round(greeted, 2), "answers": sorted(set(answers))}
 
 
-def idle(service: ServiceProcess, said: bytes = b"") -> dict[str, Any]:
+def idle(service: ServiceProcess, request: bytes = b"") -> dict[str, Any]:
     """Connections that say ``said`` and nothing more; the robot's client comes now and then, and after the last."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, max(soft, 4096)), hard))
     greeted = []
-    with most_mb(service) as seen, contextlib.ExitStack() as stack:
+    with most_mb(service) as most, contextlib.ExitStack() as stack:
         for number in range(IDLE):
             link = stack.enter_context(socket.create_connection(("127.0.0.1", service.port), 20))
             with contextlib.suppress(OSError):
-                link.sendall(said)
+                link.sendall(request)
             if number % 500 == 300:
                 greeted.append(greeted_s(service))
         greeted.append(greeted_s(service))
-    return {"n": IDLE, "most_mb": round(seen[0]), "greeted_s": round(max(greeted), 2)}
+    return {"n": IDLE, "most_mb": round(most[0]), "greeted_s": round(max(greeted), 2)}
 
 
 def ages_ms(models: Path, seconds: float, *, flooded: bool) -> dict[str, Any]:
@@ -144,17 +144,17 @@ def rows(facts: dict[str, Any]) -> list[Row]:
     """What was measured beside what must be reached."""
     made: list[Row] = []
     for name, what in (("ages alone", "alone"), ("ages flooded", f"{PAGES} pages and a flood of inference")):
-        if found := facts.get(name):
-            measured = f"{found['p50_ms']:.0f} / {found['p99_ms']:.0f} ms (n = {found['n']})"
-            reached = found["p99_ms"] <= MOST_AGE_MS
+        if figures := facts.get(name):
+            measured = f"{figures['p50_ms']:.0f} / {figures['p99_ms']:.0f} ms (n = {figures['n']})"
+            reached = figures["p99_ms"] <= MOST_AGE_MS
             label = f"age of the newest judged frame, 2 x {RATE_HZ:.0f} fps, {what}: p50 / p99"
-            made.append(Row(label, measured, f"p99 {MOST_AGE_MS} ms", reached, found["load"]))
+            made.append(Row(label, measured, f"p99 {MOST_AGE_MS} ms", reached, figures["load"]))
     for name, what in (("bodies", "hostile bodies at once"), ("idle", "idle connections")):
-        if found := facts.get(name):
-            measured = f"{found['most_mb']} MB, greeted in {found['greeted_s']:.1f} s"
-            reached = found["most_mb"] < MOST_MB
-            label = f"{found['n']:,} {what}: memory; health and the robot's greeting"
-            made.append(Row(label, measured, f"{MOST_MB} MB, answered", reached, found["load"]))
+        if figures := facts.get(name):
+            measured = f"{figures['most_mb']} MB, greeted in {figures['greeted_s']:.1f} s"
+            reached = figures["most_mb"] < MOST_MB
+            label = f"{figures['n']:,} {what}: memory; health and the robot's greeting"
+            made.append(Row(label, measured, f"{MOST_MB} MB, answered", reached, figures["load"]))
     return made
 
 

@@ -123,14 +123,14 @@ def cells(models: Path, count: int, rate_hz: float, seconds: float) -> dict[str,
         time.sleep(seconds)
         grown, wall = state() - before, time.monotonic() - started
         resident = [service.memory_mb()["all"] for service in services]
-    cpu_s, written_kb, perceived, judged, soon = grown.sum(0)
+    cpu_s, written_kb, perceived, answered, soon = grown.sum(0)
     return {
         "cells_n": count,
         "asked_hz": rate_hz,
         "cores_a_cell": round(float(cpu_s) / wall / count, 3),
         "perceived_share": round(float(perceived) / (2 * rate_hz * wall * count), 3),
         "memory_mb_a_cell": round(float(np.mean(resident)), 1),
-        "share_within_33_ms": round(float(soon / judged), 4),
+        "share_within_33_ms": round(float(soon / answered), 4),
         "pair_kb": round(float(2 * written_kb / perceived), 1),
     }
 
@@ -167,8 +167,8 @@ def healthz_ms(models: Path, seconds: float) -> dict[str, Any]:
     ours, theirs = times.values()
     p50, p99 = np.percentile(ours, (50, 99))
     idle_p99 = round(float(np.percentile(theirs, 99)), 2)
-    found = {"p50_ms": round(p50, 2), "p99_ms": round(p99, 2), "most_ms": round(max(ours), 2), "n": len(ours)}
-    return found | {"idle_server_p99_ms": idle_p99, "idle_server_most_ms": round(max(theirs), 2)}
+    latencies = {"p50_ms": round(p50, 2), "p99_ms": round(p99, 2), "most_ms": round(max(ours), 2), "n": len(ours)}
+    return latencies | {"idle_server_p99_ms": idle_p99, "idle_server_most_ms": round(max(theirs), 2)}
 
 
 IDLE_SERVER = """

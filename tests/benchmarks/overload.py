@@ -45,7 +45,7 @@ class Results:
     """Listens to the hub: when was each frame perceived, what did it cost, did other processes have the core?"""
 
     def __init__(self, station: Station) -> None:
-        self.found: list[tuple[int, int, float, int, Finger]] = []
+        self.rows: list[tuple[int, int, float, int, Finger]] = []
         self.armed = threading.Event()
         self.waited = Waited()
         self.waited_at: dict[int, int] = {}
@@ -56,7 +56,7 @@ class Results:
         if isinstance(content, Observation):
             waited_ns = self.waited.ns() - self.waited_at.get(content.captured_ns, 0)
             step_ms = sum(content.cost_ms.values())
-            self.found.append((content.captured_ns, now_ns(), step_ms, waited_ns, content.finger))
+            self.rows.append((content.captured_ns, now_ns(), step_ms, waited_ns, content.finger))
         elif kind == "message" and content.type == "armed":
             self.armed.set()
 
@@ -113,20 +113,20 @@ def age_at_twice_the_load(station: Station) -> dict[str, Any]:
     while not results.armed.is_set() and time.monotonic() < deadline:
         producer.run(0.1, 0.1)
     producer.run(0.05, 0.05 * WARM_PAIRS)
-    pair_ms = 2 * float(np.median([step_ms for _, _, step_ms, _, _ in results.found[WARM_PAIRS // 2 :]]))
-    seen = len(results.found)
+    pair_ms = 2 * float(np.median([step_ms for _, _, step_ms, _, _ in results.rows[WARM_PAIRS // 2 :]]))
+    done_n = len(results.rows)
     producer.run(pair_ms / 4e3, LEARN_S)
-    rate = max(1, len(results.found) - seen) / LEARN_S
-    seen, shown = len(results.found), len(producer.stamps)
+    rate = max(1, len(results.rows) - done_n) / LEARN_S
+    done_n, shown = len(results.rows), len(producer.stamps)
     producer.run(1 / rate, SECONDS)  # a pair is two frames, and twice the rate is wanted
-    return summary(results.found[seen:], producer.stamps[shown:], pair_ms)
+    return summary(results.rows[done_n:], producer.stamps[shown:], pair_ms)
 
 
-def summary(found: list[tuple[int, int, float, int, Finger]], stamps: list[int], pair_ms: float) -> dict[str, Any]:
+def summary(rows: list[tuple[int, int, float, int, Finger]], stamps: list[int], pair_ms: float) -> dict[str, Any]:
     """Ages against one frame and one step; a step is what perceiving the two frames of a pair took at that moment."""
-    age = np.array([(done - captured) / 1e6 for captured, done, _, _, _ in found])
-    step = np.array([step_ms for _, _, step_ms, _, _ in found])
-    calm = np.array([waited for _, _, _, waited, _ in found]) <= CALM_NS
+    age = np.array([(done - captured) / 1e6 for captured, done, _, _, _ in rows])
+    step = np.array([step_ms for _, _, step_ms, _, _ in rows])
+    calm = np.array([waited for _, _, _, waited, _ in rows]) <= CALM_NS
     period_ms = (stamps[-1] - stamps[0]) / 1e6 / (len(stamps) - 1)
     bound = period_ms + step + np.concatenate([step[:1], step[:-1]])
     within = age <= bound

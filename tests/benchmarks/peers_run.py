@@ -75,8 +75,8 @@ def litserve(python: Path, model: Path) -> Iterator[str]:
 def versions(python: Path) -> dict[str, str]:
     code = "import json, importlib.metadata as m; print(json.dumps({n: m.version(n) for n in"
     code += " ('mlserver', 'litserve', 'onnxruntime', 'tritonclient')}))"
-    found: dict[str, str] = json.loads(subprocess.check_output([str(python), "-c", code], text=True))
-    return found
+    versions: dict[str, str] = json.loads(subprocess.check_output([str(python), "-c", code], text=True))
+    return versions
 
 
 def peers(models: Path, python: Path | None, seconds: float) -> dict[str, Any]:

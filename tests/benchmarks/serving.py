@@ -123,10 +123,10 @@ def main() -> int:
         print(f"{name} ...", flush=True)
         started = time.monotonic()
         try:
-            found = measure()
+            figures = measure()
         except (RuntimeError, OSError, httpx.HTTPError, subprocess.SubprocessError) as error:
-            found = {"failed": f"{type(error).__name__}: {error}"[:500]}
-        facts[name] = found | {"load": round(os.getloadavg()[0], 1), "took_s": round(time.monotonic() - started)}
+            figures = {"failed": f"{type(error).__name__}: {error}"[:500]}
+        facts[name] = figures | {"load": round(os.getloadavg()[0], 1), "took_s": round(time.monotonic() - started)}
         print(json.dumps(facts[name]), flush=True)
         facts["machine"] = machine()
         publish(options.docs, "serving", serving_page(facts), facts)

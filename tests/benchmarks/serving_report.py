@@ -53,10 +53,10 @@ def serving_page(facts: dict[str, Any]) -> str:
 REACHED = {True: "yes", False: "**no**", None: "not measured"}
 
 
-def _rows(name: str, make: Any, found: dict[str, Any] | None) -> list[Row]:
-    if not found or "failed" in found:
-        return [Row(name, (found or {}).get("failed", "not run"))]
-    rows: list[Row] = make(found)
+def _rows(name: str, make: Any, figures: dict[str, Any] | None) -> list[Row]:
+    if not figures or "failed" in figures:
+        return [Row(name, (figures or {}).get("failed", "not run"))]
+    rows: list[Row] = make(figures)
     return rows
 
 
@@ -65,61 +65,67 @@ def both(ours: dict[str, float], theirs: dict[str, float]) -> str:
     return f"{ours['p50_ms']:.1f} / {theirs['p50_ms']:.1f} ms (p99 {ours['p99_ms']:.0f} / {theirs['p99_ms']:.0f})"
 
 
-def _peers(found: dict[str, Any]) -> list[Row]:
-    ours = found["servers"]["service"]
+def _peers(figures: dict[str, Any]) -> list[Row]:
+    ours = figures["servers"]["service"]
     rows = []
     for peer, label, limit in (("mlserver", "MLServer gRPC", 0.5), ("litserve", "LitServe", 0.35)):
-        theirs, share = found["servers"][peer], found[f"ratio to {peer}"]
-        model, megabytes = found.get("model", "direction.step.onnx"), found["payload_bytes"] / 1e6
+        theirs, share = figures["servers"][peer], figures[f"ratio to {peer}"]
+        model, megabytes = figures.get("model", "direction.step.onnx"), figures["payload_bytes"] / 1e6
         what = f"binary inference p50, `{model}`, {megabytes:.2f} MB a call, service / {label}"
-        what += f" {found['versions'][peer]}"
+        what += f" {figures['versions'][peer]}"
         rows.append(Row(what, f"{both(ours, theirs)} = {share:.2f}", f"{limit}", share <= limit))
-    inside = found["servers"]["in process"]
+    inside = figures["servers"]["in process"]
     rows.append(Row("the same in process, p50", f"{inside['p50_ms']:.2f} ms", reached=True))
     return rows
 
 
-def _websocket(found: dict[str, Any]) -> list[Row]:
-    over, within = found["websocket"], found["in_process"]
-    text = f"{both(over, within)} = {found['ratio_p50']:.2f}; fastest tenth {found['ratio_fastest_tenth']:.2f}"
-    return [Row("last frame pair to correction p50, WebSocket / in process", text, "1.25", found["ratio_p50"] <= 1.25)]
+def _websocket(figures: dict[str, Any]) -> list[Row]:
+    over, within = figures["websocket"], figures["in_process"]
+    text = f"{both(over, within)} = {figures['ratio_p50']:.2f}; fastest tenth {figures['ratio_fastest_tenth']:.2f}"
+    return [
+        Row("last frame pair to correction p50, WebSocket / in process", text, "1.25", figures["ratio_p50"] <= 1.25)
+    ]
 
 
-def _first(found: dict[str, Any]) -> list[Row]:
-    if found["median"] is None:
+def _first(figures: dict[str, Any]) -> list[Row]:
+    if figures["median"] is None:
         return [Row("first decision after ready / steady", "no start gave four decisions", "1.1", None)]
-    text = f"{found['median']:.2f} (median of {len(found['ratios'])} starts: {found['ratios']})"
-    return [Row("first decision after ready / steady", text, "1.1", found["median"] <= 1.1)]
+    text = f"{figures['median']:.2f} (median of {len(figures['ratios'])} starts: {figures['ratios']})"
+    return [Row("first decision after ready / steady", text, "1.1", figures["median"] <= 1.1)]
 
 
-def _cameras(found: dict[str, Any]) -> list[Row]:
-    text = f"{found['cores_at_full_rate']:.2f} cores ({found['cpu_ms_per_frame']:.2f} ms CPU a frame perceived;"
-    text += f" {found['camera_frames_per_s']:.0f} frames/s came, {found['dropped_share']:.1%} dropped)"
-    what = f"2 x {found['asked_hz']:.0f} fps at 427 x 320, perceived and recorded: CPU of the whole service"
-    return [Row(what, text, "1 core", found["cores_at_full_rate"] <= 1.0)]
+def _cameras(figures: dict[str, Any]) -> list[Row]:
+    text = f"{figures['cores_at_full_rate']:.2f} cores ({figures['cpu_ms_per_frame']:.2f} ms CPU a frame perceived;"
+    text += f" {figures['camera_frames_per_s']:.0f} frames/s came, {figures['dropped_share']:.1%} dropped)"
+    what = f"2 x {figures['asked_hz']:.0f} fps at 427 x 320, perceived and recorded: CPU of the whole service"
+    return [Row(what, text, "1 core", figures["cores_at_full_rate"] <= 1.0)]
 
 
-def _health(found: dict[str, Any]) -> list[Row]:
-    text = f"p50 {found['p50_ms']:.1f}, p99 {found['p99_ms']:.1f}, most {found['most_ms']:.0f} ms; an idle server"
-    text += f" asked in turn: p99 {found['idle_server_p99_ms']:.1f}, most {found['idle_server_most_ms']:.0f} ms"
-    return [Row("/healthz under full load", text, "50 ms (p99)", found["p99_ms"] <= 50)]
+def _health(figures: dict[str, Any]) -> list[Row]:
+    text = f"p50 {figures['p50_ms']:.1f}, p99 {figures['p99_ms']:.1f}, most {figures['most_ms']:.0f} ms; an idle server"
+    text += f" asked in turn: p99 {figures['idle_server_p99_ms']:.1f}, most {figures['idle_server_most_ms']:.0f} ms"
+    return [Row("/healthz under full load", text, "50 ms (p99)", figures["p99_ms"] <= 50)]
 
 
-def _overload(found: dict[str, Any]) -> list[Row]:
-    text = f"p50 {found['age_p50_ms']:.1f}, p99 {found['age_p99_ms']:.1f} ms against"
-    text += f" p50 {found['one_frame_and_one_step_ms']:.1f}, p99 {found['one_frame_and_one_step_p99_ms']:.1f};"
-    text += f" {found['times_overloaded']:.1f} x overloaded, within in {found['share_within']:.1%}"
-    if found.get("share_within_of_calm") is not None:
-        text += f"; of the {found['share_calm']:.0%} that the kernel did not make wait,"
-        text += f" in {found['share_within_of_calm']:.1%}"
-    return [Row("age of results at 2 x overload: 1 frame + 1 step", text, "99 % within", found["share_within"] >= 0.99)]
+def _overload(figures: dict[str, Any]) -> list[Row]:
+    text = f"p50 {figures['age_p50_ms']:.1f}, p99 {figures['age_p99_ms']:.1f} ms against"
+    text += f" p50 {figures['one_frame_and_one_step_ms']:.1f}, p99 {figures['one_frame_and_one_step_p99_ms']:.1f};"
+    text += f" {figures['times_overloaded']:.1f} x overloaded, within in {figures['share_within']:.1%}"
+    if figures.get("share_within_of_calm") is not None:
+        text += f"; of the {figures['share_calm']:.0%} that the kernel did not make wait,"
+        text += f" in {figures['share_within_of_calm']:.1%}"
+    return [
+        Row("age of results at 2 x overload: 1 frame + 1 step", text, "99 % within", figures["share_within"] >= 0.99)
+    ]
 
 
-def _cells(found: dict[str, Any]) -> list[Row]:
-    count, share = found["cells_n"], found["share_within_33_ms"]
-    text = f"{found['cores_a_cell']:.2f} cores and {found['memory_mb_a_cell']:.0f} MB a cell;"
-    text += f" {found['perceived_share']:.0%} of the frames perceived, slip judged within 33 ms in {share:.1%}"
-    what = f"{count} cell{'s' if count > 1 else ''} at once, each 2 x {found['asked_hz']:.0f} fps, an attempt under way"
+def _cells(figures: dict[str, Any]) -> list[Row]:
+    count, share = figures["cells_n"], figures["share_within_33_ms"]
+    text = f"{figures['cores_a_cell']:.2f} cores and {figures['memory_mb_a_cell']:.0f} MB a cell;"
+    text += f" {figures['perceived_share']:.0%} of the frames perceived, slip judged within 33 ms in {share:.1%}"
+    what = (
+        f"{count} cell{'s' if count > 1 else ''} at once, each 2 x {figures['asked_hz']:.0f} fps, an attempt under way"
+    )
     return [Row(what, text, "99 % within", share >= 0.99)]
 
 

@@ -71,9 +71,9 @@ def prepare_engine(environment: MutableMapping[str, str]) -> None:
 def pinned_base() -> str:
     """The base that the Dockerfiles name; all three must name the same."""
     bases: set[str] = {
-        found
+        image
         for name in IMAGES
-        for found in re.findall(r"^ARG BASE=(\S+)$", (ROOT / "docker" / f"{name}.Dockerfile").read_text(), re.MULTILINE)
+        for image in re.findall(r"^ARG BASE=(\S+)$", (ROOT / "docker" / f"{name}.Dockerfile").read_text(), re.MULTILINE)
     }
     if len(bases) != 1 or "@sha256:" not in next(iter(bases)):
         raise VerificationError(f"the Dockerfiles' bases are {sorted(bases)}, expected one, pinned by digest")

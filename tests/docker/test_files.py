@@ -67,10 +67,10 @@ def test_make_reads_the_override_that_lets_usb_cameras_in(tmp_path, override):
         (tmp_path / name).write_bytes((ROOT / name).read_bytes())
     if override:
         (tmp_path / "docker" / "compose.override.yaml").write_text("services: {}")
-    said = subprocess.run(
+    printed = subprocess.run(
         ["make", "-n", "image", "COMPOSE=compose"], cwd=tmp_path, capture_output=True, text=True, check=True
     )
-    assert ("--file docker/compose.yaml --file docker/compose.override.yaml" in said.stdout) is override
+    assert ("--file docker/compose.yaml --file docker/compose.override.yaml" in printed.stdout) is override
 
 
 def test_a_bundle_holds_the_page_that_its_unit_points_to():

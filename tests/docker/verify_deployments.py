@@ -124,10 +124,10 @@ def prometheus(path: str) -> Any:
 def scraped() -> str:
     """The value of `up` for the cell, empty while there is none."""
     try:
-        found = prometheus("query?query=up")["result"]
+        series = prometheus("query?query=up")["result"]
     except OSError:
         return ""
-    return str(found[0]["value"][1]) if found else ""
+    return str(series[0]["value"][1]) if series else ""
 
 
 def pending(alert: str) -> bool:

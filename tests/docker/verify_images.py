@@ -67,10 +67,10 @@ def check_contents(report: Report) -> None:
             refused = done.returncode != 0 and "ModuleNotFoundError" in done.stderr
             report.add(f"{name}: import {module}", "refused" if refused else "it is there", refused)
         probe = "import os, shutil; print(os.getuid(), shutil.which('gcc') or shutil.which('cc') or 'none')"
-        found = call(
+        answer = call(
             ["podman", "run", "--rm", "--network", "none", "--entrypoint", "python", IMAGES[name], "-c", probe]
         )
-        report.add(f"{name}: user and compiler", found, found == "10001 none")
+        report.add(f"{name}: user and compiler", answer, answer == "10001 none")
 
 
 def check_hardening(report: Report, loop: Loop) -> None:

@@ -52,14 +52,14 @@ def pages() -> list[Path]:
 def blocks(page: Path) -> list[Block]:
     """The fenced blocks of a page, in order."""
     text = page.read_text()
-    found = []
+    blocks = []
     for match in _FENCE.finditer(text):
         before = text[: match.start()]
         marker = _MARKER.search(before.rstrip("\n"))
         line = before.count("\n") + 1
         why_not = " ".join(marker[1].split()) if marker else None
-        found.append(Block(str(page.relative_to(ROOT)), line, match[2], textwrap.dedent(match[3]), why_not))
-    return found
+        blocks.append(Block(str(page.relative_to(ROOT)), line, match[2], textwrap.dedent(match[3]), why_not))
+    return blocks
 
 
 def shell_blocks() -> list[Block]:

@@ -29,12 +29,12 @@ def parts(schema: Any) -> Iterator[dict[str, Any]]:
 
 def reachable(names: set[str]) -> set[str]:
     """The schemas that messages are made of, without those of a model's card."""
-    found: set[str] = set()
-    while names - found:
-        found |= names
+    reached: set[str] = set()
+    while names - reached:
+        reached |= names
         inner = [part["$ref"].rsplit("/", 1)[1] for name in names for part in parts(SCHEMAS[name]) if "$ref" in part]
         names = set(inner) - OF_THE_CARD
-    return found
+    return reached
 
 
 WIRE = reachable({model.__name__ for model in (*CLIENT, *SERVICE)})

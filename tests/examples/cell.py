@@ -31,11 +31,11 @@ class Cell:
         self.service, self.fingers = service, fingers
 
     def insert(
-        self, arm: TinyArm, port: int | None = None, token: str | None = None, name: str | None = None, **told
+        self, arm: TinyArm, port: int | None = None, token: str | None = None, name: str | None = None, **fields
     ) -> dict:
         named = name or f"box-{next(NUMBERS)}"
         task = controller.Task(
-            **{"name": named, "gap_width_mm": 56.0, "depth_mm": 4.0, "speed_mm_s": SLOW_MM_S, **told}
+            **{"name": named, "gap_width_mm": 56.0, "depth_mm": 4.0, "speed_mm_s": SLOW_MM_S, **fields}
         )
         self.open_hand(True)
         arm.on_grasp = lambda: self.open_hand(False)

@@ -196,8 +196,8 @@ def test_nothing_moves_in_an_attempt_that_is_refused(cell):
 
 def test_an_object_that_has_turned_in_the_hand_is_handed_over_to_a_person_and_gone_on_with(cell):
     proxy, arm = Proxy(cell.service.port), TinyArm()
-    told = {"type": "refused", "reason": "turned_in_hand", "detail": "by about 1.4 deg"}
-    arm.width_mm = lambda: proxy.inject(json.dumps(told))
+    refusal = {"type": "refused", "reason": "turned_in_hand", "detail": "by about 1.4 deg"}
+    arm.width_mm = lambda: proxy.inject(json.dumps(refusal))
     try:
         with pytest.raises(controller.Held, match=r"turned_in_hand: .*continues='turning'"):
             cell.insert(arm, proxy.port, name="turning")

@@ -13,7 +13,7 @@ from robot_client.insertion.state import State
 from service.contract import wire
 from tests.hard_cases.rooms.links import MESSAGES, deciding
 
-FRAME_S, JUDGED_S, LAG_S = 1 / 30, 0.02, 0.02
+FRAME_S, ANSWERED_S, LAG_S = 1 / 30, 0.02, 0.02
 FAULT_S, END_S = 0.7, 4.0
 BOUND_MM = 1.5
 ENDLESS = 1e9
@@ -81,9 +81,9 @@ class Descent:
     def watched(self, now_s: float, until_s: float = FAULT_S) -> list[Any]:
         """`watching` of frames captured up to ``until_s``, each when it has been judged and has come."""
         return [
-            wire.Watching(**MESSAGES, frame_captured_ns=self.ns(shot_s), judged_ns=self.ns(shot_s + JUDGED_S))
+            wire.Watching(**MESSAGES, frame_captured_ns=self.ns(shot_s), judged_ns=self.ns(shot_s + ANSWERED_S))
             for shot_s in shots(until_s)
-            if shot_s + JUDGED_S + self.back_s <= now_s < shot_s + JUDGED_S + self.back_s + CYCLE_S - 1e-9
+            if shot_s + ANSWERED_S + self.back_s <= now_s < shot_s + ANSWERED_S + self.back_s + CYCLE_S - 1e-9
         ]
 
 

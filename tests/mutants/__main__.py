@@ -139,10 +139,10 @@ def main() -> int:
     survivors = [change._asdict() for change in tried(chosen, options.workers, options.timeout_s)]
     path = options.out / f"{NAME}.json"
     known = json.loads(path.read_text())["survivors"] if path.exists() else []
-    judged = {(row["module"], row["before"], row["after"]): row["judged"] for row in known}
+    known_as = {(row["module"], row["before"], row["after"]): row["judged"] for row in known}
     for row in survivors:
         del row["source"]
-        row["judged"] = judged.get((row["module"], row["before"], row["after"]), UNJUDGED)
+        row["judged"] = known_as.get((row["module"], row["before"], row["after"]), UNJUDGED)
     killed = len(chosen) - len(survivors)
     report = {"seed": options.seed, "count": len(chosen), "killed": killed, "survivors": survivors}
     publish(options.out, NAME, mutants_page(report), report)

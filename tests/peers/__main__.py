@@ -193,15 +193,15 @@ def run(peer: Peer) -> Result:
         command = [sys.executable, "-m", "pytest", *options, *peer.tests]
         subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.DEVNULL)
         cases = list(ET.parse(report).iter("testcase"))
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     why: dict[str, None] = {}
     for case in cases:
         kinds = [child for child in case if child.tag in {"skipped", "failure", "error"}]
-        found[kinds[0].tag if kinds else "passed"] += 1
+        counts[kinds[0].tag if kinds else "passed"] += 1
         why |= dict.fromkeys(f"{case.get('name')}: {child.get('message', '').splitlines()[0]}" for child in kinds)
-    failed = found["failure"] + found["error"]
-    told = (peer.package, version(peer), peer.exercised, found["passed"], found["skipped"], failed)
-    return Result(*told, "; ".join(why))
+    failed = counts["failure"] + counts["error"]
+    row = (peer.package, version(peer), peer.exercised, counts["passed"], counts["skipped"], failed)
+    return Result(*row, "; ".join(why))
 
 
 def page(results: list[Result]) -> str:
@@ -237,7 +237,7 @@ def main(names: list[str]) -> int:
         if peer not in absent:
             result = results[peer.package, peer.exercised] = run(peer)
             bad += [] if result.passed and not result.failed + result.skipped else [f"{peer.package}: {result.why}"]
-            rows = [found for one in PEERS if (found := results.get((one.package, one.exercised)))]
+            rows = [outcome for one in PEERS if (outcome := results.get((one.package, one.exercised)))]
             pages.publish(kept.parent, "peers", page(rows), [asdict(row) for row in rows])
     for line in bad:
         print(f"not green: {line}", file=sys.stderr)

@@ -52,9 +52,9 @@ def test_nothing_has_the_widest_interval():
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=50))
 def test_a_mean_has_the_interval_of_its_standard_error(values):
-    found = mean(values)
-    assert found.value == pytest.approx(np.mean(values), abs=1e-9)
-    assert found.high - found.value == pytest.approx(stats.norm.ppf(0.975) * stats.sem(values), abs=1e-6)
+    estimate = mean(values)
+    assert estimate.value == pytest.approx(np.mean(values), abs=1e-9)
+    assert estimate.high - estimate.value == pytest.approx(stats.norm.ppf(0.975) * stats.sem(values), abs=1e-6)
 
 
 def test_one_value_has_no_spread():

@@ -30,7 +30,7 @@ def test_line_ends_do_not_break_a_row():
 
 def test_cells_are_read_by_name_by_path_by_index_and_by_function():
     row = {"name": "disk", "error": {"force_n": 0.5}, "right": list(wilson(9, 10)), "none": None, "many": [1.0, 2.5]}
-    found = table(
+    made = table(
         [row],
         ("name", "name"),
         ("force", "error.force_n", ".3f"),
@@ -39,8 +39,8 @@ def test_cells_are_read_by_name_by_path_by_index_and_by_function():
         ("many", "many", ".1f"),
         ("twice", lambda row: 2 * row["name"]),
     )
-    assert found.cells() == [["disk", "0.500", "90 % (60 .. 98)", "-", "1.0, 2.5", "diskdisk"]]
-    assert "|---|---:|" in found.markdown().replace(" ", "")
+    assert made.cells() == [["disk", "0.500", "90 % (60 .. 98)", "-", "1.0, 2.5", "diskdisk"]]
+    assert "|---|---:|" in made.markdown().replace(" ", "")
 
 
 def test_a_terminal_sees_aligned_columns():

@@ -78,14 +78,14 @@ async def cell_with(seed=0, **overrides):
 
 def cycle_of(cell, lines=None, **settings):
     taught = CycleSettings(pick=PICK, open_mm=OPEN_MM, retreat_mm=RETREAT_MM, **settings)
-    said = [] if lines is None else lines
+    spoken = [] if lines is None else lines
 
     async def insert(number):
-        plan = make_plan(cell.settings, 0.0, 0.0, f"part-{number}-{len(said)}", None)
-        return await upright(plan, partial(insertion, cell), fixture(cell), said.append)
+        plan = make_plan(cell.settings, 0.0, 0.0, f"part-{number}-{len(spoken)}", None)
+        return await upright(plan, partial(insertion, cell), fixture(cell), spoken.append)
 
     plc = Handshake(taught.plc, cell.settings.make_arm().signals()) if taught.plc else None
-    given = cell.settings.limits, cell.settings.ramps, 20.0, said.append
+    given = cell.settings.limits, cell.settings.ramps, 20.0, spoken.append
     return Cycle(taught, cell.settings.make_arm, cell.settings.make_gripper, insert, *given, plc=plc)
 
 

@@ -183,24 +183,24 @@ def test_a_person_pauses_goes_on_and_stops_after_a_part():
 def test_a_plc_starts_each_part_and_is_told_when_it_is_done():
     async def work():
         async with cell_with() as (cell, _):
-            signals, seen = cell.cabinet.signals, []
+            signals, written = cell.cabinet.signals, []
 
             async def plc():
                 for _ in range(2):
                     for name, value in (("doTactileReady", 1.0), ("doTactileDone", 1.0)):
                         while signals[name] != value:  # noqa: ASYNC110
                             await asyncio.sleep(0.01)
-                        seen.append(name)
+                        written.append(name)
                         signals["diTactileStart"] = 1.0 if name == "doTactileReady" else 0.0
 
             task = asyncio.create_task(plc())
             count = await cycle_of(cell, plc=HandshakeSettings()).run(2)
             await task
-            return count.inserted_n, seen, dict(signals)
+            return count.inserted_n, written, dict(signals)
 
-    inserted_n, seen, signals = run(work)
+    inserted_n, written, signals = run(work)
     assert inserted_n == 2
-    assert seen == ["doTactileReady", "doTactileDone"] * 2
+    assert written == ["doTactileReady", "doTactileDone"] * 2
     assert [signals[name] for name in SIGNALS] == [0.0, 0.0, 0.0, 0.0]
 
 

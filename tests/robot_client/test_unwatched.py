@@ -27,23 +27,23 @@ def mute(cell):
 async def unwatched(break_it):
     """Break off the watching in mid-descent; the final state, and the way in mm after the last judged frame."""
     async with bench(lag_ms=20.0) as cell:
-        seen = []
+        captures_s = []
         say = cell.service.say
 
         async def noted(reply):
             if getattr(reply, "type", "") == "watching" and cell.service.sees and not cell.service.mute:
-                seen.append(reply.frame_captured_ns / 1e9)
+                captures_s.append(reply.frame_captured_ns / 1e9)
             await say(reply)
 
         cell.service.say = noted
         insertion = asyncio.create_task(cell.insert(x_mm=1.0, theta_deg=0.0))
-        while not insertion.done() and len(seen) < 8:  # noqa: ASYNC110 told by the service, to nobody here
+        while not insertion.done() and len(captures_s) < 8:  # noqa: ASYNC110 told by the service, to nobody here
             await asyncio.sleep(0.005)
         break_it(cell)
         state = await insertion
         await asyncio.sleep(0.3)
         heights = [(now, pose.position_mm[2]) for now, _, pose in cell.trace]
-        at_last = next(z for now, z in heights if now >= seen[-1])
+        at_last = next(z for now, z in heights if now >= captures_s[-1])
         return (
             state,
             at_last - heights[-1][1],

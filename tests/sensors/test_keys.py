@@ -43,12 +43,12 @@ def gel(sensor: Sensor, du_mm: float = 0.0) -> np.ndarray:
 
 
 @cache
-def seen(sensor: Sensor, du_mm: float = 0.0) -> MarkerField:
+def tracked(sensor: Sensor, du_mm: float = 0.0) -> MarkerField:
     """What the service's tracker makes of a gel that moves by du_mm as a whole, from raw frames."""
-    tracker, eye = MarkerTracker(), renderer(sensor)
-    rectifier = Rectifier(eye.calibration)
-    tracker.update(rectifier.apply(eye.raw(gel(sensor), 0)), 0)
-    return tracker.update(rectifier.apply(eye.raw(gel(sensor, du_mm), 1)), round(1e9 / sensor.fps))
+    tracker, drawing = MarkerTracker(), renderer(sensor)
+    rectifier = Rectifier(drawing.calibration)
+    tracker.update(rectifier.apply(drawing.raw(gel(sensor), 0)), 0)
+    return tracker.update(rectifier.apply(drawing.raw(gel(sensor, du_mm), 1)), round(1e9 / sensor.fps))
 
 
 @cache
@@ -57,7 +57,7 @@ def probe(sensor: Sensor) -> Probe:
 
 
 def rest(sensor: Sensor) -> np.ndarray:
-    field = seen(sensor)
+    field = tracked(sensor)
     return field.rest_px[field.rest_px.shape[0] // 2, field.rest_px.shape[1] // 2]
 
 
@@ -71,11 +71,11 @@ def name(usual: Sensor, other: Sensor) -> None:
 def markers(usual: Sensor, other: Sensor) -> None:
     for sensor in (usual, other):
         grid = (sensor.marker_rows, sensor.marker_columns)
-        assert seen(sensor).valid.shape == probe(sensor).gel.shape[2:4] == probe(sensor).slipping.shape[2:4] == grid
+        assert tracked(sensor).valid.shape == probe(sensor).gel.shape[2:4] == probe(sensor).slipping.shape[2:4] == grid
 
 
 def marker_pitch_px(usual: Sensor, other: Sensor) -> None:
-    assert seen(other).pitch_px / seen(usual).pitch_px == pytest.approx(14.0 / 15.0, rel=2e-3)
+    assert tracked(other).pitch_px / tracked(usual).pitch_px == pytest.approx(14.0 / 15.0, rel=2e-3)
     motion = [probe(sensor).gel[-1, 0, 0] for sensor in (usual, other)]
     assert not np.array_equal(*motion)  # the physics, too: it is read elsewhere on the gel
     assert field_from_gel(gel(other), 0, other).pitch_px == 14.0
@@ -87,8 +87,8 @@ def marker_diameter_px(usual: Sensor, other: Sensor) -> None:
         for sensor in (usual, other)
     ]
     assert dark[1] > 1.5 * dark[0]
-    found = [find_lattice(renderer(sensor).rectified(gel(sensor), 0)) for sensor in (usual, other)]
-    assert found[1].diameter_px > found[0].diameter_px
+    lattices = [find_lattice(renderer(sensor).rectified(gel(sensor), 0)) for sensor in (usual, other)]
+    assert lattices[1].diameter_px > lattices[0].diameter_px
 
 
 def first_marker_px(usual: Sensor, other: Sensor) -> None:
@@ -112,7 +112,7 @@ def rectified_size(usual: Sensor, other: Sensor) -> None:
 
 def mm_per_px(usual: Sensor, other: Sensor) -> None:
     for sensor in (usual, other):
-        moved = np.median(seen(sensor, 0.35).displacement_px[..., 0])
+        moved = np.median(tracked(sensor, 0.35).displacement_px[..., 0])
         assert moved == pytest.approx(0.35 / sensor.mm_per_px, abs=0.1)
         drawn = field_from_gel(gel(sensor, 0.35), 0, sensor).displacement_px[0, 0, 0]
         assert drawn == pytest.approx(0.35 / sensor.mm_per_px, rel=1e-5)

@@ -81,9 +81,9 @@ def test_its_frames_are_tracked_to_a_quarter_of_a_pixel(collected: Dataset, prof
         tracked = track_pairs(frames, sensor.markers, sensor.fps)
         gel = trial.gel[trial.onset_frame : trial.onset_frame + 8, ..., :2].astype(np.float64)
         error = (tracked[7] - tracked[0])[..., :2] - (gel[7] - gel[0]) / sensor.mm_per_px
-        seen = tracked[[0, 7], ..., 2].min(0) > 0
-        assert seen.mean() > 0.8
-        assert np.sqrt(np.square(error[seen]).mean()) < 0.25
+        visible = tracked[[0, 7], ..., 2].min(0) > 0
+        assert visible.mean() > 0.8
+        assert np.sqrt(np.square(error[visible]).mean()) < 0.25
 
 
 def test_its_camera_is_calibrated_from_a_resting_gel(profile: str) -> None:
@@ -142,7 +142,7 @@ def test_what_it_collected_is_exported_in_its_sizes(collected: Dataset) -> None:
 
 
 @pytest.mark.parametrize(
-    ("collect", "said"),
+    ("collect", "message"),
     [
         (lambda out: asked_manifest(CollectOptions(out, sensor="gelsite_mini")), "--sensor: no sensor 'gelsite_mini'"),
         (
@@ -151,8 +151,8 @@ def test_what_it_collected_is_exported_in_its_sizes(collected: Dataset) -> None:
         ),
     ],
 )
-def test_a_dataset_is_one_sensor_s(collected: Dataset, collect: Callable[[Path], object], said: str) -> None:
-    with pytest.raises(DatasetError, match=said):
+def test_a_dataset_is_one_sensor_s(collected: Dataset, collect: Callable[[Path], object], message: str) -> None:
+    with pytest.raises(DatasetError, match=message):
         collect(collected.path)
 
 
@@ -166,7 +166,7 @@ def test_scenes_of_two_sensors_make_no_dataset(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         (
             "[camera.sensor]\nmarker_diametre_px = 6.0",
@@ -176,10 +176,10 @@ def test_scenes_of_two_sensors_make_no_dataset(tmp_path: Path) -> None:
     ],
 )
 def test_a_world_with_an_unknown_sensor_or_key_is_refused_by_file_and_name(
-    tmp_path: Path, table: str, said: str
+    tmp_path: Path, table: str, message: str
 ) -> None:
     (tmp_path / "world.toml").write_text(table)
-    with pytest.raises(SceneError, match=rf"world\.toml: {said}"):
+    with pytest.raises(SceneError, match=rf"world\.toml: {message}"):
         load_world(tmp_path / "world.toml")
 
 

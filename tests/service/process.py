@@ -78,13 +78,13 @@ def service_process(models: Path, recordings: Path, *options: str) -> Iterator[S
     watchdog.start()
     line = process.stdout.readline()
     watchdog.cancel()
-    found = re.search(r"service ready at https?://[^ ]+:(\d+)/", line)
-    if found is None:
+    ready = re.search(r"service ready at https?://[^ ]+:(\d+)/", line)
+    if ready is None:
         process.wait(10)
         reader.join(5)
         raise RuntimeError(f"the service did not start: {line}{''.join(log)}")
     try:
-        yield ServiceProcess(process, int(found[1]), recordings, log)
+        yield ServiceProcess(process, int(ready[1]), recordings, log)
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)

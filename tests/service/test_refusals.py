@@ -43,19 +43,19 @@ def spoil(value: float) -> Callable[[onnx.ModelProto], None]:
 def attempt(session: InsertionSession, frames: int = 30, stop_at: int = 20) -> list:
     session.handle(wire.ClientHello(insertion_id=ID, client="test"), 0)
     arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
-    said = session.handle(arm, 0)
+    messages = session.handle(arm, 0)
     for index in range(frames):
         pair = drawn.pair(index)
-        said += session.on_pair(pair, pair.captured_ns)
+        messages += session.on_pair(pair, pair.captured_ns)
         if index == stop_at:
             stopped = wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked")
-            said += session.handle(stopped, pair.captured_ns)
-    return said + session.on_tick(drawn.pair(frames - 1).captured_ns + 3_000_000_000)
+            messages += session.handle(stopped, pair.captured_ns)
+    return messages + session.on_tick(drawn.pair(frames - 1).captured_ns + 3_000_000_000)
 
 
-def refusal(said: list) -> wire.NoDecision:
-    assert not [message for message in said if isinstance(message, wire.Correction)]
-    (refused,) = [message for message in said if isinstance(message, wire.NoDecision)]
+def refusal(messages: list) -> wire.NoDecision:
+    assert not [message for message in messages if isinstance(message, wire.Correction)]
+    (refused,) = [message for message in messages if isinstance(message, wire.NoDecision)]
     return refused
 
 
@@ -72,10 +72,10 @@ def test_a_class_probability_below_the_cards_threshold_decides_nothing(tmp_path:
 
 def test_a_finger_that_shows_too_few_markers_decides_nothing(tmp_path: Path) -> None:
     session = make_session(models(tmp_path), drawn.calibration())
-    seen = session.right.observe
+    observe = session.right.observe
 
     def half_blind(frame: object) -> Observation:
-        observation = seen(frame)
+        observation = observe(frame)
         few = np.zeros_like(observation.field.valid)
         few[:6] = observation.field.valid[:6]
         blind = observation.seq > 12

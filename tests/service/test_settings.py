@@ -52,8 +52,8 @@ def test_the_command_line_wins_over_environment_over_file(tmp_path: Path, monkey
     monkeypatch.setenv("TACTILE_MAX_DX_MM", "6")
     monkeypatch.setenv("TACTILE_PORT", "2")
     for given in (["--config", str(config)], [f"--config={config}"]):
-        told = read_settings([*CAMERAS, *given, "--port", "3"])
-        assert (told.port, told.max_dx_mm, told.controller) == (3, 6.0, "heuristic")
+        settings = read_settings([*CAMERAS, *given, "--port", "3"])
+        assert (settings.port, settings.max_dx_mm, settings.controller) == (3, 6.0, "heuristic")
 
 
 def test_secrets_do_not_show() -> None:

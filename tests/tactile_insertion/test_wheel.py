@@ -32,9 +32,9 @@ def test_what_the_wheel_carries_beside_the_code_are_files():
     """A pattern that takes in a folder breaks every build."""
     carried = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
     for pattern in (pattern for patterns in carried.values() for pattern in patterns):
-        found = list(ROOT.glob(pattern))
-        assert found, pattern
-        assert all(path.is_file() for path in found), pattern
+        paths = list(ROOT.glob(pattern))
+        assert paths, pattern
+        assert all(path.is_file() for path in paths), pattern
 
 
 def run(python, folder, *words):

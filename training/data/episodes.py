@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import ContractError, Sensor
+from service.contract.wire_parts import errors_left
 from training.data.dataset import SPLITS
 from training.data.pressed import Pressed
 from training.networks.pressing import LATTICE, STEPS
@@ -84,9 +85,9 @@ def _attempts(folder: Path, number: int) -> Iterator[Attempt]:
     except (OSError, ValueError, KeyError) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
     first = PROBE if summary.get("purpose") == "probe" else WORK
-    for index, (off, (seen, _)) in enumerate(zip(_errors(summary, [move for _, move in shown]), shown, strict=False)):
-        if off is not None and seen is not None:
-            yield Attempt(LATER if index else first, off, *seen, number)
+    for index, (off, (inputs, _)) in enumerate(zip(_errors(summary, [move for _, move in shown]), shown, strict=False)):
+        if off is not None and inputs is not None:
+            yield Attempt(LATER if index else first, off, *inputs, number)
 
 
 def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[float, float]]:
@@ -104,5 +105,4 @@ def _errors(summary: dict[str, Any], moves: list[tuple[float, float]]) -> list[t
         return [(float(approach["x_mm"]), float(approach["yaw_deg"])), *[None] * (len(moves) - 1)]
     if summary.get("outcome") != "inserted":
         return [None] * len(moves)
-    left = -np.cumsum(np.array(moves, np.float64).reshape(-1, 2)[::-1], 0)[::-1]
-    return [(float(x), float(theta)) for x, theta in left]
+    return [*errors_left(moves)]

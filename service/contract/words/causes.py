@@ -44,5 +44,5 @@ def what_of(cause: str | None) -> str:
     """A cause in words; one that this version does not know as it is."""
     if cause is None:
         return "no cause was recorded"
-    told = CAUSES.get(cause)  # type: ignore[call-overload]
-    return told.what if told else cause.replace("_", " ")
+    known = CAUSES.get(cause)  # type: ignore[call-overload]
+    return known.what if known else cause.replace("_", " ")

@@ -21,11 +21,11 @@ SAME_GEL, OTHER_GEL = 0.75, 0.5
 TELLING_N = 150  # markers; of fewer, which are found is too chancy for a gel to be refused
 
 
-def fingerprint(off: NDArray[np.float64], seen: NDArray[np.bool_]) -> str:
-    """Of a resting gel: ``off`` [rows, columns, 2] in pitches from the regular grid, ``seen`` [rows, columns]."""
+def fingerprint(off: NDArray[np.float64], visible: NDArray[np.bool_]) -> str:
+    """Of a resting gel: ``off`` [rows, columns, 2] in pitches from the regular grid, ``visible`` [rows, columns]."""
     steps = np.clip(np.round(off / _UNIT), -127, 127)
-    coded = np.where(seen[..., None], steps, _ABSENT).astype(np.int8)
-    return base64.b64encode(bytes(seen.shape) + coded.tobytes()).decode("ascii")
+    coded = np.where(visible[..., None], steps, _ABSENT).astype(np.int8)
+    return base64.b64encode(bytes(visible.shape) + coded.tobytes()).decode("ascii")
 
 
 def fingerprint_of(field: MarkerField) -> str:

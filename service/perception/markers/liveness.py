@@ -43,7 +43,7 @@ class Liveness:
         """The next frame shows a held object."""
         self._armed_n, self._changed = 0, self._open is None
 
-    def judged(self, image: NDArray[np.uint8], field: MarkerField, *, touched: bool) -> MarkerField:
+    def checked(self, image: NDArray[np.uint8], field: MarkerField, *, touched: bool) -> MarkerField:
         """The field tracked in a rectified frame uint8 [H, W, 3]; a "duplicate" where the frame is a copy.
 
         ``touched``: whether its markers are elsewhere than in the open gel.

@@ -142,12 +142,12 @@ def _squared(off: FloatArray) -> FloatArray:
 
 def _affine(rest: FloatArray, xy: FloatArray, valid: BoolArray) -> FloatArray:
     """``rest`` carried along by the affine map that fits the valid nodes best; ``rest`` itself if there are few."""
-    seen = rest[valid]
-    if len(seen) < 12:
+    known = rest[valid]
+    if len(known) < 12:
         return rest
-    middle = seen.mean(0)
-    x = np.ones((len(seen), 3))
-    x[:, :2] = seen - middle
+    middle = known.mean(0)
+    x = np.ones((len(known), 3))
+    x[:, :2] = known - middle
     normal = x.T @ x
     uu, vv, uv = normal[0, 0], normal[1, 1], normal[0, 1]
     if uu * vv - uv * uv <= _FLAT * (uu + vv) ** 2:  # all on one line

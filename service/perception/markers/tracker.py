@@ -218,8 +218,8 @@ def _whole(match: Match, spots_n: int) -> bool:
 
     Looking for another takes 50 to 100 ms, which an arm in contact cannot wait for.
     """
-    found_n = int(match.valid.sum())
-    return match.torn_n == 0 and (match.valid.size - found_n) + (spots_n - found_n) <= _SPARE * min(match.valid.shape)
+    hits_n = int(match.valid.sum())
+    return match.torn_n == 0 and (match.valid.size - hits_n) + (spots_n - hits_n) <= _SPARE * min(match.valid.shape)
 
 
 def _typical(step: FloatArray, valid: BoolArray) -> float:

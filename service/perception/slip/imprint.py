@@ -125,13 +125,15 @@ class _Grid:
         across, down = np.arange((columns - 1) * samples + 1), np.arange((rows - 1) * samples + 1)
         u, v = np.meshgrid(across / samples, down / samples)
         self._at = u.astype(np.float32), v.astype(np.float32)
-        seen = (np.hypot(u - np.rint(u), v - np.rint(v)) > _MARKER).astype(np.float32)
-        fine, slow = (cv2.GaussianBlur(seen, (0, 0), share * samples) + 1e-3 for share in (_FINE, _SLOW))
+        unmarked = (np.hypot(u - np.rint(u), v - np.rint(v)) > _MARKER).astype(np.float32)
+        fine, slow = (cv2.GaussianBlur(unmarked, (0, 0), share * samples) + 1e-3 for share in (_FINE, _SLOW))
         # As often as a picture has channels: numpy is slow where it repeats along a short last axis.
-        self._seen, self._fine, self._slow = (np.repeat(one[..., None], channels, 2) for one in (seen, fine, slow))
+        self._unmarked, self._fine, self._slow = (
+            np.repeat(one[..., None], channels, 2) for one in (unmarked, fine, slow)
+        )
         side = 2 * int(_AROUND * samples / 2) + 1
         self._box = (side, side)
-        self._boxed = cv2.boxFilter(seen, cv2.CV_32F, self._box)
+        self._boxed = cv2.boxFilter(unmarked, cv2.CV_32F, self._box)
 
     def look(self, image: NDArray[np.uint8], field: MarkerField) -> _Look:
         """The imprint, percent of the light around, and its relief."""
@@ -142,12 +144,12 @@ class _Grid:
         picture = cv2.remap(
             small, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         ).astype(np.float32)
-        lit = picture.reshape(self._seen.shape) * self._seen
+        lit = picture.reshape(self._unmarked.shape) * self._unmarked
         fine, slow = (
             cv2.GaussianBlur(lit, (0, 0), share * self._samples).reshape(lit.shape) / weight
             for share, weight in ((_FINE, self._fine), (_SLOW, self._slow))
         )
-        imprint = np.asarray(100 * (fine / np.maximum(slow, _DARK) - 1) * self._seen, np.float32)
+        imprint = np.asarray(100 * (fine / np.maximum(slow, _DARK) - 1) * self._unmarked, np.float32)
         return _Look(imprint, np.sqrt(self.power(imprint)))
 
     def power(self, imprint: FloatArray) -> FloatArray:

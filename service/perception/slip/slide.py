@@ -28,7 +28,7 @@ class SlideWitness:
 
     def __init__(self) -> None:
         self._changed = 0.0
-        self._seen: list[ImprintChange] = []
+        self._changes: list[ImprintChange] = []
 
     def update(self, fingers: Sequence[ImprintChange | None]) -> float | None:
         """How surely the object slides out, from 0 on surely enough; None where `terms` is."""
@@ -40,19 +40,19 @@ class SlideWitness:
 
         None of one finger, too, whose grip looks half as strong as it is.
         """
-        seen = [finger for finger in fingers if finger is not None]
-        if len(seen) < max(2, len(fingers)) or any(map(operator.is_, seen, self._seen)):
+        changes = [finger for finger in fingers if finger is not None]
+        if len(changes) < max(2, len(fingers)) or any(map(operator.is_, changes, self._changes)):
             return None
-        self._seen = seen
-        most = max(finger.changed for finger in seen)
+        self._changes = changes
+        most = max(finger.changed for finger in changes)
         twice, self._changed = min(self._changed, most), most
-        relief = math.hypot(*(finger.relief for finger in seen))
-        irregular = sum(min(finger.irregular_pitch, _IRREGULAR) for finger in seen)
+        relief = math.hypot(*(finger.relief for finger in changes))
+        irregular = sum(min(finger.irregular_pitch, _IRREGULAR) for finger in changes)
         return np.array(
             [
                 math.log(_LITTLE + twice),
-                math.log(_LITTLE + max(finger.changed_later for finger in seen)),
-                sum(finger.let_go for finger in seen) / len(seen),
+                math.log(_LITTLE + max(finger.changed_later for finger in changes)),
+                sum(finger.let_go for finger in changes) / len(changes),
                 math.log(1 + max(relief, _FAINT)),
                 math.log(_LITTLE + max(irregular, _REGULAR)),
             ]

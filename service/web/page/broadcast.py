@@ -30,8 +30,8 @@ def picture(frame: CameraFrame, observation: Observation | None, rectifier: Rect
     """What the page draws of one finger: a JPEG, and if it was perceived just now its markers, and which slip."""
     if observation is not None:
         field, slip = observation.field, observation.slip
-        told = shown(observation.finger, observation.image, slip.state, float(slip.score))
-        return told | {
+        drawn = shown(observation.finger, observation.image, slip.state, float(slip.score))
+        return drawn | {
             "rest": field.rest_px.ravel().round(1).tolist(),
             "moved": field.displacement_px.ravel().round(2).tolist(),
             "kinds": kinds(field.valid, slip.slipping, slip.sticking),
@@ -40,15 +40,15 @@ def picture(frame: CameraFrame, observation: Observation | None, rectifier: Rect
     pixels = frame.frame.pixels
     if rectifier is not None and pixels.shape == rectifier.camera.raw.shape:
         pixels = rectifier.apply(pixels)
-    told = shown(frame.frame.finger, pixels, "watching", 0.0)
-    return told | {"rest": [], "moved": [], "kinds": [], "pitch": 0.0}
+    drawn = shown(frame.frame.finger, pixels, "watching", 0.0)
+    return drawn | {"rest": [], "moved": [], "kinds": [], "pitch": 0.0}
 
 
 def kinds(valid: NDArray[Any], slipping: NDArray[Any], sticking: NDArray[Any]) -> list[int]:
     """What to show of each marker: -1 not seen, 0 outside the contact, 1 sticks, 2 slips (one array a kind)."""
     shown = np.where(slipping, 2, np.where(sticking, 1, 0))
-    told: list[int] = np.where(valid, shown, -1).ravel().tolist()
-    return told
+    codes: list[int] = np.where(valid, shown, -1).ravel().tolist()
+    return codes
 
 
 def shown(finger: Finger, pixels: NDArray[np.uint8], state: str, score: float) -> dict[str, Any]:

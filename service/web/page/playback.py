@@ -39,13 +39,13 @@ class Curves:
 
     def markers(self, finger: str, at_ns: int, data: bytes) -> None:
         """Slip, and how far the gel is sheared upwards since the attempt began, in marker pitches."""
-        told = Markers.FromString(data)
-        moved = np.array(told.displacement_px, np.float32).reshape(-1, 2)
-        valid = np.frombuffer(told.valid, np.uint8) > 0
+        markers = Markers.FromString(data)
+        moved = np.array(markers.displacement_px, np.float32).reshape(-1, 2)
+        valid = np.frombuffer(markers.valid, np.uint8) > 0
         if not valid.any():
             return
-        up = -float(moved[valid, 1].mean()) / _pitch(told)
-        self.slip[finger].append((at_ns, told.slip_score))
+        up = -float(moved[valid, 1].mean()) / _pitch(markers)
+        self.slip[finger].append((at_ns, markers.slip_score))
         self.push[finger].append((at_ns, up - self._rest.setdefault(finger, up)))
 
     def robot(self, at_ns: int, depth_mm: float | None) -> None:
@@ -56,8 +56,8 @@ class Curves:
         """A message of either side; the client's `arm` begins an attempt, whose gels are at rest."""
         if sender == "client" and message["type"] == "arm":
             self._rest.clear()
-        elif sender == "service" and (said := event(parse_service(json.dumps(message)))):
-            self.events.append((at_ns, said))
+        elif sender == "service" and (entry := event(parse_service(json.dumps(message)))):
+            self.events.append((at_ns, entry))
 
     def as_json(self) -> dict[str, Any]:
         """Seconds since the first of all points, and values; ``moments`` are the stamps of both fingers' frames."""
@@ -104,31 +104,31 @@ def timeline(path: Path) -> dict[str, Any]:
 
 def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
     """What a finger felt at a stamp of the timeline, as the page draws it; RecordingError if there is nothing."""
-    pixels, told = None, None
+    pixels, markers = None, None
     with path.open("rb") as stream:
         reader = make_reader(stream)
         calibration = next((m.metadata["calibration"] for m in reader.iter_metadata() if m.name == "insertion"), "")
         topics = [f"/{finger}/markers", *(f"/{finger}/{name}" for name in IMAGE.values())]
         for topic, _, data in _messages(reader, topics, at_ns):
             if topic.endswith("markers"):
-                told = Markers.FromString(data)
+                markers = Markers.FromString(data)
             else:
                 pixels = _pixels(topic, data)
-    if told is None:
+    if markers is None:
         raise RecordingError(f"{path.parent.name} has no markers of the {finger} finger at {at_ns}")
     if pixels is None:
         pixels = np.zeros((320, 327, 3), np.uint8)  # left out for lack of room: the markers remain
     elif calibration:
         rectify = _rectifier(calibration, finger)
         pixels = rectify.apply(pixels) if pixels.shape == rectify.camera.raw.shape else pixels
-    seen = np.frombuffer(told.valid, np.uint8)
+    valid = np.frombuffer(markers.valid, np.uint8)
     arrows = {
-        "rest": [round(v, 1) for v in told.rest_px],
-        "moved": [round(v, 2) for v in told.displacement_px],
-        "kinds": kinds(seen, _flags(told.slipping, seen.size), _flags(told.sticking, seen.size)),
-        "pitch": _pitch(told),
+        "rest": [round(v, 1) for v in markers.rest_px],
+        "moved": [round(v, 2) for v in markers.displacement_px],
+        "kinds": kinds(valid, _flags(markers.slipping, valid.size), _flags(markers.sticking, valid.size)),
+        "pitch": _pitch(markers),
     }
-    return shown(finger, pixels, told.state, told.slip_score) | arrows
+    return shown(finger, pixels, markers.state, markers.slip_score) | arrows
 
 
 def _messages(reader: McapReader, topics: list[str], at_ns: int | None = None) -> Iterator[tuple[str, int, bytes]]:
@@ -146,9 +146,9 @@ def _flags(recorded: bytes, count: int) -> NDArray[np.uint8]:
     return np.frombuffer(recorded, np.uint8) if len(recorded) == count else np.zeros(count, np.uint8)
 
 
-def _pitch(told: Any) -> float:
+def _pitch(markers: Any) -> float:
     """Distance of neighbouring markers at rest, px."""
-    rest = np.array(told.rest_px, np.float32).reshape(told.rows, told.cols, 2)
+    rest = np.array(markers.rest_px, np.float32).reshape(markers.rows, markers.cols, 2)
     return float(np.median(rest[:, 1:, 0] - rest[:, :-1, 0]))
 
 

@@ -23,6 +23,14 @@ PHASES = {
     "refused": "Not allowed to go down",
     "closing": "Down at full depth, checking that it is in",
 }
+CHARTS = {
+    "light": "the brightness of the pictures",
+    "markers": "how many of a gel's dots are seen",
+    "gel": "how unlike a gel is to the one that was calibrated",
+    "reach": "how far the gels are sheared at the stop",
+    "coverage": "how many 90 % intervals hold",
+    "trials": "how many attempts an object takes",
+}
 TIMES = {1: "once", 2: "twice"}
 SURE = ((0.9, "very sure"), (0.7, "fairly sure"), (0.45, "unsure"), (0.0, "guessing"))
 

@@ -14,7 +14,7 @@ from service.recordings.listing import list_recordings
 from service.session.station import Station
 from service.web.page.alarms import FILE, Alarms
 from service.web.page.running import Running
-from service.web.page.sentences import PHASES, ended, event
+from service.web.page.sentences import CHARTS, PHASES, ended, event
 
 EVENTS_N = 30
 AFRESH_S = 90.0  # the way to the fixture and back takes some 17 s in the simulated cell
@@ -60,6 +60,7 @@ class Status:
             "command": self._on_command,
             "camera_fault": self._on_camera_fault,
             "error": self._on_error,
+            "drift": self._on_drift,
         }
 
         def on_event(kind: str, content: Any) -> None:
@@ -151,6 +152,11 @@ class Status:
     def _on_error(self, detail: str) -> None:
         self._alarms.sound("service", "warning", "Fault of the service", detail=str(detail), remedy="Read its log.")
 
+    def _on_drift(self, drift: dict[str, str]) -> None:
+        title = f"The cell drifts: likely {drift['cause']}"
+        detail = f"It shows in {CHARTS[drift['chart']]}."
+        self._alarms.sound(f"drift {drift['chart']}", "warning", title, detail=detail, remedy=drift["remedy"])
+
     def acknowledge(self, number: int) -> bool:
         """A person has seen an alarm; False if there is no such alarm."""
         with self._lock:
@@ -204,9 +210,9 @@ class Status:
             if running.afresh_n and running.attempt == running.earlier_n:
                 counted = "Taken afresh: "
             words = PHASES.get(running.phase, running.phase)
-            said = words[0].lower() + words[1:] if counted else words
+            text = words[0].lower() + words[1:] if counted else words
             level = "warning" if running.phase in {"no_decision", "refused"} or bad else "busy"
-            return {"level": level, "words": counted + said, "detail": running.problem}
+            return {"level": level, "words": counted + text, "detail": running.problem}
         if stop is not None:
             return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy} {stop.detail}".strip()}
         if bad:
@@ -223,6 +229,8 @@ class Status:
         what, _, name = key.partition(" ")
         if what == "camera":
             return any(finger == name and self._station.cameras[finger].state != "live" for finger in FINGERS)
+        if what == "drift":
+            return self._station.manager.charts.level(name) >= 1.0
         return what == "recording" and bool(self._station.recording_problem)
 
     def _health(self) -> dict[str, Any]:
@@ -243,7 +251,7 @@ def _newest(station: Station) -> Last | None:
     listed, _ = list_recordings(station.settings.recordings, most_n=1)
     if not listed:
         return None
-    found = listed[0]
-    outcome, cause, attempts_n, named = (found[key] for key in ("outcome", "cause", "attempts", "object"))
+    newest = listed[0]
+    outcome, cause, attempts_n, named = (newest[key] for key in ("outcome", "cause", "attempts", "object"))
     words = ended(outcome, cause, attempts_n, named or "")
-    return Last(found["insertion_id"], outcome, cause, words, attempts_n, named or "", None, found["seconds"])
+    return Last(newest["insertion_id"], outcome, cause, words, attempts_n, named or "", None, newest["seconds"])

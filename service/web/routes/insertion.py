@@ -19,7 +19,7 @@ from service.web.closing import (
     POLICY_VIOLATION,
     TRY_AGAIN_LATER,
     Ending,
-    Seats,
+    Slots,
     close,
     until_gone,
     until_one_ends,
@@ -85,7 +85,7 @@ def ending_of(message: ServiceMessage) -> Ending | None:
 def router(station: Station, access: Access) -> APIRouter:
     """Route ``/v1/insertions/ws``, also as ``/v1/insertion`` and, for clients that name no path, ``/``."""
     routes = APIRouter()
-    watchers = Seats(MAX_WATCHERS)
+    watchers = Slots(MAX_WATCHERS)
 
     @routes.websocket("/")
     @routes.websocket("/v1/insertion")
@@ -97,8 +97,8 @@ def router(station: Station, access: Access) -> APIRouter:
         if access.allows(socket, "drive"):
             await converse(socket)
         else:
-            async with watchers.taken(socket) as seated:
-                if seated:
+            async with watchers.taken(socket) as admitted:
+                if admitted:
                     await converse(socket)
 
     async def converse(socket: WebSocket) -> None:

@@ -8,7 +8,7 @@ from fastapi.staticfiles import StaticFiles
 
 from service.session.station import Station
 from service.web.access import Access
-from service.web.closing import Ending, Seats, close, until_gone, until_one_ends
+from service.web.closing import Ending, Slots, close, until_gone, until_one_ends
 from service.web.page.broadcast import Broadcast, Page
 from service.web.page.status import Status
 
@@ -23,7 +23,7 @@ def static_files() -> StaticFiles:
 def router(station: Station, access: Access, status: Status) -> APIRouter:
     """Routes ``/`` (the page) and ``/v1/live`` (its events)."""
     routes = APIRouter(include_in_schema=False)
-    broadcast, seats = Broadcast(station, status), Seats(MAX_PAGES)
+    broadcast, slots = Broadcast(station, status), Slots(MAX_PAGES)
 
     @routes.get("/")
     async def page() -> FileResponse:
@@ -38,8 +38,8 @@ def router(station: Station, access: Access, status: Status) -> APIRouter:
         if not await access.admit(socket, "watch"):
             return
         await socket.accept()
-        async with seats.taken(socket) as seated:
-            if seated:
+        async with slots.taken(socket) as admitted:
+            if admitted:
                 with broadcast.page() as shown:
                     await close(socket, await until_one_ends(socket, _send(socket, shown), until_gone(socket)))
 

@@ -134,8 +134,8 @@ def _travel_mm(
     travels = [0.0]
     for begin, begin_ns, end in _descents(entries):
         messages = [e["event"].get("message") or {} for e in entries[: _held(entries, begin)] if "event" in e]
-        judged = [m.get("frame_captured_ns") or m.get("captured_ns") for m in messages]
-        captured = [stamp for m, stamp in zip(messages, judged, strict=True) if stamp and m["type"] in _JUDGED]
+        stamps = [m.get("frame_captured_ns") or m.get("captured_ns") for m in messages]
+        captured = [stamp for m, stamp in zip(messages, stamps, strict=True) if stamp and m["type"] in _ANSWERS]
         last_ns = max(captured, default=0)
         if injected_ns is not None and last_ns > injected_ns and fault.hides_s:
             last_ns = max(injected_ns, last_ns - int(min(fault.hides_s, 1e6) * 1e9))
@@ -148,7 +148,7 @@ def _travel_mm(
     return max(travels)
 
 
-_JUDGED = {"armed", "watching", "slip"}
+_ANSWERS = {"armed", "watching", "slip"}
 
 
 def _held(entries: list[dict[str, Any]], begin: int) -> int:
@@ -159,16 +159,16 @@ def _held(entries: list[dict[str, Any]], begin: int) -> int:
 
 def _descents(entries: list[dict[str, Any]]) -> list[tuple[int, int, int]]:
     """Of each descent its index, its begin on the steady clock, and the index of what ends it: a move, or the end."""
-    found: list[tuple[int, int, int]] = []
+    descents: list[tuple[int, int, int]] = []
     begin, last_ns = None, 0
     for index, entry in enumerate(entries):
         last_ns = round(entry.get("event", {}).get("at_s", last_ns / 1e9) * 1e9)
         if entry.get("command", {}).get("kind") != "move":
             continue
         if begin is not None:
-            found.append((*begin, index))
+            descents.append((*begin, index))
         begin = (index, last_ns) if entry["command"]["motion"] == "descend" else None
-    return found if begin is None else [*found, (*begin, len(entries))]
+    return descents if begin is None else [*descents, (*begin, len(entries))]
 
 
 def _stamp_of(entries: list[dict[str, Any]], index: int) -> float:

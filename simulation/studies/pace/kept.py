@@ -48,8 +48,8 @@ def kept(docs: Path) -> Row:
 def _read(path: Path) -> Row:
     if not path.exists():
         raise ValueError(f"{path}: no such file; expected the published results, as in docs/")
-    found: Row = json.loads(path.read_text(encoding="utf-8"))
-    return found
+    results: Row = json.loads(path.read_text(encoding="utf-8"))
+    return results
 
 
 def _of_test(name: str) -> bool:

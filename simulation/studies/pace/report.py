@@ -205,7 +205,7 @@ def pace_page(data: Row) -> str:
 def _figures(kept: Row) -> str:
     """What the figures show, and what is left out of them."""
     slip, builds = kept["slip"], {row["name"]: row for row in kept["builds"]}
-    seen, true = slip["images"], slip["true fields"]
+    images, true = slip["images"], slip["true fields"]
     return f"""
     A star is what ships; bars are intervals of 95 %. (a) The paper states no speed and no time a box, so its pace has
     no mark. (b) and (c): held-out simulated decisions of the [depths](depths.md) and of each model's card; [what a
@@ -216,8 +216,8 @@ def _figures(kept: Row) -> str:
     computed and not drawn.
 
     Slip has no figure, because there is nothing to choose: one tracker ships, {slip["ms"]:.1f} ms a frame of a finger.
-    From pictures it is right in {Estimate(*seen["accuracy"]):.1%}, from true fields in
-    {Estimate(*true["accuracy"]):.1%}, both with a median delay of {seen["delay_frames"]["median"]:.0f} frame and no
+    From pictures it is right in {Estimate(*images["accuracy"]):.1%}, from true fields in
+    {Estimate(*true["accuracy"]):.1%}, both with a median delay of {images["delay_frames"]["median"]:.0f} frame and no
     false alarm ([slip report](slip_report.md)).
 
     The same figures to hover and zoom in, with every interval: `pip install plotly`, then `python -m simulation pace

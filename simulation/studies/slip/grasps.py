@@ -28,12 +28,12 @@ def figures(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]:
 
     ``evidence``: what the slide witness read; it is fitted and judged without each object in turn.
     """
-    found = {row["run"]: row for row in rows}
-    missing = sorted(set(labels["slip"]) - set(found))
+    by_run = {row["run"]: row for row in rows}
+    missing = sorted(set(labels["slip"]) - set(by_run))
     if missing:
         raise ValueError(f"no rows of {', '.join(missing)}: judge the whole folder")
-    slips = [{"run": run, "label": label, "row": found[run]} for run, label in labels["slip"].items()]
-    holds = [row for run, row in found.items() if run not in labels["slip"]]
+    slips = [{"run": run, "label": label, "row": by_run[run]} for run, label in labels["slip"].items()]
+    holds = [row for run, row in by_run.items() if run not in labels["slip"]]
     emptied = {run for run, label in labels["held"].items() if label["emptied"] is not None}
     lost = [slip for slip in slips if slip["label"]["lost"] is not None]
     visible = [slip for slip in lost if slip["label"]["slide"] is not None]
@@ -78,18 +78,18 @@ def share(hits: Sequence[bool]) -> dict[str, Any]:
 
 
 def _near(slip: Row) -> bool:
-    told = slip["row"]["lost_frame"]
-    return told is not None and abs(told - slip["label"]["lost"]) <= NEAR_N
+    frame = slip["row"]["lost_frame"]
+    return frame is not None and abs(frame - slip["label"]["lost"]) <= NEAR_N
 
 
-def _warned(told: int | None, slip: Row) -> bool:
-    return told is not None and told <= slip["label"]["lost"] - AHEAD_N
+def _warned(frame: int | None, slip: Row) -> bool:
+    return frame is not None and frame <= slip["label"]["lost"] - AHEAD_N
 
 
 def _by_markers(row: Row) -> int | None:
     """The first frame in which the markers of any finger told slip, None if they never did."""
-    told = [finger["slip_frame"] for finger in row["fingers"].values() if finger["slip_frame"] is not None]
-    return min(told, default=None)
+    frames = [finger["slip_frame"] for finger in row["fingers"].values() if finger["slip_frame"] is not None]
+    return min(frames, default=None)
 
 
 def _lead_s(slip: Row) -> float:
@@ -105,13 +105,13 @@ def _held_n(row: Row) -> int:
 
 
 def _beside(slip: Row) -> dict[str, Any]:
-    told, label = slip["row"], slip["label"]
+    row, label = slip["row"], slip["label"]
     return {
         "run": slip["run"],
         "slide": label["slide"],
         "lost": label["lost"],
-        **{name: told[f"{name}_frame"] for name in ("contact", "hold", "slip")},
-        "told_lost": told["lost_frame"],
+        **{name: row[f"{name}_frame"] for name in ("contact", "hold", "slip")},
+        "told_lost": row["lost_frame"],
     }
 
 

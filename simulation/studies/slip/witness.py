@@ -78,8 +78,8 @@ def fitted(runs: Sequence[Run]) -> Float64:
         negative = np.concatenate([_most(one, weights, _NEGATIVE_N) for one in holds])
         usual = np.concatenate([one[::_EVERY] for one in holds])
         shares = np.repeat([1 / _POSITIVE_N, 1 / _NEGATIVE_N, 0.02], [len(positive), len(negative), len(usual)])
-        told = np.arange(len(shares)) < len(positive)
-        weights = _logistic(np.concatenate([positive, negative, usual]), told, shares)
+        labels = np.arange(len(shares)) < len(positive)
+        weights = _logistic(np.concatenate([positive, negative, usual]), labels, shares)
     raw = weights / spread
     highest = np.sort([float((one @ weights).max()) for one in holds])[::-1]
     return np.append(raw, -raw @ mean - highest[min(FALSE_RUNS, len(highest) - 1)])
@@ -89,14 +89,14 @@ def _most(frames: Float64, weights: Float64, count: int) -> Float64:
     return np.asarray(frames[np.argsort(-(frames @ weights))[:count]])
 
 
-def _logistic(terms: Float64, told: NDArray[np.bool_], shares: Float64) -> Float64:
+def _logistic(terms: Float64, labels: NDArray[np.bool_], shares: Float64) -> Float64:
     """Weights of a ridge logistic regression, by Newton's method; its bias is left to the limit."""
     columns = np.column_stack([terms, np.ones(len(terms))])
     ridge = np.diag([_RIDGE] * terms.shape[1] + [1e-6])
     weights = np.zeros(columns.shape[1])
     for _ in range(60):
         chance = 1 / (1 + np.exp(-np.clip(columns @ weights, -30, 30)))
-        slope = columns.T @ (shares * (chance - told)) + ridge @ weights
+        slope = columns.T @ (shares * (chance - labels)) + ridge @ weights
         bend = (columns * (shares * chance * (1 - chance) + 1e-9)[:, None]).T @ columns + ridge
         weights -= np.linalg.solve(bend, slope)
     return weights[:-1]

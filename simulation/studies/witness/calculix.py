@@ -133,16 +133,16 @@ def press(mesh: Mesh, rubber: Rubber, side: int, path: Sequence[Array]) -> Answe
 
 
 def _deck(mesh: Mesh, rubber: Rubber, side: int, path: Sequence[Array]) -> Iterator[str]:
-    plate = int(mesh.ids[-1]) + 1 + np.arange(8)
+    plate_ids = int(mesh.ids[-1]) + 1 + np.arange(8)
     count, other = len(mesh.bricks), TOWARDS_HIGH_Y if side > 0 else TOWARDS_LOW_Y
     yield "*NODE, NSET=ALL"
-    for number, place in zip((*mesh.ids, *plate), (*mesh.places, *path[0]), strict=True):
+    for number, place in zip((*mesh.ids, *plate_ids), (*mesh.places, *path[0]), strict=True):
         yield f"{number}, {place[0]:.9g}, {place[1]:.9g}, {place[2]:.9g}"
     yield "*ELEMENT, TYPE=C3D20R, ELSET=GEL"
     for number, nodes in enumerate(mesh.bricks, 1):
         yield f"{number}, {', '.join(map(str, nodes[:15]))},"
         yield ", ".join(map(str, nodes[15:]))
-    yield f"*ELEMENT, TYPE=C3D8, ELSET=PLATE\n{count + 1}, {', '.join(map(str, plate))}"
+    yield f"*ELEMENT, TYPE=C3D8, ELSET=PLATE\n{count + 1}, {', '.join(map(str, plate_ids))}"
     for name, nodes in (("FACE", mesh.face), ("BACK", mesh.back)):
         yield f"*NSET, NSET={name}"
         yield from (f"{number}," for number in nodes)
@@ -154,7 +154,7 @@ def _deck(mesh: Mesh, rubber: Rubber, side: int, path: Sequence[Array]) -> Itera
     for number, corners in enumerate(path[1:], 2):
         yield "*STEP, INC=400" + (", NLGEOM" if rubber.large else "")
         yield "*STATIC\n1., 1., 1e-4, 1.\n*BOUNDARY"
-        for node, moved in zip(plate, corners - path[0], strict=True):
+        for node, moved in zip(plate_ids, corners - path[0], strict=True):
             yield from (f"{node}, {axis}, {axis}, {value:.12g}" for axis, value in enumerate(moved, 1))
         if number == len(path):
             yield "*NODE PRINT, NSET=FACE, FREQUENCY=999\nU\n*NODE PRINT, NSET=BACK, TOTALS=ONLY, FREQUENCY=999\nRF"
@@ -192,10 +192,10 @@ def _answer(mesh: Mesh, deck: Path) -> Answer:
 
 def _block(text: str, title: str) -> list[str]:
     """Lines of numbers below the last heading that begins with a title."""
-    found = list(re.finditer(rf"^ {title}.*\n\n((?: +[-\d].*\n?)+)", text, re.MULTILINE))
-    if not found:
+    blocks = list(re.finditer(rf"^ {title}.*\n\n((?: +[-\d].*\n?)+)", text, re.MULTILINE))
+    if not blocks:
         raise CalculixError(f"no {title!r} in what it printed")
-    return found[-1].group(1).splitlines()
+    return blocks[-1].group(1).splitlines()
 
 
 def _contact(text: str) -> dict[int, tuple[float, float, float]]:

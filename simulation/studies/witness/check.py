@@ -127,8 +127,8 @@ def compared(probe: Probe, cells: tuple[int, int, int] = CELLS) -> dict[str, Any
     rubber = Rubber(gel.shear_modulus_n_per_mm2, pad.poisson_ratio, gel.friction)
     path, began = _way(cell, probe.side), time.monotonic()
     theirs = calculix.press(Mesh(pad, probe.side, cells), rubber, probe.side, path)
-    said = asdict(probe) | {"poisson_ratio": pad.poisson_ratio, "thickness_mm": gel.thickness_mm}
-    return said | {"ours_cpu_s": ours_s, "calculix_s": time.monotonic() - began} | _apart(cell, probe.side, theirs)
+    row = asdict(probe) | {"poisson_ratio": pad.poisson_ratio, "thickness_mm": gel.thickness_mm}
+    return row | {"ours_cpu_s": ours_s, "calculix_s": time.monotonic() - began} | _apart(cell, probe.side, theirs)
 
 
 def large(probe: Probe) -> dict[str, Any]:
@@ -183,8 +183,8 @@ def _apart(cell: RecordedCell, side: int, theirs: calculix.Answer) -> dict[str, 
     pressure, shear = theirs.pressure[at], theirs.shear[at]
     touching = pressure > TOUCHES * float(pressure.mean())
     slides = touching & (shear >= SLIDES * cell.scene.gel.friction * pressure)
-    judged = cell.pads.judge(grip, cell.pads.planes(cell.held, grip.on), grip.on, None)
-    ours, drag = judged.pressing[mine][same], np.linalg.norm(judged.drag[mine][same], axis=1)
+    terms = cell.pads.evaluate(grip, cell.pads.planes(cell.held, grip.on), grip.on, None)
+    ours, drag = terms.pressing[mine][same], np.linalg.norm(terms.drag[mine][same], axis=1)
     closed = grip.status[mine][same] != OPEN
     return {
         "force_n": [force.tolist(), theirs.force.tolist()],

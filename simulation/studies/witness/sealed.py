@@ -85,8 +85,8 @@ def _job(seed: int, index: int, start: Start, cell: str) -> dict[str, Any]:
     own = cell != WITNESS
     changes = {**start.world.changes, **({"gel.tier": cell} if own else {})}
     at, title = (start.x_mm, start.theta_deg), f"{start.world.name}: {cell}"
-    told = {"condition": title, "changes": changes, "cell": "" if own else "foreign"}
-    return job_in(start.world, start.scene, index, at, seed, **told)
+    options = {"condition": title, "changes": changes, "cell": "" if own else "foreign"}
+    return job_in(start.world, start.scene, index, at, seed, **options)
 
 
 def report_of(rows: Sequence[Row], begun: Sequence[Opened], cells: Sequence[str], setup: Row) -> Row:

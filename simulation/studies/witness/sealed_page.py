@@ -102,8 +102,11 @@ def _asked_and_reached(whole: Row) -> str:
     missed, reached = (
         [text for text, good in zip(sentences, holds, strict=True) if good is asked] for asked in (False, True)
     )
-    said = [f"**Missed:** {'. '.join(missed)}." if missed else "", f"Reached: {'. '.join(reached)}." if reached else ""]
-    return "\n\n".join(said)
+    paragraphs = [
+        f"**Missed:** {'. '.join(missed)}." if missed else "",
+        f"Reached: {'. '.join(reached)}." if reached else "",
+    ]
+    return "\n\n".join(paragraphs)
 
 
 def cause(row: Row) -> str:

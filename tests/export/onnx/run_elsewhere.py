@@ -18,8 +18,8 @@ def with_openvino(model, inputs, outputs):
     import openvino
 
     compiled = openvino.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
-    found = compiled(inputs)
-    np.savez(outputs, **{output.get_any_name(): found[output] for output in compiled.outputs})
+    results = compiled(inputs)
+    np.savez(outputs, **{output.get_any_name(): results[output] for output in compiled.outputs})
 
 
 def with_onnxsim(model, _inputs, outputs):

@@ -18,9 +18,9 @@ from tests.export.conftest import export_tiny
 @pytest.mark.slow
 def test_every_role_is_written_in_its_forms(tmp_path):
     export_tiny(tmp_path)
-    found = {str(file.relative_to(tmp_path)) for file in tmp_path.rglob("*.onnx")}
+    files = {str(file.relative_to(tmp_path)) for file in tmp_path.rglob("*.onnx")}
     pair = {f"{role}.{form}.onnx" for role in ("direction", "magnitude") for form in ("step", "sequence")}
-    assert found == pair | {"joint/joint.step.onnx", "joint/joint.sequence.onnx", "pair/pair.step.onnx"}
+    assert files == pair | {"joint/joint.step.onnx", "joint/joint.sequence.onnx", "pair/pair.step.onnx"}
     assert sum(" = " in line for line in verify(tmp_path, STEPS) + verify(tmp_path / "joint", STEPS)) == 3
 
 
@@ -73,13 +73,13 @@ def test_the_service_decides_with_both_networks_in_one_graph(models):
     chosen = load_models(models / "pair")
     assert [step.card.role for step in chosen.steps] == ["pair"]
     frames = golden_frames(chosen.card.frame, 8)
-    said = []
+    evidence = []
     for folder in (models / "pair", models):
         run = DecisionRun(load_models(folder), frames[0], 56.0)
         for frame in frames:
             run.step(frame)
-        said.append(run.evidence())
-    np.testing.assert_allclose(said[0].probabilities, said[1].probabilities, atol=1e-5)
+        evidence.append(run.evidence())
+    np.testing.assert_allclose(evidence[0].probabilities, evidence[1].probabilities, atol=1e-5)
 
 
 def test_the_joint_density_verifies_in_a_folder_of_its_own(models):
@@ -150,12 +150,12 @@ def test_a_model_whose_two_forms_differ_is_refused(models, tmp_path):
 def test_a_wrong_dtype_or_shape_is_named(models):
     model = open_model(models / "direction.sequence.onnx")
     assert isinstance(model.card, ModelCard)
-    for bad, told in (
+    for bad, message in (
         (np.zeros((1, 8, 2, 320, 327, 3), np.float32), r"frames is float32\[1, 8, 2, 320, 327, 3\], expected uint8"),
         (np.zeros((1, 8, 2, 319, 327, 3), np.uint8), r"319.*expected uint8\[B, 8, 2, 320, 327, 3\]"),
         (np.zeros((1, 8, 2, 320, 327), np.uint8), r"expected uint8\[B, 8, 2, 320, 327, 3\]"),
     ):
-        with pytest.raises(ContractError, match=told):
+        with pytest.raises(ContractError, match=message):
             decide(model, bad)
     with pytest.raises(
         ContractError, match=r"was given \['frame'\], expected \['frames', 'gap_width_mm', 'grasp_height_mm'\]"

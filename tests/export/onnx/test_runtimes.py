@@ -55,22 +55,22 @@ def elsewhere(variable, what, file, folder, suffix=".npz"):
     return made, done.stdout.strip().splitlines()[-1]
 
 
-def same(found, file):
+def same(outputs, file):
     for output, values in results(file, example(file)).items():
-        np.testing.assert_allclose(found[output], values, atol=1e-4, rtol=1e-4)
+        np.testing.assert_allclose(outputs[output], values, atol=1e-4, rtol=1e-4)
 
 
 def test_the_oldest_runtime_says_what_the_newest_says(file, tmp_path):
     made, version = elsewhere("OLD_RUNTIME_PYTHON", "onnxruntime", file, tmp_path)
     assert version.startswith("1.17")
-    with np.load(made) as found:
-        same(found, file)
+    with np.load(made) as outputs:
+        same(outputs, file)
 
 
 def test_openvino_says_what_onnxruntime_says(file, tmp_path):
     made, _ = elsewhere("GRAPH_PYTHON", "openvino", file, tmp_path)
-    with np.load(made) as found:
-        same(found, file)
+    with np.load(made) as outputs:
+        same(outputs, file)
 
 
 def test_onnxsim_simplifies_it_to_a_graph_that_says_the_same(file, tmp_path):

@@ -86,7 +86,7 @@ def extremes_in_the_robot_client(_seed: int) -> float:
 )
 def extremes_in_the_decision(_seed: int) -> float:
     direction, magnitude, joint = _cards()
-    eye = np.eye(len(joint.grid_x_mm), len(joint.grid_theta_deg), dtype=bool)
+    diagonal = np.eye(len(joint.grid_x_mm), len(joint.grid_theta_deg), dtype=bool)
 
     def belief(value: float) -> object:
         grid = BeliefGrid()
@@ -100,7 +100,7 @@ def extremes_in_the_decision(_seed: int) -> float:
         return [evidence.probabilities, evidence.error, evidence.sigma]
 
     def density(value: float) -> object:
-        evidence = from_joint(joint, {"log_density": np.where(eye, value, 0.0)[None]})
+        evidence = from_joint(joint, {"log_density": np.where(diagonal, value, 0.0)[None]})
         return [evidence.probabilities, evidence.error, evidence.sigma]
 
     return spilled(

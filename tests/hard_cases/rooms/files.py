@@ -113,8 +113,8 @@ def files_that_end_early(seed: int) -> float:
     guard=Guard("service.perception.rectification:_MIN_AREA_SHARE", "no part of the raw frame need be in view", -1.0),
 )
 def calibrations_that_show_nothing(_seed: int) -> float:
-    eye = np.eye(3)
-    far, horizon, nan = eye.copy(), eye.copy(), eye.copy()
+    identity = np.eye(3)
+    far, horizon, nan = identity.copy(), identity.copy(), identity.copy()
     far[:2, 2] = 1e4
     beside = np.array([[1.0, 0.0, -600.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     horizon[2, 0] = -1 / 150

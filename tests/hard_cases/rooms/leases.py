@@ -18,7 +18,7 @@ from service.cameras.sources import capture_ns
 from service.contract import FINGERS, Finger, TactileFrame, wire
 from service.decision.attempt import Attempt, Stage
 from service.perception.observation import Observation
-from tests.hard_cases.descents import BOUND_MM, END_S, ENDLESS, FAULT_S, JUDGED_S, Descent
+from tests.hard_cases.descents import ANSWERED_S, BOUND_MM, END_S, ENDLESS, FAULT_S, Descent
 from tests.hard_cases.registry import Guard, case, not_refused
 from tests.hard_cases.rooms.links import MESSAGES
 
@@ -126,7 +126,7 @@ def fresh_frames_after_the_end(_seed: int) -> float:
 
     def heard(now_s: float) -> list[Any]:
         back = now_s > FAULT_S + 0.112
-        return descent.watched(now_s, END_S) if back or now_s <= FAULT_S + JUDGED_S + 0.01 else []
+        return descent.watched(now_s, END_S) if back or now_s <= FAULT_S + ANSWERED_S + 0.01 else []
 
     return descent.way_mm(heard)
 

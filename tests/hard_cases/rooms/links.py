@@ -84,10 +84,10 @@ def datagrams_of_random_bytes(seed: int) -> float:
                 data[place] = int(rng.integers(256))
         for decode in (decode_guidance, decode_robot):
             try:
-                found = decode(bytes(data))
+                decoded = decode(bytes(data))
             except EgmError:
                 continue
-            target = found.pose if isinstance(found, Guidance) else found.feedback
+            target = decoded.pose if isinstance(decoded, Guidance) else decoded.feedback
             wrong += 0.0 if target is None else non_finite(target.x_mm, target.y_mm, target.z_mm, *target.quaternion)
     return wrong
 
@@ -110,13 +110,13 @@ def gripper_frames_after_garbage(seed: int) -> float:
         damaged = bytearray(frame)
         damaged[-1] ^= 0x5A
         stream += bytes(damaged) + b"\xaa\xaa" + frame
-    parser, found = StreamParser(), []
+    parser, frames = StreamParser(), []
     while stream:
         cut = int(rng.integers(1, 40))
-        found += parser.feed(stream[:cut])
+        frames += parser.feed(stream[:cut])
         stream = stream[cut:]
     wanted = {frame[3] for frame in good}
-    return float(len(wanted - {frame.command for frame in found}))
+    return float(len(wanted - {frame.command for frame in frames}))
 
 
 @case(

@@ -84,9 +84,8 @@ def rigid_fits_without_a_solution(seed: int) -> tuple[float, str]:
     given = sum(fit_motion(p, p + 1, np.ones(len(p)), PITCH, scale=s) is not None for p in sets for s in (True, False))
     nearly = line + rng.normal(0, 0.5, line.shape)
     spread = np.linalg.eigvalsh(np.cov(nearly.T))
-    return float(
-        given
-    ), f"condition {spread[1] / spread[0]:.0e} on the nearly straight line: refused below 0.3 pitch across"
+    condition = f"condition {spread[1] / spread[0]:.0e} on the nearly straight line"
+    return float(given), f"{condition}: refused below 0.3 pitch across"
 
 
 @case(
@@ -98,8 +97,8 @@ def rigid_fits_without_a_solution(seed: int) -> tuple[float, str]:
 def rigid_fits_without_weight(seed: int) -> float:
     points = np.random.default_rng(seed).uniform(0, 300, (30, 2))
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = [fit_motion(points, points, w, PITCH, scale=True) for w in (np.zeros(30), np.eye(30)[0])]
-    return float(sum(motion is not None for motion in found))
+        motions = [fit_motion(points, points, w, PITCH, scale=True) for w in (np.zeros(30), np.eye(30)[0])]
+    return float(sum(motion is not None for motion in motions))
 
 
 @case(
@@ -114,17 +113,13 @@ def rigid_fits_without_weight(seed: int) -> float:
     limit=1e-6,
 )
 def rotations_of_any_angle(seed: int) -> float:
-    rng = np.random.default_rng(seed)
-    worst = 0.0
+    rng, worst = np.random.default_rng(seed), 0.0
     for degrees in (1e-6, 5.0, 45.0, 90.0, 179.0, -120.0):
         points = rng.uniform(0, 300, (60, 2))
-        motion = fit_motion(points, twist(points, degrees, shift=(3.0, -2.0)), np.ones(60), PITCH, scale=False)
-        moved = motion.apply(points)
-        worst = max(
-            worst,
-            abs(np.rad2deg(motion.angle_rad) - degrees),
-            float(np.abs(moved - twist(points, degrees, shift=(3.0, -2.0))).max()),
-        )
+        turned = twist(points, degrees, shift=(3.0, -2.0))
+        motion = fit_motion(points, turned, np.ones(60), PITCH, scale=False)
+        off_px = float(np.abs(motion.apply(points) - turned).max())
+        worst = max(worst, abs(np.rad2deg(motion.angle_rad) - degrees), off_px)
     return worst
 
 
@@ -137,11 +132,11 @@ def rotations_of_any_angle(seed: int) -> float:
 )
 def rotations_far_from_the_origin(seed: int) -> float:
     points = np.random.default_rng(seed).uniform(0, 300, (60, 2))
-    found = []
+    turns_deg = []
     for offset in (0.0, 1e6):
         before, after = points + offset, twist(points, 7.0) + offset
-        found.append(np.rad2deg(fit_motion(before, after, np.ones(60), PITCH, scale=False).angle_rad))
-    return abs(float(found[0] - found[1]))
+        turns_deg.append(np.rad2deg(fit_motion(before, after, np.ones(60), PITCH, scale=False).angle_rad))
+    return abs(float(turns_deg[0] - turns_deg[1]))
 
 
 @case(
@@ -152,15 +147,10 @@ def rotations_far_from_the_origin(seed: int) -> float:
     quick=False,
 )
 def twists_of_sixty_degrees(seed: int) -> float:
-    slips, slip = 0, None
-    fields, _ = patch_fields(rigid(degrees=5.0), frames=13, seed=seed)
-    for k, field in enumerate(fields):
-        if slip is None:
-            slip = SlipDetector()
-            slip.rearm(field)
-            continue
-        slips += slip.update(field).state == "incipient_slip" and k > 0
-    return float(slips)
+    (first, *others), _ = patch_fields(rigid(degrees=5.0), frames=13, seed=seed)
+    slip = SlipDetector()
+    slip.rearm(first)
+    return float(sum(slip.update(field).state == "incipient_slip" for field in others))
 
 
 @case(
@@ -172,8 +162,7 @@ def twists_of_sixty_degrees(seed: int) -> float:
     quick=False,
 )
 def jumps_of_almost_a_pitch(seed: int) -> float:
-    rng = np.random.default_rng(seed)
-    worst = 0.0
+    rng, worst = np.random.default_rng(seed), 0.0
     for angle in np.deg2rad([0, 30, 45, 90, 200]):
         tracker = MarkerTracker()
         tracker.update(draw(REST, rng), 0)
@@ -300,15 +289,11 @@ def exposures_that_jump(seed: int) -> float:
     ),
 )
 def raw_frames_of_another_size(seed: int) -> float:
-    rectifier = Rectifier(
-        CameraCalibration(
-            np.array([[1.0, 0.05, -40.0], [0.02, 1.0, 5.0], [1e-4, 1e-5, 1.0]]), SENSOR.raw, SENSOR.rectified
-        )
-    )
+    homography = np.array([[1.0, 0.05, -40.0], [0.02, 1.0, 5.0], [1e-4, 1e-5, 1.0]])
+    rectifier = Rectifier(CameraCalibration(homography, SENSOR.raw, SENSOR.rectified))
     rng = np.random.default_rng(seed)
     shapes = [(320, 426, 3), (321, 427, 3), (320, 427), (0, 0, 3)]
-    missed = not_refused(
-        [lambda s=s: rectifier.apply(rng.integers(0, 256, s, dtype=np.uint8)) for s in shapes], ValueError
-    )
+    calls = [lambda s=s: rectifier.apply(rng.integers(0, 256, s, dtype=np.uint8)) for s in shapes]
+    missed = not_refused(calls, ValueError)
     whole = rectifier.apply(np.full((320, 427, 3), 200, np.uint8))
     return missed + float(whole.shape != (320, 327, 3))

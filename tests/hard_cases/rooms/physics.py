@@ -197,11 +197,9 @@ for _tier in ("bristle", "layer"):
 )
 def gel_stiffness_over_six_decades(seed: int) -> tuple[float, str]:
     worst, refused, solved = 0.0, 0, 0
+    ends = {"shear_modulus_n_per_mm2": (0.005, 5.0), "thickness_mm": (10.0, 0.3), "normal_ratio": (0.5, 50.0)}
     for share in np.linspace(0.0, 1.0, 7):
-        modulus, thickness, ratio = (
-            float(low * (high / low) ** share) for low, high in ((0.005, 5.0), (10.0, 0.3), (0.5, 50.0))
-        )
-        gel = {"gel__shear_modulus_n_per_mm2": modulus, "gel__thickness_mm": thickness, "gel__normal_ratio": ratio}
+        gel = {f"gel__{key}": float(low * (high / low) ** share) for key, (low, high) in ends.items()}
         try:
             worst = max(worst, worst_of(grasped("rectangle", 8.0, 5.0, seed, **gel)))
             solved += 1

@@ -270,7 +270,7 @@ def test_a_services_text_cannot_command_the_operators_terminal(capsys):
             return await _insert(cell.settings, plan, live=True, log=None)
 
     assert not asyncio.run(story()).done
-    said = capsys.readouterr().out
-    assert said.replace("\n", "").isprintable()
-    assert "\\x1b[2J\\x1b]0;owned\\x07\\rINSERTED" in said
-    assert not any(line.startswith("INSERTED") for line in said.splitlines())
+    printed = capsys.readouterr().out
+    assert printed.replace("\n", "").isprintable()
+    assert "\\x1b[2J\\x1b]0;owned\\x07\\rINSERTED" in printed
+    assert not any(line.startswith("INSERTED") for line in printed.splitlines())

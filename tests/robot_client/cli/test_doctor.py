@@ -125,7 +125,7 @@ FAULTS = {
 }
 
 
-async def found(inject):
+async def findings_of(inject):
     async with bench() as cell:
         cell.service_limits = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=250.0)
         with_(cell)
@@ -142,7 +142,7 @@ async def found(inject):
 def examined():
     """The rows of a healthy cell, and of one for each fault."""
     injected = {"healthy": lambda _cell: None} | {name: inject for name, (inject, _, _) in FAULTS.items()}
-    return side_by_side({name: found(inject) for name, inject in injected.items()})
+    return side_by_side({name: findings_of(inject) for name, inject in injected.items()})
 
 
 def test_a_healthy_cell_has_nothing_wrong(examined):

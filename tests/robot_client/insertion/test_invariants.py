@@ -111,7 +111,7 @@ class Watch:
     def __init__(self):
         self.arms = []
         self.aborts = 0
-        self.seen_s = 0.0  # capture of the newest frame that was judged
+        self.captured_s = 0.0  # capture of the newest frame that was judged
         self.corrected = 0.0, 0.0
 
     def check(self, before, event, state, commands):
@@ -130,12 +130,12 @@ class Watch:
         self.check_reactions(before, event, state, commands)
         if not state.done and state.phase is not Phase.START:
             assert math.isfinite(state.deadline_s), "nothing may wait for ever"
-        self.seen_s = max(self.seen_s, getattr(message_of(event), "frame_captured_ns", 0) / 1e9)
+        self.captured_s = max(self.captured_s, getattr(message_of(event), "frame_captured_ns", 0) / 1e9)
         for command in commands:
             self.check_command(before, state, command)
             until_s = getattr(command, "until_s", None)
             if until_s is not None:
-                assert event.at_s < until_s <= self.seen_s + PLAN.lease.lasts_s(10.0) + 1e-9
+                assert event.at_s < until_s <= self.captured_s + PLAN.lease.lasts_s(10.0) + 1e-9
 
     def check_reactions(self, before, event, state, commands):
         if isinstance(event, Tick) and event.at_s >= before.deadline_s and not before.done:

@@ -46,7 +46,7 @@ def camera(rate_hz):
     return wire.CameraEntry.model_construct(finger="left", state="streaming", frame_rate_hz=rate_hz)
 
 
-def told(plan, rate_hz=60.0):
+def begun(plan, rate_hz=60.0):
     """Commands up to the descent, with cameras of that rate."""
     story = [*TO_ARMING[:1], service(hello(cameras=(camera(rate_hz),))), *TO_ARMING[2:], service(armed(1))]
     return run(story, State(plan))
@@ -74,7 +74,7 @@ def test_no_leg_of_a_descent_is_faster_than_allowed_there_and_no_change_harder(l
 
 
 def test_a_descent_is_fast_only_well_above_and_well_below_the_tops():
-    _, commands = told(FAST)
+    _, commands = begun(FAST)
     move = descent(commands)
     guide = MotionGuide(FAST.limits, FAST.ramps, APPROACH)
     guide.move(move.target, "descend", 1e9, move.legs)
@@ -90,7 +90,7 @@ def test_a_descent_is_fast_only_well_above_and_well_below_the_tops():
 
 
 def test_the_lease_of_a_fast_descent_keeps_both_ways_in_mm():
-    state, commands = told(FAST)
+    state, commands = begun(FAST)
     lasts_s = descent(commands).until_s
     lag_s = FAST.lease.stop_lag_s
     assert 25.0 * (lasts_s + lag_s) <= FAST.pace.fast_travel_mm + 1e-9
@@ -103,7 +103,7 @@ def test_the_lease_of_a_fast_descent_keeps_both_ways_in_mm():
 
 @pytest.mark.parametrize("rate_hz", [25.0, 30.0])
 def test_with_cameras_too_slow_for_it_the_descent_is_slow_all_the_way(rate_hz):
-    _, commands = told(FAST, rate_hz)
+    _, commands = begun(FAST, rate_hz)
     assert descent(commands).legs == ()
     assert descent(commands).until_s == pytest.approx(FAST.lease.lasts_s(10.0))
 
@@ -111,7 +111,7 @@ def test_with_cameras_too_slow_for_it_the_descent_is_slow_all_the_way(rate_hz):
 def test_what_ships_is_slow_only_around_the_tops_and_keeps_its_lease_on_every_leg():
     plan = PLAN.model_copy(update={"pace": Pace(), "ramps": Ramps(), "pause_s": PAUSE_S})
     plan.check()
-    _, commands = told(plan, 30.0)
+    _, commands = begun(plan, 30.0)
     move = descent(commands)
     probing_mm_s = plan.ramps.descend.speed_mm_s
     assert [speed for _, speed in move.legs] == [10.0, probing_mm_s, 10.0]
@@ -121,7 +121,7 @@ def test_what_ships_is_slow_only_around_the_tops_and_keeps_its_lease_on_every_le
 
 
 def test_an_arm_that_cannot_stand_and_go_on_probes_all_the_way():
-    _, commands = told(FAST.model_copy(update={"pause_s": 0.0}))
+    _, commands = begun(FAST.model_copy(update={"pause_s": 0.0}))
     assert descent(commands).legs == ()
 
 
@@ -149,7 +149,7 @@ def test_a_band_or_a_lift_too_small_for_what_is_not_known_is_refused(values):
 
 
 def test_the_service_is_told_each_speed_when_its_leg_begins():
-    state, commands = told(FAST)
+    state, commands = begun(FAST)
     legs = [c.message for c in commands if isinstance(c, Send) and c.message.type == "descending"]
     for cycle in range(1, 400):
         now_s = cycle * 0.01
@@ -163,7 +163,7 @@ def test_the_service_is_told_each_speed_when_its_leg_begins():
 
 
 def test_after_a_pause_in_the_descent_the_next_speed_is_told_as_much_later():
-    state, _ = told(FAST.model_copy(update={"pause_s": PAUSE_S}))
+    state, _ = begun(FAST.model_copy(update={"pause_s": PAUSE_S}))
     due_s = state.speeds[0][0]
     state, _ = step(state, service(watching(1, 0.19), 0.2))
     assert state.speeds[0][0] == pytest.approx(due_s + 0.2 - FAST.lasts_s(fast=True), abs=1e-3)
@@ -171,7 +171,7 @@ def test_after_a_pause_in_the_descent_the_next_speed_is_told_as_much_later():
 
 def blocked(plan, z_mm):
     """After the first attempt was stopped at a height, and corrected by -3 mm and -2 deg."""
-    state, _ = told(plan)
+    state, _ = begun(plan)
     return run([service(slip(1)), at(APPROACH.at_height(z_mm), Standstill), service(correction(1))], state)
 
 

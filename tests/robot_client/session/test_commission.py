@@ -73,7 +73,7 @@ def felt(x_mm, theta_deg, sigmas=(2.0, 4.0), turns=None):
     return correction(1).model_copy(update=update)
 
 
-def answers(signs=(1, 1), off=(0.0, 0.0), said="", turned=(-0.2, 0.2)):
+def answers(signs=(1, 1), off=(0.0, 0.0), ending="", turned=(-0.2, 0.2)):
     """What a cell with these signs and offsets feels on the four sides; ``turned``: at +x."""
     for x, theta in SIDES:
         answer = felt(
@@ -82,7 +82,7 @@ def answers(signs=(1, 1), off=(0.0, 0.0), said="", turned=(-0.2, 0.2)):
             turns=tuple(turn * x / 8.0 for turn in turned),
         )
         at_pose = WorkPose(x_mm=x, y_mm=0.0, z_mm=35.0, yaw_deg=theta)
-        yield probe_of("p", at_pose, None if said else answer, said)
+        yield probe_of("p", at_pose, None if ending else answer, ending)
 
 
 @pytest.mark.parametrize("signs", WIRINGS)
@@ -96,8 +96,8 @@ def test_a_cell_that_is_wired_wrong_is_named_by_its_signs(signs):
         ({"off": (6.0, 0.0)}, "mm in x"),
         ({"off": (0.0, -9.0)}, "deg in yaw"),
         ({"signs": (0, 1)}, "x"),
-        ({"said": "contradictory: mirrored"}, "mirrored"),
-        ({"said": WENT_IN}, "nothing was felt"),
+        ({"ending": "contradictory: mirrored"}, "mirrored"),
+        ({"ending": WENT_IN}, "nothing was felt"),
     ],
 )
 def test_a_cell_that_is_framed_wrong_or_feels_nothing_is_named(wrong, says):
@@ -133,7 +133,7 @@ def test_one_mirrored_picture_is_named_by_the_turns_that_both_fingers_see(turned
 
 def test_what_goes_in_on_one_side_tells_where_the_gap_is():
     good = tuple(answers(off=(5.0, 0.0)))
-    fits = tuple(answers(said=WENT_IN))
+    fits = tuple(answers(ending=WENT_IN))
     (named,) = mistakes(tuple(f if probe.x_mm < 0 else probe for probe, f in zip(good, fits, strict=True)))
     assert "off by about +5.3 mm in x" in named
 
@@ -141,10 +141,10 @@ def test_what_goes_in_on_one_side_tells_where_the_gap_is():
 def test_a_sure_estimate_outweighs_what_was_not_felt():
     """Two sides that feel no yaw and say anything, with a large sigma, and two that feel it."""
     pose = {"y_mm": 0.0, "z_mm": 35.0}
-    said = [(-9.0, 10.0), (9.0, 10.0), (-8.0, 3.0), (8.0, 3.0)]
+    yaws = [(-9.0, 10.0), (9.0, 10.0), (-8.0, 3.0), (8.0, 3.0)]
     signs = tuple(
         probe_of("p", WorkPose(x_mm=x, yaw_deg=theta, **pose), felt(x, yaw, (2.0, sigma)), "")
-        for (x, theta), (yaw, sigma) in zip(SIDES, said, strict=True)
+        for (x, theta), (yaw, sigma) in zip(SIDES, yaws, strict=True)
     )
     assert mistakes(signs) == ()
 

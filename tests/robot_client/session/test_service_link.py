@@ -14,7 +14,7 @@ from service.contract.wire import Abort
 from tests.robot_client.insertion.stories import ID, armed, slip
 
 
-class Said:
+class Script:
     """Stands for the connection: what the service says, one after the other."""
 
     def __init__(self, *messages):
@@ -39,7 +39,7 @@ def test_a_defect_of_ours_in_handling_a_message_is_a_failure_at_once_and_not_a_s
 
     async def story():
         link = ServiceLink(ServiceSettings(), ID)
-        link._connection, link._post = Said(armed(1), slip(1)), post
+        link._connection, link._post = Script(armed(1), slip(1)), post
         with pytest.raises(ZeroDivisionError):
             await link._receive()
 

@@ -44,18 +44,18 @@ def test_a_camera_that_is_not_there_is_one_fault() -> None:
 
 def test_an_unattended_camera_is_counted_in_full_and_decoded_now_and_then() -> None:
     jpeg = cv2.imencode(".jpg", np.zeros((8, 9, 3), np.uint8))[1].tobytes()
-    seen: list[CameraFrame] = []
+    frames: list[CameraFrame] = []
     attended = False
-    camera = Camera("left", PushSource(), seen.append, lambda *_: None, lambda: attended)
+    camera = Camera("left", PushSource(), frames.append, lambda *_: None, lambda: attended)
     for stamp_ns in range(1, 41):
         camera._publish(Capture(stamp_ns, None, jpeg + bytes([stamp_ns])))
     assert (camera.frames_n, camera.newest_ns, camera.state) == (40, 40, "live")
-    assert len(seen) == 10
+    assert len(frames) == 10
     attended = True
     for stamp_ns in range(41, 51):
         camera._publish(Capture(stamp_ns, None, jpeg + bytes([stamp_ns])))
-    assert [frame.frame.captured_ns for frame in seen[10:]] == list(range(41, 51))
-    assert [frame.frame.seq for frame in seen] == list(range(20))
+    assert [frame.frame.captured_ns for frame in frames[10:]] == list(range(41, 51))
+    assert [frame.frame.seq for frame in frames] == list(range(20))
 
 
 def test_a_few_broken_pictures_are_left_out_and_ten_in_a_row_are_a_lost_camera() -> None:
@@ -134,26 +134,26 @@ def still(camera_of: str, n: int) -> list[Capture]:
 
 @pytest.mark.parametrize("kind", ["jpeg", "pixels"])
 def test_a_picture_that_comes_again_and_again_is_a_frozen_camera(kind: str) -> None:
-    seen: list[CameraFrame] = []
+    frames: list[CameraFrame] = []
     faults: list[tuple[str, str]] = []
-    camera = Camera("left", PushSource(), seen.append, lambda _, code, detail: faults.append((code, detail)))
+    camera = Camera("left", PushSource(), frames.append, lambda _, code, detail: faults.append((code, detail)))
     for capture in still(kind, 20):
         camera._publish(capture)
-    assert (len(seen), camera.repeated_n, camera.state) == (1, 19, "live")
+    assert (len(frames), camera.repeated_n, camera.state) == (1, 19, "live")
     camera.check_stall(600_000_000)
     camera.check_stall(900_000_000)
     assert faults == [("camera_frozen", "the same picture 20 times for 0.5 s from push:")]
     assert camera.state == "stalled"
     camera._publish(Capture(10**9, np.full((8, 9, 3), 8, np.uint8)))
-    assert (len(seen), camera.state) == (2, "live")
+    assert (len(frames), camera.state) == (2, "live")
 
 
 def test_a_stamp_that_does_not_advance_is_no_new_frame() -> None:
-    seen: list[CameraFrame] = []
-    camera = Camera("left", PushSource(), seen.append, lambda *_: None)
+    frames: list[CameraFrame] = []
+    camera = Camera("left", PushSource(), frames.append, lambda *_: None)
     for stamp_ns, grey in ((5, 1), (5, 2), (4, 3), (6, 4)):
         camera._publish(Capture(stamp_ns, np.full((8, 9, 3), grey, np.uint8)))
-    assert [(f.frame.captured_ns, int(f.frame.pixels[0, 0, 0])) for f in seen] == [(5, 1), (6, 4)]
+    assert [(f.frame.captured_ns, int(f.frame.pixels[0, 0, 0])) for f in frames] == [(5, 1), (6, 4)]
     assert camera.repeated_n == 2
 
 

@@ -25,7 +25,7 @@ def test_every_profile_is_known_by_the_name_of_its_file(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("marker_row = 20", "marker_row: unknown key; did you mean 'marker_rows'?"),
         ("fps = 5", "fps: expected a number >= 10 and <= 120 (given: 5)"),
@@ -42,11 +42,13 @@ def test_every_profile_is_known_by_the_name_of_its_file(path: Path) -> None:
         ),
     ],
 )
-def test_a_profile_that_cannot_be_is_refused_by_file_and_key_in_one_line(tmp_path: Path, line: str, said: str) -> None:
+def test_a_profile_that_cannot_be_is_refused_by_file_and_key_in_one_line(
+    tmp_path: Path, line: str, message: str
+) -> None:
     key = line.split(" = ", maxsplit=1)[0]
     path = tmp_path / "mine.toml"
     path.write_text(re.sub(rf"^{key} = .*\n", "", GELSLIM_TEXT, flags=re.MULTILINE) + line + "\n")
-    with pytest.raises(ContractError, match=rf"mine\.toml: {re.escape(said)}") as refused:
+    with pytest.raises(ContractError, match=rf"mine\.toml: {re.escape(message)}") as refused:
         Sensor.load(path)
     assert len(str(refused.value).splitlines()) == 1
 

@@ -93,11 +93,11 @@ def test_a_descent_is_claimed_only_if_no_part_of_it_was_blind_for_long(first: in
     gone = range(first, min(first + blind_n, FRAMES - 1))
     kept = [push for index, push in enumerate(descent().pushes) if index not in gone]
     blind_s = (len(gone) + 1) * PERIOD_NS * 1e-9
-    told = reasons(descent(pushes=kept))
+    doubts = reasons(descent(pushes=kept))
     if blind_s > BLIND_S + 0.04:
-        assert told == ["not_seen"]
+        assert doubts == ["not_seen"]
     if blind_s < BLIND_S - 0.04:
-        assert told == []
+        assert doubts == []
 
 
 def test_a_slow_arm_may_be_blind_for_the_same_way() -> None:
@@ -121,7 +121,7 @@ def test_what_was_pressed_too_far_is_not_claimed() -> None:
 
 def test_only_a_turn_is_mended_by_taking_the_object_afresh() -> None:
     turned, pushed = (wire.Doubt(reason=reason, detail="") for reason in ("moved_in_hand", "push"))
-    assert [unclaimed(found, afresh=True) for found in ((), (turned,), (turned, pushed))] == [
+    assert [unclaimed(doubts, afresh=True) for doubts in ((), (turned,), (turned, pushed))] == [
         None,
         "afresh",
         "not_confirmed",

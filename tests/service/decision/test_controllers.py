@@ -35,8 +35,8 @@ def test_after_the_first_trial_no_axis_moves_more_than_4(sign: int, estimate: fl
 
 
 def test_the_heuristic_moves_the_whole_way_first_and_at_most_4_later() -> None:
-    told = certain("5", 14.0, 13.0)
-    moves = [Heuristic(LIMITS).decide(told, attempt) for attempt in (1, 2, 3, 15)]
+    evidence = certain("5", 14.0, 13.0)
+    moves = [Heuristic(LIMITS).decide(evidence, attempt) for attempt in (1, 2, 3, 15)]
     assert [move.dx_mm for move in moves] == pytest.approx([-9.8, -4, -4, -4])
     assert [move.dtheta_deg for move in moves] == pytest.approx([-9.1, -4, -4, -4])
 
@@ -119,10 +119,10 @@ def test_a_side_that_turns_over_is_closed_in_on_when_estimates_are_too_large() -
     """An object held in a way that the networks never saw: right side, twice the size, and sure of it."""
     belief, x_mm = Belief(LIMITS), 6.0
     for attempt in range(1, 7):
-        said = 2.0 * x_mm
+        estimate_mm = 2.0 * x_mm
         name = "2" if x_mm > 0 else "1"
         x_mm += belief.decide(
-            Evidence(CLASSES, certain(name, 0, 0).probabilities, (said, 0.0), (0.8, 1.5)), attempt
+            Evidence(CLASSES, certain(name, 0, 0).probabilities, (estimate_mm, 0.0), (0.8, 1.5)), attempt
         ).dx_mm
         if abs(x_mm) < 1.8:
             break
@@ -144,8 +144,8 @@ def test_a_joint_density_is_believed_where_it_peaks() -> None:
     grid = np.linspace(-15, 15, 61)
     log_density = -0.5 * ((grid[:, None] + 6.0) ** 2 + (grid[None] - 9.0) ** 2)
     density = Density(grid, grid, log_density)
-    told = Evidence(CLASSES, np.full(9, 1 / 9), (-6.0, 9.0), (1.0, 1.0), density)
-    command = Belief(LIMITS).decide(told, 1)
+    evidence = Evidence(CLASSES, np.full(9, 1 / 9), (-6.0, 9.0), (1.0, 1.0), density)
+    command = Belief(LIMITS).decide(evidence, 1)
     assert (command.dx_mm, command.dtheta_deg) == (pytest.approx(6.45, abs=0.3), pytest.approx(-9.0, abs=0.3))
 
 
@@ -153,8 +153,8 @@ def test_a_joint_density_is_believed_where_it_peaks() -> None:
 def test_an_object_held_high_is_expected_to_creep_outwards_where_it_pivots(x_mm: float) -> None:
     moves = []
     for height_mm in (30.0, 90.0):
-        told = certain("2" if x_mm > 0 else "1", x_mm, 0.0)
-        moves.append(make_controller("belief", LIMITS, height_mm).decide(told, 1).dx_mm)
+        evidence = certain("2" if x_mm > 0 else "1", x_mm, 0.0)
+        moves.append(make_controller("belief", LIMITS, height_mm).decide(evidence, 1).dx_mm)
     assert np.sign(moves[0]) == np.sign(moves[1]) == -np.sign(x_mm)
     assert 1.0 < abs(moves[1]) - abs(moves[0]) < 2.5
 

@@ -52,12 +52,12 @@ def test_a_long_object_needs_fewer_trials_where_the_gripper_tells_its_length():
     rng = np.random.default_rng(0)
     starts = rng.uniform(-15, 15, (40, 2))
     mean = {
-        told_mm: np.mean(
+        stated_mm: np.mean(
             [
-                trials("belief", *start, np.random.default_rng(seed), SHARP, length_mm=107.0, told_mm=told_mm)
+                trials("belief", *start, np.random.default_rng(seed), SHARP, length_mm=107.0, stated_mm=stated_mm)
                 for seed, start in enumerate(starts)
             ]
         )
-        for told_mm in (None, 107.0)
+        for stated_mm in (None, 107.0)
     }
     assert mean[107.0] < mean[None]

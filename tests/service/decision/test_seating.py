@@ -91,17 +91,17 @@ def test_a_frame_that_comes_late_still_makes_the_claim(session: InsertionSession
 def test_a_frozen_camera_never_makes_a_claim(session: InsertionSession) -> None:
     descend(session, NEVER, frames=2)
     frozen = drawn.raw("left", 1, NEVER, NEVER + 10)
-    said = []
+    messages = []
     for index in range(2, 100):
         pair = drawn.pair(index, onset=NEVER, slip_at=NEVER + 10)
         left = TactileFrame("left", index, pair.captured_ns, frozen)
-        said += session.on_pair(FramePair(left, pair.right), pair.captured_ns)
-        said += session.handle(stopped(), pair.captured_ns) if index == 20 else []
-        said += session.on_tick(pair.captured_ns)
+        messages += session.on_pair(FramePair(left, pair.right), pair.captured_ns)
+        messages += session.handle(stopped(), pair.captured_ns) if index == 20 else []
+        messages += session.on_tick(pair.captured_ns)
         if session.finished:
             break
-    assert [m.type for m in said] == ["finished"]
-    assert (said[0].outcome, [doubt.reason for doubt in said[0].doubts]) == ("not_confirmed", ["not_seen"])
+    assert [m.type for m in messages] == ["finished"]
+    assert (messages[0].outcome, [doubt.reason for doubt in messages[0].doubts]) == ("not_confirmed", ["not_seen"])
 
 
 # ---- the evidence itself --------------------------------------------------------------------------------------
@@ -142,15 +142,15 @@ def test_no_claim_is_ever_made_of_a_field_that_is_not_finite(
 
 @pytest.mark.parametrize("status", ["lost", "duplicate", "no_grid"])
 def test_a_field_without_new_evidence_tells_nothing(status: str) -> None:
-    seen = pair_of((0.0, 0.0))
-    blind = replace(seen.right, field=replace(seen.right.field, status=status))
-    assert math.isnan(push_of(PairObservation(seen.left, blind), REST).weaker_pitch)
+    pair = pair_of((0.0, 0.0))
+    blind = replace(pair.right, field=replace(pair.right.field, status=status))
+    assert math.isnan(push_of(PairObservation(pair.left, blind), REST).weaker_pitch)
 
 
 def test_a_finger_that_shows_half_of_its_markers_tells_nothing() -> None:
-    seen = pair_of((0.0, 0.0))
-    seen.left.field.valid[:10] = False
-    assert math.isnan(push_of(seen, REST).mean_pitch)
+    pair = pair_of((0.0, 0.0))
+    pair.left.field.valid[:10] = False
+    assert math.isnan(push_of(pair, REST).mean_pitch)
 
 
 def test_no_frame_is_no_claim() -> None:
@@ -161,11 +161,11 @@ def test_no_frame_is_no_claim() -> None:
 def test_a_grasp_that_slides_is_seen_whatever_single_frames_miss(pushes: list[float], data: st.DataObject) -> None:
     """A tenth of the frames may show nothing, or no push, as long as the newest does."""
     missed = data.draw(st.sets(st.integers(0, len(pushes) - 2), max_size=1))
-    seen = [
+    series = [
         Push(index * 33_000_000, math.nan if index in missed and index % 2 else 0.0 if index in missed else push, push)
         for index, push in enumerate(pushes)
     ]
-    assert not seating_evidence(seen, 0, 0.5).seated
+    assert not seating_evidence(series, 0, 0.5).seated
 
 
 @given(st.floats(0.0, 0.9 * NOISE_PITCH), st.floats(0.0, 1.0))
@@ -174,8 +174,8 @@ def test_what_the_walls_of_a_gap_leave_is_claimed_whatever_the_grasp_bears(rub: 
 
 
 def test_the_operator_reads_the_push_and_what_it_is_compared_with() -> None:
-    told = str(SeatingEvidence(0.48, 0.5))
-    assert "0.480 marker pitches, 96% of the strongest they bore (in a gap: below 0.015)" in told
+    text = str(SeatingEvidence(0.48, 0.5))
+    assert "0.480 marker pitches, 96% of the strongest they bore (in a gap: below 0.015)" in text
     assert "strongest" not in str(SeatingEvidence(0.48, 0.0))
 
 
@@ -185,15 +185,15 @@ def test_the_operator_reads_the_push_and_what_it_is_compared_with() -> None:
 def test_a_client_that_waits_for_the_end_of_its_recording_hears_heartbeats(models: ModelSet, tmp_path: Path) -> None:
     """Its insertion is over and `finished` comes when the recording is whole: silence would be a lost link."""
     settings = Settings(camera_left="push:", camera_right="push:", recordings=tmp_path)
-    desk = InsertionManager(settings, models, None, {}, Hub(), lambda _: None)
-    said: list[wire.ServiceMessage] = []
-    desk.connect(wire.ClientHello(insertion_id=ID, client="test"), said.append)
-    desk.receive(wire.Abort(insertion_id=ID, cause="operator", reason="test"), said.append)
-    assert desk.active is None
-    desk.receive(wire.ClientHeartbeat(insertion_id=ID, count=3), said.append)
-    desk.receive(wire.ClientHeartbeat(insertion_id="another", count=4), said.append)
-    assert [m.count for m in said if isinstance(m, wire.ServiceHeartbeat)] == [3]
+    manager = InsertionManager(settings, models, None, {}, Hub(), lambda _: None)
+    messages: list[wire.ServiceMessage] = []
+    manager.connect(wire.ClientHello(insertion_id=ID, client="test"), messages.append)
+    manager.receive(wire.Abort(insertion_id=ID, cause="operator", reason="test"), messages.append)
+    assert manager.active is None
+    manager.receive(wire.ClientHeartbeat(insertion_id=ID, count=3), messages.append)
+    manager.receive(wire.ClientHeartbeat(insertion_id="another", count=4), messages.append)
+    assert [m.count for m in messages if isinstance(m, wire.ServiceHeartbeat)] == [3]
     for thread in threading.enumerate():
         if thread.name == "close-recording":
             thread.join()
-    assert [m.outcome for m in said if isinstance(m, wire.Finished)] == ["aborted"]
+    assert [m.outcome for m in messages if isinstance(m, wire.Finished)] == ["aborted"]

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import onnx
 import pytest
 
@@ -10,7 +11,10 @@ from robot_client.insertion.state import State
 from service.contract import wire
 from service.contract.model_card import Pressing, Span
 from service.decision import network_input
+from service.decision.attempt import Attempt
+from service.decision.evidence import Refusal
 from service.decision.models import ModelSet, load_models
+from service.decision.work import decide_again
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import Insertion, stage
 
@@ -141,3 +145,24 @@ def test_such_a_network_states_its_step_and_no_other_form(made: Callable[..., Mo
     assert card.input_shape == (card.pressing.lattice.rows, card.pressing.lattice.columns, 3)
     assert card.frames_per_decision == card.pressing.steps_n
     assert card.form == "step"
+
+
+def test_networks_beside_are_given_the_very_steps_that_those_were_that_decided(made: Callable[..., ModelSet]) -> None:
+    decided: list[Attempt] = []
+
+    def stop(attempt: Attempt) -> None:
+        decided.append(attempt)
+        raise AnsweredError
+
+    insertion = stage(Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", {}, told_reach=True), made())
+    insertion.session.on_attempt = stop
+    with pytest.raises(AnsweredError):
+        insertion.run()
+    (attempt,) = decided
+    again, mine = decide_again(made(strangeness_limit=1e6), attempt), attempt.result.evidence
+    assert (again.error, again.sigma) == (mine.error, mine.sigma)
+    assert np.array_equal(again.probabilities, mine.probabilities)
+    assert attempt.run.frames_n == len(attempt.steps)
+    with pytest.raises(Refusal) as refused:
+        decide_again(made(strangeness_limit=1e-6), attempt)
+    assert refused.value.reason == "out_of_distribution"

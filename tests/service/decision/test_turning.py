@@ -29,12 +29,12 @@ CORE_PX = 60.0
 
 def finger(name, turn_rad, slid_rad=0.0):
     """A finger whose object turned by ``turn_rad`` while markers beyond CORE_PX of the middle stayed behind."""
-    seen = observation(name)
-    place = seen.field.rest_px - seen.field.rest_px.reshape(-1, 2).mean(0)
+    shown = observation(name)
+    place = shown.field.rest_px - shown.field.rest_px.reshape(-1, 2).mean(0)
     rim = np.hypot(*np.moveaxis(place, -1, 0)) > CORE_PX
     lag = np.where(rim[..., None], slid_rad * np.stack([place[..., 1], -place[..., 0]], -1), 0.0)
-    slip = replace(seen.slip, angle_rad=turn_rad, residual_px=lag, sticking=~rim, slipping=rim)
-    return replace(seen, slip=slip)
+    slip = replace(shown.slip, angle_rad=turn_rad, residual_px=lag, sticking=~rim, slipping=rim)
+    return replace(shown, slip=slip)
 
 
 def last(turn_rad, slid_rad):
@@ -53,10 +53,10 @@ def hanging(turn_deg):
     """A pair whose markers lie turned against the open gels."""
     fingers = []
     for name, sign in (("left", 1.0), ("right", -1.0)):
-        seen = observation(name)
-        moved = twist(seen.field.rest_px, sign * turn_deg, seen.field.rest_px.mean((0, 1))) - seen.field.rest_px
-        field = replace(seen.field, displacement_px=moved.astype(np.float32), valid=np.ones(moved.shape[:2], np.bool_))
-        fingers.append(replace(seen, field=field))
+        shown = observation(name)
+        moved = twist(shown.field.rest_px, sign * turn_deg, shown.field.rest_px.mean((0, 1))) - shown.field.rest_px
+        field = replace(shown.field, displacement_px=moved.astype(np.float32), valid=np.ones(moved.shape[:2], np.bool_))
+        fingers.append(replace(shown, field=field))
     return PairObservation(*fingers)
 
 
@@ -79,10 +79,10 @@ def test_a_turn_whose_rim_did_not_follow_at_all_stays_nearly_whole():
 @pytest.mark.parametrize("blind", ["left", "right"])
 def test_a_turn_that_one_finger_does_not_show_is_not_known_and_the_object_is_taken_afresh(blind):
     both = last(0.1, 0.0)
-    seen = getattr(both, blind)
-    nothing = np.zeros_like(seen.slip.sticking)
-    for slip in (replace(seen.slip, sticking=nothing, slipping=nothing), replace(seen.slip, angle_rad=math.nan)):
-        assert math.isnan(lasting_turn_deg(replace(both, **{blind: replace(seen, slip=slip)})))
+    shown = getattr(both, blind)
+    nothing = np.zeros_like(shown.slip.sticking)
+    for slip in (replace(shown.slip, sticking=nothing, slipping=nothing), replace(shown.slip, angle_rad=math.nan)):
+        assert math.isnan(lasting_turn_deg(replace(both, **{blind: replace(shown, slip=slip)})))
     assert math.isnan(lasting_turn_deg(None))
     assert "do not show" in GraspRecord(turned_deg=math.nan).turned
 
@@ -90,18 +90,18 @@ def test_a_turn_that_one_finger_does_not_show_is_not_known_and_the_object_is_tak
 @given(st.floats(-0.05, 0.05), st.sampled_from(["left", "right"]))
 def test_an_object_that_turns_on_the_way_down_is_told(turn_rad, shows):
     both = last(0.0, 0.0)
-    seen = getattr(both, shows)
-    turned = replace(both, **{shows: replace(seen, slip=replace(seen.slip, angle_rad=turn_rad))})
+    shown = getattr(both, shows)
+    turned = replace(both, **{shows: replace(shown, slip=replace(shown.slip, angle_rad=turn_rad))})
     assert bool(turned_going_in(turned)) == (abs(math.degrees(turn_rad)) > GOING_IN_DEG)
 
 
 @given(st.floats(-6.0, 6.0))
 def test_an_object_that_hangs_turned_is_told_from_one_that_hangs_upright(turn_deg):
-    told = hangs_turned(hanging(turn_deg))
+    reason = hangs_turned(hanging(turn_deg))
     if abs(turn_deg) > HANGS_DEG + 0.05:
-        assert "nearer to its centre of mass" in told
+        assert "nearer to its centre of mass" in reason
     if abs(turn_deg) < HANGS_DEG - 0.05:
-        assert not told
+        assert not reason
 
 
 @given(st.floats(-0.4, 0.4), st.floats(-0.55, 0.55))

@@ -37,10 +37,10 @@ def trials(
     sigma: tuple[float, float],
     *,
     length_mm: float = 80.0,
-    told_mm: float | None = None,
+    stated_mm: float | None = None,
 ) -> int:
     """Attempts until insertion; 16 for a failure after 15. ``told_mm``: the length that the gripper tells."""
-    controller = make_controller(name, LIMITS, length_mm=told_mm)  # type: ignore[arg-type]
+    controller = make_controller(name, LIMITS, length_mm=stated_mm)  # type: ignore[arg-type]
     for attempt in range(1, 16):
         if inserts(x_mm, theta_deg, length_mm=length_mm):
             return attempt

@@ -26,17 +26,17 @@ def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_whil
     clip = [FREE] * 4 + [held * np.float32(share) for share in (0.3, 0.6)] + [held] * 6 + [FREE] * 4
     renderer = Renderer(Appearance.draw(scene, "left", 5))
     finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
-    seen: list[Observation] = []
+    observations: list[Observation] = []
     for k, gel in enumerate(clip):
         if k == 8:
             finger.rearm()
         pixels = renderer.raw(gel, k)
-        seen.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)))
-    states = [observation.slip.state for observation in seen]
+        observations.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)))
+    states = [observation.slip.state for observation in observations]
     assert set(states[:4]) == {"no_contact"}
     assert "no_contact" not in states[5:12]
     assert set(states[8:12]) == {"hold"}
-    assert seen[12].slip.stop, "an object that is gone stops the arm, whatever it is called"
+    assert observations[12].slip.stop, "an object that is gone stops the arm, whatever it is called"
     assert set(states[13:]) == {"no_contact"}
 
 
@@ -44,19 +44,19 @@ def test_an_empty_hand_is_not_armed(tmp_path) -> None:
     models = load_models(tiny_models.write_models(tmp_path / "m"))
     renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
     calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
-    session, said = make_session(models, calibration), []
+    session, messages = make_session(models, calibration), []
     session.handle(wire.ClientHello(insertion_id="empty", client="test"), 0)
     session.handle(wire.LearnOpen(insertion_id="empty"), 0)
     for index in range(4):
         stamp_ns = index * drawn.PERIOD_NS
         frames = (TactileFrame(f, index, stamp_ns, renderers[f].raw(FREE, index)) for f in ("left", "right"))
-        said += session.on_pair(drawn.FramePair(*frames), stamp_ns)
+        messages += session.on_pair(drawn.FramePair(*frames), stamp_ns)
         if index == 0:
-            said += session.handle(
+            messages += session.handle(
                 wire.Arm(insertion_id="empty", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 1
             )
-    assert [message.type for message in said] == ["open_learnt", "refused"]
-    assert (said[-1].reason, said[-1].detail) == (
+    assert [message.type for message in messages] == ["open_learnt", "refused"]
+    assert (messages[-1].reason, messages[-1].detail) == (
         "nothing_held",
         "both gels look as they do when nothing touches them",
     )
@@ -70,7 +70,7 @@ def test_an_emptied_hand_stops_the_arm_within_three_frames(tmp_path) -> None:
     cell.regrasp(3.0, 2.0)
     held = cell.look().gel.astype(np.float32)
     session = make_session(models, calibration)
-    said: dict[int, list[str]] = {}
+    messages: dict[int, list[str]] = {}
     session.handle(wire.ClientHello(insertion_id="drop", client="test"), 0)
     session.handle(wire.LearnOpen(insertion_id="drop"), 0)
     for index in range(9):
@@ -81,11 +81,11 @@ def test_an_emptied_hand_stops_the_arm_within_three_frames(tmp_path) -> None:
             for finger, gel in zip(("left", "right"), gels, strict=True)
         )
         answers = session.on_pair(drawn.FramePair(*frames), stamp_ns)
-        said[index] = [getattr(answer, "code", answer.type) for answer in answers]
+        messages[index] = [getattr(answer, "code", answer.type) for answer in answers]
         if index == 0:
             session.handle(wire.Arm(insertion_id="drop", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 1)
         if index == 1:
             session.handle(wire.Descending(insertion_id="drop", attempt=1, speed_mm_s=10.0), stamp_ns)
-    assert said[1] == ["armed"]
-    assert not any("part_lost" in said[index] for index in range(5))
-    assert [index for index in range(9) if "part_lost" in said[index]] == [6], "within three frames, and said once"
+    assert messages[1] == ["armed"]
+    assert not any("part_lost" in messages[index] for index in range(5))
+    assert [index for index in range(9) if "part_lost" in messages[index]] == [6], "within three frames, and said once"

@@ -27,18 +27,18 @@ def steps(fps: float, speed_mm_s: float, phase: float = 0.3) -> list[np.ndarray]
     first = next(k for k, depth in enumerate(depths) if depth > 2.01)
     descent = DepthSteps(SPEC, speed_mm_s)
     descent.begin(stamps[: first + 1], fields[: first + 1], first)
-    seen = descent.fresh()
+    complete = descent.fresh()
     for stamp, field in zip(stamps[first + 1 :], fields[first + 1 :], strict=True):
         descent.add(stamp, field)
-        seen += descent.fresh()
-    return seen
+        complete += descent.fresh()
+    return complete
 
 
 @pytest.mark.parametrize(("fps", "speed_mm_s"), [(30, 10), (120, 3), (10, 3), (60, 25), (90, 40)])
 def test_rate_and_speed_do_not_change_what_is_seen_at_a_depth(fps: float, speed_mm_s: float) -> None:
-    seen = steps(fps, speed_mm_s)
-    assert len(seen) == SPEC.steps_n
-    for number, step in enumerate(seen):
+    complete = steps(fps, speed_mm_s)
+    assert len(complete) == SPEC.steps_n
+    for number, step in enumerate(complete):
         wanted = field_at((number + 0.5) * SPEC.step_mm)
         assert np.abs(step - wanted)[..., :2].max() < 0.02
         assert step[..., 2].all()
@@ -66,8 +66,8 @@ def test_a_field_is_the_same_on_the_lattice_whatever_the_marker_pitch(pitch_mm: 
     rest = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2).astype(np.float32)
     moved = np.stack([0.1 + 0.01 * rest[:, 1], 0.2 - 0.01 * rest[:, 0]], -1)
     weights = lattice_weights(rest, LATTICE, pitch_mm)
-    seen = np.random.default_rng(1).random(len(rest)) > 0.1
-    read = on_lattice(moved, seen, weights).reshape(9, 9, 3)
+    visible = np.random.default_rng(1).random(len(rest)) > 0.1
+    read = on_lattice(moved, visible, weights).reshape(9, 9, 3)
     u, v = np.moveaxis(LATTICE.points_mm, -1, 0)
     assert read[..., 2].mean() > 0.9
     inside = read[..., 2] > 0

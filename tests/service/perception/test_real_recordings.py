@@ -70,9 +70,9 @@ def test_no_slip_is_announced_while_a_real_object_is_held_and_shaken(slip_pitch)
         tracker, watch = MarkerTracker(), GraspWatch(watch_settings(slip_pitch))
         images = read_video(clip)
         states = [watch.update(tracker.update(image, k * 125_000_000)) for k, image in enumerate(images)]
-        judged = states[45:-30]
-        alarms += sum(state.slip for state in judged)
-        frames += len(judged)
+        watched = states[45:-30]
+        alarms += sum(state.slip for state in watched)
+        frames += len(watched)
     assert frames > 3000
     assert alarms / frames * 1500 <= 0.2
 

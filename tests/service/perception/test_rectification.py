@@ -40,7 +40,7 @@ def test_an_unusable_homography_is_refused(matrix):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda text: text.replace("[left]", "[middle]"), "middle is not used; allowed: left, right"),
         (lambda text: text.replace("schema_version = 1", "schema_version = 9"), "schema_version"),
@@ -50,14 +50,14 @@ def test_an_unusable_homography_is_refused(matrix):
         (lambda _: "a = [", "not valid TOML"),
     ],
 )
-def test_a_broken_file_is_refused_by_name(tmp_path, change, said):
+def test_a_broken_file_is_refused_by_name(tmp_path, change, message):
     path = tmp_path / "c.toml"
     Calibration(
         CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified),
         CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified),
     ).save(path)
     path.write_text(change(path.read_text()))
-    with pytest.raises(CalibrationError, match=said) as caught:
+    with pytest.raises(CalibrationError, match=message) as caught:
         Calibration.load(path)
     assert str(path) in str(caught.value)
 

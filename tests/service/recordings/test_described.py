@@ -43,14 +43,14 @@ def test_each_topic_has_one_channel_and_one_schema_whatever_it_holds(recording: 
 
 
 def test_every_json_message_is_what_its_schema_says_and_the_schema_says_something(recording: Path) -> None:
-    seen = {}
+    schemas = {}
     with recording.open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
             if schema.encoding == "jsonschema":
-                described = seen.setdefault(channel.topic, json.loads(schema.data))
+                described = schemas.setdefault(channel.topic, json.loads(schema.data))
                 jsonschema_rs.validator_for(described).validate(json.loads(message.data))
-    assert set(seen) == {"/calls", "/messages", "/robot"}
-    for described in seen.values():
+    assert set(schemas) == {"/calls", "/messages", "/robot"}
+    for described in schemas.values():
         assert described["properties"]
         with pytest.raises(jsonschema_rs.ValidationError):
             jsonschema_rs.validator_for(described).validate({"depth_mm": "deep"})

@@ -42,11 +42,11 @@ def tell(driver: Driver, *, seconds: float = 0.0, left_out_n: int = 0) -> list[i
     return stamps
 
 
-def episode(live: LiveService, name: str, cause: wire.Cause | None = None, **told: object) -> tuple[Path, list[int]]:
+def episode(live: LiveService, name: str, cause: wire.Cause | None = None, **fields: object) -> tuple[Path, list[int]]:
     """A recorded insertion: made, or given up for a cause."""
     driver = Driver(live, name)
     driver.until("hello")
-    stamps = tell(driver, **told)
+    stamps = tell(driver, **fields)
     driver.attempt(1)
     if cause is None:
         finished = driver.insert(2)
@@ -74,11 +74,11 @@ def test_the_file_holds_task_robot_and_end(live: LiveService) -> None:
     assert [wire.RobotSample.model_validate_json(entry.data).depth_mm for entry in robot] == [1.5] * len(stamps)
     late_ms = [(e.log_ns - recording.offset_ns - ns) / 1e6 for e, ns in zip(robot, stamps, strict=True)]
     assert -1.0 < min(late_ms) <= max(late_ms) < 500.0  # the other machine's clock is mapped; this one may be busy
-    said = [e.json()["message"]["type"] for e in recording.of("/messages")]
-    assert said.count("episode") == said.count("finished") == 1
-    assert "telemetry" not in said
-    judged = {finger: len(recording.of(f"/{finger}/markers")) for finger in FINGERS}
-    assert min(judged.values()) >= 8
+    kinds = [e.json()["message"]["type"] for e in recording.of("/messages")]
+    assert kinds.count("episode") == kinds.count("finished") == 1
+    assert "telemetry" not in kinds
+    markers_n = {finger: len(recording.of(f"/{finger}/markers")) for finger in FINGERS}
+    assert min(markers_n.values()) >= 8
 
 
 def test_every_topic_has_one_schema_and_all_that_it_holds_is_as_described(live: LiveService) -> None:
@@ -88,7 +88,7 @@ def test_every_topic_has_one_schema_and_all_that_it_holds_is_as_described(live: 
         for schema, channel, message in make_reader(stream).iter_messages():
             schemas[channel.topic].add((schema.name, schema.encoding, schema.data))
             messages[channel.topic].append(message.data)
-    assert {len(found) for found in schemas.values()} == {1}
+    assert {len(versions) for versions in schemas.values()} == {1}
     assert set(schemas) == {
         *(f"/{finger}/{kind}" for finger in FINGERS for kind in ("image", "markers")),
         *("/messages", "/calls", "/robot"),
@@ -165,8 +165,8 @@ def test_a_killed_service_has_kept_all_but_half_a_second_of_the_robot(tmp_path: 
     for finger in fingers:
         finger.close()
     with service_process(models_folder, tmp_path / "recordings", *options[4:], *pushed()) as service:
-        (found,) = httpx.get(service.url("/v1/recordings")).json()["recordings"]
-    assert (found["outcome"], found["cause"], found["object"]) == ("interrupted", "service", "box")
+        (row,) = httpx.get(service.url("/v1/recordings")).json()["recordings"]
+    assert (row["outcome"], row["cause"], row["object"]) == ("interrupted", "service", "box")
     (path,) = (tmp_path / "recordings").glob("*_killed-robot/insertion.mcap")
     recording = Recording(path)
     newest_ns = max(entry.log_ns for entry in recording.of("/robot")) - recording.offset_ns

@@ -56,8 +56,8 @@ def test_a_killed_service_has_kept_the_insertion_and_makes_it_whole_at_the_next_
     for finger in ("left", "right"):
         stamps = [e.log_ns for e in recording.of(f"/{finger}/image")]
         assert killed_ns - max(stamps) < 1.0e9
-    said = [e.json()["message"] for e in recording.of("/messages")]
-    (correction,) = [m for m in said if m["type"] == "correction"]
+    messages = [e.json()["message"] for e in recording.of("/messages")]
+    (correction,) = [m for m in messages if m["type"] == "correction"]
     assert wire.parse_service(json.dumps(correction)) == decided
     assert entry.main(["replay", str(whole), "--models", str(models_folder)]) == 0
     assert "all the same bit for bit" in capsys.readouterr().out

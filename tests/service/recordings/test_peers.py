@@ -61,10 +61,10 @@ print(json.dumps(found))
 
 @pytest.fixture(scope="module")
 def python() -> str:
-    found = os.environ.get("PEERS_PYTHON")
-    if not found:
+    path = os.environ.get("PEERS_PYTHON")
+    if not path:
         pytest.skip("set PEERS_PYTHON to a Python with rerun-sdk and foxglove-sdk (make peers does)")
-    return found
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -79,19 +79,19 @@ def recording(live: LiveService) -> Path:
 
 def pictures(recording: Path) -> dict[str, list[bytes]]:
     """The recorded pictures by topic, as the reference reader finds them."""
-    found: dict[str, list[bytes]] = {topic: [] for topic in PICTURES}
+    pictures: dict[str, list[bytes]] = {topic: [] for topic in PICTURES}
     with recording.open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(topics=list(PICTURES)):
-            found[channel.topic].append(message.data)
-    return found
+            pictures[channel.topic].append(message.data)
+    return pictures
 
 
 def decoded_by_rerun(python: str, recording: Path) -> dict[str, int]:
     """How many pictures Rerun finds under each topic, each of which it can decode to pixels of one size."""
     done = subprocess.run([python, "-c", RERUN, str(recording)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    found: dict[str, int] = json.loads(done.stdout)
-    return found
+    counts: dict[str, int] = json.loads(done.stdout)
+    return counts
 
 
 def test_rerun_has_every_frame_of_both_fingers_as_a_picture(python: str, recording: Path) -> None:
@@ -175,10 +175,10 @@ def test_rerun_has_every_frame_recorded_at_60_hz_with_four_viewers(
             driver.close()
         rates = {one["finger"]: one["frame_rate_hz"] for one in httpx.get(live.url("/v1/cameras")).json()["cameras"]}
     recorded = [{topic: len(messages) for topic, messages in pictures(path).items()} for path in paths]
-    found = [decoded_by_rerun(python, path) for path in paths]
-    print(f"at {rates} Hz, recorded {recorded}, decoded by Rerun {found}")
+    decoded = [decoded_by_rerun(python, path) for path in paths]
+    print(f"at {rates} Hz, recorded {recorded}, decoded by Rerun {decoded}")
     assert sum(min(counts.values()) for counts in recorded) > 100
-    assert found == recorded
+    assert decoded == recorded
 
 
 def test_foxglove_s_sdk_writes_the_same_bytes(python: str, recording: Path) -> None:
@@ -186,9 +186,9 @@ def test_foxglove_s_sdk_writes_the_same_bytes(python: str, recording: Path) -> N
     lines = []
     for message in messages:
         image = CompressedImage.FromString(message)
-        said = {"sec": image.timestamp.seconds, "nsec": image.timestamp.nanos, "frame_id": image.frame_id}
-        said |= {"format": image.format, "data": base64.b64encode(image.data).decode()}
-        lines.append(json.dumps(said | {"recorded": base64.b64encode(message).decode()}))
+        fields = {"sec": image.timestamp.seconds, "nsec": image.timestamp.nanos, "frame_id": image.frame_id}
+        fields |= {"format": image.format, "data": base64.b64encode(image.data).decode()}
+        lines.append(json.dumps(fields | {"recorded": base64.b64encode(message).decode()}))
     text = "\n".join(lines)
     done = subprocess.run([python, "-c", SCRIPT], input=text, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout) == [len(messages), "foxglove.CompressedImage", "protobuf"]

@@ -49,17 +49,17 @@ def test_foxglove_s_own_reader_reads_every_message(recording: Path) -> None:
     if not (modules and node):
         pytest.skip("set FOXGLOVE_NODE_MODULES to the folder of its npm packages")
     script = Path(__file__).with_name("read_mcap.mjs")
-    found = json.loads(subprocess.check_output([node, script, modules, recording], text=True))
-    assert {topic: entry["n"] for topic, entry in found.items()} == {
+    topics = json.loads(subprocess.check_output([node, script, modules, recording], text=True))
+    assert {topic: entry["n"] for topic, entry in topics.items()} == {
         **{f"/{finger}/{kind}": FRAMES_N for finger in FINGERS for kind in ("image", "markers")},
         "/messages": 1,
         "/calls": 1,
     }
     for topic in (JPEG, RAW):
-        assert found[topic]["published"] == found[topic]["keys"]
-        assert found[topic]["wrong_times"] == 0
-    assert (found[JPEG]["schema"], found[JPEG]["format"]) == ("foxglove.CompressedImage", "jpeg")
-    assert (found[RAW]["schema"], found[RAW]["encoding"]) == ("foxglove.RawImage", "bgr8")
+        assert topics[topic]["published"] == topics[topic]["keys"]
+        assert topics[topic]["wrong_times"] == 0
+    assert (topics[JPEG]["schema"], topics[JPEG]["format"]) == ("foxglove.CompressedImage", "jpeg")
+    assert (topics[RAW]["schema"], topics[RAW]["encoding"]) == ("foxglove.RawImage", "bgr8")
 
 
 @pytest.mark.slow
@@ -75,7 +75,7 @@ def test_rerun_finds_nothing_wrong_and_knows_the_pictures_as_pictures(recording:
     assert checked.count("ok") == 6
     run("mcap", "convert", recording, "-o", tmp_path / "out.rrd")
     run("rrd", "verify", tmp_path / "out.rrd")
-    seen = run("rrd", "print", "-v", tmp_path / "out.rrd")
-    assert f"{JPEG}@EncodedImage:blob" in seen
-    assert f"{RAW}@Image:buffer" in seen
-    assert "/left/markers@tactile_insertion.Markers" in seen
+    printed = run("rrd", "print", "-v", tmp_path / "out.rrd")
+    assert f"{JPEG}@EncodedImage:blob" in printed
+    assert f"{RAW}@Image:buffer" in printed
+    assert "/left/markers@tactile_insertion.Markers" in printed

@@ -41,8 +41,8 @@ def test_a_recorded_insertion_is_decided_again_bit_for_bit(
     assert len(recording.of("/left/markers")) > 20
     kinds = [e.json()["message"]["type"] for e in recording.of("/messages") if e.json()["from"] == "service"]
     assert kinds.count("watching") > 20
-    told = [kind for kind in kinds if kind != "watching"]
-    assert told == ["hello", *["armed", "slip", "correction"] * 2, "armed", "finished"]
+    answers = [kind for kind in kinds if kind != "watching"]
+    assert answers == ["hello", *["armed", "slip", "correction"] * 2, "armed", "finished"]
 
 
 def test_recorded_markers_are_read_with_the_schema_that_lies_beside_them(tmp_path: Path) -> None:
@@ -96,13 +96,13 @@ def test_a_killed_service_leaves_all_but_the_last_second(tmp_path: Path) -> None
     (path,) = tmp_path.glob("*_killed/insertion.mcap.part")
     recording = Recording(path)
     assert not recording.complete
-    seen = [e.json()["message"]["index"] for e in recording.of("/messages")]
-    assert seen == list(range(len(seen)))
-    assert len(seen) >= 20
+    indices = [e.json()["message"]["index"] for e in recording.of("/messages")]
+    assert indices == list(range(len(indices)))
+    assert len(indices) >= 20
     (whole,) = recover(tmp_path)
     again = Recording(whole)
     assert (again.complete, again.recovered) == (True, True)
-    assert [e.json()["message"]["index"] for e in again.of("/messages")] == seen
+    assert [e.json()["message"]["index"] for e in again.of("/messages")] == indices
     assert again.metadata == recording.metadata
     summary = json.loads((whole.parent / "summary.json").read_text())
     assert (summary["insertion_id"], summary["outcome"]) == ("killed", "interrupted")

@@ -91,7 +91,7 @@ def test_an_end_is_written_down_before_it_is_published_and_the_recording_is_whol
     witness.insertion.message(wire.Abort(insertion_id="first", cause="operator", reason="done"))
     assert witness.events[-2:] == ["message", "finished"]
     path = witness.recorder.close({})
-    said = [entry.json()["message"]["type"] for entry in Recording(path).of("/messages")]
-    assert said[-2:] == ["abort", "finished"]
+    kinds = [entry.json()["message"]["type"] for entry in Recording(path).of("/messages")]
+    assert kinds[-2:] == ["abort", "finished"]
     assert (path.parent / "attempt_01.npz").exists()
     assert isinstance(witness.insertion.session.finished, wire.Finished)

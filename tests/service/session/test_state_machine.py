@@ -27,31 +27,31 @@ def hello(session: InsertionSession, **changes: object) -> wire.ServiceHello:
 
 def probe(session: InsertionSession, attempt: int, start_ns: int, frames: int = 30, outcome: str = "blocked") -> list:
     """One attempt in lock step at 10 mm/s: the arm stops one frame after slip, or at the last frame."""
-    said = session.handle(
+    messages = session.handle(
         wire.Arm(insertion_id=ID, attempt=attempt, gap_width_mm=56.0, expected_depth_mm=25.0), start_ns
     )
     stopped = False
     for index in range(frames):
         pair = drawn.pair(index, start_ns=start_ns)
-        said += session.on_pair(pair, pair.captured_ns)
+        messages += session.on_pair(pair, pair.captured_ns)
         if index == 1:
-            said += session.handle(wire.Descending(insertion_id=ID, attempt=attempt), pair.captured_ns)
-        if not stopped and (any(isinstance(m, wire.Slip) for m in said) or index == frames - 1):
+            messages += session.handle(wire.Descending(insertion_id=ID, attempt=attempt), pair.captured_ns)
+        if not stopped and (any(isinstance(m, wire.Slip) for m in messages) or index == frames - 1):
             stopped = True
             message = wire.Stopped(insertion_id=ID, attempt=attempt, depth_mm=5.0, outcome=outcome)
-            said += session.handle(message, pair.captured_ns)
-    return said
+            messages += session.handle(message, pair.captured_ns)
+    return messages
 
 
-def kinds(said: list) -> list[str]:
-    return [message.type for message in said if message.type != "watching"]
+def kinds(messages: list) -> list[str]:
+    return [message.type for message in messages if message.type != "watching"]
 
 
 def test_a_blocked_attempt_arms_slips_and_is_corrected(session: InsertionSession) -> None:
     hello(session)
-    said = probe(session, 1, 0)
-    assert kinds(said) == ["armed", "slip", "correction"]
-    armed, slip, correction = (message for message in said if message.type != "watching")
+    messages = probe(session, 1, 0)
+    assert kinds(messages) == ["armed", "slip", "correction"]
+    armed, slip, correction = (message for message in messages if message.type != "watching")
     assert armed.reference_seq == 0
     assert 16 <= slip.frame_seq <= 18
     assert correction.attempt == 1
@@ -98,12 +98,12 @@ def test_a_repeated_stop_repeats_the_correction_and_nothing_else(session: Insert
 
 def test_no_motion_is_no_decision(session: InsertionSession) -> None:
     hello(session)
-    said = session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
+    messages = session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
     for index in range(6):
-        said += session.on_pair(drawn.pair(index), index)
-    said += session.handle(wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked"), 0)
-    said += session.on_tick(1_000_000_000)
-    assert kinds(said) == ["armed"]
+        messages += session.on_pair(drawn.pair(index), index)
+    messages += session.handle(wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked"), 0)
+    messages += session.on_tick(1_000_000_000)
+    assert kinds(messages) == ["armed"]
     (refused,) = session.on_tick(2_100_000_000)
     assert (refused.type, refused.reason) == ("no_decision", "no_motion")
 
@@ -170,14 +170,14 @@ def armed_with(session: InsertionSession, index: int) -> list:
 def test_one_blind_finger_in_a_descent_is_as_stale_as_two(session: InsertionSession, blind: str) -> None:
     hello(session)
     armed_with(session, 0)
-    said = []
+    messages = []
     for index in range(1, 20):
         pair = drawn.pair(index, onset=100, slip_at=100)
-        seen = pair.right if blind == "left" else pair.left
-        said += session.on_frame(seen, seen.captured_ns) + session.on_tick(seen.captured_ns)
-    assert [message.code for message in said] == ["stale_frames"]
-    (beat,) = session.handle(wire.ClientHeartbeat(insertion_id=ID, count=1), seen.captured_ns)
-    assert beat.frame_age_ms == pytest.approx(seen.captured_ns / 1e6)
+        frame = pair.right if blind == "left" else pair.left
+        messages += session.on_frame(frame, frame.captured_ns) + session.on_tick(frame.captured_ns)
+    assert [message.code for message in messages] == ["stale_frames"]
+    (beat,) = session.handle(wire.ClientHeartbeat(insertion_id=ID, count=1), frame.captured_ns)
+    assert beat.frame_age_ms == pytest.approx(frame.captured_ns / 1e6)
 
 
 def test_after_a_cameras_fault_the_same_attempt_is_armed_with_a_new_reference_only(session: InsertionSession) -> None:

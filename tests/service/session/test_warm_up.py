@@ -11,44 +11,44 @@ from tests.service import drawn
 
 
 @pytest.fixture
-def said(monkeypatch: pytest.MonkeyPatch) -> list[wire.ServiceMessage]:
+def messages(monkeypatch: pytest.MonkeyPatch) -> list[wire.ServiceMessage]:
     heard: list[wire.ServiceMessage] = []
     monkeypatch.setattr("service.session.warm_up._serialise", heard.append)
     return heard
 
 
-def moves(said: list[wire.ServiceMessage]) -> list[str]:
+def moves(messages: list[wire.ServiceMessage]) -> list[str]:
     """The first word of what each controller gave as the reason of its move."""
-    return [message.detail.partition(" ")[0] for message in said if isinstance(message, wire.Fault)]
+    return [message.detail.partition(" ")[0] for message in messages if isinstance(message, wire.Fault)]
 
 
 def test_a_rehearsal_plays_an_attempt_to_its_answer_and_every_controller(
-    models_folder: Path, said: list[wire.ServiceMessage]
+    models_folder: Path, messages: list[wire.ServiceMessage]
 ) -> None:
     session = make_session(load_models(models_folder), drawn.calibration())
     pair = drawn.pair(0)
     warm_up(session, [pair.right, pair.left])
-    kinds = [message.type for message in said]
+    kinds = [message.type for message in messages]
     assert kinds[:2] == ["hello", "armed"]
-    assert kinds.count("correction") == 1, [message for message in said if message.type == "no_decision"]
-    assert moves([message for message in said if message.type == "fault"]) == ["class", "belief"]
+    assert kinds.count("correction") == 1, [message for message in messages if message.type == "no_decision"]
+    assert moves([message for message in messages if message.type == "fault"]) == ["class", "belief"]
 
 
 def test_without_cameras_networks_and_controllers_are_rehearsed_all_the_same(
-    models_folder: Path, said: list[wire.ServiceMessage]
+    models_folder: Path, messages: list[wire.ServiceMessage]
 ) -> None:
     session = make_session(load_models(models_folder), drawn.calibration())
     warm_up(session, [])
-    assert moves(said) == ["class", "belief"]
+    assert moves(messages) == ["class", "belief"]
     assert session.insertion_id is None
 
 
 def test_cameras_that_show_no_markers_do_not_keep_the_service_from_starting(
-    models_folder: Path, said: list[wire.ServiceMessage]
+    models_folder: Path, messages: list[wire.ServiceMessage]
 ) -> None:
     session = make_session(load_models(models_folder), drawn.calibration())
     warm_up(session, [TactileFrame(f, 0, 0, np.zeros((320, 427, 3), np.uint8)) for f in ("left", "right")])
-    assert "correction" not in [message.type for message in said]
+    assert "correction" not in [message.type for message in messages]
 
 
 def test_a_frame_of_the_wrong_size_is_named(models_folder: Path) -> None:

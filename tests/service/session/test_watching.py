@@ -35,8 +35,8 @@ def still(index: int) -> FramePair:
 
 def watched(session: InsertionSession, frames: list[TactileFrame]) -> list[int]:
     """Capture stamps that the service answers for."""
-    said = [m for f in frames for m in session.on_frame(f, f.captured_ns)]
-    return [m.frame_captured_ns for m in said if isinstance(m, wire.Watching)]
+    messages = [m for f in frames for m in session.on_frame(f, f.captured_ns)]
+    return [m.frame_captured_ns for m in messages if isinstance(m, wire.Watching)]
 
 
 def both(pair: FramePair) -> list[TactileFrame]:

@@ -43,6 +43,6 @@ def slope(at_s: list[float], mb: list[float], run_s: float) -> Slope:
     blocks = np.array_split(settled, BLOCKS)
     hours = [np.mean(block[:, 0]) for block in blocks]
     floor = [np.percentile(block[:, 1], 25) for block in blocks]
-    (found, _), covariance = np.polyfit(hours, floor, 1, cov=True)
+    (fitted, _), covariance = np.polyfit(hours, floor, 1, cov=True)
     margin = T_95 * float(np.sqrt(covariance[0, 0]))
-    return Slope(float(found), float(found) - margin, float(found) + margin, len(settled))
+    return Slope(float(fitted), float(fitted) - margin, float(fitted) + margin, len(settled))

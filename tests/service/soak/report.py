@@ -19,7 +19,7 @@ def report(
     edge = max(1, len(memory) // 10)
     facts = {
         "minutes": round((soak.samples[-1][0] if soak.samples else 0) / 60, 1),
-        "insertions": soak.seen["insertions"],
+        "insertions": soak.counts["insertions"],
         "slope_at_rest_mb_per_h": {kind: vars(slope) for kind, slope in slopes.items()},
         "limit_mb_per_h": LEAK_MB_PER_H,
         "at_rest_mb": {"first tenth": median(memory[:edge]), "last tenth": median(memory[-edge:])},
@@ -30,7 +30,7 @@ def report(
         "lost_recordings": soak.lost,
         "unexpected_errors": errors[:20],
         "exit_code_of_the_service": code,
-        "counts": dict(sorted(soak.seen.items())),
+        "counts": dict(sorted(soak.counts.items())),
         "troubles": dict(sorted(troubles.items())),
         "machine": machine,
         "seed": options.seed,

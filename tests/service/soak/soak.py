@@ -11,8 +11,6 @@ import json
 import random
 import shutil
 import signal
-import socket
-import struct
 import sys
 import tempfile
 import threading
@@ -23,122 +21,19 @@ from pathlib import Path
 
 import httpx
 from websockets.exceptions import WebSocketException
-from websockets.sync.client import ClientConnection, connect
 
 from reporting.machine import machine
-from service.contract import wire
 from service.recordings.reader import Recording, RecordingError
 from tests.service import drawn
 from tests.service.mjpeg import FakeFinger
 from tests.service.process import ServiceProcess, service_process
 from tests.service.soak.memory import Slope, slope
+from tests.service.soak.story import Killed, Story
 from tests.service.trouble import Cuts, Garbage, Reloads, Trouble, server_errors
 
-ANSWER_S = 60.0  # the machine may be busy with other things
 SAMPLE_S = 5.0
 REST_S = 0.3  # from `finished` until what the insertion held is given back, on a machine that is free
 REST_READINGS, CLOSED_S = 3, 5.0
-LINK = {"compression": None, "max_size": None, "open_timeout": ANSWER_S}
-
-
-class Killed(Exception):  # noqa: N818 - an event of the story, no error
-    """The client was killed here, by the dice."""
-
-
-@dataclass
-class Story:
-    """One insertion of a client that may be killed at any message."""
-
-    service: ServiceProcess
-    fingers: tuple[FakeFinger, FakeFinger]
-    id: str
-    rng: random.Random
-    kill_share: float
-    seen: Counter[str]
-    wrong: list[str]
-    attempt: int = 0
-    decided: bool = True
-    corrections: int = 0
-    finished: wire.Finished | None = None
-    opened: bool = False
-    link: ClientConnection | None = None
-    links: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
-
-    def connect(self) -> None:
-        url = self.service.url("/v1/insertions/ws", "ws")
-        self.link = self.links.enter_context(connect(url, additional_headers=self.service.bearer, **LINK))
-        self.send(wire.ClientHello(insertion_id=self.id, client="soak"))
-        self.until({"hello"})
-        self.opened = True
-
-    def send(self, message: object) -> None:
-        if self.rng.random() < self.kill_share:
-            self.kill()
-        self.link.send(message.model_dump_json())
-
-    def kill(self) -> None:
-        """The process dies: the kernel resets its connection, no goodbye is said."""
-        self.link.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        self.link.socket.close()
-        self.seen["clients killed"] += 1
-        raise Killed
-
-    def until(self, kinds: set[str]) -> object:
-        deadline = time.monotonic() + ANSWER_S
-        while True:
-            message = wire.parse_service(self.link.recv(max(0.01, deadline - time.monotonic())))
-            self.seen[f"message {message.type}"] += 1
-            self.check(message)
-            if message.type in kinds:
-                return message
-            if isinstance(message, wire.Fault):
-                self.seen[f"fault {message.code}"] += 1
-                if message.fatal:
-                    raise ConnectionError(message.code)
-            if isinstance(message, wire.Refused):
-                raise ConnectionError(message.reason)
-
-    def check(self, message: object) -> None:
-        """Nothing may ever come for another insertion or attempt."""
-        number = getattr(message, "attempt", self.attempt)
-        if message.insertion_id != self.id or number != self.attempt:
-            self.wrong.append(f"{self.id} attempt {self.attempt} got {message.model_dump_json()[:300]}")
-
-    def tell(self) -> None:
-        self.connect()
-        attempts = self.rng.randrange(1, 5)
-        while self.attempt < attempts or not self.decided:
-            self.probe()
-        self.arm()
-        self.send(wire.Stopped(insertion_id=self.id, attempt=self.attempt, depth_mm=25.0, outcome="inserted"))
-        self.finished = self.until({"finished"})
-
-    def arm(self) -> None:
-        for finger in self.fingers:
-            finger.probe_started = None
-        time.sleep(0.15)
-        if self.decided:
-            self.attempt, self.decided = self.attempt + 1, False
-        self.send(wire.Arm(insertion_id=self.id, attempt=self.attempt, gap_width_mm=56.0, expected_depth_mm=25.0))
-        self.until({"armed"})
-
-    def probe(self) -> None:
-        self.arm()
-        started = time.monotonic()
-        for finger in self.fingers:
-            finger.probe(started)
-        self.send(wire.Descending(insertion_id=self.id, attempt=self.attempt))
-        self.until({"slip", "fault"})
-        stopped = wire.Stopped(insertion_id=self.id, attempt=self.attempt, depth_mm=6.0, outcome="blocked")
-        self.send(stopped)
-        answer = self.until({"correction", "no_decision"})
-        if self.rng.random() < 0.2:  # said twice, answered twice, with the same
-            self.send(stopped)
-            again = self.until({"correction", "no_decision"})
-            if again != answer:
-                self.wrong.append(f"{self.id}: a repeated stop changed the answer")
-        self.decided = True
-        self.corrections += answer.type == "correction"
 
 
 @dataclass
@@ -147,7 +42,7 @@ class Soak:
 
     service: ServiceProcess
     fingers: tuple[FakeFinger, FakeFinger]
-    seen: Counter[str] = field(default_factory=Counter)
+    counts: Counter[str] = field(default_factory=Counter)
     wrong: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     abandoned: list[str] = field(default_factory=list)
@@ -164,27 +59,27 @@ class Soak:
         while time.monotonic() < self.started + 60 * minutes and self.service.process.poll() is None:
             number += 1
             share = rng.choice((0.0, 0.0, 0.05))
-            self._tell(Story(self.service, self.fingers, f"soak-{number}", rng, share, self.seen, self.wrong))
+            self._tell(Story(self.service, self.fingers, f"soak-{number}", rng, share, self.counts, self.wrong))
             self._rest()
             if number % 20 == 0:
-                print(f"{number} insertions, {self.samples[-1][1]:.0f} MB, {dict(self.seen)}", flush=True)
+                print(f"{number} insertions, {self.samples[-1][1]:.0f} MB, {dict(self.counts)}", flush=True)
         self._stop.set()
         watcher.join(10)
 
     def _tell(self, story: Story) -> None:
         """An insertion; a killed client comes back half of the time and takes it up again."""
-        self.seen["insertions"] += 1
+        self.counts["insertions"] += 1
         while True:
             try:
                 story.tell()
             except Killed:
                 if story.rng.random() < 0.5:
-                    self.seen["clients that came back"] += 1
+                    self.counts["clients that came back"] += 1
                     continue
                 self.abandoned += [story.id] if story.opened else []
                 return
             except (ConnectionError, WebSocketException, TimeoutError) as error:
-                self.seen[f"given up: {type(error).__name__} {error}"[:60]] += 1
+                self.counts[f"given up: {type(error).__name__} {error}"[:60]] += 1
                 if str(error) == "busy":  # the client before is given up in a moment
                     time.sleep(0.5)
                     continue
@@ -218,15 +113,15 @@ class Soak:
         path = Path(story.finished.recording or "nowhere")
         try:
             recording = Recording(path)
-            said = [e.json()["message"]["type"] for e in recording.of("/messages")]
+            kinds = [e.json()["message"]["type"] for e in recording.of("/messages")]
             summary = json.loads((path.parent / "summary.json").read_text())
         except (OSError, ValueError, RecordingError) as error:
             self.lost.append(f"{story.id}: {error}")
             return
-        whole = recording.complete and summary["outcome"] == "inserted" and said.count("finished") == 1
-        if not whole or said.count("correction") < story.corrections:
-            self.lost.append(f"{story.id}: {summary}, {Counter(said)}")
-        self.seen["finished recordings verified"] += 1
+        whole = recording.complete and summary["outcome"] == "inserted" and kinds.count("finished") == 1
+        if not whole or kinds.count("correction") < story.corrections:
+            self.lost.append(f"{story.id}: {summary}, {Counter(kinds)}")
+        self.counts["finished recordings verified"] += 1
         folder = self.service.url(f"/v1/recordings/{path.parent.name}")
         httpx.delete(folder, headers=self.service.bearer, timeout=60).raise_for_status()
 
@@ -236,7 +131,7 @@ class Soak:
             folders = list(self.service.recordings.glob(f"*_{insertion}"))
             if len(folders) != 1 or not (folders[0] / "insertion.mcap").is_file():
                 self.lost.append(f"{insertion}: {[sorted(p.name for p in f.iterdir()) for f in folders]}")
-        self.seen["abandoned recordings verified"] = len(self.abandoned)
+        self.counts["abandoned recordings verified"] = len(self.abandoned)
 
     def _watch(self) -> None:
         while not self._stop.wait(SAMPLE_S):
@@ -265,15 +160,15 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
 def main() -> int:
     from tests.service.soak.report import report
 
-    told = arguments()
+    given = arguments()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the service is asked to stop as well
-    fingers = FakeFinger("left", told.rate_hz), FakeFinger("right", told.rate_hz)
+    fingers = FakeFinger("left", given.rate_hz), FakeFinger("right", given.rate_hz)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         drawn.calibration().save(root / "calibration.toml")
         models = root / "models"
         models.mkdir()
-        for path in told.models.glob("*.onnx"):
+        for path in given.models.glob("*.onnx"):
             shutil.copy(path, models)
         options = ["--camera-left", fingers[0].url, "--camera-right", fingers[1].url, "--log-json", "true"]
         options += ["--calibration", str(root / "calibration.toml"), "--max-frame-age-ms", "5000"]
@@ -281,11 +176,11 @@ def main() -> int:
         with service_process(models, root / "recordings", *options) as service:
             soak, garbage = Soak(service, fingers), Garbage(service)
             troubles = [
-                Trouble(0.7, told.seed + 1, garbage),
-                Trouble(15.0, told.seed + 2, Reloads(service, models, told.models)),
-                Trouble(30.0, told.seed + 3, Cuts(fingers)),
+                Trouble(0.7, given.seed + 1, garbage),
+                Trouble(15.0, given.seed + 2, Reloads(service, models, given.models)),
+                Trouble(30.0, given.seed + 3, Cuts(fingers)),
             ]
-            soak.run(told.minutes, told.seed)
+            soak.run(given.minutes, given.seed)
             for trouble in troubles:
                 trouble.close()
             garbage.close()
@@ -296,7 +191,7 @@ def main() -> int:
         code = service.process.returncode if alive else f"died: {service.log[-5:]}"
     for finger in fingers:
         finger.close()
-    return report(soak, done, errors, code, told, machine())
+    return report(soak, done, errors, code, given, machine())
 
 
 if __name__ == "__main__":

@@ -24,8 +24,8 @@ def test_a_leak_is_found_and_a_floor_is_not_one() -> None:
 
 
 def test_the_interval_holds_the_truth_as_often_as_it_says() -> None:
-    found = [slope(AT_S, readings(5.0, seed), RUN_S) for seed in range(200)]
-    assert np.mean([s.low <= 5.0 <= s.high for s in found]) >= 0.9
+    slopes = [slope(AT_S, readings(5.0, seed), RUN_S) for seed in range(200)]
+    assert np.mean([s.low <= 5.0 <= s.high for s in slopes]) >= 0.9
 
 
 def test_too_few_readings_are_no_proof() -> None:

@@ -33,10 +33,10 @@ def still(camera: Renderer) -> np.ndarray:
 def test_the_homography_of_a_simulated_camera_is_found(seed: int):
     camera = renderer(FINGERS[seed % 2], seed)
     fit = fit_camera(still(camera), "left", Sensor.load())
-    found = fit.camera.projection.plane(INSIDE_PX[0])
+    plane_px = fit.camera.projection.plane(INSIDE_PX[0])
     true = cv2.perspectiveTransform(INSIDE_PX, np.asarray(camera.homography))
     assert fit.grid.shape == (20, 21)
-    assert np.abs(found - true).max() < 1.5
+    assert np.abs(plane_px - true).max() < 1.5
 
 
 @pytest.mark.parametrize(("size", "grey"), [((320, 427, 3), 0), ((320, 427, 3), 255), ((2, 1, 3), 90)])
@@ -76,10 +76,10 @@ def test_one_camera_for_both_fingers_is_refused(tmp_path, capsys):
     assert two
     (tmp_path / "again").mkdir()
     cv2.imwrite(str(tmp_path / "again" / "0.png"), camera.raw(UNEVEN, 7))
-    for right, said in [(tmp_path, "the same camera, file:"), (tmp_path / "again", "the same gel")]:
+    for right, message in [(tmp_path, "the same camera, file:"), (tmp_path / "again", "the same gel")]:
         arguments = [f"--camera-left=file:{tmp_path}", f"--camera-right=file:{right}", "--frames", "2"]
         assert main(["calibrate", *arguments, "--out", str(tmp_path / "c.toml")]) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     assert not (tmp_path / "c.toml").exists()
 
 

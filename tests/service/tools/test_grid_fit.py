@@ -16,9 +16,9 @@ def projection(rng, k1):
     """Of a camera that looks along the finger through a bending lens; grid units."""
     low, high = np.array([-1.0, -1.0]), np.array([COLUMNS, ROWS])
     far = np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])], np.float32)
-    seen = np.array([(12, 8), (415, 8), (345, 312), (80, 312)]) + rng.uniform(-6, 6, (4, 2))
+    corners = np.array([(12, 8), (415, 8), (345, 312), (80, 312)]) + rng.uniform(-6, 6, (4, 2))
     lens = Lens((213 + rng.uniform(-15, 15), 160 + rng.uniform(-15, 15)), 266.8, k1, 0.0)
-    matrix = cv2.getPerspectiveTransform(lens.ideal(seen).astype(np.float32), far)
+    matrix = cv2.getPerspectiveTransform(lens.ideal(corners).astype(np.float32), far)
     return Projection(np.asarray(matrix, np.float64), lens)
 
 
@@ -59,7 +59,7 @@ def test_the_grid_is_found_where_it_truly_is(seed, k1, hidden):
     assert grid is not None
     assert grid.shape == (ROWS, COLUMNS)
     shown = 1 - hidden[0] * hidden[1] / (ROWS * COLUMNS)
-    assert grid.found.mean() > shown - 0.16
+    assert grid.present.mean() > shown - 0.16
     assert grid.displaced_n < 0.05 * ROWS * COLUMNS
     nodes = np.argwhere(np.ones(grid.shape, bool))[:, ::-1].astype(float)
     covered = (nodes[:, 0] >= COLUMNS - hidden[0]) & (nodes[:, 1] < hidden[1])

@@ -74,9 +74,11 @@ def test_real_objects_that_leave_the_hand_are_lost(tmp_path):
     """Short runs: the loss lies where the imprint is seen to go (frames found by eye on the touch curves)."""
     root = tmp_path / "runs"
     root.mkdir()
-    seen = {"ball_white_thread_6_slip": 90, "ball_white_thread_7_slip": 88, "marker_pen_2_slip": 44}
-    for name in seen:
+    leaves_at = {"ball_white_thread_6_slip": 90, "ball_white_thread_7_slip": 88, "marker_pen_2_slip": 44}
+    for name in leaves_at:
         (root / name).symlink_to(real_data("gelsight_mini_slip") / name)
     assert main(["judge", str(root), "--json", str(tmp_path / "rows.json")]) == 0
     rows = {row["run"]: row for row in json.loads((tmp_path / "rows.json").read_text())}
-    assert {name: abs(rows[name]["lost_frame"] - at) <= 3 for name, at in seen.items()} == dict.fromkeys(seen, True)
+    assert {name: abs(rows[name]["lost_frame"] - at) <= 3 for name, at in leaves_at.items()} == dict.fromkeys(
+        leaves_at, True
+    )

@@ -28,12 +28,12 @@ def finger(touched, rng, walk_px=0.0, dome=1.0):
         picture[15:45, left + 2 : left + 4] -= 40 * height
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
         points = (REST + bulge + rng.normal(0, 0.05, REST.shape)).astype(np.float32)
-        seen = np.ones(REST.shape[:2], np.bool_)
-        fields.append(MarkerField(points, np.zeros_like(points), seen, None, 32.0, k))
+        valid = np.ones(REST.shape[:2], np.bool_)
+        fields.append(MarkerField(points, np.zeros_like(points), valid, None, 32.0, k))
     return pictures, fields
 
 
-def found(story, rng, **how):
+def opened(story, rng, **how):
     return open_frame(*zip(*[finger(story, rng, **how) for _ in range(2)], strict=True))
 
 
@@ -42,24 +42,24 @@ def test_the_open_frame_is_found_before_a_grasp_and_after_one(seed):
     rng = np.random.default_rng(seed)
     before = [0.0] * 20 + [0.3, 0.6] + [1.0] * 60
     for story in (before, [*before[::-1], *[0.0] * 20]):
-        frame = found(story, rng)
+        frame = opened(story, rng)
         assert frame is not None
         assert story[frame] == 0.0
 
 
 def test_a_gel_touched_all_along_is_not_called_open_even_where_the_touch_walks_away_and_comes_back():
     rng = np.random.default_rng(4)
-    assert found([1.0] * 60, rng, walk_px=3.0) is None
-    assert found([1.0] * 20 + [0.4] * 20 + [1.0] * 20, rng, dome=2.0) is None
+    assert opened([1.0] * 60, rng, walk_px=3.0) is None
+    assert opened([1.0] * 20 + [0.4] * 20 + [1.0] * 20, rng, dome=2.0) is None
 
 
 def test_a_lens_and_a_camera_at_an_angle_leave_a_print_regular():
     away = (REST - [160.0, 120.0]) / 160.0
     bent = REST - 12.0 * away * np.square(away).sum(-1, keepdims=True) + 4.0 * away[..., :1] * away
     nothing = np.zeros_like(REST, np.float32)
-    seen = np.ones(REST.shape[:2], np.bool_)
-    assert irregular_pitch(MarkerField(bent.astype(np.float32), nothing, seen, None, 32.0, 0)) < 0.01
-    few = MarkerField(bent.astype(np.float32), nothing, seen & (np.arange(9) < 2), None, 32.0, 0)
+    valid = np.ones(REST.shape[:2], np.bool_)
+    assert irregular_pitch(MarkerField(bent.astype(np.float32), nothing, valid, None, 32.0, 0)) < 0.01
+    few = MarkerField(bent.astype(np.float32), nothing, valid & (np.arange(9) < 2), None, 32.0, 0)
     assert irregular_pitch(few) == np.inf
 
 
@@ -68,7 +68,7 @@ def test_the_labels_of_real_runs_are_in_order():
     assert labels["how"]
     assert labels["check"]
     for run, label in labels["slip"].items():
-        seen = [frame for frame in (label["contact"], label["slide"], label["lost"]) if frame is not None]
-        assert seen == sorted(seen), run
+        frames = [frame for frame in (label["contact"], label["slide"], label["lost"]) if frame is not None]
+        assert frames == sorted(frames), run
         assert run.endswith("_slip")
     assert all(run.endswith("_hold") for run in labels["held"])

@@ -46,9 +46,9 @@ def test_the_models_that_a_recording_names_are_not_opened(
     assert main(["replay", str(path)]) == 2
     assert main(["replay", str(path), "--models", str(models_folder)]) == 2
     assert opened == []
-    said = capsys.readouterr().err
-    assert "was decided by other models than those of" in said
-    assert f"they lay in {theirs}; where you trust them, name it with --models" in said
+    printed = capsys.readouterr().err
+    assert "was decided by other models than those of" in printed
+    assert f"they lay in {theirs}; where you trust them, name it with --models" in printed
 
 
 def test_models_that_the_user_trusts_are_opened_once_their_hashes_are_the_recorded_ones(
@@ -63,9 +63,9 @@ def test_models_that_the_user_trusts_are_opened_once_their_hashes_are_the_record
 
 def test_a_folder_of_models_is_told_as_json(models_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["models", str(models_folder), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert sorted(one["sha256"] for one in told) == sorted(hashes_of(models_folder))
-    assert {one["card"]["role"] for one in told if one["decides"]} == {"direction", "magnitude"}
+    models = json.loads(capsys.readouterr().out)
+    assert sorted(one["sha256"] for one in models) == sorted(hashes_of(models_folder))
+    assert {one["card"]["role"] for one in models if one["decides"]} == {"direction", "magnitude"}
 
 
 @pytest.mark.slow
@@ -99,6 +99,6 @@ def test_a_recordings_text_reaches_the_terminal_as_text(
 ) -> None:
     path = recording(tmp_path / "r", Path("/x\x1b[2J\x1b]0;owned\x07"), ["0" * 64])
     assert main(["replay", str(path), "--models", str(models_folder)]) == 2
-    said = capsys.readouterr().err
-    assert "\\x1b[2J" in said
-    assert said.replace("\n", "").isprintable()
+    printed = capsys.readouterr().err
+    assert "\\x1b[2J" in printed
+    assert printed.replace("\n", "").isprintable()

@@ -59,14 +59,14 @@ def test_half_a_request_is_not_waited_for(live: LiveService, monkeypatch: pytest
     monkeypatch.setattr(server, "HEAD_TIMEOUT_S", 0.2)
     with contextlib.ExitStack() as stack:
         links = {}
-        for said in (b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /heal"):
-            links[said] = stack.enter_context(socket.create_connection(("127.0.0.1", live.port), 20))
-            links[said].sendall(said)
-        for said, link in links.items():
+        for request in (b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /heal"):
+            links[request] = stack.enter_context(socket.create_connection(("127.0.0.1", live.port), 20))
+            links[request].sendall(request)
+        for request, link in links.items():
             heard = b""
             while piece := link.recv(4096):  # ends when the service closes, else by the socket's own 20 s
                 heard += piece
-            assert heard.count(b"200 OK") == said.count(b"\r\n\r\n")
+            assert heard.count(b"200 OK") == request.count(b"\r\n\r\n")
 
 
 def test_a_head_without_end_is_refused(live: LiveService) -> None:

@@ -128,5 +128,5 @@ def test_tokens_give_roles(tmp_path: Path, models_folder: Path) -> None:
 
 def test_every_door_tells_the_version_of_the_package(live: LiveService) -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    told = [httpx.get(live.url(page)).json()["info"]["version"] for page in ("/openapi.json", "/v1/asyncapi.json")]
-    assert [*told, httpx.get(live.url("/v2")).json()["version"]] == 3 * [version]
+    versions = [httpx.get(live.url(page)).json()["info"]["version"] for page in ("/openapi.json", "/v1/asyncapi.json")]
+    assert [*versions, httpx.get(live.url("/v2")).json()["version"]] == 3 * [version]

@@ -42,10 +42,10 @@ def test_every_reference_leads_somewhere() -> None:
     [("hearClient", wire.ClientMessage, "receive"), ("tellClient", wire.ServiceMessage, "send")],
 )
 def test_every_message_of_the_code_is_described_in_its_direction(operation: str, union: Any, action: str) -> None:
-    told = DOCUMENT["operations"][operation]
-    described = {find(find(m["$ref"])["$ref"])["title"] for m in told["messages"]}
+    entry = DOCUMENT["operations"][operation]
+    described = {find(find(m["$ref"])["$ref"])["title"] for m in entry["messages"]}
     assert described == {model.__name__ for model in asyncapi.messages_of(union)}
-    assert told["action"] == action
+    assert entry["action"] == action
 
 
 @pytest.mark.parametrize("name", sorted(MESSAGES))
@@ -73,13 +73,13 @@ def test_a_key_that_the_code_refuses_is_refused_by_the_schema() -> None:
 
 
 def test_every_websocket_has_its_channel(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
-    found: set[str] = set()
+    paths: set[str] = set()
     monkeypatch.setattr(
-        APIRouter, "add_api_websocket_route", lambda router, path, *_, **__: found.add(router.prefix + path)
+        APIRouter, "add_api_websocket_route", lambda router, path, *_, **__: paths.add(router.prefix + path)
     )
     create_app(live.station)
     same = {"/", "/v1/insertions/ws"}  # other names of /v1/insertion
-    assert {channel["address"] for channel in DOCUMENT["channels"].values()} == found - same
+    assert {channel["address"] for channel in DOCUMENT["channels"].values()} == paths - same
 
 
 def test_the_service_serves_it(live: LiveService) -> None:

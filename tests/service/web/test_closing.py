@@ -55,11 +55,11 @@ def test_every_end_of_a_driving_connection_has_a_reason_and_a_line_in_the_log(li
         (1008, "protocol_version: client speaks protocol 99"),
         (1000, "insertion inserted"),
     ]
-    for (code, reason), (said, because) in zip(expected, ends, strict=True):
-        assert said == code
+    for (code, reason), (closed_with, because) in zip(expected, ends, strict=True):
+        assert closed_with == code
         assert because.startswith(reason)
-    told = {(line["code"], line["reason"]) for line in lines if line["event"] == "client gone"}
-    assert {(code, reason) for code, reason in ends} <= {(code, reason[:123]) for code, reason in told}
+    logged = {(line["code"], line["reason"]) for line in lines if line["event"] == "client gone"}
+    assert {(code, reason) for code, reason in ends} <= {(code, reason[:123]) for code, reason in logged}
 
 
 def test_a_client_of_another_protocol_opens_no_insertion(live: LiveService) -> None:
@@ -94,8 +94,8 @@ def test_a_listener_that_fails_is_counted_and_breaks_no_insertion(live: LiveServ
     finally:
         remove()
     assert live.station.hub.errors_n >= 3
-    told = f'tactile_internal_errors{{where="listener"}} {float(live.station.hub.errors_n)}'
-    assert told in httpx.get(live.url("/metrics")).text
+    metric = f'tactile_internal_errors{{where="listener"}} {float(live.station.hub.errors_n)}'
+    assert metric in httpx.get(live.url("/metrics")).text
     live.station.hub.errors_n = 0
 
 

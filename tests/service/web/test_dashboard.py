@@ -100,11 +100,11 @@ def tell_depth(driver: Driver, began_ns: int, ended_ns: int) -> None:
     """What a robot would have told: down to 6 mm, and up again."""
     at_ns = [began_ns + k * (ended_ns - began_ns) // 60 for k in range(60)]
     depths_mm = [6.0 - abs(0.2 * k - 6.0) for k in range(60)]
-    told = [
+    samples = [
         wire.RobotSample(at_ns=at, phase="descending", attempt=1, depth_mm=depth)
         for at, depth in zip(at_ns, depths_mm, strict=True)
     ]
-    driver.send(wire.Telemetry(insertion_id=driver.id, sent_ns=ended_ns, samples=tuple(told)))
+    driver.send(wire.Telemetry(insertion_id=driver.id, sent_ns=ended_ns, samples=tuple(samples)))
 
 
 def test_the_page_shows_an_insertion_as_it_happens_and_the_same_after_a_reload(live: LiveService, page: Any) -> None:
@@ -175,8 +175,10 @@ def check_fits(page: Any, panel: str, height: int) -> None:
         assert page.evaluate("document.documentElement.scrollHeight <= innerHeight")
         boxes = [section.bounding_box() for section in page.locator("main section:visible").all()]
         assert max(box["y"] + box["height"] for box in boxes) <= height
-    found = axe.Axe().run(page).response["violations"]
-    assert [(one["id"], one["nodes"][0]["html"]) for one in found if one["impact"] in {"critical", "serious"}] == []
+    violations = axe.Axe().run(page).response["violations"]
+    assert [
+        (one["id"], one["nodes"][0]["html"]) for one in violations if one["impact"] in {"critical", "serious"}
+    ] == []
     clipped = "e => e.offsetParent && e.scrollHeight > e.clientHeight + 1"
     assert not page.evaluate(f"[...document.querySelectorAll('.next, .place')].some({clipped})")
 

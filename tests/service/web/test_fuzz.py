@@ -81,7 +81,7 @@ text = st.one_of(st.text(max_size=200), junk.map(json.dumps), mutated.map(json.d
 frames = st.lists(text | st.binary(max_size=200) | st.just(b"TIF1" + bytes(24)), max_size=8)
 
 
-def talk(live: LiveService, path: str, said: list[str | bytes], hello: bool) -> None:
+def talk(live: LiveService, path: str, sent: list[str | bytes], hello: bool) -> None:
     """Say all this and listen a little; being refused or closed is a fine answer."""
     with (
         contextlib.suppress(ConnectionClosed, InvalidStatus),
@@ -89,10 +89,10 @@ def talk(live: LiveService, path: str, said: list[str | bytes], hello: bool) -> 
     ):
         if hello:
             link.send(wire.ClientHello(insertion_id="insertion-1", client="fuzz").model_dump_json())
-        for one in said:
+        for one in sent:
             link.send(one.encode("utf-8", "surrogatepass").decode("utf-8", "replace") if isinstance(one, str) else one)
         with contextlib.suppress(TimeoutError):
-            for _ in range(len(said) + 1):
+            for _ in range(len(sent) + 1):
                 link.recv(0.02)
 
 
@@ -123,9 +123,9 @@ def is_well(live: LiveService) -> None:
 @pytest.mark.slow
 def test_nothing_said_on_a_websocket_kills_a_session(live: LiveService) -> None:
     @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
-    @given(path=st.sampled_from(SOCKETS), said=frames, hello=st.booleans())
-    def fuzz(path: str, said: list[str | bytes], hello: bool) -> None:
-        talk(live, path, said, hello)
+    @given(path=st.sampled_from(SOCKETS), sent=frames, hello=st.booleans())
+    def fuzz(path: str, sent: list[str | bytes], hello: bool) -> None:
+        talk(live, path, sent, hello)
 
     fuzz()
     is_well(live)
@@ -134,9 +134,9 @@ def test_nothing_said_on_a_websocket_kills_a_session(live: LiveService) -> None:
 @pytest.mark.slow
 def test_a_thousand_conversations_do_not_kill_a_session(live: LiveService) -> None:
     @settings(max_examples=1000, deadline=None, suppress_health_check=list(HealthCheck), database=None)
-    @given(path=st.sampled_from(SOCKETS), said=frames, hello=st.booleans())
-    def fuzz(path: str, said: list[str | bytes], hello: bool) -> None:
-        talk(live, path, said, hello)
+    @given(path=st.sampled_from(SOCKETS), sent=frames, hello=st.booleans())
+    def fuzz(path: str, sent: list[str | bytes], hello: bool) -> None:
+        talk(live, path, sent, hello)
 
     fuzz()
     is_well(live)

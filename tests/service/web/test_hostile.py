@@ -33,18 +33,18 @@ def test_a_body_is_refused_by_its_declared_length_at_once(service: ServiceProces
 
 
 def test_64_bodies_at_once_stay_within_the_memory_and_the_robot_gets_in(service: ServiceProcess) -> None:
-    found = bodies(service)
+    figures = bodies(service)
     greeted_s(service)
-    assert found["most_mb"] < MOST_MB
-    assert 429 in found["answers"]
-    assert set(found["answers"]) <= {400, 429}
+    assert figures["most_mb"] < MOST_MB
+    assert 429 in figures["answers"]
+    assert set(figures["answers"]) <= {400, 429}
 
 
 @pytest.mark.slow
 def test_64_bodies_that_never_end_stay_within_the_memory_too(service: ServiceProcess) -> None:
     """In chunks, so that nothing is declared."""
     chunk = b"100000\r\n" + b"x" * (1 << 20) + b"\r\n"
-    with most_mb(service) as seen, contextlib.ExitStack() as stack:
+    with most_mb(service) as most, contextlib.ExitStack() as stack:
         for _ in range(64):
             link = stack.enter_context(socket.create_connection(("127.0.0.1", service.port), 10))
             link.settimeout(0.2)
@@ -53,13 +53,13 @@ def test_64_bodies_that_never_end_stay_within_the_memory_too(service: ServicePro
                 for _ in range(30):
                     link.sendall(chunk)
         greeted_s(service)
-    assert seen[0] < MOST_MB
+    assert most[0] < MOST_MB
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("said", [b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"])
-def test_two_thousand_idle_connections_keep_nobody_out(service: ServiceProcess, said: bytes) -> None:
-    assert idle(service, said)["most_mb"] < MOST_MB
+@pytest.mark.parametrize("sent", [b"", b"GET /healthz HTT", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"])
+def test_two_thousand_idle_connections_keep_nobody_out(service: ServiceProcess, sent: bytes) -> None:
+    assert idle(service, sent)["most_mb"] < MOST_MB
 
 
 def test_sockets_that_only_watch_are_few_and_the_robots_is_not_among_them(service: ServiceProcess) -> None:

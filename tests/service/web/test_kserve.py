@@ -30,8 +30,8 @@ def kserve(answers: list[tuple[str, str]], inputs: list[dict[str, object]]) -> b
     python = os.environ.get("KSERVE_PYTHON")
     if not python:
         pytest.skip("set KSERVE_PYTHON to a Python with kserve (make peers does)")
-    said = json.dumps({"answers": answers, "inputs": inputs}).encode()
-    done = subprocess.run([python, "-c", SCRIPT], input=said, capture_output=True, check=False)
+    request = json.dumps({"answers": answers, "inputs": inputs}).encode()
+    done = subprocess.run([python, "-c", SCRIPT], input=request, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr.decode()
     return done.stdout
 

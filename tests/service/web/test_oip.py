@@ -258,17 +258,12 @@ def test_every_key_that_is_not_read_is_refused_by_name(live: LiveService, body: 
     assert named in answer.json()["error"]
 
 
+KEYS = st.sampled_from(["name", "inputs", "datatype", "shape", "data", "parameters", "binary_data_size", "outputs"])
 junk = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=8),
     lambda inner: (
         st.lists(inner, max_size=4)
-        | st.dictionaries(
-            st.sampled_from(
-                ["name", "inputs", "datatype", "shape", "data", "parameters", "binary_data_size", "outputs"]
-            ),
-            inner | st.sampled_from(["state", "frame", "FP32", "UINT8"]),
-            max_size=5,
-        )
+        | st.dictionaries(KEYS, inner | st.sampled_from(["state", "frame", "FP32", "UINT8"]), max_size=5)
     ),
     max_leaves=12,
 )

@@ -29,10 +29,10 @@ def status(live: LiveService) -> dict[str, Any]:
 
 def until(live: LiveService, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
     deadline = time.monotonic() + 60
-    while not holds(told := status(live)):
-        assert time.monotonic() < deadline, told
+    while not holds(shown := status(live)):
+        assert time.monotonic() < deadline, shown
         time.sleep(0.05)
-    return told
+    return shown
 
 
 def first_status(live: LiveService) -> dict[str, Any]:
@@ -60,35 +60,35 @@ def test_a_page_opened_in_mid_attempt_says_what_goes_on(live: LiveService) -> No
     driver.send(wire.Arm(insertion_id="middle", attempt=2, gap_width_mm=56.0, expected_depth_mm=25.0))
     driver.until("armed")
     driver.send(wire.Descending(insertion_id="middle", attempt=2))
-    until(live, lambda told: "lowering" in told["headline"]["words"])
-    told = first_status(live)
-    assert told["headline"]["words"] == "Attempt 2 of 15: lowering the object into the gap"
-    running = told["running"]
+    until(live, lambda shown: "lowering" in shown["headline"]["words"])
+    shown = first_status(live)
+    assert shown["headline"]["words"] == "Attempt 2 of 15: lowering the object into the gap"
+    running = shown["running"]
     assert (running["object"], running["attempt"], running["gap_width_mm"]) == ("white box", 2, 56.0)
     assert running["move"]["dx_mm"] == moved.dx_mm
     where = (moved.estimate.dx_mm + moved.dx_mm, moved.estimate.dtheta_deg + moved.dtheta_deg)
     assert running["pose"] == pytest.approx(where)
     assert running["target"] is None
     give_up(driver, "operator", "done")
-    assert until(live, lambda told: told["running"] is None)["last"]["words"] == "Stopped by a person"
+    assert until(live, lambda shown: shown["running"] is None)["last"]["words"] == "Stopped by a person"
 
 
 def test_a_failure_stays_until_a_person_has_seen_it_even_over_a_restart(live: LiveService) -> None:
     driver = Driver(live, "lost")
     driver.until("hello")
     give_up(driver, "part_lost", "gripper: part_lost: width 3.1 mm")
-    told = until(live, lambda told: told["headline"]["level"] == "stop")
-    assert told["headline"]["words"] == f"Holding: {CAUSES['part_lost'].what}"
-    assert CAUSES["part_lost"].remedy in told["headline"]["detail"]
-    assert "width 3.1 mm" in told["headline"]["detail"]
+    shown = until(live, lambda shown: shown["headline"]["level"] == "stop")
+    assert shown["headline"]["words"] == f"Holding: {CAUSES['part_lost'].what}"
+    assert CAUSES["part_lost"].remedy in shown["headline"]["detail"]
+    assert "width 3.1 mm" in shown["headline"]["detail"]
     after_restart = Status(live.station).snapshot()
-    assert after_restart["headline"] == told["headline"]
-    (alarm,) = [alarm for alarm in told["alarms"] if alarm["insertion_id"] == "lost"]
+    assert after_restart["headline"] == shown["headline"]
+    (alarm,) = [alarm for alarm in shown["alarms"] if alarm["insertion_id"] == "lost"]
     answer = httpx.post(live.url(f"/v1/alarms/{alarm['number']}/acknowledge"))
     assert answer.json() == {"acknowledged": alarm["number"]}
-    told = status(live)
-    assert told["headline"]["level"] == "good"
-    assert next(a for a in told["alarms"] if a["number"] == alarm["number"])["acknowledged_s"]
+    shown = status(live)
+    assert shown["headline"]["level"] == "good"
+    assert next(a for a in shown["alarms"] if a["number"] == alarm["number"])["acknowledged_s"]
     assert httpx.post(live.url("/v1/alarms/999/acknowledge")).status_code == 404
     elsewhere = {"Origin": "http://elsewhere.example"}
     assert httpx.post(live.url("/v1/alarms/1/acknowledge"), headers=elsewhere).status_code == 403
@@ -106,18 +106,18 @@ def test_an_object_that_is_taken_afresh_holds_nothing_up_and_its_attempts_are_co
     driver.attempt(1)
     arm(driver, 2)
     give_up(driver, "afresh", "service: refused: turned_in_hand: by about 1.4 deg")
-    told = until(live, lambda told: told["running"] is None)
+    shown = until(live, lambda shown: shown["running"] is None)
     words = "It had turned in the hand and is taken afresh"
-    assert told["headline"] == {"level": "busy", "words": words, "detail": CAUSES["afresh"].remedy}
-    assert [alarm for alarm in told["alarms"] if alarm["insertion_id"] == "turned"] == []
+    assert shown["headline"] == {"level": "busy", "words": words, "detail": CAUSES["afresh"].remedy}
+    assert [alarm for alarm in shown["alarms"] if alarm["insertion_id"] == "turned"] == []
     again = Driver(live, "again", continues="turned")
     again.until("hello")
-    assert until(live, lambda told: told["running"])["headline"]["words"].startswith("Taken afresh: ")
+    assert until(live, lambda shown: shown["running"])["headline"]["words"].startswith("Taken afresh: ")
     arm(again, 1)
-    told = until(live, lambda told: told["headline"]["words"] == "Attempt 2 of 15: ready to go down")
-    assert next(event["text"] for event in told["events"] if "begins" in event["text"]) == "attempt 2 begins"
+    shown = until(live, lambda shown: shown["headline"]["words"] == "Attempt 2 of 15: ready to go down")
+    assert next(event["text"] for event in shown["events"] if "begins" in event["text"]) == "attempt 2 begins"
     give_up(again, "operator", "done")
-    assert until(live, lambda told: told["running"] is None)["last"]["attempts"] == 2
+    assert until(live, lambda shown: shown["running"] is None)["last"]["attempts"] == 2
     listed = {one["insertion_id"]: one for one in httpx.get(live.url("/v1/recordings")).json()["recordings"]}
     assert (listed["turned"]["outcome"], listed["turned"]["cause"]) == ("aborted", "afresh")
     assert listed["again"]["continues"] == "turned"
@@ -132,12 +132,12 @@ def test_an_object_that_nobody_takes_afresh_becomes_an_alarm(
     driver = Driver(live, "left")
     driver.until("hello")
     give_up(driver, "afresh", "service: refused: turned_in_hand: by about 1.4 deg")
-    assert until(live, lambda told: told["running"] is None)["headline"]["level"] == "busy"
+    assert until(live, lambda shown: shown["running"] is None)["headline"]["level"] == "busy"
     monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
-    told = status(live)
-    assert told["headline"]["words"] == "Holding: the object was to be taken afresh"
-    assert told["alarms"][0]["insertion_id"] == "left"
-    httpx.post(live.url(f"/v1/alarms/{told['alarms'][0]['number']}/acknowledge"))
+    shown = status(live)
+    assert shown["headline"]["words"] == "Holding: the object was to be taken afresh"
+    assert shown["alarms"][0]["insertion_id"] == "left"
+    httpx.post(live.url(f"/v1/alarms/{shown['alarms'][0]['number']}/acknowledge"))
     assert status(live)["headline"]["level"] == "good"
 
 
@@ -188,16 +188,16 @@ def test_a_recorded_insertion_is_played_back_on_one_time_axis(live: LiveService)
     decided = driver.attempt(1)
     give_up(driver, "operator", "done")
     deadline = time.monotonic() + 30
-    while not (found := list(live.recordings.glob("*_played/summary.json"))) and time.monotonic() < deadline:
+    while not (summaries := list(live.recordings.glob("*_played/summary.json"))) and time.monotonic() < deadline:
         time.sleep(0.05)
-    base = f"/v1/recordings/{found[0].parent.name}"
-    told = httpx.get(live.url(f"{base}/timeline"), timeout=60).json()
-    assert max(told["slip"]["left"][1] + told["slip"]["right"][1]) >= 1
-    assert max(told["push"]["left"][1]) > 0.1
-    assert f"moves {shift(decided.dx_mm, decided.dtheta_deg)}" in [event["text"] for event in told["events"]]
-    times = [moment["t"] for moment in told["moments"]]
+    base = f"/v1/recordings/{summaries[0].parent.name}"
+    timeline = httpx.get(live.url(f"{base}/timeline"), timeout=60).json()
+    assert max(timeline["slip"]["left"][1] + timeline["slip"]["right"][1]) >= 1
+    assert max(timeline["push"]["left"][1]) > 0.1
+    assert f"moves {shift(decided.dx_mm, decided.dtheta_deg)}" in [event["text"] for event in timeline["events"]]
+    times = [moment["t"] for moment in timeline["moments"]]
     assert times == sorted(times)
-    last = told["moments"][-1]
+    last = timeline["moments"][-1]
     felt = httpx.get(live.url(f"{base}/moments/left/{last['left']}"), timeout=60).json()
     assert (felt["width"], felt["height"]) == (327, 320)
     assert 2 in felt["kinds"]

@@ -39,9 +39,9 @@ def test_what_is_pushed_in_comes_out_bit_for_bit(pushed: tuple[Station, str, dic
         ):
             for seq in range(3):
                 into.send(encode_frame(picture(finger, seq)))
-                seen = decode_frame(out.recv(20))
-                assert (seen.finger, seen.seq) == (finger, seq)
-                assert (seen.pixels == picture(finger, seq).pixels).all()
+                frame = decode_frame(out.recv(20))
+                assert (frame.finger, frame.seq) == (finger, seq)
+                assert (frame.pixels == picture(finger, seq).pixels).all()
     assert [camera.state for camera in station.cameras.values()] == ["live", "live"]
 
 

@@ -21,7 +21,7 @@ def cell():
 
 def test_truth_tells_pose_error_and_wires(cell):
     cell.wait(lambda: cell.cell.world.course.frames > 2)
-    truth = httpx.get(cell.told["admin_url"] + "/truth").json()
+    truth = httpx.get(cell.description["admin_url"] + "/truth").json()
     assert truth["object"]["x_mm"] == pytest.approx(8.0)
     assert truth["object"]["theta_deg"] == pytest.approx(6.0)
     assert truth["controller"]["state"] == "motoroff"
@@ -29,7 +29,7 @@ def test_truth_tells_pose_error_and_wires(cell):
 
 
 def test_faults_are_set_read_and_cleared_over_http(cell):
-    url = cell.told["admin_url"] + "/faults"
+    url = cell.description["admin_url"] + "/faults"
     assert httpx.post(url, json={"egm": {"drop_share": 0.5}}).json()["egm"]["drop_share"] == 0.5
     assert httpx.get(url).json()["egm"]["drop_share"] == 0.5
     assert httpx.delete(url).json()["egm"]["drop_share"] == 0.0
@@ -62,7 +62,7 @@ def test_a_cell_that_cannot_be_is_refused_by_name(wrong):
 
 
 def test_an_object_let_go_away_from_its_fixture_cannot_be_grasped_again(cell):
-    gripper = WsgClient(cell.told["gripper"])
+    gripper = WsgClient(cell.description["gripper"])
     gripper.do(Command.RELEASE, 100.0, 400.0)
     cell.wait(lambda: not cell.cell.world.held)
     assert cell.cell.part.width_mm() == 80.0  # the arm stands at the fixture

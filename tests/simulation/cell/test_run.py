@@ -26,9 +26,9 @@ def test_a_drawn_start_collides_and_repeats(name):
 
 
 def test_all_objects_and_repeats_are_counted(tmp_path):
-    found = run.starts(run.RunOptions(object="all", repeat=5, models=tmp_path))
-    assert [start.object for start in found[::5]] == list(training_objects())
-    assert len(found) == 20
+    starts = run.starts(run.RunOptions(object="all", repeat=5, models=tmp_path))
+    assert [start.object for start in starts[::5]] == list(training_objects())
+    assert len(starts) == 20
 
 
 def test_a_stated_start_is_kept(tmp_path):
@@ -132,10 +132,15 @@ def test_a_log_that_breaks_off_still_counts(tmp_path):
 
 def test_the_last_decided_attempt_is_drawn(tmp_path):
     frames = np.zeros((8, 2, 320, 327, 3), np.uint8)
-    said = {"estimate": {"dx_mm": 1.0, "dtheta_deg": 2.0}, "dx_mm": -0.7, "dtheta_deg": -1.4, "class_probabilities": {}}
+    decision = {
+        "estimate": {"dx_mm": 1.0, "dtheta_deg": 2.0},
+        "dx_mm": -0.7,
+        "dtheta_deg": -1.4,
+        "class_probabilities": {},
+    }
     arrays = {"frames": frames, "displacement_px": np.zeros((2, 20, 21, 2), np.float32)}
     arrays["rest_px"] = arrays["displacement_px"]
-    np.savez(tmp_path / "attempt_02.npz", valid=np.ones((2, 20, 21), bool), decision=json.dumps(said), **arrays)
+    np.savez(tmp_path / "attempt_02.npz", valid=np.ones((2, 20, 21), bool), decision=json.dumps(decision), **arrays)
     truth = {
         "course": {"max_block_shift_mm": 0.0, "max_block_tilt_deg": 0.0, "max_force_n": 0.0},
         "gripper": {"held": True},

@@ -38,9 +38,9 @@ def folders(tmp_path_factory) -> dict[str, Path]:
 def test_a_number_that_cannot_be_is_named_and_nothing_is_written(folders, tmp_path, capsys, line, named) -> None:
     places = {**folders, "OUT": tmp_path / "out"}
     assert main([str(places.get(word, word.replace("OUT", str(places["OUT"])))) for word in line.split()]) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert named in said[0]
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert named in lines[0]
     assert not (tmp_path / "out").exists()
 
 

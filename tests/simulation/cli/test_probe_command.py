@@ -19,15 +19,15 @@ PROBE = ["probe", "circle", "--x-mm", "8", "--theta-deg", "5", "--seed", "3"]
 def test_a_saved_picture_is_the_renderers_last_frame_of_both_fingers(tmp_path: Path, capsys) -> None:
     path = tmp_path / "last.png"
     assert main([*PROBE, "--save", str(path)]) == 0
-    seen = cv2.imread(str(path))
+    picture = cv2.imread(str(path))
     scene = load_scene("circle")
-    found = run_probe(scene, 8.0, 5.0, seed=3)
-    now, before = found.gel[-1].astype(np.float32), found.gel[-2].astype(np.float32)
+    probe = run_probe(scene, 8.0, 5.0, seed=3)
+    now, before = probe.gel[-1].astype(np.float32), probe.gel[-2].astype(np.float32)
     drawn = [
         Renderer(Appearance.draw(scene, finger, 3)).rectified(now[k], 2 * 29 + k, before[k])
         for k, finger in enumerate(FINGERS)
     ]
-    np.testing.assert_array_equal(seen, np.concatenate(drawn, axis=1))
+    np.testing.assert_array_equal(picture, np.concatenate(drawn, axis=1))
     assert "outcome blocked" in capsys.readouterr().out
 
 

@@ -56,18 +56,18 @@ def plain(kernel: Callable[..., Any]) -> Callable[..., Any]:
 
 def calls(**switches: str) -> Counter[str]:
     """Names of the simulator's functions called in a poke, with their counts."""
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
 
     def count(frame: Any, event: str, _: object) -> None:
         if event == "call" and "simulation" in frame.f_code.co_filename:
-            seen[frame.f_code.co_name] += 1
+            counts[frame.f_code.co_name] += 1
 
     sys.setprofile(count)
     cell = QuasiStaticCell(load_scene("rectangle", **ROUGH, **SOFT, **switches))
     cell.regrasp(8.0, 5.0)
     cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 5.3, 5.0)
     sys.setprofile(None)
-    return seen
+    return counts
 
 
 def main() -> None:

@@ -77,7 +77,7 @@ def test_blocks_above_the_approach_are_run_into_and_not_jumped_into() -> None:
     assert 0.5 < np.linalg.norm(hit.state.wrench_n_nmm[:3]) < 60.0
 
 
-def told(job: Job) -> tuple[float | None, float | None]:
+def conditions(job: Job) -> tuple[float | None, float | None]:
     """Grip and shear reach that the service hears with `arm`."""
     insertion = stage(job, models_of(released_models()))
     insertion._post(Begin(at_s=0.0, pose=insertion._pose()))
@@ -89,8 +89,8 @@ def told(job: Job) -> tuple[float | None, float | None]:
 
 def test_a_cell_that_measured_its_reach_tells_it_a_little_wrong_and_another_tells_none() -> None:
     job = Job("rectangle", 0, 8.0, 5.0, 1, "belief", "fields", changes={"grasp.force_n": 25.0})
-    assert told(job) == (25.0, None)
+    assert conditions(job) == (25.0, None)
     true_mm = shear_reach_pitches(job.build_scene()) * job.build_scene().sensor.marker_pitch_mm
-    _, reach_mm = told(replace(job, told_reach=True))
+    _, reach_mm = conditions(replace(job, told_reach=True))
     assert reach_mm != pytest.approx(true_mm, rel=1e-3)
     assert reach_mm == pytest.approx(true_mm, rel=0.6)

@@ -36,11 +36,11 @@ def test_true_fields_of_a_moving_gel_lie_where_the_tracker_finds_them(unstated, 
         gel, before = cell.gels(0)
         if np.abs(gel - before)[..., :2].max() * px_per_mm < 0.5:
             continue
-        seen = tracked.displacement_px - first.displacement_px
-        said = observed.field.displacement_px - rest.field.displacement_px
+        tracked_px = tracked.displacement_px - first.displacement_px
+        true_px = observed.field.displacement_px - rest.field.displacement_px
         now = (gel - gel_at_rest)[..., :2] * px_per_mm
-        off_px.append(np.median(np.abs(seen - said)[tracked.valid]))
-        late_px.append(np.median(np.abs(seen - now)[tracked.valid]))
+        off_px.append(np.median(np.abs(tracked_px - true_px)[tracked.valid]))
+        late_px.append(np.median(np.abs(tracked_px - now)[tracked.valid]))
     assert len(off_px) >= 3
     assert max(off_px) < (0.3 if "mirrored" in unstated else 0.08)  # a mirrored lens is not quite the lens it was
     if not unstated:

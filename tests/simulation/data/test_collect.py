@@ -61,16 +61,16 @@ def test_labels_are_the_true_errors_and_only_collisions_are_kept(made: Path) -> 
 
 
 def test_a_group_is_one_fixture_of_at_most_five_pokes(tmp_path: Path) -> None:
-    seen: dict[int, list[int]] = {}
+    pokes_of: dict[int, list[int]] = {}
     looks: dict[int, set[object]] = {}
     for count, (fixture, poke, _, _) in enumerate(pokes(plan(tmp_path), load_scene("circle"))):
-        seen.setdefault(fixture.group, []).append(poke)
+        pokes_of.setdefault(fixture.group, []).append(poke)
         looks.setdefault(fixture.group, set()).add((fixture.appearances, fixture.scene.gel.friction))
         if count >= 7:
             break
-    assert all(order == list(range(len(order))) and len(order) <= POKES_PER_FIXTURE for order in seen.values())
+    assert all(order == list(range(len(order))) and len(order) <= POKES_PER_FIXTURE for order in pokes_of.values())
     assert all(len(drawn) == 1 for drawn in looks.values())
-    assert len({next(iter(drawn)) for drawn in looks.values()}) == len(seen)
+    assert len({next(iter(drawn)) for drawn in looks.values()}) == len(pokes_of)
 
 
 @pytest.mark.slow

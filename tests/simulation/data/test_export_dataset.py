@@ -62,12 +62,12 @@ def test_the_statistics_of_an_episode_are_of_its_own_frames(source: Path, lerobo
     episodes = pq.read_table(lerobot / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     features = json.loads((lerobot / "meta/info.json").read_text())["features"]
     for number, episode in enumerate(episodes):
-        told = {name: episode[f"stats/{name}/mean"] for name in features}
+        means = {name: episode[f"stats/{name}/mean"] for name in features}
         trial = made_up_trial(number)
-        assert told["error"] == pytest.approx([trial.x_mm, trial.theta_deg])
-        assert told["observation.wrench"] == pytest.approx(trial.wrench.mean(0), rel=1e-4, abs=1e-5)
+        assert means["error"] == pytest.approx([trial.x_mm, trial.theta_deg])
+        assert means["observation.wrench"] == pytest.approx(trial.wrench.mean(0), rel=1e-4, abs=1e-5)
         blue_last = Dataset(source).frames(number, 0, 30)[:, 0, ::4, ::4, ::-1].mean((0, 1, 2)) / 255
-        assert np.ravel(told["observation.images.left"]) == pytest.approx(blue_last)
+        assert np.ravel(means["observation.images.left"]) == pytest.approx(blue_last)
         assert episode["stats/error/count"] == [30]
 
 
@@ -105,15 +105,15 @@ def test_lerobot_s_own_loader_reads_every_frame_and_agrees_with_the_statistics(s
         [python, "-c", LOADED, str(lerobot)], capture_output=True, text=True, env=offline, check=False
     )
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert (told["frames"], told["episodes"], told["fps"]) == (60, 2, 30)
-    assert told["gap"] < 1e-6
+    loaded = json.loads(done.stdout.splitlines()[-1])
+    assert (loaded["frames"], loaded["episodes"], loaded["fps"]) == (60, 2, 30)
+    assert loaded["gap"] < 1e-6
     trial, frames = made_up_trial(1), Dataset(source).frames(1, 12, 1)
-    assert told["image"] == [3, *frames.shape[2:4]]
-    assert told["mean"] == pytest.approx(frames[0, 0, ..., ::-1].mean((0, 1)) / 255, abs=1e-6)
-    assert told["error"] == pytest.approx([trial.x_mm, trial.theta_deg])
-    assert told["task"] == "insert the rectangle into the gap"
-    assert told["loaded"] == [*range(30), 0]
+    assert loaded["image"] == [3, *frames.shape[2:4]]
+    assert loaded["mean"] == pytest.approx(frames[0, 0, ..., ::-1].mean((0, 1)) / 255, abs=1e-6)
+    assert loaded["error"] == pytest.approx([trial.x_mm, trial.theta_deg])
+    assert loaded["task"] == "insert the rectangle into the gap"
+    assert loaded["loaded"] == [*range(30), 0]
 
 
 def test_lerobot_frames_are_the_dataset_s_without_loss(source: Path, lerobot: Path) -> None:
@@ -133,16 +133,16 @@ def test_mcap_holds_images_dots_and_truth(source: Path, tmp_path: Path) -> None:
     with (tmp_path / "out/trial-000003.mcap").open("rb") as file:
         reader = make_reader(file)
         metadata = {entry.name: entry.metadata for entry in reader.iter_metadata()}
-        found: dict[str, list[dict[str, object]]] = {}
+        messages_of: dict[str, list[dict[str, object]]] = {}
         for _, channel, message in reader.iter_messages():
-            found.setdefault(channel.topic, []).append(json.loads(message.data))
-    assert set(found) == {"/left/image", "/right/image", "/left/markers", "/right/markers", "/state"}
-    assert all(len(messages) == 30 for messages in found.values())
+            messages_of.setdefault(channel.topic, []).append(json.loads(message.data))
+    assert set(messages_of) == {"/left/image", "/right/image", "/left/markers", "/right/markers", "/state"}
+    assert all(len(messages) == 30 for messages in messages_of.values())
     trial = made_up_trial(3)
     assert float(metadata["trial"]["x_mm"]) == trial.x_mm
-    image = np.frombuffer(base64.b64decode(str(found["/right/image"][7]["data"])), np.uint8)
+    image = np.frombuffer(base64.b64decode(str(messages_of["/right/image"][7]["data"])), np.uint8)
     assert np.array_equal(cv2.imdecode(image, cv2.IMREAD_COLOR), Dataset(source).frames(3, 7, 1)[0, 1])
-    moved = np.asarray(found["/left/markers"][7]["displacement_px"])
+    moved = np.asarray(messages_of["/left/markers"][7]["displacement_px"])
     assert np.allclose(moved, trial.gel[7, 0, ..., :2] / 0.07, atol=1e-2)
 
 

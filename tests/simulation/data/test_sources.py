@@ -32,7 +32,7 @@ def test_a_result_is_known_by_all_that_computed_it_and_by_nothing_else(root, fil
 def test_an_insertion_is_played_by_the_solver_the_service_and_the_client(monkeypatch):
     from simulation.data import sources
 
-    found = {
+    played = {
         str(path.relative_to(sources.ROOT)) for path in sources._closure("simulation.closed_loop.play", sources.ROOT)
     }
     wanted = {
@@ -41,5 +41,5 @@ def test_an_insertion_is_played_by_the_solver_the_service_and_the_client(monkeyp
         "service/perception/slip/detector.py",
         "robot_client/insertion/machine.py",
     }
-    assert wanted <= found
-    assert "simulation/closed_loop/report.py" not in found
+    assert wanted <= played
+    assert "simulation/closed_loop/report.py" not in played

@@ -49,13 +49,13 @@ def test_what_the_pads_do_balances_blocks_and_weight(pressed):
 def test_no_node_pulls_penetrates_or_leaves_the_friction_cone(pressed):
     cell, _ = pressed
     grip, planes = cell.grip, cell.pads.planes(cell.held, cell.grip.on)
-    judged = cell.pads.judge(grip, planes, grip.on, None)
-    drag = np.linalg.norm(judged.drag, axis=1)
+    terms = cell.pads.evaluate(grip, planes, grip.on, None)
+    drag = np.linalg.norm(terms.drag, axis=1)
     closed = grip.status != OPEN
-    assert judged.pressing[closed].min() >= -1e-6
-    assert np.abs(judged.forces[~closed]).max(initial=0.0) <= 1e-6
+    assert terms.pressing[closed].min() >= -1e-6
+    assert np.abs(terms.forces[~closed]).max(initial=0.0) <= 1e-6
     assert planes.gap(grip.on).min() >= -1e-9
-    assert (drag - cell.pads.friction * judged.pressing)[closed].max() <= 1e-6
+    assert (drag - cell.pads.friction * terms.pressing)[closed].max() <= 1e-6
     assert (grip.status == SLIP).any()
     assert (grip.status == STICK).any()
 

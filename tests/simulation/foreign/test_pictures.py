@@ -26,15 +26,15 @@ def camera():
 
 @pytest.mark.slow
 def test_the_tracker_reads_how_far_the_markers_went(held, camera):
-    eye = TactileFinger("left", camera.sensor.rectified, camera.calibration)
+    finger = TactileFinger("left", camera.sensor.rectified, camera.calibration)
     opened = camera.raw(np.zeros_like(held[0]), 1)
-    assert eye.learn_open(TactileFrame("left", 1, 1, opened)) == ""
-    eye.rearm()
-    seen = eye.observe(TactileFrame("left", 2, 2, camera.raw(held[0], 2, held[0])))
-    assert seen.touch > 1.0
+    assert finger.learn_open(TactileFrame("left", 1, 1, opened)) == ""
+    finger.rearm()
+    observation = finger.observe(TactileFrame("left", 2, 2, camera.raw(held[0], 2, held[0])))
+    assert observation.touch > 1.0
     truth = held[0, ..., :2] / camera.sensor.mm_per_px
-    went = seen.field.rest_px + seen.field.displacement_px - camera.sensor.marker_rest_px()
-    good = seen.field.valid
+    went = observation.field.rest_px + observation.field.displacement_px - camera.sensor.marker_rest_px()
+    good = observation.field.valid
     assert good.mean() > 0.95
     assert np.sqrt(np.square(went - truth)[good].sum(-1).mean()) < 0.6  # dots are printed off their places by 0.5 px
 

@@ -38,14 +38,14 @@ def turned(angle_rad: float, pressure: float = 0.05) -> NDArray[np.float64]:
 def dot_centres(frame: NDArray[np.uint8], expected_px: NDArray[np.floating]) -> NDArray[np.float64]:
     """Darkness-weighted centroid within 6 px of where each dot is expected."""
     dark = 255.0 - frame.astype(float).mean(-1)
-    found = np.empty_like(expected_px, dtype=float)
+    centres = np.empty_like(expected_px, dtype=float)
     for index in np.ndindex(*expected_px.shape[:2]):
         u, v = np.rint(expected_px[index]).astype(int)
         rows, columns = np.mgrid[v - 6 : v + 7, u - 6 : u + 7]
         patch = dark[v - 6 : v + 7, u - 6 : u + 7]
         weight = np.clip(patch - np.median(patch) - 12, 0, None)
-        found[index] = (weight * columns).sum() / weight.sum(), (weight * rows).sum() / weight.sum()
-    return found
+        centres[index] = (weight * columns).sum() / weight.sum(), (weight * rows).sum() / weight.sum()
+    return centres
 
 
 def test_dots_at_rest_are_where_the_contract_puts_them() -> None:

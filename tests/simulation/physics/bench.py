@@ -97,7 +97,7 @@ class Bench:
         self._thread = threading.Thread(target=self.loop.run_forever, daemon=True)
         self._thread.start()
         self.cell = self.call(self._make, options)
-        self.told = self.cell.description(Path("none"))
+        self.description = self.cell.description(Path("none"))
         self.run(self.cell.start())
 
     async def _make_async(self, make, *args):
@@ -162,9 +162,9 @@ class WsgClient:
         """The next reply of this command; others are dropped."""
         while True:
             while self.waiting:
-                found = self.waiting.pop(0)
-                if found.command == command:
-                    return found
+                oldest = self.waiting.pop(0)
+                if oldest.command == command:
+                    return oldest
             data = self.sock.recv(4096)
             if not data:
                 raise ConnectionError("closed")

@@ -53,9 +53,9 @@ def test_a_caller_does_not_go_on_with_what_its_callee_was_before(small, monkeypa
     code += f"sys.modules['simulation'].__path__ = [{str(Path(__file__).parents[3] / 'simulation')!r}]; "
     code += "from small.caller import twice; print(twice())"
 
-    def said() -> str:
+    def printed() -> str:
         return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
-    assert said() == "2"
+    assert printed() == "2"
     (small / "callee.py").write_text(CALLEE.format(value=21))
-    assert said() == "42"
+    assert printed() == "42"

@@ -23,8 +23,8 @@ CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 def test_the_geometry_table_holds(name: str, share: float, limits: tuple[float | None, ...]) -> None:
     scene = load_scene(name)
     room = [0.5 * scene.blocks.gap_mm - half_width_mm(scene.object.footprint_mm, t) for t in (0, 5, 10, 15)]
-    for found, expected in zip(room, limits, strict=True):
-        assert found < 0 if expected is None else found == pytest.approx(expected, abs=0.06)
+    for room_mm, expected in zip(room, limits, strict=True):
+        assert room_mm < 0 if expected is None else room_mm == pytest.approx(expected, abs=0.06)
     grid = np.linspace(-15, 15, 401)
     wide = np.array([half_width_mm(scene.object.footprint_mm, t) for t in grid])
     inserts = np.clip(0.5 * scene.blocks.gap_mm - wide, 0, 15) / 15

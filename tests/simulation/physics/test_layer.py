@@ -57,12 +57,12 @@ def test_the_layers_compliance_solves_naviers_equations(poisson: float, wave: fl
     rates[3, 2] = -1j * wave
     through = expm(rates * thickness)
     exact = through[:2, 2:] @ np.linalg.inv(through[2:, 2:])  # up is positive there, into the pad here
-    found = elastic_layer.layer_compliance(np.array([wave]), np.array([0.0]), thickness, shear, poisson)[..., 0]
-    np.testing.assert_allclose(found[0, 0], exact[0, 0], rtol=1e-9)
-    np.testing.assert_allclose(found[2, 2], exact[1, 1], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found[0, 2], -exact[0, 1], rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(found[2, 0], -exact[1, 0], rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(found[1, 1], math.tanh(wave * thickness) / (shear * wave), rtol=1e-9)
+    compliance = elastic_layer.layer_compliance(np.array([wave]), np.array([0.0]), thickness, shear, poisson)[..., 0]
+    np.testing.assert_allclose(compliance[0, 0], exact[0, 0], rtol=1e-9)
+    np.testing.assert_allclose(compliance[2, 2], exact[1, 1], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(compliance[0, 2], -exact[0, 1], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(compliance[2, 0], -exact[1, 0], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(compliance[1, 1], math.tanh(wave * thickness) / (shear * wave), rtol=1e-9)
 
 
 def test_a_thick_layer_is_a_half_space() -> None:
@@ -101,11 +101,11 @@ def test_a_thin_layer_is_a_bed_of_bristles(name: str) -> None:
 
 
 def test_a_probe_runs_on_either_tier_and_a_thick_gel_tells_them_apart() -> None:
-    found = {tier: run_probe(load_scene("hexagon", gel__tier=tier), 8.0, 5.0, seed=2) for tier in ("bristle", "layer")}
-    assert {probe.outcome for probe in found.values()} == {"blocked"}
-    assert found["layer"].gel.shape == found["bristle"].gel.shape
-    assert found["layer"].wrench[:, 2].max() == pytest.approx(found["bristle"].wrench[:, 2].max(), rel=0.3)
-    assert theory.relative(found["layer"].gel[-1], found["bristle"].gel[-1]) > 0.02
+    probes = {tier: run_probe(load_scene("hexagon", gel__tier=tier), 8.0, 5.0, seed=2) for tier in ("bristle", "layer")}
+    assert {probe.outcome for probe in probes.values()} == {"blocked"}
+    assert probes["layer"].gel.shape == probes["bristle"].gel.shape
+    assert probes["layer"].wrench[:, 2].max() == pytest.approx(probes["bristle"].wrench[:, 2].max(), rel=0.3)
+    assert theory.relative(probes["layer"].gel[-1], probes["bristle"].gel[-1]) > 0.02
 
 
 def test_the_layers_equilibrium_is_as_exact_as_the_bristles() -> None:

@@ -62,8 +62,8 @@ def test_ten_thousand_hard_probes_end_solved_lost_or_refused_by_name() -> None:
 
 
 def test_what_the_grip_cannot_carry_is_lost_at_once() -> None:
-    found = run_probe(load_scene("rectangle", gel__friction=0.0, effects__gravity="on"), 8.0, 0.0)
-    assert found.outcome == "grasp_lost"
+    played = run_probe(load_scene("rectangle", gel__friction=0.0, effects__gravity="on"), 8.0, 0.0)
+    assert played.outcome == "grasp_lost"
 
 
 @pytest.mark.parametrize("name", ["rectangle", "circle", "ellipse"])
@@ -90,8 +90,8 @@ def test_drift_in_the_hand_is_remembered_after_the_load_is_gone() -> None:
 
 
 def test_without_friction_a_load_pushes_the_object_out_of_the_hand_or_up() -> None:
-    found = run_probe(load_scene("rectangle", gel__friction=0.05, effects__gravity="off"), 8.0, 0.0)
-    assert found.wrench[:, 2].max() < 2.0 * 0.05 * 20.0 * 1.1
+    played = run_probe(load_scene("rectangle", gel__friction=0.05, effects__gravity="off"), 8.0, 0.0)
+    assert played.wrench[:, 2].max() < 2.0 * 0.05 * 20.0 * 1.1
 
 
 def test_free_blocks_move_only_when_pushed_hard_enough() -> None:
@@ -115,21 +115,21 @@ def test_a_cell_probed_again_starts_with_its_blocks_in_place() -> None:
 
 @pytest.mark.parametrize("tier", ["bristle", "layer"])
 def test_a_probe_says_of_every_marker_whether_it_slips(tier: str) -> None:
-    found = run_probe(load_scene("rectangle", gel__tier=tier, **CLEAN), 9.0, 0.0)
-    share = found.slipping.mean(axis=(2, 3))
-    assert found.slipping.shape == found.gel.shape[:-1]
-    assert not found.slipping[: found.onset_frame].any()
-    assert share[found.true_slip_frame].max() >= 0.25
-    assert share[found.true_slip_frame - 1].max() < 0.25
-    pressed = found.gel[found.true_slip_frame, ..., 2] > 0
-    assert not np.any(found.slipping[found.true_slip_frame] & ~pressed)
+    played = run_probe(load_scene("rectangle", gel__tier=tier, **CLEAN), 9.0, 0.0)
+    share = played.slipping.mean(axis=(2, 3))
+    assert played.slipping.shape == played.gel.shape[:-1]
+    assert not played.slipping[: played.onset_frame].any()
+    assert share[played.true_slip_frame].max() >= 0.25
+    assert share[played.true_slip_frame - 1].max() < 0.25
+    pressed = played.gel[played.true_slip_frame, ..., 2] > 0
+    assert not np.any(played.slipping[played.true_slip_frame] & ~pressed)
 
 
 def fingerprint(case: tuple[str, str]) -> str:
     """Hash of one probe's bits; case: scene and tier."""
     name, tier = case
-    found = run_probe(load_scene(name, gel__tier=tier), 7.0, -4.0, seed=3)
-    return hashlib.sha256(found.gel.tobytes() + found.wrench.tobytes() + found.in_hand.tobytes()).hexdigest()
+    played = run_probe(load_scene(name, gel__tier=tier), 7.0, -4.0, seed=3)
+    return hashlib.sha256(played.gel.tobytes() + played.wrench.tobytes() + played.in_hand.tobytes()).hexdigest()
 
 
 @pytest.mark.slow

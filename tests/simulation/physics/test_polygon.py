@@ -25,12 +25,12 @@ def polygon(like: str, vertices: object, **changes: object) -> Scene:
 @pytest.mark.parametrize("name", ["rectangle", "hexagon"])
 def test_a_polygon_with_the_corners_of_a_known_shape_plays_like_it(name: str) -> None:
     known = load_scene(name).varied(STILL)
-    found, expected = (
+    drawn, expected = (
         run_probe(scene, 8.0, 5.0, seed=3) for scene in (polygon(name, known.object.footprint_mm.tolist()), known)
     )
-    assert found.outcome == expected.outcome == "blocked"
-    assert found.wrench == pytest.approx(expected.wrench, abs=1e-3)
-    assert found.gel == pytest.approx(expected.gel, abs=1e-3)
+    assert drawn.outcome == expected.outcome == "blocked"
+    assert drawn.wrench == pytest.approx(expected.wrench, abs=1e-3)
+    assert drawn.gel == pytest.approx(expected.gel, abs=1e-3)
 
 
 def test_a_pentagon_is_held_at_its_roof_and_its_flat_and_stops_on_the_block() -> None:

@@ -31,9 +31,9 @@ def apparent_modulus(kernel: Kernel, thickness_mm: float, component: int) -> flo
     def moved(traction):
         return kernel(np.stack([traction.reshape(shape)] * 2))[0].ravel()
 
-    plate = np.zeros(shape)
-    plate[..., component] = 1.0
-    traction, failed = cg(LinearOperator((plate.size,) * 2, matvec=moved), plate.ravel(), rtol=1e-6, maxiter=3000)
+    load = np.zeros(shape)
+    load[..., component] = 1.0
+    traction, failed = cg(LinearOperator((load.size,) * 2, matvec=moved), load.ravel(), rtol=1e-6, maxiter=3000)
     assert not failed
     return float(traction.reshape(shape)[..., component].mean()) * thickness_mm
 
@@ -43,16 +43,16 @@ def apparent_modulus(kernel: Kernel, thickness_mm: float, component: int) -> flo
 def test_a_compressed_block_is_as_stiff_as_gent_meinecke_and_lindley_say(shape_factor: float, poisson: float) -> None:
     kernel, thickness_mm = block(shape_factor, poisson)
     middle = (np.arange(CELLS) + 0.5) * SIDE_MM / CELLS - 0.5 * SIDE_MM
-    said = modulus_profile(middle, middle, (0.5 * SIDE_MM, 0.5 * SIDE_MM), thickness_mm, poisson).mean()
-    assert apparent_modulus(kernel, thickness_mm, 2) == pytest.approx(said, rel=0.1)
+    expected = modulus_profile(middle, middle, (0.5 * SIDE_MM, 0.5 * SIDE_MM), thickness_mm, poisson).mean()
+    assert apparent_modulus(kernel, thickness_mm, 2) == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.parametrize("shape_factor", [1.0, 2.0, 3.0])
 def test_rubber_that_keeps_its_volume_is_gent_and_lindleys_by_shape_factor(shape_factor: float) -> None:
     middle = (np.arange(CELLS) + 0.5) * SIDE_MM / CELLS - 0.5 * SIDE_MM
     thickness_mm = SIDE_MM / (4.0 * shape_factor)
-    said = modulus_profile(middle, middle, (0.5 * SIDE_MM, 0.5 * SIDE_MM), thickness_mm, 0.4999).mean()
-    assert said == pytest.approx(3.0 * (1.0 + 2.0 * shape_factor**2), rel=0.12)
+    modulus = modulus_profile(middle, middle, (0.5 * SIDE_MM, 0.5 * SIDE_MM), thickness_mm, 0.4999).mean()
+    assert modulus == pytest.approx(3.0 * (1.0 + 2.0 * shape_factor**2), rel=0.12)
 
 
 @pytest.mark.parametrize("shape_factor", [1.0, 2.0, 4.0])
@@ -60,9 +60,9 @@ def test_a_sheared_block_with_free_ends_is_a_little_softer_than_without(shape_fa
     """Rivlin and Saunders (1949): the block bends, too; 1 + t^2 / (36 k^2) with the radius of gyration k."""
     kernel, thickness_mm = block(shape_factor, 0.48)
     bends = 1.0 + thickness_mm**2 / (36.0 * SIDE_MM**2 / 12.0)
-    found = apparent_modulus(kernel, thickness_mm, 0)
-    assert found < 1.0
-    assert found == pytest.approx(1.0 / bends, rel=0.06)
+    modulus = apparent_modulus(kernel, thickness_mm, 0)
+    assert modulus < 1.0
+    assert modulus == pytest.approx(1.0 / bends, rel=0.06)
 
 
 @pytest.mark.slow
@@ -109,15 +109,15 @@ def test_the_push_of_a_hand_that_waits_relaxes_as_the_rubber_does(tier: str) -> 
 
 @pytest.mark.parametrize("tier", ["bristle", "layer"])
 def test_fingers_give_by_the_force_on_their_pads_and_the_markers_ride_along(tier: str) -> None:
-    found = {}
+    played = {}
     for stiffness in (0.0, 20.0, 1e5):
         bend = {"grasp__finger_stiffness_n_per_mm": stiffness, "effects__finger_compliance": "on"}
         cell = QuasiStaticCell(load_scene("rectangle", gel__tier=tier, gel__friction=2.0, **bend, **CLEAN))
         cell.regrasp(8.0, 0.0)
-        found[stiffness] = cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 5.6, 0.0), cell
-    bent, cell = found[20.0]
+        played[stiffness] = cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 5.6, 0.0), cell
+    bent, cell = played[20.0]
     sideways = 0.5 * bent.wrench_n_nmm[0]  # on each pad
     assert abs(sideways) > 0.5
     np.testing.assert_allclose(cell.layer._bent * (1.0, -1.0), sideways / 20.0, rtol=0.05)
-    np.testing.assert_allclose(found[1e5][0].gel, found[0.0][0].gel, atol=2e-3)
-    assert np.abs(bent.gel[..., 0] - found[0.0][0].gel[..., 0]).max() < 0.5 * abs(sideways / 20.0)
+    np.testing.assert_allclose(played[1e5][0].gel, played[0.0][0].gel, atol=2e-3)
+    assert np.abs(bent.gel[..., 0] - played[0.0][0].gel[..., 0]).max() < 0.5 * abs(sideways / 20.0)

@@ -29,15 +29,15 @@ def test_a_mirror_in_x_flips_columns_and_du(name: str, x: float, theta: float) -
 
 
 def test_a_pure_yaw_poke_through_the_centre_turns_nothing() -> None:
-    found = probe("rectangle", 0.0, 10.0)
-    assert np.abs(found.in_hand[:, 3:]).max() < 1e-6
-    assert found.wrench[:, 2].max() == pytest.approx(32.0, abs=0.1)
+    played = probe("rectangle", 0.0, 10.0)
+    assert np.abs(played.in_hand[:, 3:]).max() < 1e-6
+    assert played.wrench[:, 2].max() == pytest.approx(32.0, abs=0.1)
 
 
 def test_the_anchor_poke_has_the_anchor_figures() -> None:
     """Rectangle, x = 10 mm, 20 N grip: a few newtons and degrees, slip from the rim after about 1 mm."""
-    found = probe("rectangle", 10.0, 0.0)
-    at = int(np.argmin(np.abs(found.depth_mm - 6.5)))
-    assert found.wrench[at, 2] == pytest.approx(14.0, abs=4.0)
-    assert np.degrees(abs(found.in_hand[at, 4])) == pytest.approx(3.4, abs=0.6)
-    assert 0.2 < np.abs(found.gel[-1, ..., :2]).max() < 2.0
+    played = probe("rectangle", 10.0, 0.0)
+    at = int(np.argmin(np.abs(played.depth_mm - 6.5)))
+    assert played.wrench[at, 2] == pytest.approx(14.0, abs=4.0)
+    assert np.degrees(abs(played.in_hand[at, 4])) == pytest.approx(3.4, abs=0.6)
+    assert 0.2 < np.abs(played.gel[-1, ..., :2]).max() < 2.0

@@ -11,8 +11,8 @@ APPROACH = (4.0, 0.0, 35.0, 10.0)
 ALL_AT_ONCE = {"tcp_offset_mm": (2.0, -1.0), "frame_yaw_deg": 3.0, "blocks_up_mm": 1.5, "x_sign": -1, "yaw_sign": -1}
 
 
-def true(told: tuple[float, float, float, float], **unstated: object) -> tuple[float, ...]:
-    return Misplacement(Unstated(**unstated), APPROACH).true(told)
+def true(reported: tuple[float, float, float, float], **unstated: object) -> tuple[float, ...]:
+    return Misplacement(Unstated(**unstated), APPROACH).true(reported)
 
 
 def test_an_offset_of_the_tool_turns_with_the_tool() -> None:
@@ -36,10 +36,10 @@ def test_a_wrong_sign_turns_over_what_follows_the_approach() -> None:
 
 @pytest.mark.parametrize("unstated", [{}, ALL_AT_ONCE, *({key: value} for key, value in ALL_AT_ONCE.items())])
 def test_what_the_arm_says_is_where_it_was_sent(unstated: dict[str, object]) -> None:
-    misplaced, told = Misplacement(Unstated(**unstated), APPROACH), (-3.0, 2.0, 28.0, -7.0)
-    assert misplaced.told(misplaced.true(told)) == pytest.approx(told, abs=1e-12)
+    misplaced, reported = Misplacement(Unstated(**unstated), APPROACH), (-3.0, 2.0, 28.0, -7.0)
+    assert misplaced.reported(misplaced.true(reported)) == pytest.approx(reported, abs=1e-12)
     if not unstated:
-        assert misplaced.told(misplaced.true(told)) == told
+        assert misplaced.reported(misplaced.true(reported)) == reported
 
 
 def test_a_residual_of_a_calibration_is_about_the_middle_and_clockwise_on_screen() -> None:

@@ -33,8 +33,8 @@ def test_finer_nodes_err_less_and_the_tiers_differ_by_a_model() -> None:
 
 @pytest.mark.slow
 def test_the_picture_is_drawn_from_the_published_figures(tmp_path: Path) -> None:
-    found = json.loads((DOCS / "accuracy.json").read_text())
-    accuracy_report.draw(found["costs"], tmp_path / "accuracy.png")
+    published = json.loads((DOCS / "accuracy.json").read_text())
+    accuracy_report.draw(published["costs"], tmp_path / "accuracy.png")
     assert (tmp_path / "accuracy.png").stat().st_size > 20_000
 
 

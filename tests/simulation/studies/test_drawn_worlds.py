@@ -20,10 +20,10 @@ def test_variants_play_the_same_starts_and_another_seed_other_ones(tmp_path):
     assert first == again != other
     assert [start.world.name for start in first] == [f"w{n % 6}" for n in range(12)]
     todo = [task.job for task in drawn_worlds.tasks(variants(tmp_path), first, 3, "fields")]
-    for told, not_told in zip(todo[::2], todo[1::2], strict=True):
-        assert (told["told_reach"], not_told["told_reach"]) == (True, False)
+    for stated, unstated in zip(todo[::2], todo[1::2], strict=True):
+        assert (stated["told_reach"], unstated["told_reach"]) == (True, False)
         ignored = {"condition": "", "told_reach": ""}
-        assert told | ignored == not_told | ignored
+        assert stated | ignored == unstated | ignored
     assert len({job["condition"] + str(job["index"]) for job in todo}) == len(todo)
 
 

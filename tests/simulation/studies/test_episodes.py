@@ -7,15 +7,15 @@ from robot_client.session.commission import SIDES
 from simulation.studies.episodes import named_mistakes
 
 
-def probe(x_mm, theta_deg, said, sigma=1.5):
+def probe(x_mm, theta_deg, felt, sigma=1.5):
     """A row of a probe at a known error whose networks said ``said``."""
     estimate = {
-        "dx_mm": said[0],
-        "dtheta_deg": said[1],
+        "dx_mm": felt[0],
+        "dtheta_deg": felt[1],
         "sigma_x_mm": sigma,
         "sigma_theta_deg": sigma,
-        "interval_x_mm": [said[0] - 2, said[0] + 2],
-        "interval_theta_deg": [said[1] - 2, said[1] + 2],
+        "interval_x_mm": [felt[0] - 2, felt[0] + 2],
+        "interval_theta_deg": [felt[1] - 2, felt[1] + 2],
     }
     return {"x_mm": x_mm, "theta_deg": theta_deg, "reason": "", "trials": [{"decision": {"estimate": estimate}}]}
 

@@ -41,18 +41,18 @@ def rows():
 
 def evidence(sliding=("box_1_slip", "can_7_slip")):
     """Terms of each frame: noise, and a changed imprint while the object slides."""
-    rng, told = np.random.default_rng(2), {}
+    rng, terms_of = np.random.default_rng(2), {}
     for one in rows():
         terms = rng.normal(0, 0.1, (130, 5))
         terms[44:54, :3] += 4.0 * (one["run"] in sliding)
-        told[one["run"]] = [None, *terms[1:].tolist()]
-    return told
+        terms_of[one["run"]] = [None, *terms[1:].tolist()]
+    return terms_of
 
 
 def test_only_what_is_told_in_time_counts():
-    found = figures(rows(), LABELS, evidence())
+    result = figures(rows(), LABELS, evidence())
     names = ("lost", "warned", "warned_by_markers", "slip_of_held", "slip_of_held_by_markers")
-    counted = {name: (found[name]["hits"], found[name]["runs"]) for name in names}
+    counted = {name: (result[name]["hits"], result[name]["runs"]) for name in names}
     assert counted == {
         "lost": (3, 4),
         "warned": (1, 3),
@@ -60,18 +60,18 @@ def test_only_what_is_told_in_time_counts():
         "slip_of_held": (1, 4),
         "slip_of_held_by_markers": (1, 4),
     }
-    assert (found["lost_of_held"]["hits"], found["lost_of_held_to_the_end"]["hits"]) == (1, 0)
-    assert found["lead_s"] == [1.25]
-    assert found["without_open_frame"] == 1
-    assert found["slip_per_1000"] == pytest.approx(1000 / (100 + 61 + 100 + 100))
+    assert (result["lost_of_held"]["hits"], result["lost_of_held_to_the_end"]["hits"]) == (1, 0)
+    assert result["lead_s"] == [1.25]
+    assert result["without_open_frame"] == 1
+    assert result["slip_per_1000"] == pytest.approx(1000 / (100 + 61 + 100 + 100))
 
 
 def test_the_witness_is_judged_on_objects_that_it_was_not_fitted_on():
-    found = figures(rows(), LABELS, evidence())["witness"]
-    assert found["witness_warned"]["hits"] >= 2
-    assert found["auc"] > 0.6
+    result = figures(rows(), LABELS, evidence())["witness"]
+    assert result["witness_warned"]["hits"] >= 2
+    assert result["auc"] > 0.6
     nobody_else = figures(rows(), LABELS, evidence(sliding=("can_7_slip",)))["witness"]
-    assert nobody_else["auc"] < found["auc"] - 0.2
+    assert nobody_else["auc"] < result["auc"] - 0.2
 
 
 def test_the_page_is_written_from_rows_and_labels_and_refuses_a_part(tmp_path, capsys):

@@ -23,10 +23,10 @@ def test_there_are_at_least_sixty_faults_and_phases():
     assert len(named) == len(set(named)) >= 60
 
 
-def story(judged_ms, *, held_ms):
+def story(frames_ms, *, held_ms):
     """An episode: a descent at 0 ms, frames judged at these times, a hold, and one more frame heard after it."""
     heard = [
-        {"event": {"at_s": ms / 1e3, "message": {"type": "watching", "frame_captured_ns": ms * MS}}} for ms in judged_ms
+        {"event": {"at_s": ms / 1e3, "message": {"type": "watching", "frame_captured_ns": ms * MS}}} for ms in frames_ms
     ]
     late = {"event": {"at_s": held_ms / 1e3, "message": {"type": "watching", "frame_captured_ns": (held_ms - 1) * MS}}}
     descend = {"command": {"kind": "move", "motion": "descend"}}
@@ -76,7 +76,7 @@ def echo():
         server.shutdown()
 
 
-def told(relay, text=b"0123456789", timeout_s=1.0):
+def sent_through(relay, text=b"0123456789", timeout_s=1.0):
     with socket.create_connection(("127.0.0.1", relay.own_port), 5.0) as link:
         link.sendall(text)
         link.settimeout(timeout_s)
@@ -90,14 +90,14 @@ def told(relay, text=b"0123456789", timeout_s=1.0):
 
 
 def test_a_bad_network_is_as_bad_as_it_says(echo):
-    assert told(echo)[0] == b"0123456789"
+    assert sent_through(echo)[0] == b"0123456789"
     echo.misbehave("drip")
-    assert told(echo, timeout_s=5.0)[1] >= 8 * DRIP_S
+    assert sent_through(echo, timeout_s=5.0)[1] >= 8 * DRIP_S
     echo.misbehave("late", 0.1)
-    heard, took_s = told(echo, timeout_s=5.0)
+    heard, took_s = sent_through(echo, timeout_s=5.0)
     assert (heard, took_s >= 0.2) == (b"0123456789", True)
     echo.misbehave("half open")
-    assert told(echo)[0] == b""
+    assert sent_through(echo)[0] == b""
 
 
 def test_the_page_tells_what_the_lease_bounds_from_what_it_does_not(tmp_path):

@@ -46,10 +46,10 @@ def test_displacements_are_within_the_limits_on_simulated_trials(count):
     trials = [trial for trial in draw_trials(count, 1, 30) if trial.label == "slip"]
     assert trials
     for noise, limit_px in ((2.0, 0.06), (6.0, 0.10)):
-        found = accuracy_at_noise(trials, noise)
-        assert np.sqrt(2) * found["rms_px"] < limit_px
-        assert found["wrong_share"] < 0.001
-        assert found["tracked_share"] > 0.95
+        accuracy = accuracy_at_noise(trials, noise)
+        assert np.sqrt(2) * accuracy["rms_px"] < limit_px
+        assert accuracy["wrong_share"] < 0.001
+        assert accuracy["tracked_share"] > 0.95
 
 
 def test_bad_counts_are_refused(capsys):

@@ -35,7 +35,7 @@ def steps_of(x_mm, theta_deg, rng):
     return out
 
 
-def recorded(root, count, off_mm=0.0, seed=0, *, told_right=True, work=False):
+def recorded(root, count, off_mm=0.0, seed=0, *, stated_right=True, work=False):
     """Recordings of probes by a tool that is off by ``off_mm``, or of ``work`` that went in at the next attempt.
 
     Unless ``told_right``, of something else.
@@ -43,8 +43,8 @@ def recorded(root, count, off_mm=0.0, seed=0, *, told_right=True, work=False):
     rng = np.random.default_rng(seed)
     for index in range(count):
         x_mm, theta_deg = (float(value) for value in rng.uniform(-12, 12, 2))
-        seen = (x_mm - off_mm, theta_deg) if told_right else rng.uniform(-12, 12, 2)
-        attempts = [(steps_of(*seen, rng), {"dx_mm": -x_mm, "dtheta_deg": -theta_deg})]
+        felt = (x_mm - off_mm, theta_deg) if stated_right else rng.uniform(-12, 12, 2)
+        attempts = [(steps_of(*felt, rng), {"dx_mm": -x_mm, "dtheta_deg": -theta_deg})]
         keep(
             root / f"{index:04d}", attempts, *(("insert", "inserted") if work else ("probe", "failed")), x_mm, theta_deg
         )
@@ -60,7 +60,7 @@ def keep(folder, attempts, purpose, outcome, x_mm, theta_deg):
     (folder / "summary.json").write_text(json.dumps(summary))
 
 
-def judged_by(start, samples, *stages):
+def compared(start, samples, *stages):
     return compare(start, samples, hold_out(start, samples, stages, 0), 0)
 
 
@@ -106,26 +106,26 @@ def test_an_unseen_point_counts_for_nothing(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("stages", [("calibration", "gain"), ("calibration", "gain", "heads", "all")])
 def test_a_cell_that_is_off_is_learnt_from_work(release, tmp_path, stages):
-    judged = adapt(recorded(tmp_path / "runs", 80, off_mm=6.0, work=True), release, tmp_path / "out", stages=stages)
-    assert judged.accepted, judged.text()
-    before, after = judged.figures["released"], judged.figures[judged.best]
+    comparison = adapt(recorded(tmp_path / "runs", 80, off_mm=6.0, work=True), release, tmp_path / "out", stages=stages)
+    assert comparison.accepted, comparison.text()
+    before, after = comparison.figures["released"], comparison.figures[comparison.best]
     assert after["mae_x_mm"] < 0.8 * before["mae_x_mm"]
     assert after["coverage90_x"] > 0.8
     made = Checkpoint.load(tmp_path / "out" / "checkpoint.pt")
-    assert made.run["adapted"]["stage"] == judged.best
-    assert made.weights_sha256() != Checkpoint.load(release).weights_sha256() or judged.best == "calibration"
+    assert made.run["adapted"]["stage"] == comparison.best
+    assert made.weights_sha256() != Checkpoint.load(release).weights_sha256() or comparison.best == "calibration"
     fresh = read_episodes(recorded(tmp_path / "fresh", 40, off_mm=6.0, seed=1, work=True), made.sensor)
-    again, was = (judged_by(one, fresh).figures["released"] for one in (made, Checkpoint.load(release)))
+    again, was = (compared(one, fresh).figures["released"] for one in (made, Checkpoint.load(release)))
     assert again["mae_x_mm"] < 0.8 * was["mae_x_mm"]
 
 
 def test_a_tool_that_is_off_is_told_and_not_learnt(release, tmp_path):
     """A network that learnt it would steer every part beside the gap."""
-    judged = {
+    comparisons = {
         off_mm: adapt(recorded(tmp_path / f"{off_mm}", 60, off_mm=off_mm), release, tmp_path / "out", stages=("gain",))
         for off_mm in (0.0, 3.0)
     }
-    straight, off = judged[0.0], judged[3.0]
+    straight, off = comparisons[0.0], comparisons[3.0]
     assert off.gap.at[0] - straight.gap.at[0] == pytest.approx(3.0, abs=3.0 * off.gap.sigma[0])
     assert off.gap.at[1] == pytest.approx(straight.gap.at[1], abs=3.0 * off.gap.sigma[1])
     was, now = (one.figures["released"]["mae_x_mm"] for one in (straight, off))
@@ -134,10 +134,10 @@ def test_a_tool_that_is_off_is_told_and_not_learnt(release, tmp_path):
 
 def test_probes_that_say_nothing_never_make_a_surer_network(release, tmp_path):
     """Errors without any bearing on what was seen can at best teach the network how little it knows."""
-    samples = read_episodes(recorded(tmp_path, 60, told_right=False), Sensor.load())
-    judged = judged_by(Checkpoint.load(release), samples, "calibration", "gain")
-    assert judged.figures[judged.best]["coverage90_x"] > judged.figures["released"]["coverage90_x"]
-    assert judged.figures[judged.best]["likelihood"] < judged.figures["released"]["likelihood"]
+    samples = read_episodes(recorded(tmp_path, 60, stated_right=False), Sensor.load())
+    comparison = compared(Checkpoint.load(release), samples, "calibration", "gain")
+    assert comparison.figures[comparison.best]["coverage90_x"] > comparison.figures["released"]["coverage90_x"]
+    assert comparison.figures[comparison.best]["likelihood"] < comparison.figures["released"]["likelihood"]
 
 
 @pytest.mark.parametrize(("known_of", "surer"), [("probe", True), ("work", False)])
@@ -147,19 +147,21 @@ def test_only_probes_make_a_network_surer(known_of, surer):
     truth = rng.uniform(-12, 12, (count, 2))
     error = truth + rng.normal(0.0, 0.2, truth.shape)
     logits = 9.0 * np.eye(9)[class_of(truth.astype(np.float32))]
-    said = Predictions(logits, error, np.zeros((count, 2)), truth, np.full(count, known_of))
+    predictions = Predictions(logits, error, np.zeros((count, 2)), truth, np.full(count, known_of))
     before = Scales(1.2, 1.1, 1.0)
-    after = calibrated(before, said)
+    after = calibrated(before, predictions)
     for name in ("temperature", "sigma_x", "sigma_theta"):
         assert (getattr(after, name) < getattr(before, name)) == surer
-    wrong = replace(said, error=truth + rng.normal(0.0, 3.0, truth.shape))
+    wrong = replace(predictions, error=truth + rng.normal(0.0, 3.0, truth.shape))
     assert min(calibrated(before, wrong).sigma_x, calibrated(before, wrong).sigma_theta) > 2.0
 
 
 def test_a_cell_that_is_as_released_keeps_the_release_or_a_likelier_one(release, tmp_path):
-    judged = adapt(recorded(tmp_path / "runs", 40, seed=3), release, tmp_path / "out", stages=("calibration", "gain"))
-    if not judged.accepted:
-        assert judged.objections
+    comparison = adapt(
+        recorded(tmp_path / "runs", 40, seed=3), release, tmp_path / "out", stages=("calibration", "gain")
+    )
+    if not comparison.accepted:
+        assert comparison.objections
         assert not (tmp_path / "out").exists()
 
 

@@ -70,9 +70,9 @@ def test_a_run_states_how_it_reads_and_what_it_was_trained_on(pressed_source, co
 
 def test_a_drawn_cell_says_all_that_was_drawn():
     scene, drawn = drawn_cells.draw_cell(np.random.default_rng(4))
-    said, stated = json.loads(drawn), drawn_cells.stated(scene)
-    assert said["gel.shear_modulus_n_per_mm2"] == scene.gel.shear_modulus_n_per_mm2
-    assert said["camera.fps"] == scene.fps
-    assert said["world.camera_roll_deg"]
+    changes, stated = json.loads(drawn), drawn_cells.stated(scene)
+    assert changes["gel.shear_modulus_n_per_mm2"] == scene.gel.shear_modulus_n_per_mm2
+    assert changes["camera.fps"] == scene.fps
+    assert changes["world.camera_roll_deg"]
     assert stated["shear_reach_mm"] == pytest.approx(1.05 * shear_reach_pitches(scene))
-    assert stated["speed_mm_s"] == said["motion.descent_speed_mm_s"]
+    assert stated["speed_mm_s"] == changes["motion.descent_speed_mm_s"]

@@ -35,11 +35,11 @@ def log_of(path, far_mm, near_mm, per_mm, rng, count=400):
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 0.03), st.integers(0, 2**20))
 def test_planted_creep_is_found(tmp_path_factory, far_mm, near_mm, per_mm, seed):
     path = log_of(tmp_path_factory.mktemp("log") / "log.jsonl", far_mm, near_mm, per_mm, np.random.default_rng(seed))
-    found = of_insertions([path], USUAL)
-    assert found.creep_mm == pytest.approx(far_mm, abs=0.1)
-    assert found.creep_near_mm == pytest.approx(near_mm, abs=0.15)
-    assert found.creep_near_mm_per_mm == pytest.approx(per_mm, abs=0.004)
-    assert 0.1 <= found.creep_spread_mm < 0.4
+    expected = of_insertions([path], USUAL)
+    assert expected.creep_mm == pytest.approx(far_mm, abs=0.1)
+    assert expected.creep_near_mm == pytest.approx(near_mm, abs=0.15)
+    assert expected.creep_near_mm_per_mm == pytest.approx(per_mm, abs=0.004)
+    assert 0.1 <= expected.creep_spread_mm < 0.4
 
 
 def test_too_few_attempts_and_a_foreign_file_are_refused(tmp_path):
@@ -51,10 +51,10 @@ def test_too_few_attempts_and_a_foreign_file_are_refused(tmp_path):
 
 
 def test_prior_and_spread_follow_the_data():
-    found = of_errors(np.random.default_rng(0).uniform(-10, 10, (4000, 2)), USUAL)
-    assert found.edge == pytest.approx((12, 12), abs=0.1)
-    assert found.spread == pytest.approx((10 / 3**0.5,) * 2, rel=0.05)
-    assert found.creep_mm == USUAL.creep_mm
+    expected = of_errors(np.random.default_rng(0).uniform(-10, 10, (4000, 2)), USUAL)
+    assert expected.edge == pytest.approx((12, 12), abs=0.1)
+    assert expected.spread == pytest.approx((10 / 3**0.5,) * 2, rel=0.05)
+    assert expected.creep_mm == USUAL.creep_mm
 
 
 def test_a_belief_moves_as_far_as_its_card_says():

@@ -74,10 +74,10 @@ def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, l
 
 def test_a_checkpoint_names_its_run_but_no_place_of_the_machine(trained):
     config, _ = trained
-    said = Checkpoint.load(config.folder / "checkpoint.pt").run
-    assert said["seed"] == config.seed
-    assert said["trunk"]["learning_rate"] == config.trunk.learning_rate
-    assert not [place for place in (config.runs, config.data.path, config.data.cache) if place in str(said)]
+    run = Checkpoint.load(config.folder / "checkpoint.pt").run
+    assert run["seed"] == config.seed
+    assert run["trunk"]["learning_rate"] == config.trunk.learning_rate
+    assert not [place for place in (config.runs, config.data.path, config.data.cache) if place in str(run)]
 
 
 def test_a_run_folder_belongs_to_one_config(trained, source):

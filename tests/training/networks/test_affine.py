@@ -35,26 +35,26 @@ def numbers(field: Tensor) -> Tensor:
 
 @given(du=st.floats(0.05, 0.5), dv=st.floats(-0.5, 0.5), part=st.sampled_from([slice(None), slice(4, 12)]))
 def test_the_patch_that_moves_tells_the_objects_shift(du: float, dv: float, part: slice) -> None:
-    found = numbers(fields((du, dv, 0.0), (-du, dv, 0.0), part))
-    assert found[PATCH + ALONG_X] == pytest.approx(du, abs=1e-3)
-    assert found[PATCH + ALONG_Z] == pytest.approx(dv, abs=1e-3)
-    assert found[PATCH + ABOUT_Z] == pytest.approx(0.0, abs=1e-5)
-    assert found[SIZE].exp() == pytest.approx((du**2 + dv**2) ** 0.5 + QUIET, abs=1e-3)
+    features = numbers(fields((du, dv, 0.0), (-du, dv, 0.0), part))
+    assert features[PATCH + ALONG_X] == pytest.approx(du, abs=1e-3)
+    assert features[PATCH + ALONG_Z] == pytest.approx(dv, abs=1e-3)
+    assert features[PATCH + ABOUT_Z] == pytest.approx(0.0, abs=1e-5)
+    assert features[SIZE].exp() == pytest.approx((du**2 + dv**2) ** 0.5 + QUIET, abs=1e-3)
 
 
 @given(turn=st.floats(0.05, 0.5))
 def test_a_turn_about_the_fingers_is_what_they_see_with_opposite_signs(turn: float) -> None:
-    found = numbers(fields((0.0, 0.0, turn), (0.0, 0.0, -turn)))
-    assert found[WHOLE + DV_ALONG_U] == pytest.approx(turn, abs=1e-3)
-    assert found[WHOLE + DU_ALONG_V] == pytest.approx(-turn, abs=1e-3)
+    features = numbers(fields((0.0, 0.0, turn), (0.0, 0.0, -turn)))
+    assert features[WHOLE + DV_ALONG_U] == pytest.approx(turn, abs=1e-3)
+    assert features[WHOLE + DU_ALONG_V] == pytest.approx(-turn, abs=1e-3)
 
 
 def test_a_turn_about_the_vertical_is_what_both_fingers_see_alike_and_shows_before_it_is_large() -> None:
     for size in (1.0, 0.1):
-        found = numbers(fields((0.1 * size, 2.0 * size, 0.0), (0.1 * size, 2.0 * size, 0.0)))
-        assert found[PATCH + ABOUT_Z] == pytest.approx(0.1 * size, abs=1e-4)
-        assert found[ALONG_X] == pytest.approx(0.0, abs=1e-5)
-        assert found[2 * PATCH + ABOUT_Z] == pytest.approx(0.05, abs=0.006)
+        features = numbers(fields((0.1 * size, 2.0 * size, 0.0), (0.1 * size, 2.0 * size, 0.0)))
+        assert features[PATCH + ABOUT_Z] == pytest.approx(0.1 * size, abs=1e-4)
+        assert features[ALONG_X] == pytest.approx(0.0, abs=1e-5)
+        assert features[2 * PATCH + ABOUT_Z] == pytest.approx(0.05, abs=0.006)
 
 
 def test_what_was_not_seen_says_nothing() -> None:
@@ -65,7 +65,7 @@ def test_what_was_not_seen_says_nothing() -> None:
 
 
 def test_a_still_gel_gives_finite_numbers() -> None:
-    found = numbers(fields((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    assert len(found) == NUMBERS
-    assert torch.isfinite(found).all()
-    assert not found[:SIZE].any()
+    features = numbers(fields((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    assert len(features) == NUMBERS
+    assert torch.isfinite(features).all()
+    assert not features[:SIZE].any()

@@ -31,10 +31,10 @@ def test_tracked_markers_read_as_the_true_field_does(config, source):
     trials = load_trials(config.data.model_copy(update=few), source, "markers")
     network = build(KIND, len(CLASSES), Sensor.load())
     chosen = trials.of("validation", rendered=True)
-    seen = network.read_drawn(torch.from_numpy(trials.drawn[trials.picture[chosen]]))
+    tracked = network.read_drawn(torch.from_numpy(trials.drawn[trials.picture[chosen]]))
     fields = trials.fields[chosen].astype(np.float32)
     true = network.normalised(torch.from_numpy(np.moveaxis(fields - fields[:, :1], -1, -3).copy()))
-    off_mm = (seen - true)[..., :2, 2:-2, 2:-2].abs()
+    off_mm = (tracked - true)[..., :2, 2:-2, 2:-2].abs()
     assert float(off_mm.mean()) < 0.1 * float(true[..., :2, :, :].abs().max())
 
 

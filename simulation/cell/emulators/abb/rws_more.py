@@ -132,9 +132,9 @@ def _add_configuration(app: FastAPI, answer: Answer) -> None:
 
     @app.get("/rw/cfg/{domain}/{kind}/instances")  # cfg_domain_type_instances; attributes as abb_librws reads them
     async def instances(request: Request, domain: str, kind: str) -> Response:
-        found = CFG[domain.lower()][kind.upper()]
+        configured = CFG[domain.lower()][kind.upper()]
         return answer(
-            request, [State("cfg-dt-instance-li", next(iter(one.values())), _attributes(one)) for one in found]
+            request, [State("cfg-dt-instance-li", next(iter(one.values())), _attributes(one)) for one in configured]
         )
 
 

@@ -11,7 +11,7 @@ from tests.service import drawn
 REST_N, ONSET, SLIP_AT, COPIES_N = 8, 12, 18, 6
 
 
-def seen(pictures, quality):
+def new_frames(pictures, quality):
     """Whether each picture was new to the finger."""
     renderer = drawn.renderer("left")
     finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
@@ -34,14 +34,14 @@ def copies(original, grey, seed=1):
 
 @pytest.mark.parametrize("quality", [None, 80])
 def test_live_frames_are_new_at_rest_in_motion_and_in_slip(quality):
-    assert all(seen(live(SLIP_AT + 6), quality))
+    assert all(new_frames(live(SLIP_AT + 6), quality))
 
 
 @pytest.mark.parametrize(("grey", "quality"), [(2, None), (2, 80), (8, 95)])
 @pytest.mark.parametrize("frozen_at", [REST_N, ONSET + 2])
 def test_copies_beneath_fresh_noise_are_none_from_the_second_on(frozen_at, grey, quality):
     before = live(frozen_at)
-    new = seen([*before, *copies(before[-1], grey), *live(4, frozen_at)], quality)
+    new = new_frames([*before, *copies(before[-1], grey), *live(4, frozen_at)], quality)
     assert new == [True] * (frozen_at + 1) + [False] * (COPIES_N - 1) + new[-4:]
     assert all(new[-3:]), "a camera that lives again is believed"
 

@@ -142,14 +142,14 @@ def test_slip_is_seen_at_every_size_and_grid_and_sticking_is_not_slip(rows, cols
     rng = np.random.default_rng(14)
     points = grid(rows, cols, pitch, width, height)
     for hold_pitch, expected in ((0.6, True), (np.inf, False)):
-        tracker, slip, seen = MarkerTracker(), SlipDetector(), None
+        tracker, slip, first = MarkerTracker(), SlipDetector(), None
         for k in range(12):
             image = draw(slid(points, k, pitch, hold_pitch), rng, width, height, diameter)
             field = tracker.update(image, k * FRAME_NS)
             state = slip.update(field) if k else slip.rearm(field)
-            seen = k if state.slip and seen is None else seen
-        assert (seen is not None) == expected
-        assert not expected or 6 <= seen <= 9, f"let go after frame 6, seen at {seen}"
+            first = k if state.slip and first is None else first
+        assert (first is not None) == expected
+        assert not expected or 6 <= first <= 9, f"let go after frame 6, seen at {first}"
 
 
 def test_an_exposure_jump_moves_no_marker():
@@ -222,10 +222,10 @@ def test_a_jump_that_may_be_a_whole_pitch_is_said_to_be_ambiguous_and_forgotten(
     )
     tracker, way = MarkerTracker(), [0, 0.3, 0.55, 0.9, 0.3, 0.0, 0.0]
     fields = [tracker.update(draw(wide + shift * step, rng), k * FRAME_NS) for k, shift in enumerate(way)]
-    unsure = [seen for seen in fields if seen.status == "ambiguous"]
+    unsure = [field for field in fields if field.status == "ambiguous"]
     assert unsure
-    assert not any(seen.usable or seen.valid.any() for seen in unsure)
-    for seen, shift in zip(fields[5:], way[5:], strict=True):
-        assert seen.usable
-        moved = np.median(seen.displacement_px[seen.valid], 0) / 15
+    assert not any(field.usable or field.valid.any() for field in unsure)
+    for field, shift in zip(fields[5:], way[5:], strict=True):
+        assert field.usable
+        moved = np.median(field.displacement_px[field.valid], 0) / 15
         assert abs(moved - [shift, 0]).max() < 0.1, "the grid has not slid by a step"

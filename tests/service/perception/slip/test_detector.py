@@ -14,14 +14,14 @@ from tests.service.perception.synthetic import FRAME_NS, patch_fields, rigid
 SENSOR = Sensor.load()
 
 
-def judge(fields):
+def states_of(fields):
     detector = SlipDetector()
     detector.rearm(fields[0])
     return [detector.update(field) for field in fields[1:]]
 
 
 def first_slip(fields):
-    return next((k for k, state in enumerate(judge(fields), 1) if state.slip), None)
+    return next((k for k, state in enumerate(states_of(fields), 1) if state.slip), None)
 
 
 @pytest.mark.parametrize("contact_known", [False, True])
@@ -36,9 +36,9 @@ def test_a_patch_that_sticks_never_slips(contact_known, shift, degrees):
 def test_slip_is_seen_soon_in_every_direction(contact_known, shift):
     fields, shares = patch_fields(rigid(shift, 0.7), hold_px=14, contact_known=contact_known)
     true = next(k for k, share in enumerate(shares) if share > 0.2)
-    seen = first_slip(fields)
-    assert seen is not None
-    assert true - 1 <= seen <= true + 2
+    first = first_slip(fields)
+    assert first is not None
+    assert true - 1 <= first <= true + 2
 
 
 @given(degrees=st.floats(-5, 5), seed=st.integers(0, 100), noise=st.floats(0, 0.1))
@@ -54,7 +54,7 @@ def test_pressing_harder_is_not_slip():
 
 def test_noise_at_rest_is_hold():
     fields, _ = patch_fields(rigid(), frames=60, noise_px=0.08)
-    assert {state.state for state in judge(fields)} == {"hold"}
+    assert {state.state for state in states_of(fields)} == {"hold"}
 
 
 def shaken(seed):
@@ -81,11 +81,11 @@ def test_a_patch_that_slides_straight_is_slip_within_three_frames_or_seventy_mil
             noise_px=0.05,
         )
         fields = [replace(field, captured_ns=round(k * 1e9 / fps)) for k, field in enumerate(fields)]
-        seen = first_slip(fields)
+        first = first_slip(fields)
         if missing == 1:
-            assert seen is None
+            assert first is None
         else:
-            assert stops < seen <= stops + max(3, 0.07 * fps)
+            assert stops < first <= stops + max(3, 0.07 * fps)
 
 
 def test_a_soft_object_that_is_shaken_has_no_node_that_stands_out():
@@ -116,7 +116,7 @@ def straight_slide(seconds_still):
 
 
 def test_a_patch_that_slides_straight_is_slip_once_it_stands_still():
-    states = judge(straight_slide(0.3))
+    states = states_of(straight_slide(0.3))
     assert not states[0].slip
     assert states[-1].state == "gross_slip"
     assert "slides" in states[-1].reason or "left" in states[-1].reason
@@ -124,7 +124,7 @@ def test_a_patch_that_slides_straight_is_slip_once_it_stands_still():
 
 def test_too_large_a_motion_stops_without_slip():
     fields, _ = patch_fields(rigid((0, 4.0), 0.0), frames=12)
-    states = judge(fields)
+    states = states_of(fields)
     assert not any(state.slip for state in states)
     assert states[-1].over_limit
     assert states[-1].stop
@@ -147,18 +147,18 @@ def test_onset_comes_with_the_first_motion_and_before_slip():
 
 def test_frame_rate_does_not_matter():
     """The same slip seen by cameras of 25 to 90 frames a second: announced at the same moment, give or take a frame."""
-    seen_s = []
+    delays_s = []
     for fps in (25, 30, 45, 60, 90):
         still, _ = patch_fields(rigid(), frames=round(fps * 0.2), seed=1)
         moving, shares = patch_fields(rigid((0, 45.0 / fps), 18.0 / fps), frames=round(fps * 0.7), hold_px=14)
         fields = [replace(f, captured_ns=round(k * 1e9 / fps)) for k, f in enumerate([*still, *moving])]
-        states = judge(fields)
+        states = states_of(fields)
         assert not any(state.slip for state in states[: len(still)])
         true_s = (len(still) + next(k for k, share in enumerate(shares) if share > 0.2)) / fps
-        seen = next(k for k, state in enumerate(states, 1) if state.slip)
-        assert -1.5 / 25 <= seen / fps - true_s <= 2 / 25
-        seen_s.append(seen / fps - len(still) / fps)
-    assert max(seen_s) - min(seen_s) <= 2 / 25
+        first = next(k for k, state in enumerate(states, 1) if state.slip)
+        assert -1.5 / 25 <= first / fps - true_s <= 2 / 25
+        delays_s.append(first / fps - len(still) / fps)
+    assert max(delays_s) - min(delays_s) <= 2 / 25
 
 
 def few(count):
@@ -170,7 +170,7 @@ def few(count):
 
 @pytest.mark.parametrize("count", [0, 1, 3, 9])
 def test_few_or_collinear_markers_are_unknown(count):
-    for state in judge(few(count)):
+    for state in states_of(few(count)):
         assert state.state in {"unknown", "hold"}
         assert np.isfinite(state.score)
 
@@ -178,7 +178,7 @@ def test_few_or_collinear_markers_are_unknown(count):
 def test_a_lost_finger_stops_the_arm_after_a_while():
     fields, _ = patch_fields(rigid(), frames=12)
     dark = [replace(f, status="lost", valid=np.zeros_like(f.valid)) for f in fields[2:]]
-    states = judge(fields[:2] + dark)
+    states = states_of(fields[:2] + dark)
     assert states[1].state == "unknown"
     assert states[-1].state == "lost"
     assert states[-1].stop

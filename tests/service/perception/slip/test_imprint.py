@@ -78,11 +78,11 @@ def test_one_finger_alone_tells_no_slide():
 
 def test_frames_close_in_time_are_looked_at_once():
     rng, tracker, watch = np.random.default_rng(3), MarkerTracker(), ImprintWatch()
-    seen = []
+    changes = []
     for k in range(12):
         image = picture(rng, 0.0, 0.0)
-        seen.append(watch.update(image, tracker.update(image, k * PERIOD_NS // 5)))
-    assert len({id(one) for one in seen if one is not None}) == 2
+        changes.append(watch.update(image, tracker.update(image, k * PERIOD_NS // 5)))
+    assert len({id(one) for one in changes if one is not None}) == 2
 
 
 @pytest.mark.parametrize("asked", [True, False])
@@ -91,13 +91,13 @@ def test_a_sliding_imprint_stops_the_arm_where_that_is_asked_for(asked):
     fingers = Fingers(*(TactileFinger(side, spec, imprint=asked) for side in ("left", "right")))
     for side in ("left", "right"):
         fingers.watch(side).rearm()
-    said = []
+    slips = []
     for k, way in enumerate([*STILL, 4.0, 8.0, 12.0, 16.0]):
         for side in ("left", "right"):
             frame = TactileFrame(side, k, k * PERIOD_NS, picture(rng, way, 0.0))
-            said.append(fingers.observe(frame).slip)
-    assert not any(slip.stop for slip in said[:16])
-    assert any(slip.stop and "imprint" in slip.reason for slip in itertools.islice(said, 16, None)) == asked
+            slips.append(fingers.observe(frame).slip)
+    assert not any(slip.stop for slip in slips[:16])
+    assert any(slip.stop and "imprint" in slip.reason for slip in itertools.islice(slips, 16, None)) == asked
 
 
 @pytest.mark.parametrize(("after", "sign"), [(0.4, 1.0), (2.0, -1.0)])

@@ -18,7 +18,7 @@ from tests.service.perception.synthetic import FRAME_NS, draw, grid
 FREE = np.zeros((20, 21, 3), np.float32)
 
 
-def seen(renderer, gels, seed=0):
+def tracked(renderer, gels, seed=0):
     tracker = MarkerTracker()
     return [tracker.update(renderer.rectified(gel, seed + k), k * FRAME_NS) for k, gel in enumerate(gels)]
 
@@ -35,7 +35,7 @@ def test_a_simulated_finger_knows_from_its_picture_whether_it_holds_something(na
     cell = QuasiStaticCell(scene, 1)
     cell.regrasp(3.0, 2.0)
     renderer = Renderer(Appearance.draw(scene, "left", 5))
-    held, free = (seen(renderer, [gel])[0] for gel in (cell.look().gel[0], FREE))
+    held, free = (tracked(renderer, [gel])[0] for gel in (cell.look().gel[0], FREE))
     assert OpenGel().mark(held) is held
     marked = OpenGel().mark(free)
     assert marked.contact is not None
@@ -77,7 +77,7 @@ def test_a_watch_goes_from_no_contact_over_grasping_to_hold_and_back():
     closing = [FREE] * 20 + [held * np.float32(share) for share in np.linspace(0.2, 1.0, 5)]
     gels = closing + [held] * 20 + [FREE] * 20
     watch = GraspWatch()
-    states = [watch.update(field) for field in seen(Renderer(Appearance.draw(scene, "left", 5)), gels)]
+    states = [watch.update(field) for field in tracked(Renderer(Appearance.draw(scene, "left", 5)), gels)]
     assert {state.state for state in states[:20]} == {"no_contact"}
     assert states[24].state == "grasping"
     assert states[44].state == "hold"

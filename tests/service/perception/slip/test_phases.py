@@ -74,9 +74,9 @@ def test_an_open_gel_is_untouched_under_noise_and_exposure_and_touched_by_marker
     bulged = rest + 2.5 * away * np.exp(0.5 - 0.5 * np.square(away).sum(-1, keepdims=True))
     pictures += [np.clip(shaded, 0, 255).astype(np.uint8), draw(bulged, rng)]
     fields = [tracker.update(picture, k * FRAME_NS) for k, picture in enumerate(pictures)]
-    seen = [shrunk(picture) for picture in pictures]
-    gel.learn(fields[0], seen[0])
-    touches = [gel.touch(field, picture) for field, picture in zip(fields, seen, strict=True)]
+    shades = [shrunk(picture) for picture in pictures]
+    gel.learn(fields[0], shades[0])
+    touches = [gel.touch(field, picture) for field, picture in zip(fields, shades, strict=True)]
     assert max(touches[:3]) < 1
     assert min(touches[3:]) > 1
     assert gel.shade(shrunk((pictures[2] * 0.5).astype(np.uint8))) is None, "an exposure never seen decides nothing"

@@ -80,14 +80,14 @@ CALLS = (
 
 def subscribed(client):
     """Raises unless a subscription to everything tells that a variable and a signal have changed."""
-    seen = []
-    link = client.subscribe(KINDS, seen.append)
+    events = []
+    link = client.subscribe(KINDS, events.append)
     time.sleep(0.5)
     client.set_rapid_variable("peerNumber", str(int(time.time())))
     client.set_digital_io("doSlipStop", 0)
     until_s, kinds = time.monotonic() + 20.0, set()
     while time.monotonic() < until_s and not {"VariableValue", "Signal"} <= kinds:
-        kinds = {type(one).__name__ for one in seen}
+        kinds = {type(one).__name__ for one in events}
         time.sleep(0.02)
     link.close()
     assert {"VariableValue", "Signal"} <= kinds, kinds
@@ -109,9 +109,9 @@ def called(client, name, arguments, right):
 
 def main(url):
     client = rws.RWS(url)
-    found = {name: called(client, name, arguments, right) for name, arguments, right in CALLS}
+    errors = {name: called(client, name, arguments, right) for name, arguments, right in CALLS}
     public = {name for name, _ in inspect.getmembers(rws.RWS, inspect.isfunction) if not name.startswith("_")}
-    print(json.dumps({"errors": found, "never_called": sorted(public - set(found))}))
+    print(json.dumps({"errors": errors, "never_called": sorted(public - set(errors))}))
 
 
 main(sys.argv[1])

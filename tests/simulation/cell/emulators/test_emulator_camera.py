@@ -30,8 +30,8 @@ class Stream:
             if not data:
                 raise ConnectionError
             self.buffer += data
-        found, self.buffer = self.buffer.split(mark, 1)
-        return found
+        part, self.buffer = self.buffer.split(mark, 1)
+        return part
 
     def part(self):
         """(captured_ns, seq, jpeg)."""
@@ -64,7 +64,7 @@ def cell():
 @pytest.fixture
 def left(cell):
     cell.call(cell.cell.board.clear)
-    stream = Stream(cell.told["cameras"]["left"])
+    stream = Stream(cell.description["cameras"]["left"])
     yield stream
     stream.close()
 
@@ -85,7 +85,7 @@ def test_frames_come_at_30_hz_with_steady_stamps_and_right_size(left):
 
 
 def test_both_fingers_share_the_capture_stamp(cell, left):
-    right = Stream(cell.told["cameras"]["right"])
+    right = Stream(cell.description["cameras"]["right"])
     a = {p[1]: p[0] for p in (left.part() for _ in range(10))}
     b = {p[1]: p[0] for p in (right.part() for _ in range(10))}
     right.close()
@@ -117,15 +117,15 @@ def test_a_disconnected_camera_closes_and_comes_back(cell, left):
     cell.faults(camera_left={"disconnect": True})
     with pytest.raises(ConnectionError):
         forever(left.part)
-    assert httpx.get(cell.told["cameras"]["left"]).status_code == 503
+    assert httpx.get(cell.description["cameras"]["left"]).status_code == 503
     cell.faults(camera_left={"disconnect": False})
-    again = Stream(cell.told["cameras"]["left"])
+    again = Stream(cell.description["cameras"]["left"])
     assert again.newest()[2].startswith(b"\xff\xd8")
     again.close()
 
 
 def test_a_client_that_does_not_read_delays_nobody(cell, left):
-    idle = Stream(cell.told["cameras"]["left"])
+    idle = Stream(cell.description["cameras"]["left"])
     left.newest()
     first = left.part()
     for _ in range(30):
@@ -135,6 +135,6 @@ def test_a_client_that_does_not_read_delays_nobody(cell, left):
 
 
 def test_only_the_stream_and_the_snapshot_are_served(cell):
-    base = cell.told["cameras"]["left"].rsplit("/", 1)[0]
+    base = cell.description["cameras"]["left"].rsplit("/", 1)[0]
     assert httpx.get(base + "/other").status_code == 404
     assert httpx.get(base + "/snapshot.jpg").content.startswith(b"\xff\xd8")

@@ -154,13 +154,13 @@ def test_a_safety_stop_ends_motion_and_says_so_before_the_stream_ends(up, fault,
     guide.descend(10.0, 0.15)
     cell.faults(robot=fault)
     cell.wait(lambda: cell.cell.cabinet.state == state)
-    seen = []
+    states = []
     guide.sock.settimeout(0.3)
     with pytest.raises(TimeoutError):
-        forever(lambda: seen.append(guide.state()))
+        forever(lambda: states.append(guide.state()))
     guide.sock.settimeout(20.0)
-    assert not seen[-1].moving_allowed
-    assert not seen[-1].motors_on
+    assert not states[-1].moving_allowed
+    assert not states[-1].motors_on
     assert cell.cell.cabinet.arm.at_rest
 
 

@@ -26,7 +26,7 @@ def cell():
 @pytest.fixture
 def rws(cell):
     cell.call(cell.cell.board.clear)
-    with httpx.Client(base_url=cell.told["rws_url"], auth=AUTH, params={"json": "1"}, timeout=30.0) as client:
+    with httpx.Client(base_url=cell.description["rws_url"], auth=AUTH, params={"json": "1"}, timeout=30.0) as client:
         yield client
         client.get("/logout")
 
@@ -54,7 +54,7 @@ def bring_up(rws):
 
 
 def test_without_the_password_nothing_is_told(cell):
-    url = cell.told["rws_url"] + "/rw/panel/ctrlstate"
+    url = cell.description["rws_url"] + "/rw/panel/ctrlstate"
     bare = httpx.get(url)
     assert bare.status_code == 401
     assert bare.headers["www-authenticate"].startswith("Digest ")
@@ -69,7 +69,7 @@ def test_one_session_cookie_serves_many_requests(rws):
 
 def test_a_client_that_drops_its_cookie_runs_out_of_sessions(cell):
     codes = []
-    with httpx.Client(base_url=cell.told["rws_url"], auth=AUTH) as client:
+    with httpx.Client(base_url=cell.description["rws_url"], auth=AUTH) as client:
         for _ in range(80):
             codes.append(client.get("/rw/panel/opmode").status_code)
             client.cookies.clear()
@@ -79,7 +79,7 @@ def test_a_client_that_drops_its_cookie_runs_out_of_sessions(cell):
 
 
 def test_xhtml_is_the_default_form(cell):
-    answer = httpx.get(cell.told["rws_url"] + "/rw/panel/opmode", auth=AUTH)
+    answer = httpx.get(cell.description["rws_url"] + "/rw/panel/opmode", auth=AUTH)
     assert answer.headers["content-type"].startswith("application/xhtml+xml")
     assert '<span class="opmode">AUTO</span>' in answer.text
 
@@ -170,8 +170,8 @@ def test_system_modules_and_configuration_are_told_in_the_references_words(rws):
 
 
 def test_external_axes_have_the_names_that_clients_of_either_form_read(rws):
-    told = rws.get("/rw/motionsystem/mechunits/ROB_1/robtarget", params={"json": "0"}).text
-    assert '<span class="eax_a">9E+09</span>' in told
+    page = rws.get("/rw/motionsystem/mechunits/ROB_1/robtarget", params={"json": "0"}).text
+    assert '<span class="eax_a">9E+09</span>' in page
     assert field(rws, "/rw/motionsystem/mechunits/ROB_1/robtarget", "eaxf") == "9E+09"
     assert field(rws, "/rw/motionsystem/mechunits/ROB_1/jointtarget", "eax_f") == "9E+09"
 
@@ -209,12 +209,12 @@ def test_every_method_of_the_stock_rws_client_does_what_it_says(cell):
     cell.wait(lambda: not cell.cell.cabinet.running)
     joints = "[[0,0,0,0,0,0],[0,0,0,0,0,0]]"
     cell.cell.cabinet.symbols |= {"peerNumber": "0", "peerNumbers": "[0]", "peerJoints": joints, "peerPath": "[]"}
-    command = [sys.executable, str(Path(__file__).with_name("peer_abb_robot_client.py")), cell.told["rws_url"]]
+    command = [sys.executable, str(Path(__file__).with_name("peer_abb_robot_client.py")), cell.description["rws_url"]]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert {name: error for name, error in told["errors"].items() if error and name not in OF_THE_CLIENT} == {}
-    assert told["never_called"] == []
+    report = json.loads(done.stdout)
+    assert {name: error for name, error in report["errors"].items() if error and name not in OF_THE_CLIENT} == {}
+    assert report["never_called"] == []
 
 
 def test_faults_refuse_delay_reset_and_garble(cell, rws):
@@ -276,7 +276,11 @@ def test_the_stock_rws_client_subscribes(cell):
     cell.call(cell.cell.cabinet.request_stop)
     cell.call(cell.cell.cabinet.request_motors, False)
     done = subprocess.run(
-        [sys.executable, "-c", script, cell.told["rws_url"]], capture_output=True, text=True, timeout=30, check=False
+        [sys.executable, "-c", script, cell.description["rws_url"]],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
     )
     assert "ControllerState:motoron" in done.stdout, done.stderr
     assert "RAPIDExecutionState:running" in done.stdout

@@ -126,8 +126,8 @@ def main() -> None:
     folder: Path = parser.parse_args().out
     rows = []
     for poke in (*SHALLOW, *DEEP):
-        found = compare(poke)
-        rows.append({**asdict(found), "agree": found.agree})
+        comparison = compare(poke)
+        rows.append({**asdict(comparison), "agree": comparison.agree})
         print(*mujoco_table(rows[-1:]).cells()[0], sep=", ", flush=True)
     publish(folder, rows)
 

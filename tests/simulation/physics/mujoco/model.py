@@ -21,7 +21,7 @@ from simulation.data.probe import QuasiStaticCell
 TIP_G = 1.0
 TIP_MM, START_MM = 0.02, 0.05
 ENDS_MM, PITCH_MM = 1.5, 0.25  # beads about an end of an edge under the footprint
-PLATE_MM = 60.0
+SIDE_MM = 60.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _tips(cell: QuasiStaticCell, *, apart: bool) -> str:
     constants, opening = cell.constants[0], float(cell.state["opening"])
     kt, kn = (float(constants[name] * constants["area"]) for name in ("kt", "kn"))
     rubs = f'friction="{cell.scene.gel.friction} 0 0" condim="3"'
-    on_object, on_plate = 'contype="1" conaffinity="8"', 'contype="16" conaffinity="32"'
+    on_object, on_side = 'contype="1" conaffinity="8"', 'contype="16" conaffinity="32"'
     parts = []
     for i, node in enumerate(cell.nodes):
         place = (node["x"], node["side"] * (0.5 * opening + node["crown"]), node["z"])
@@ -97,7 +97,7 @@ def _tips(cell: QuasiStaticCell, *, apart: bool) -> str:
             continue
         beside = (node["x"], node["side"] * (0.5 * opening + TIP_MM), node["z"])
         parts.append(_tip(f"press{i}", place, _slides(y=kn), f'{on_object} condim="1"'))
-        parts.append(_tip(f"shear{i}", beside, _slides(x=kt, y=-kn, z=kt), f"{on_plate} {rubs}"))
+        parts.append(_tip(f"shear{i}", beside, _slides(x=kt, y=-kn, z=kt), f"{on_side} {rubs}"))
     return "".join(parts)
 
 
@@ -130,9 +130,9 @@ def _beads(cell: QuasiStaticCell, bead_mm: float) -> str:
 def model_of(cell: QuasiStaticCell, effort: Effort, *, apart: bool) -> mujoco.MjModel:
     """The scene of a cell that has just grasped its object."""
     low = -cell.scene.grasp.height_mm
-    plate = (
+    side = (
         f'<geom name="plate" type="box" contype="32" conaffinity="16" '
-        f'size="{PLATE_MM} {0.5 * float(cell.state["opening"]):.9g} {PLATE_MM}"/>'
+        f'size="{SIDE_MM} {0.5 * float(cell.state["opening"]):.9g} {SIDE_MM}"/>'
     )
     mesh, held = _held_surface(cell)
     return mujoco.MjModel.from_xml_string(f"""
@@ -142,7 +142,7 @@ def model_of(cell: QuasiStaticCell, effort: Effort, *, apart: bool) -> mujoco.Mj
     <asset>{_prism("foot", cell.foot, low, low + 5.0)}{mesh}</asset>
     <worldbody>
       <body name="object"><freejoint/><inertial pos="0 0 0" mass="1000" diaginertia="1e6 1e6 1e6"/>
-      <geom type="mesh" mesh="foot" contype="4" conaffinity="2"/>{held}{plate if apart else ""}</body>
+      <geom type="mesh" mesh="foot" contype="4" conaffinity="2"/>{held}{side if apart else ""}</body>
       {_tips(cell, apart=apart)}
       <body name="blocks" mocap="true"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
       {_beads(cell, effort.bead_mm)}</body>

@@ -54,6 +54,6 @@ def test_both_engines_agree_within_the_sum_of_their_refinement_errors(poke: Poke
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("poke", OTHERS, ids=named)
 def test_where_they_do_not_they_are_within_a_few_hundredths(poke: Poke) -> None:
-    found = compare(poke)
-    assert found.force_apart_n < 0.05 * found.force_n[0]
-    assert found.turn_apart_deg < 0.01 * found.turn_deg[0]
+    comparison = compare(poke)
+    assert comparison.force_apart_n < 0.05 * comparison.force_n[0]
+    assert comparison.turn_apart_deg < 0.01 * comparison.turn_deg[0]

@@ -1,0 +1,66 @@
+"""`python -m service versions`: which version of the networks decides in a running service, and changes by hand."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from service.contract import ContractError
+from service.contract.text import fitted, printable
+from service.contract.token import TOKEN_FILE, read_token, state_folder
+
+ASKED = {
+    "show": ("GET", ""),
+    "shadow": ("POST", "/shadow"),
+    "drop": ("DELETE", "/shadow"),
+    "promote": ("POST", "/promote"),
+    "rollback": ("POST", "/rollback"),
+}
+TIMEOUT_S = 60.0
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Ask a running service and print its versions; raises ContractError with its reason where it refuses."""
+    parser = argparse.ArgumentParser(
+        prog="tactile-insertion versions", description="versions of the networks in a running service"
+    )
+    parser.add_argument("what", nargs="?", choices=ASKED, default="show", help="show (default), or change by hand")
+    parser.add_argument("folder", nargs="?", type=Path, help="of shadow: the networks to run beside")
+    parser.add_argument("--url", default="http://127.0.0.1:8000", help="where the service listens")
+    parser.add_argument("--token-file", type=Path, default=state_folder() / TOKEN_FILE, help="for administration")
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON")
+    options = parser.parse_args(arguments)
+    if (options.what == "shadow") != (options.folder is not None):
+        raise ContractError("a folder goes with shadow, and with nothing else: versions shadow FOLDER")
+    state = _ask(options)
+    print(json.dumps(state) if options.json else "\n".join(fitted(printable(line)) for line in described(state)))
+    return 0
+
+
+def _ask(options: argparse.Namespace) -> dict[str, Any]:
+    method, path = ASKED[options.what]
+    token = {} if options.what == "show" else {"Authorization": f"Bearer {read_token(options.token_file)}"}
+    params = {"folder": str(options.folder.resolve())} if options.folder else None
+    try:
+        url = f"{options.url.rstrip('/')}/v1/versions{path}"
+        answer = httpx.request(method, url, params=params, headers=token, timeout=TIMEOUT_S)
+        state = answer.json()
+    except (httpx.HTTPError, httpx.InvalidURL, ValueError) as error:
+        raise ContractError(f"no service answers at {options.url}: {error or type(error).__name__}") from None
+    if answer.is_error:
+        raise ContractError(str(state.get("error", answer.status_code)))
+    return dict(state)
+
+
+def described(state: dict[str, Any]) -> list[str]:
+    """A line a version, and what could not be done."""
+    lines = [f"active    {state['active']['version']}  {state['active']['name']}"]
+    for role in ("shadow", "previous"):
+        if one := state[role]:
+            evidence = f"evidence {one['evidence']:.2f} of {state['enough']:g}, {one['scored_n']} insertions"
+            lines.append(f"{role:<9} {one['version']}  {one['name']}: {evidence}")
+    lines += [f"rejected  {version}  {why}" for version, why in state["rejected"].items()]
+    return [*lines, *([state["problem"]] if state["problem"] else [])]

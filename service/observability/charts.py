@@ -1,0 +1,135 @@
+"""Control charts of what drifts in a cell: a CUSUM each, on how a value ranks among the first ones of its object.
+
+Ranks have the same distribution whatever a value is, so one limit serves all (Page 1954; normal scores). In control,
+one chart of twenty alarms within 1,000 insertions; a shift by one standard deviation is noticed after some 25.
+"""
+
+import bisect
+import contextlib
+import json
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from statistics import NormalDist
+from typing import NamedTuple
+
+LEARNT_N = 100  # insertions of an object
+OBJECTS_N = 32  # of which first insertions are kept; what comes later is compared with none
+SLACK, LIMIT, MOST = 0.5, 12.0, 24.0  # standard deviations; nothing adds up beyond MOST, so that what is over ends
+SUPPORTS = 0.5 * LIMIT  # from here on another chart counts for the cause
+SIDES = {"light": (-1, 1), "markers": (-1,), "gel": (1,), "reach": (-1, 1), "coverage": (-1,), "trials": (1,)}
+
+
+class Cause(NamedTuple):
+    """What a chart on one side stands for, where none before it speaks, too."""
+
+    chart: str
+    side: int
+    what: str
+    remedy: str
+
+
+CAUSES = (
+    Cause("light", -1, "changed light", "Clean the window of the finger and look at its lamp; calibrate again."),
+    Cause("light", 1, "changed light", "Look for stray light and at the finger's lamp; calibrate again."),
+    Cause("markers", -1, "worn gel", "Look at both gels; replace the one whose dots are missing, and calibrate."),
+    Cause("gel", 1, "new gel", "A gel was changed, or has moved in its holder: calibrate and commission."),
+    Cause("reach", -1, "slipping fingers", "Clean the gels; check the gripper's force."),
+    Cause("reach", 1, "new gel", "A gel or the grip holds more than before: commission again."),
+    Cause("coverage", -1, "networks that fit no longer", "Adapt them to the newest recordings, or go back a version."),
+    Cause("trials", 1, "networks that fit no longer", "Adapt them to the newest recordings, or go back a version."),
+)
+_NORMAL = NormalDist()
+
+
+@dataclass(slots=True)
+class Chart:
+    """``learnt``: sorted first values by object. ``high`` and ``low`` are the two sums.
+
+    ``alarmed``: it has crossed its limit, and has not come down by half since.
+    """
+
+    learnt: dict[str, list[float]] = field(default_factory=dict)
+    high: float = 0.0
+    low: float = 0.0
+    alarmed: bool = False
+
+    def add(self, value: float, of: str) -> None:
+        """Learn from one of the first values of an object, or compare with them."""
+        first = self.learnt.get(of)
+        if first is None:
+            if len(self.learnt) == OBJECTS_N:
+                return
+            first = self.learnt[of] = []
+        if len(first) < LEARNT_N:
+            bisect.insort(first, value)
+            return
+        usual = sum(_score(first, one) for one in first) / LEARNT_N
+        off = _score(first, value) - usual
+        self.high = min(MOST, max(0.0, self.high + off - SLACK))
+        self.low = min(MOST, max(0.0, self.low - off - SLACK))
+
+    def sum(self, side: int) -> float:
+        """What has added up on the high side (1) or the low one (-1)."""
+        return self.high if side > 0 else self.low
+
+
+def _score(first: list[float], value: float) -> float:
+    """The normal score of the rank of a value among the first ones."""
+    ranks = bisect.bisect_left(first, value) + bisect.bisect_right(first, value)
+    return _NORMAL.inv_cdf((0.5 * ranks + 0.5) / (len(first) + 1))
+
+
+class Charts:
+    """All charts of a cell, kept in a file. Thread safe."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._lock = path, threading.Lock()
+        self._within = ""
+        self._charts = {name: Chart() for name in SIDES}
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):  # a broken file keeps no cell from working
+            kept = json.loads(path.read_text())
+            self._charts = {name: Chart(**kept["charts"][name]) for name in SIDES}
+            self._within = str(kept["within"])
+
+    def level(self, name: str) -> float:
+        """How near a chart is to its limit, which is 1."""
+        return max(self._charts[name].sum(side) for side in SIDES[name]) / LIMIT
+
+    def add(self, values: Mapping[str, float], of: str, within: str) -> list[tuple[str, Cause]]:
+        """One insertion's values by chart; the charts that alarm with it, and the likeliest cause of each.
+
+        ``within`` names gels and networks: with others everything is learnt anew. Raises OSError where the charts
+        cannot be kept; they go on.
+        """
+        with self._lock:
+            return self._add(values, of, within)
+
+    def _add(self, values: Mapping[str, float], of: str, within: str) -> list[tuple[str, Cause]]:
+        if within != self._within:
+            self._within, self._charts = within, {name: Chart() for name in SIDES}
+        alarms = [
+            (name, self._cause(name)) for name in SIDES if name in values and self._crosses(name, values[name], of)
+        ]
+        whole = {"within": within, "charts": {name: asdict(chart) for name, chart in self._charts.items()}}
+        fresh = self._path.with_suffix(".partial")
+        fresh.write_text(json.dumps(whole))
+        fresh.replace(self._path)
+        return alarms
+
+    def _crosses(self, name: str, value: float, of: str) -> bool:
+        chart = self._charts[name]
+        chart.add(value, of)
+        before, chart.alarmed = chart.alarmed, self.level(name) >= (0.5 if chart.alarmed else 1.0)
+        return chart.alarmed and not before
+
+    def _cause(self, name: str) -> Cause:
+        """Of all that speak, the first; at least the chart itself does."""
+        return next(cause for cause in self._speaking(name))
+
+    def _speaking(self, name: str) -> Iterator[Cause]:
+        for cause in CAUSES:
+            least = LIMIT if cause.chart == name else SUPPORTS
+            if self._charts[cause.chart].sum(cause.side) >= least:
+                yield cause

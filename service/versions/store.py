@@ -1,0 +1,176 @@
+"""Versions on disk: a folder each, named by what it holds, and one file that says which of them does what.
+
+``STATE/versions/<version>/*.onnx`` and ``STATE/versions/wiring.json``. Every change is one rename of a file that is on
+the disk already, so that a kill or a power cut leaves the wiring before or the one after.
+"""
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import IO, Literal, Self
+
+from pydantic import Field, ValidationError
+
+from service.contract.frames import Contract, ContractError, first_error
+from service.decision.models import ModelSet, load_models
+from service.versions.contest import Contest, Role
+
+WIRING, LOCK = "wiring.json", "lock"
+
+
+class Wiring(Contract):
+    """Which version decides, which run beside it, and what speaks for those.
+
+    ``released``: the version of the service's models folder that all this goes back to. ``rejected``: why, by version.
+    """
+
+    schema_version: Literal[1] = 1
+    released: str
+    active: str
+    beside: dict[Role, str] = Field(default_factory=dict)
+    contests: dict[Role, Contest] = Field(default_factory=dict)
+    rejected: dict[str, str] = Field(default_factory=dict)
+    sha256: str = ""
+
+    def contest(self, role: Role) -> Contest:
+        """What speaks for the version in a role; nothing yet where there is none."""
+        return self.contests.get(role, Contest())
+
+    def with_one(self, role: Role, version: str, contest: Contest) -> Self:
+        """The same with a version in a role."""
+        wired = {"beside": self.beside | {role: version}, "contests": self.contests | {role: contest}}
+        return self.model_copy(update=wired)
+
+    def without(self, role: Role) -> Self:
+        """The same with nothing in a role."""
+        beside = {one: version for one, version in self.beside.items() if one != role}
+        contests = {one: contest for one, contest in self.contests.items() if one != role}
+        return self.model_copy(update={"beside": beside, "contests": contests})
+
+    def digest(self) -> str:
+        """SHA-256 of all but itself."""
+        return hashlib.sha256(self.model_dump_json(exclude={"sha256"}).encode()).hexdigest()
+
+
+def version_of(models: ModelSet) -> str:
+    """The name of a version: of the SHA-256 of all its files."""
+    return _name(model.sha256 for model in models.models)
+
+
+def _name(hashes: Iterable[str]) -> str:
+    return hashlib.sha256("".join(sorted(hashes)).encode()).hexdigest()[:16]
+
+
+class Store:
+    """The versions of one service. Raises ContractError where another service keeps its own there, OSError as usual."""
+
+    def __init__(self, home: Path) -> None:
+        self.home = home
+        self._lock: IO[str] | None = None
+
+    def open(self) -> Wiring | None:
+        """The wiring, None where there is none: nothing was ever given. Raises ContractError if it was edited."""
+        path = self.home / WIRING
+        if not path.exists():
+            return None
+        self._own()
+        try:
+            wiring = Wiring.model_validate_json(path.read_bytes())
+        except ValidationError as error:
+            raise ContractError(
+                f"{path} says of no versions: {first_error(error)}; remove it to begin anew with the released networks"
+            ) from None
+        if wiring.sha256 != wiring.digest():
+            raise ContractError(f"{path} is not as it was written; remove it to begin anew with the released networks")
+        return wiring
+
+    def close(self) -> None:
+        """Let another service have it."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def load(self, version: str) -> ModelSet:
+        """A version that was kept; raises ContractError if it cannot serve or is not what was kept."""
+        models = load_models(self.home / version)
+        if version_of(models) != version:
+            raise ContractError(f"{self.home / version} does not hold version {version} any more")
+        return models
+
+    def keep(self, models: ModelSet) -> str:
+        """Copy a version; returns its name. Raises OSError where there is no room, ContractError if it has changed."""
+        version = version_of(models)
+        self._own()
+        if self._holds(version):
+            return version
+        fresh = self.home / f".{version}"
+        for left in (fresh, self.home / version):  # a kill may have come while it was written, or removed
+            shutil.rmtree(left, ignore_errors=True)
+        fresh.mkdir()
+        for model in models.models:
+            content = model.path.read_bytes()
+            if hashlib.sha256(content).hexdigest() != model.sha256:
+                raise ContractError(f"{model.path} has changed while it was read; give its folder again")
+            _write(fresh / model.path.name, content)
+        _sync(fresh)
+        fresh.rename(self.home / version)
+        _sync(self.home)
+        return version
+
+    def _holds(self, version: str) -> bool:
+        """Whether a version is kept, and whole."""
+        files = (path.read_bytes() for path in (self.home / version).glob("*.onnx"))
+        return _name(hashlib.sha256(content).hexdigest() for content in files) == version
+
+    def wire(self, wiring: Wiring) -> None:
+        """Make it so, also after a power cut; what nothing refers to any more is removed."""
+        self._own()
+        text = wiring.model_copy(update={"sha256": wiring.digest()}).model_dump_json(indent=1)
+        fresh = self.home / f".{WIRING}"
+        _write(fresh, text.encode())
+        fresh.rename(self.home / WIRING)
+        _sync(self.home)
+        kept = {wiring.active, *wiring.beside.values()}
+        for path in self.home.iterdir():
+            if path.is_dir() and path.name not in kept:
+                shutil.rmtree(path, ignore_errors=True)
+
+    def forget(self) -> None:
+        """Nothing was ever given."""
+        with contextlib.suppress(FileNotFoundError):
+            (self.home / WIRING).unlink()
+            _sync(self.home)
+
+    def _own(self) -> None:
+        if self._lock is not None:
+            return
+        self.home.mkdir(mode=0o700, parents=True, exist_ok=True)
+        stream = (self.home / LOCK).open("w")
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            stream.close()
+            raise ContractError(
+                f"another service keeps its versions in {self.home}; give each its own --state"
+            ) from None
+        self._lock = stream
+
+
+def _write(path: Path, content: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(folder: Path) -> None:
+    """What was renamed in a folder is on the disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,233 @@
+"""The versions of one service: which decides the next insertion, which run beside it, and when they change places."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from service.contract.frames import Contract, ContractError
+from service.contract.wire import Cause, ControllerName, Limits
+from service.decision.models import ModelSet, load_models
+from service.versions.beside import Beside
+from service.versions.contest import ENOUGH, Contest, Role
+from service.versions.store import Store, Wiring, version_of
+
+BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
+"""Why an insertion may have ended because of what was decided."""
+Publish = Callable[[str, Any], None]
+
+
+class Version(Contract):
+    """One version: its name by its files, and that on its card."""
+
+    version: str
+    name: str
+
+
+class Rival(Version):
+    """A version beside the active one: ``evidence`` that it should decide, by ``ended_n`` insertions.
+
+    Of these, ``scored_n`` went in after a blocked first attempt, whose error is known in hindsight.
+    """
+
+    evidence: float
+    scored_n: int
+    ended_n: int
+
+
+class State(Contract):
+    """Who plays which part; with ``enough`` evidence a version takes over. ``rejected``: why, by version."""
+
+    active: Version
+    shadow: Rival | None
+    previous: Rival | None
+    enough: float = ENOUGH
+    rejected: dict[str, str]
+    problem: str
+
+
+class _Now(NamedTuple):
+    """The wiring, and every version that it names, loaded and warm. Replaced as a whole, so readers never wait."""
+
+    wiring: Wiring
+    networks: dict[str, ModelSet]
+
+    @property
+    def active(self) -> ModelSet:
+        return self.networks[self.wiring.active]
+
+    def rival(self, role: Role) -> Rival | None:
+        """Who plays a part beside it."""
+        if (version := self.wiring.beside.get(role)) is None:
+            return None
+        contest, name = self.wiring.contest(role), self.networks[version].card.name
+        counted = {"scored_n": contest.scored_n, "ended_n": contest.ended_n}
+        return Rival(version=version, name=name, evidence=contest.worth(role), **counted)
+
+
+class Versions:
+    """Networks by the part they play. Thread safe; nothing is written before a shadow is given.
+
+    ``publish`` hears of each change as an event "version". ``problem`` says what could not be done at the start. Raises
+    ContractError where the active version cannot be loaded as it was kept; one beside it is left out.
+    """
+
+    def __init__(self, home: Path, released: ModelSet, publish: Publish) -> None:
+        self.publish, self.problem = publish, ""
+        self._store, self._lock = Store(home), threading.Lock()
+        self._now = _of_release(released)
+        try:
+            kept = self._store.open()
+            if kept is not None and kept.released == self._now.wiring.released:
+                self._load(kept)
+        except BaseException:
+            self._store.close()
+            raise
+
+    def _load(self, wiring: Wiring) -> None:
+        networks = dict(self._now.networks)
+        if wiring.active not in networks:
+            networks[wiring.active] = self._store.load(wiring.active)
+        for role, version in wiring.beside.items():
+            try:
+                networks[version] = networks.get(version) or self._store.load(version)
+            except (ContractError, OSError) as error:
+                wiring, self.problem = wiring.without(role), f"the {role} version is left out: {error}"
+        self._now = _Now(wiring, networks)
+
+    def close(self) -> None:
+        """Let another service have the folder."""
+        self._store.close()
+
+    @property
+    def active(self) -> ModelSet:
+        """What decides the next insertion that begins."""
+        return self._now.active
+
+    def beside(self, deciding: ModelSet, limits: Limits, controller: ControllerName) -> Beside | None:
+        """What answers beside the networks that decide an insertion; None where nothing does, or where they are old."""
+        wiring, networks = now = self._now
+        if not wiring.beside or deciding is not now.active:
+            return None
+        return Beside(wiring.active, networks, limits, controller)
+
+    def state(self) -> State:
+        """The active version and those beside it with what speaks for them."""
+        now = self._now
+        active = Version(version=now.wiring.active, name=now.active.card.name)
+        shadow, previous = now.rival("shadow"), now.rival("previous")
+        rejected, problem = now.wiring.rejected, self.problem
+        return State(active=active, shadow=shadow, previous=previous, rejected=rejected, problem=problem)
+
+    # ---- what a person does ------------------------------------------------------------------------------------------
+
+    def give(self, folder: Path, *, at_start: bool = False) -> None:
+        """Let a folder's networks run in shadow, in place of those that did.
+
+        Raises ContractError where they cannot serve, cannot be compared, decide already, or were rejected. A setting
+        says the same ``at_start`` each time: what plays a part is left as it is, what was rejected is a `problem`.
+        """
+        models = load_models(folder)
+        with self._lock:
+            version, wiring = version_of(models), self._now.wiring
+            if version in {wiring.active, *wiring.beside.values()}:
+                if not at_start and version != wiring.beside.get("shadow"):
+                    raise ContractError(f"{folder} holds version {version}, which decides now, or did before")
+                return
+            if why := wiring.rejected.get(version):
+                self.problem = f"{folder} holds version {version}, which was rejected: {why}"
+                if at_start:
+                    return
+                raise ContractError(self.problem)
+            if differs := self._now.active.card.disagreements(models.card):
+                raise ContractError(f"{folder} cannot run in shadow: {differs[0]}")
+            kept = {**self._now.networks, self._store.keep(models): self._store.load(version)}
+            self._change("shadow", version, f"given as {folder}", wiring.with_one("shadow", version, Contest()), kept)
+
+    def drop(self) -> None:
+        """Take the shadow away; raises ContractError where there is none."""
+        with self._lock:
+            version = self._needed("shadow", "no version runs in shadow")
+            self._change("dropped", version, "taken away by hand", self._now.wiring.without("shadow"))
+
+    def promote(self) -> None:
+        """The shadow decides from the next insertion on, by hand; raises ContractError where there is none."""
+        with self._lock:
+            self._promote("by hand")
+
+    def roll_back(self) -> None:
+        """The version before decides from the next insertion on, by hand; raises ContractError where there is none."""
+        with self._lock:
+            self._roll_back("by hand")
+
+    def begin_anew(self, released: ModelSet) -> None:
+        """Another release decides; everything that was learnt of versions is forgotten."""
+        with self._lock:
+            self._store.forget()
+            self._now = _of_release(released)
+
+    # ---- what insertions teach ---------------------------------------------------------------------------------------
+
+    def learn(self, answered: Beside, *, inserted: bool, cause: Cause | None, fresh: bool) -> None:
+        """An insertion has ended, and may have shown that another version should decide.
+
+        ``fresh``: its first attempt was the object's first. Raises OSError where nothing can be written.
+        """
+        with self._lock:
+            wiring = self._now.wiring
+            if answered.active != wiring.active or not (inserted or cause in BLAMED):
+                return
+            scores = answered.scores() if inserted and fresh else {}
+            for role, version in wiring.beside.items():
+                contest = wiring.contest(role).ended(failed=not inserted)
+                if version in scores:
+                    (mine, mine_held), (other, other_held) = scores[wiring.active], scores[version]
+                    contest = contest.scored(other - mine, other_held, mine_held)
+                wiring = wiring.with_one(role, version, contest)
+            self._now = self._now._replace(wiring=wiring)
+            self._store.wire(wiring)
+            self._decide(wiring)
+
+    def _decide(self, wiring: Wiring) -> None:
+        """Going back comes before going on."""
+        changes: dict[Role, Callable[[str], None]] = {"previous": self._roll_back, "shadow": self._promote}
+        for role, change in changes.items():
+            contest = wiring.contest(role)
+            if role in wiring.beside and contest.worth(role) >= ENOUGH:
+                change(f"{contest.because(role)}, {contest.worth(role):.0f} to 1 after {contest.ended_n} insertions")
+                return
+
+    def _promote(self, why: str) -> None:
+        wiring, version = self._now.wiring, self._needed("shadow", "no version runs in shadow: give one first")
+        self._store.keep(self._now.active)
+        contest = Contest(tolerated=wiring.contest("shadow").tolerates)
+        wiring = wiring.without("shadow").with_one("previous", wiring.active, contest)
+        self._change("promoted", version, why, wiring.model_copy(update={"active": version}))
+
+    def _roll_back(self, why: str) -> None:
+        wiring, version = self._now.wiring, self._needed("previous", "there is no version to go back to")
+        rejected = wiring.rejected | {wiring.active: why}
+        back = wiring.without("previous").model_copy(update={"active": version, "rejected": rejected})
+        if shadow := back.beside.get("shadow"):  # what it was compared with decides no more
+            back = back.with_one("shadow", shadow, Contest())
+        self._change("rolled_back", wiring.active, why, back)
+
+    def _needed(self, role: Role, otherwise: str) -> str:
+        if role not in self._now.wiring.beside:
+            raise ContractError(otherwise)
+        return self._now.wiring.beside[role]
+
+    def _change(
+        self, what: str, version: str, why: str, wiring: Wiring, networks: dict[str, ModelSet] | None = None
+    ) -> None:
+        """Wire on the disk first, then here: what is lost on the way was only to be done."""
+        self._store.wire(wiring)
+        used = {wiring.active, wiring.released, *wiring.beside.values()}
+        loaded = (networks or self._now.networks).items()
+        self._now = _Now(wiring, {name: one for name, one in loaded if name in used})
+        self.publish("version", {"what": what, "version": version, "why": why})
+
+
+def _of_release(released: ModelSet) -> _Now:
+    version = version_of(released)
+    return _Now(Wiring(released=version, active=version), {version: released})

@@ -1,0 +1,160 @@
+"""A version in shadow on a running service: it answers what the active one answers to, and decides when it should."""
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import onnx
+import pytest
+
+from service.__main__ import main
+from service.decision.models import load_models
+from service.recordings.reader import Recording
+from service.versions.contest import Bet, Contest
+from tests.service import tiny_models
+from tests.service.client import Driver
+from tests.service.conftest import LiveService, live_service
+
+SURE = Bet(taken_n=100, capital=(100.0,) * 4)
+
+
+def write_shadow(folder: Path, **changes: object) -> Path:
+    """The same networks again, but for their cards: another version with the same answers."""
+    return tiny_models.write_models(folder, git_commit="1" * 40, **changes)
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveService]:
+    folder = tmp_path_factory.mktemp("cell")
+    with live_service(folder, tiny_models.write_models(folder / "models")) as service:
+        yield service
+
+
+def ask(cell: LiveService, method: str, path: str = "", **params: str) -> httpx.Response:
+    return httpx.request(method, cell.url(f"/v1/versions{path}"), params=params, headers=cell.bearer)
+
+
+def insert(cell: LiveService, name: str, *, blocked: bool = False) -> tuple[list[str], Path]:
+    """An object that goes in, at the second attempt if it is ``blocked``: who decided, and the recording."""
+    driver = Driver(cell, name)
+    decided = [entry.sha256 for entry in driver.until("hello").models]
+    if blocked:
+        driver.attempt(1)
+    finished = driver.insert(1 + blocked)
+    assert finished.outcome == "inserted"
+    driver.close()
+    return decided, Path(finished.recording)
+
+
+def hashes(folder: Path) -> list[str]:
+    return [entry.sha256 for entry in load_models(folder).entries]
+
+
+def until(what, timeout_s: float = 30.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not what():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def surely(cell: LiveService, role: str) -> None:
+    """Let the next insertion be the last one that is needed to show that a version should decide."""
+    versions = cell.station.versions
+    wiring = versions._now.wiring
+    contest = Contest(score=SURE, covers=(SURE, SURE), misses=(SURE, SURE), fails=SURE)
+    versions._now = versions._now._replace(wiring=wiring.with_one(role, wiring.beside[role], contest))
+
+
+def test_both_answer_to_the_same_attempt_and_the_record_holds_both(tmp_path: Path) -> None:
+    models = tiny_models.write_models(tmp_path / "models")
+    with live_service(tmp_path, models) as cell:
+        folders = [write_shadow(tmp_path / name) for name in ("same", "other")]
+        onnx.save(tiny_models.step_model("magnitude", seed=9), str(folders[1] / "magnitude.step.onnx"))
+        for folder in folders:
+            ask(cell, "POST", "/shadow", folder=str(folder))
+            ask(cell, "POST", "/promote") if folder is folders[0] else None
+        same, other = (ask(cell, "GET").json()[role]["version"] for role in ("previous", "shadow"))
+        decided, path = insert(cell, "both", blocked=True)
+        assert decided == hashes(folders[0])
+        (entry,) = Recording(path).of("/beside")
+        messages = [entry.json()["message"] for entry in Recording(path).of("/messages")]
+        correction = next(message for message in messages if message["type"] == "correction")
+        answers = entry.json()["answers"]
+        for key in ("dx_mm", "dtheta_deg", "estimate", "confidence"):
+            assert answers[same][key] == correction[key]
+        assert answers[other]["estimate"] != correction["estimate"]
+        summary = json.loads((path.parent / "summary.json").read_text())
+        assert summary["decisions"][0]["beside"] == answers
+        until(lambda: ask(cell, "GET").json()["shadow"]["scored_n"] == 1)
+        assert ask(cell, "GET").json()["previous"]["scored_n"] == 1
+        where = cell.station.versions.active.steps[0].path.parent
+        assert main(["replay", str(path), "--models", str(where)]) == 0  # bit for bit: nothing beside it moved the arm
+
+
+def test_the_better_one_decides_the_next_insertion_also_after_a_restart_and_a_worse_one_goes(tmp_path: Path) -> None:
+    models, shadow = tiny_models.write_models(tmp_path / "models"), write_shadow(tmp_path / "shadow")
+    with live_service(tmp_path, models, shadow=shadow) as cell:
+        surely(cell, "shadow")
+        assert insert(cell, "before")[0] == hashes(models)
+        until(lambda: ask(cell, "GET").json()["previous"])
+        assert insert(cell, "promoted")[0] == hashes(shadow)
+    with live_service(tmp_path, models, shadow=shadow) as cell:
+        assert ask(cell, "GET").json()["previous"]["ended_n"] == 1
+        surely(cell, "previous")
+        assert insert(cell, "restarted")[0] == hashes(shadow)
+        until(lambda: ask(cell, "GET").json()["previous"] is None)
+        assert insert(cell, "back")[0] == hashes(models)
+        refused = ask(cell, "POST", "/shadow", folder=str(shadow))
+        assert refused.status_code == 400
+        assert "was rejected: " in refused.json()["error"]
+    with live_service(tmp_path, models, shadow=shadow) as cell:  # a rejected one in a setting stops no cell
+        assert "was rejected: " in ask(cell, "GET").json()["problem"]
+        assert cell.station.models.entries == load_models(models).entries
+
+
+def test_a_person_changes_versions_between_insertions_and_never_in_one(
+    cell: LiveService, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shadow, models = write_shadow(tmp_path / "shadow"), cell.station.settings.models
+    there = ["--url", cell.url(""), "--token-file", str(cell.station.settings.state / "token")]
+    assert main(["versions", "shadow", str(shadow), *there]) == 0
+    assert "evidence 1.00 of 20" in capsys.readouterr().out
+    driver = Driver(cell, "under-way")
+    assert [entry.sha256 for entry in driver.until("hello").models] == hashes(models)
+    assert main(["versions", "promote", *there]) == 0
+    assert [entry.sha256 for entry in cell.station.active.session.models.entries] == hashes(models)
+    assert driver.insert(1).outcome == "inserted"
+    driver.close()
+    assert insert(cell, "next")[0] == hashes(shadow)
+    assert main(["versions", "rollback", *there]) == 0
+    assert insert(cell, "last")[0] == hashes(models)
+    for words in (["promote"], ["rollback"], ["drop"], ["shadow", str(tmp_path / "none")]):
+        assert main(["versions", *words, *there]) == 2
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_only_an_administrator_changes_versions(cell: LiveService, tmp_path: Path) -> None:
+    for method, path in (("POST", "/shadow"), ("DELETE", "/shadow"), ("POST", "/promote"), ("POST", "/rollback")):
+        assert httpx.request(method, cell.url(f"/v1/versions{path}?folder=x")).status_code == 401
+    assert httpx.get(cell.url("/v1/versions")).status_code == 200
+
+
+def test_networks_that_cannot_be_compared_are_refused_in_one_line(cell: LiveService, tmp_path: Path) -> None:
+    shorter, models = write_shadow(tmp_path / "shorter", frames_per_decision=6), cell.station.settings.models
+    for folder, why in ((shorter, "frames_per_decision"), (models, "decides now"), (tmp_path, "no *.onnx")):
+        refused = ask(cell, "POST", "/shadow", folder=str(folder))
+        assert refused.status_code == 400
+        assert why in refused.json()["error"]
+        assert "\n" not in refused.json()["error"]
+
+
+def test_a_loaded_release_begins_anew(cell: LiveService, tmp_path: Path) -> None:
+    ask(cell, "POST", "/shadow", folder=str(write_shadow(tmp_path / "again", training_data_sha256="2" * 64)))
+    assert ask(cell, "POST", "/promote").json()["previous"]
+    load = "/v2/repository/models/direction.step/load"
+    assert httpx.post(cell.url(load), headers=cell.bearer).status_code == 200
+    assert cell.station.models is cell.station.versions.active
+    assert cell.station.models.entries == load_models(cell.station.settings.models).entries
+    assert ask(cell, "GET").json()["previous"] is None

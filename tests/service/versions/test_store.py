@@ -1,0 +1,127 @@
+"""What is wired on the disk holds after a kill at any moment, and what was edited is refused."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from service.contract import ContractError
+from service.decision.models import load_models
+from service.versions.store import WIRING, Store, version_of
+from service.versions.versions import Versions
+from tests.service import tiny_models
+
+ENDLESS = """
+import sys
+from pathlib import Path
+from service.decision.models import load_models
+from service.versions.versions import Versions
+home, released, *shadows = map(Path, sys.argv[1:])
+versions = Versions(home, load_models(released), lambda *_: None)
+while True:
+    for shadow in shadows:
+        try:
+            versions.give(shadow)
+        except ValueError:
+            pass
+        else:
+            versions.promote()
+            print("promoted", flush=True)
+"""
+
+
+def quiet(_: str, __: object) -> None:
+    """Nobody listens."""
+
+
+@pytest.fixture
+def three(tmp_path: Path) -> list[Path]:
+    return [tiny_models.write_models(tmp_path / name, git_commit=name * 40) for name in "abc"]
+
+
+def test_a_kill_in_mid_promotion_leaves_the_version_before_or_the_one_after(tmp_path: Path, three: list[Path]) -> None:
+    home, names = tmp_path / "versions", {version_of(load_models(folder)) for folder in three}
+    for wait_s in (0.002, 0.01, 0.04):
+        command = [sys.executable, "-c", ENDLESS, str(home), str(three[0]), *map(str, three)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+            watchdog = threading.Timer(60.0, process.kill)
+            watchdog.start()
+            promoted_once = process.stdout.readline()
+            time.sleep(wait_s)
+            os.kill(process.pid, signal.SIGKILL)
+            watchdog.cancel()
+        assert promoted_once == b"promoted\n"
+        opened = Versions(home, load_models(three[0]), quiet)
+        state = opened.state()
+        assert version_of(opened.active) == state.active.version in names
+        assert state.problem == ""
+        assert state.previous.version in names - {state.active.version}
+        opened.close()
+
+
+def promoted(home: Path, three: list[Path]) -> Versions:
+    versions = Versions(home, load_models(three[0]), quiet)
+    versions.give(three[1])
+    versions.promote()
+    return versions
+
+
+def test_an_edited_wiring_and_an_exchanged_version_are_refused(tmp_path: Path, three: list[Path]) -> None:
+    home = tmp_path / "versions"
+    versions = promoted(home, three)
+    active = versions.state().active.version
+    versions.close()
+    text = (home / WIRING).read_text()
+    for wrong in (text.replace(active, "0" * 16), "{", text.replace('"schema_version": 1', '"schema_version": 2')):
+        (home / WIRING).write_text(wrong)
+        with pytest.raises(ContractError, match=r"remove it to begin anew"):
+            Versions(home, load_models(three[0]), quiet)
+    (home / WIRING).write_text(text)
+    for path in (home / active).iterdir():
+        path.write_bytes((three[2] / path.name).read_bytes())
+    with pytest.raises(ContractError, match="does not hold version"):
+        Versions(home, load_models(three[0]), quiet)
+
+
+def test_a_lost_version_beside_is_left_out_and_the_active_one_goes_on(tmp_path: Path, three: list[Path]) -> None:
+    home = tmp_path / "versions"
+    versions = promoted(home, three)
+    versions.give(three[2])
+    active, shadow = versions.state().active.version, versions.state().shadow.version
+    versions.close()
+    for path in (home / shadow).iterdir():
+        path.unlink()
+    with contextlib.closing(Versions(home, load_models(three[0]), quiet)) as opened:
+        assert opened.state().active.version == active
+        assert opened.state().shadow is None
+        assert "left out" in opened.state().problem
+
+
+def test_another_release_begins_anew(tmp_path: Path, three: list[Path]) -> None:
+    promoted(tmp_path / "versions", three).close()
+    with contextlib.closing(Versions(tmp_path / "versions", load_models(three[2]), quiet)) as opened:
+        assert opened.state().active.version == version_of(load_models(three[2]))
+        assert opened.state().previous is None
+
+
+def test_two_services_do_not_share_their_versions(tmp_path: Path, three: list[Path]) -> None:
+    first = promoted(tmp_path / "versions", three)
+    with pytest.raises(ContractError, match="give each its own --state"):
+        Versions(tmp_path / "versions", load_models(three[0]), quiet)
+    first.close()
+    Versions(tmp_path / "versions", load_models(three[0]), quiet).close()
+
+
+def test_a_version_that_a_kill_left_half_removed_is_kept_again(tmp_path: Path, three: list[Path]) -> None:
+    store, models = Store(tmp_path / "versions"), load_models(three[1])
+    with contextlib.closing(store):
+        version = store.keep(models)
+        (tmp_path / "versions" / version / "direction.step.onnx").unlink()
+        assert store.keep(models) == version
+        assert version_of(store.load(version)) == version

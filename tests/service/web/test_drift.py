@@ -1,0 +1,66 @@
+"""What drifts is measured on each insertion, and said to the person, the log's readers and Prometheus."""
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from service.observability.charts import LEARNT_N, LIMIT
+from service.session.manager import CHARTS
+from tests.service.client import Driver
+from tests.service.conftest import LiveService, live_service
+
+
+@pytest.fixture
+def cell(tmp_path: Path, models_folder: Path) -> Iterator[LiveService]:
+    with live_service(tmp_path, models_folder) as service:
+        yield service
+
+
+def insert(cell: LiveService, name: str) -> dict[str, object]:
+    """An object that goes in at once; what the summary says."""
+    driver = Driver(cell, name)
+    driver.until("hello")
+    finished = driver.insert(1)
+    driver.close()
+    return json.loads((Path(finished.recording).parent / "summary.json").read_text())
+
+
+def kept(cell: LiveService, n: int) -> dict[str, dict[str, dict[str, list[float]]]]:
+    """What the charts' file holds once ``n`` insertions were added."""
+    deadline = time.monotonic() + 30
+    while True:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+        if (path := cell.recordings / CHARTS).exists():
+            charts = json.loads(path.read_text())["charts"]
+            if sum(map(len, charts["light"]["learnt"].values())) == n:
+                return charts
+
+
+def test_a_changed_light_is_measured_and_named_everywhere(cell: LiveService) -> None:
+    summary = insert(cell, "first")
+    assert 0 < summary["brightness_grey"] < 255
+    assert 0.5 < summary["markers_share"] <= 1.0
+    charts = kept(cell, 1)
+    assert charts["light"]["learnt"] == {"": [summary["brightness_grey"]]}
+    assert charts["trials"]["learnt"] == {"": [1.0]}
+    light = cell.station.manager.charts._charts["light"]
+    light.learnt[""] = sorted(summary["brightness_grey"] + 10.0 + 0.1 * i for i in range(LEARNT_N))
+    light.low = LIMIT - 1.0
+    insert(cell, "darker")
+    deadline = time.monotonic() + 30
+    while not (alarms := httpx.get(cell.url("/v1/status")).json()["alarms"]):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    (alarm,) = alarms
+    assert (alarm["key"], alarm["level"], alarm["active"]) == ("drift light", "warning", True)
+    assert "changed light" in alarm["title"]
+    assert "brightness" in alarm["detail"]
+    assert alarm["remedy"]
+    metrics = httpx.get(cell.url("/metrics")).text
+    assert 'tactile_drift_alarms_total{cause="changed light"} 1.0' in metrics
+    assert 'tactile_drift{chart="trials"} 0.0' in metrics
