@@ -86,8 +86,7 @@ def judged(row: Row, model: Posterior) -> Row:
         return {**out, "refused": str(error)}
     gel = {}
     for one, by, share in zip(intervals, posterior.PARAMETERS, truth, strict=True):
-        value = by.value(float(share))
+        ends = {name: float(f"{value:.4g}") for name, value in one._asdict().items() if name != "key"}
         holds = bool(by.share(one.low) - 1e-6 <= share <= by.share(one.high) + 1e-6)
-        off = float(abs(by.share(one.estimate) - share))
-        gel[one.key] = {**one._asdict(), "known": one.known, "truth": value, "holds": holds, "off": off}
+        gel[one.key] = {**ends, "truth": float(f"{by.value(float(share)):.4g}"), "holds": holds}
     return {**out, "gel": gel}
