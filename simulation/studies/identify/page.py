@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from reporting.page import page
-from reporting.statistics import wilson
+from reporting.statistics import Estimate, wilson
 from reporting.table import Table, table
 from simulation.closed_loop.statistics import Row
 from simulation.studies.identify.posterior import PARAMETERS, WIDEST
@@ -33,7 +33,7 @@ def identify_page(data: Row) -> str:
     other = [row for row in judged if row["tier"] != "bristle"]
     return page(
         "# What a cell's probes tell of its gel, simulated",
-        _verdict(own),
+        _verdict(own, other),
         data["note"],
         """
         `scene identify` reads the recordings of a commissioning: the four probes that ask for signs, and two presses
@@ -87,17 +87,23 @@ def _others(other: Sequence[Row]) -> Sequence[str | Table]:
     )
 
 
-def _verdict(own: Sequence[Row]) -> str:
+def _verdict(own: Sequence[Row], other: Sequence[Row]) -> str:
     rows = _rows(own)
     missed = [row for row in rows if not ASKED[0] <= row["holds"].value <= ASKED[1]]
-    together = wilson(sum(gel["holds"] for row in own for gel in row["gel"].values()), len(own) * len(PARAMETERS))
-    lines = [f"{row['parameter']}: {row['holds']:.0%}" for row in missed]
     asked = f"asked for: {100 * ASKED[0]:.0f} to {100 * ASKED[1]:.0f} %"
-    first = f"**Missed:** 90 % intervals hold the truth of {'; '.join(lines)}; {asked}.\n\n" if missed else ""
+    lines = [f"90 % intervals of {row['parameter']} hold {row['holds']:.0%} of the truths" for row in missed]
+    if other and not ASKED[0] <= _together(other).value <= ASKED[1]:
+        lines.insert(0, f"in the layer tier all intervals together hold {_together(other):.0%}, not 90")
+    first = f"**Missed:** {'; '.join(lines)}; {asked}.\n\n" if lines else ""
     return (
-        f"{first}Reached: {len(rows) - len(missed)} of {len(rows)} parameters, in {len(own)} drawn cells; {asked}. All"
-        f" together the intervals hold {together:.1%} of the truths."
+        f"{first}Reached: {len(rows) - len(missed)} of {len(rows)} parameters, in {len(own)} drawn cells of the bristle"
+        f" tier; {asked}. All together their intervals hold {_together(own):.1%} of the truths."
     )
+
+
+def _together(judged: Sequence[Row]) -> Estimate:
+    holds = [gel["holds"] for row in judged for gel in row["gel"].values()]
+    return wilson(sum(holds), len(holds))
 
 
 def _refused(rows: Sequence[Row]) -> str:
