@@ -3,7 +3,7 @@
 A cell that is wired wrong on its first day answers a good correction with a larger error, or with one out of the range
 that the networks know. So the error is followed through the attempts by a Bayes filter: once with the moves as
 commanded, and once with x, yaw or both reversed. Which of them expected the estimates? A picture that is mirrored shows
-itself at once: both fingers see the object turn from opposite sides, a mirrored one from the same side.
+itself sooner: both fingers see the object turn from opposite sides, a mirrored one from the same side.
 
 What counts is how the networks read an error, see `reading`. In drawn cells they tell the side, and hardly how far.
 """
@@ -38,7 +38,9 @@ FAR_OUTLIERS, FAR_SIGMA = 0.3, 4.0
 SURE = np.array([2.2, 5.0])  # one sigma. Networks that were so sure once seldom are in doubt in that cell, but for far
 SURE_SHARE, FAR_SURE_SHARE = 0.93, 0.35
 CHECKED_N = 8  # attempts: what contradicts itself later is a search in which the networks err
-LEAST_TURN_DEG, LIKE = 1.0, 0.5  # the smaller turn is at least this share of the larger
+TURN_DEG, LIKE = 0.2, 0.5  # of the larger turn, and the smaller one as its share: both fingers saw the object turn
+CLEAR_TURN_DEG, CLEARLY_LIKE = 1.0, 0.7
+ONE_SIDED = 2  # turns seen from the same side; a clear one counts twice
 _BLUR = np.exp(-0.5 * np.square((CELLS[:, None] - CELLS) / WALK[:, None, None]))
 _BLUR /= _BLUR.sum(axis=1, keepdims=True)
 
@@ -113,10 +115,12 @@ class Consistency:
     )
     _sure_once: bool = False
     _attempts_n: int = 0
+    _one_sided: int = 0
 
     def add(self, correction: Correction, both: PairObservation) -> None:
         """Take in an attempt's correction and last pair. Raises Refusal that names the likely causes."""
-        if mirrored(both):
+        self._one_sided = max(0, self._one_sided + one_sided(both))
+        if self._one_sided >= ONE_SIDED:
             raise Refusal("contradictory", "both fingers see the object turn the same way: one picture is mirrored")
         self._attempts_n += 1
         if self._attempts_n > CHECKED_N:
@@ -148,11 +152,15 @@ def turns_deg(both: PairObservation) -> tuple[float, float]:
     return left, right
 
 
-def mirrored(both: PairObservation) -> bool:
-    """Whether both fingers see a turn of like size and the same sign; facing each other, they must see opposite ones.
+def one_sided(both: PairObservation) -> int:
+    """Both fingers saw a turn from the same side: 1, clearly so: 2; from opposite ones, as they must: -1; else 0.
 
     A turn that one finger alone sees says nothing: the other may have been let go, or be blind.
     """
     left, right = turns_deg(both)
     smaller, larger = sorted((abs(left), abs(right)))
-    return left * right > 0.0 and larger > LEAST_TURN_DEG and LIKE * larger < smaller < math.inf
+    if not (larger > TURN_DEG and LIKE * larger < smaller < math.inf):
+        return 0
+    if left * right < 0.0:
+        return -1
+    return 2 if larger > CLEAR_TURN_DEG and CLEARLY_LIKE * larger < smaller else 1

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.contract import Sensor, wire
-from service.decision.consistency import Consistency, mirrored
+from service.decision.consistency import Consistency, one_sided
 from service.decision.evidence import Refusal
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation, PairObservation
@@ -129,25 +129,40 @@ def test_a_good_cell_whose_networks_are_never_sure_is_not_accused(
 
 
 @pytest.mark.parametrize(
-    ("left", "right", "wrong"),
+    ("left", "right", "counts"),
     [
-        (4.0, -4.0, False),
-        (4.0, 3.8, True),
-        (-2.0, -1.9, True),
-        (0.4, 0.4, False),
-        (3.0, -1.5, False),
-        (2.0, 0.1, False),
-        (0.0, 4.0, False),
+        (4.0, -4.0, -1),
+        (4.0, 3.8, 2),
+        (-2.0, -1.9, 2),
+        (0.4, 0.4, 1),
+        (-0.75, -1.44, 1),  # seen in a good cell of stiff gels
+        (0.1, 0.1, 0),
+        (3.0, -1.6, -1),
+        (2.0, 0.1, 0),
+        (0.0, 4.0, 0),
     ],
 )
-def test_two_fingers_that_see_the_same_turn_are_mirrored(left: float, right: float, *, wrong: bool) -> None:
-    assert mirrored(pair(left, right)) == wrong
-    if wrong:
-        with pytest.raises(Refusal, match="one picture is mirrored"):
-            Consistency().add(correction((1.0, 1.0), (1.0, 1.0), (-1.0, -1.0)), pair(left, right))
+def test_two_fingers_must_see_a_turn_from_opposite_sides(left: float, right: float, counts: int) -> None:
+    assert one_sided(pair(left, right)) == one_sided(pair(right, left)) == counts
+
+
+def mirrored_at(*turns: tuple[float, float]) -> int | None:
+    """The attempt after which one picture is called mirrored, None if never."""
+    consistency = Consistency()
+    for attempt, (left, right) in enumerate(turns, 1):
+        try:
+            consistency.add(correction((1.0, 1.0), (4.0, 6.0), (-1.0, -1.0)), pair(left, right))
+        except Refusal as refusal:
+            return attempt if "one picture is mirrored" in str(refusal) else None
+    return None
+
+
+def test_a_clear_turn_from_one_side_is_enough_and_of_small_ones_two_that_nothing_contradicts() -> None:
+    assert mirrored_at((2.0, 1.9)) == 1
+    assert mirrored_at((0.4, 0.4), (0.0, 0.0), (-0.5, -0.4)) == 3
+    assert mirrored_at((-0.75, -1.44), (0.4, -0.4), (0.4, 0.4), (1.0, -1.0)) is None
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_turn_that_is_not_finite_is_no_evidence(bad: float) -> None:
-    assert not mirrored(pair(bad, 4.0))
-    assert not mirrored(pair(4.0, bad))
+    assert one_sided(pair(bad, 4.0)) == one_sided(pair(4.0, bad)) == one_sided(pair(bad, bad)) == 0
