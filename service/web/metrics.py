@@ -11,6 +11,7 @@ from service.contract.replies import ending
 from service.observability.charts import CAUSES, SIDES
 from service.perception.observation import Observation
 from service.session.station import Station
+from service.web.page.sentences import CHANGES
 
 _STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13, 0.25, 0.5, 1, 2)
 
@@ -47,6 +48,10 @@ class Metrics:
             self._drifts.labels(cause.what)
         for chart in SIDES:
             drift.labels(chart).set_function(partial(station.manager.charts.level, chart))
+        self._versions = Gauge("version_evidence", "That a version beside should decide", ["role", "version"], **make)
+        self._changes = Counter("version_changes", "Changes of versions of the networks", ["what"], **make)
+        for what in CHANGES:
+            self._changes.labels(what)
         ready = Gauge("ready", "1 if models are warm and cameras live", **make)
         for finger in station.cameras:
             age.labels(finger).set_function(partial(self._age_s, finger))
@@ -70,6 +75,11 @@ class Metrics:
             counted = self._counted.get(finger, 0)
             self._counted[finger] = camera.frames_n
             self._frames.labels(finger).inc(self._counted[finger] - counted)
+        self._versions.clear()
+        state = self._station.versions.state()
+        for role, rival in (("shadow", state.shadow), ("previous", state.previous)):
+            if rival is not None:
+                self._versions.labels(role, rival.version).set(rival.evidence)
         return generate_latest(self.registry), CONTENT_TYPE_LATEST
 
     def _on_event(self, kind: str, content: Any) -> None:
@@ -92,6 +102,8 @@ class Metrics:
             self._messages.labels(content.type).inc()
         elif kind == "finished":
             self._finished.labels(content.outcome, content.cause or NO_CAUSE).inc()
+        elif kind == "version":
+            self._changes.labels(content["what"]).inc()
         elif kind == "drift":
             self._drifts.labels(content["cause"]).inc()
         elif kind == "camera_fault":

@@ -70,7 +70,9 @@ function showHealth(health) {
   items.push([health.driver ? "good" : "off", health.driver ? "robot" : "no robot"]);
   if (growing(health.frames_dropped_n)) items.push(["bad", `dropped ${health.frames_dropped_n}`]);
   items.push(health.recording ? ["bad", "not recorded"] : ["good", "recording"]);
-  at("health").replaceChildren(...items.map(([className, textContent]) => element("li", { className, textContent })));
+  items.push(...health.versions.map((words, i) => [i ? "off" : "good", words]));
+  if (health.versions_problem) items.push(["bad", "no shadow", health.versions_problem]);
+  at("health").replaceChildren(...items.map(([className, textContent, title = ""]) => element("li", { className, textContent, title })));
 }
 
 function view() {

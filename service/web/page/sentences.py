@@ -5,6 +5,7 @@ from typing import Any
 
 from service.contract import wire
 from service.contract.words.causes import what_of
+from service.versions.versions import Rival, State
 
 PHASES = {
     "start": "The robot is connected",
@@ -23,6 +24,12 @@ PHASES = {
     "refused": "Not allowed to go down",
     "closing": "Down at full depth, checking that it is in",
 }
+CHANGES = {
+    "shadow": "runs in shadow",
+    "dropped": "runs in shadow no more",
+    "promoted": "decides from the next insertion on",
+    "rolled_back": "decides no more: the version before does, from the next insertion on",
+}
 CHARTS = {
     "light": "the brightness of the pictures",
     "markers": "how many of a gel's dots are seen",
@@ -31,6 +38,7 @@ CHARTS = {
     "coverage": "how many 90 % intervals hold",
     "trials": "how many attempts an object takes",
 }
+SHORT_N = 6  # of the letters of a version's name
 TIMES = {1: "once", 2: "twice"}
 SURE = ((0.9, "very sure"), (0.7, "fairly sure"), (0.45, "unsure"), (0.0, "guessing"))
 
@@ -84,3 +92,20 @@ def event(message: Any, earlier_n: int = 0) -> str:
         return ended(message.outcome, message.cause, earlier_n + message.attempts).lower()
     line = LINES.get(type(message))
     return line(message) if line else ""
+
+
+def changed(version: dict[str, str]) -> str:
+    """What became of a version, and why."""
+    return f"version {version['version'][:SHORT_N]} {CHANGES[version['what']]}: {version['why']}"
+
+
+def versions(state: State) -> list[str]:
+    """The version that decides, and what runs beside it with the evidence so far; nothing where nothing does."""
+    beside = [("shadow", state.shadow), ("before", state.previous)]
+    shown = [_rival(part, rival, state.enough) for part, rival in beside if rival is not None]
+    return [f"version {state.active.version[:SHORT_N]} decides", *shown] if shown else []
+
+
+def _rival(part: str, rival: Rival, enough: float) -> str:
+    counted = f"{rival.evidence:.1f} of {enough:g} after {rival.ended_n}"
+    return f"{part} {rival.version[:SHORT_N]}: {counted}"

@@ -14,7 +14,7 @@ from service.recordings.listing import list_recordings
 from service.session.station import Station
 from service.web.page.alarms import FILE, Alarms
 from service.web.page.running import Running
-from service.web.page.sentences import CHARTS, PHASES, ended, event
+from service.web.page.sentences import CHARTS, PHASES, changed, ended, event, versions
 
 EVENTS_N = 30
 AFRESH_S = 90.0  # the way to the fixture and back takes some 17 s in the simulated cell
@@ -61,6 +61,7 @@ class Status:
             "camera_fault": self._on_camera_fault,
             "error": self._on_error,
             "drift": self._on_drift,
+            "version": self._on_version,
         }
 
         def on_event(kind: str, content: Any) -> None:
@@ -157,6 +158,14 @@ class Status:
         detail = f"It shows in {CHARTS[drift['chart']]}."
         self._alarms.sound(f"drift {drift['chart']}", "warning", title, detail=detail, remedy=drift["remedy"])
 
+    def _on_version(self, version: dict[str, str]) -> None:
+        text = changed(version)
+        self._events.append({"at_s": time.time(), "kind": "version", "text": text})
+        if version["what"] == "rolled_back":
+            remedy = "Nothing to do at the cell: what worked before works again. Adapt the networks anew."
+            facts = {"detail": f"{text[0].upper()}{text[1:]}.", "remedy": remedy}
+            self._alarms.sound("version", "warning", "The networks of before decide again", **facts)
+
     def acknowledge(self, number: int) -> bool:
         """A person has seen an alarm; False if there is no such alarm."""
         with self._lock:
@@ -243,6 +252,8 @@ class Status:
             "recording": station.recording_problem,
             "frames_dropped_n": station.counters.frames_dropped_n,
             "insertions_n": station.manager.opened_n,
+            "versions": versions(station.versions.state()),
+            "versions_problem": station.versions.problem,
         }
 
 

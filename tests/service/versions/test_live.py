@@ -99,7 +99,16 @@ def test_the_better_one_decides_the_next_insertion_also_after_a_restart_and_a_wo
         surely(cell, "shadow")
         assert insert(cell, "before")[0] == hashes(models)
         until(lambda: ask(cell, "GET").json()["previous"])
+        words = "decides from the next insertion on: it foretells errors better"
+        until(lambda: any(words in one["text"] for one in httpx.get(cell.url("/v1/status")).json()["events"]))
         assert insert(cell, "promoted")[0] == hashes(shadow)
+        until(lambda: ask(cell, "GET").json()["previous"]["ended_n"] == 1)
+        page, state = httpx.get(cell.url("/v1/status")).json(), ask(cell, "GET").json()
+        active, before = state["active"]["version"], state["previous"]["version"]
+        assert page["health"]["versions"][0] == f"version {active[:6]} decides"
+        assert page["health"]["versions"][1] == f"before {before[:6]}: 0.9 of 20 after 1"
+        metrics = httpx.get(cell.url("/metrics")).text
+        assert f'tactile_version_evidence{{role="previous",version="{before}"}} ' in metrics
     with live_service(tmp_path, models, shadow=shadow) as cell:
         assert ask(cell, "GET").json()["previous"]["ended_n"] == 1
         surely(cell, "previous")
@@ -109,8 +118,15 @@ def test_the_better_one_decides_the_next_insertion_also_after_a_restart_and_a_wo
         refused = ask(cell, "POST", "/shadow", folder=str(shadow))
         assert refused.status_code == 400
         assert "was rejected: " in refused.json()["error"]
+        page = httpx.get(cell.url("/v1/status")).json()
+        assert [alarm["title"] for alarm in page["alarms"]] == ["The networks of before decide again"]
+        metrics = httpx.get(cell.url("/metrics")).text
+        assert 'tactile_version_changes_total{what="rolled_back"} 1.0' in metrics
+        assert "tactile_version_evidence{" not in metrics
     with live_service(tmp_path, models, shadow=shadow) as cell:  # a rejected one in a setting stops no cell
         assert "was rejected: " in ask(cell, "GET").json()["problem"]
+        health = httpx.get(cell.url("/v1/status")).json()["health"]
+        assert (health["versions"], health["versions_problem"][:5]) == ([], str(shadow)[:5])
         assert cell.station.models.entries == load_models(models).entries
 
 

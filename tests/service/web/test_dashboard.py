@@ -14,6 +14,7 @@ import httpx
 import pytest
 
 from service.contract import wire
+from tests.service import tiny_models
 from tests.service.client import Driver
 from tests.service.conftest import LiveService
 
@@ -261,3 +262,24 @@ def test_the_policy_stops_what_is_not_ours(live: LiveService, page: Any, browser
     foreign.wait_for_timeout(1000)
     assert foreign.frames[1].locator("#words").count() == 0
     foreign.close()
+
+
+@pytest.mark.parametrize("panel", ["panel", "phone"])
+def test_versions_beside_are_shown_small_with_their_evidence(
+    live: LiveService, browser: Any, panel: str, tmp_path: Path
+) -> None:
+    shadow = tiny_models.write_models(tmp_path / "shadow", git_commit=panel.ljust(40, "0"))
+    width, height = PANELS[panel]
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.goto(live.url("/"))
+    asked = {"params": {"folder": str(shadow)}, "headers": live.bearer}
+    httpx.post(live.url("/v1/versions/shadow"), **asked).raise_for_status()
+    try:
+        state = httpx.get(live.url("/v1/versions")).json()
+        shown = page.locator("#health").get_by_text(f"shadow {state['shadow']['version'][:6]}: 1.0 of 20 after 0")
+        playwright.expect(shown).to_be_visible(timeout=WAIT_MS)
+        playwright.expect(page.locator("#health")).to_contain_text(f"version {state['active']['version'][:6]} decides")
+        check_fits(page, panel, height)
+    finally:
+        httpx.delete(live.url("/v1/versions/shadow"), headers=live.bearer)
+        page.close()
