@@ -20,7 +20,7 @@ BIN = $(VENV)/bin
 RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help run demo trust-live lint test compiled test-all test-lowest hard-cases mutants accuracy slip-report pace bench bench-serving peers bench-hostile soak collect train pressing export evaluate trust drawn-worlds commissioning requirements docs clean
+.PHONY: help run demo trust-live lint test compiled test-all test-lowest hard-cases mutants accuracy slip-report pace bench bench-serving peers bench-hostile soak collect train pressing export evaluate trust drawn-worlds commissioning identify requirements docs clean
 .PHONY: image up up-sim down verify-images bundle sbom lint-ops
 
 help: ## list the commands
@@ -220,6 +220,10 @@ commissioning: $(RUN_VENV)/ready ## first days of 12 drawn cells: signs with eac
 	$(RUN) -m simulation draw-objects --count 4 --seed 51 --out runs/commissioning/objects
 	$(RUN) -m simulation commission --worlds runs/commissioning/worlds --objects runs/commissioning/objects --mistakes \
 	  --seed 51 --json runs/commissioning/rows.json --docs docs
+
+identify: $(RUN_VENV)/ready ## what presses tell of a gel, on 60 fresh drawn cells: docs/identify.md; FIT=1 fits what ships anew
+	$(if $(FIT),$(RUN) -m simulation scene fit --out runs/identify --to simulation/studies/identify/posterior.npz)
+	$(RUN) -m simulation scene judge --out runs/identify --layer-cells 4 --docs docs
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.

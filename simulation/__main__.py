@@ -18,6 +18,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "the sealed test: worlds drawn from the release's bytes",
     ),
     "commission": ("commission:main", "cells that probe, adapt and learn from work, world by world"),
+    "scene": ("commission:scene", "what a cell's presses tell of its gel, as a world file"),
     "trust": ("trust:main", "claims under adversity: faults, drawn worlds, objects, starts"),
     "explain": ("explain:explain", "which effects a scene calls for, why, and what each costs"),
     "probe": ("probe:probe", "one descent, printed or saved as a picture or video"),

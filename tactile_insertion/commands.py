@@ -41,6 +41,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "trust": Command("simulation", "trust", "count claims that are not true, under faults"),
         "pace": Command("simulation", "pace", "what settings cost in seconds a box"),
         "choose": Command("simulation", "choose", "settings for a time, a success and a force"),
+        "scene": Command("simulation", "scene", "identify a cell's gel from its presses, as a world file"),
         "draw-worlds": Command("simulation", "draw-worlds", "worlds that nobody trained for, as files"),
         "draw-objects": Command("simulation", "draw-objects", "random convex objects, as files"),
     },

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from functools import partial
 from pathlib import Path
 
 from robot_client.cli.insert import fixture_of, live_ports, make_plan
@@ -12,6 +13,7 @@ from robot_client.insertion.state import State
 from robot_client.ports import DriverError
 from robot_client.session.commission import (
     FITS,
+    PRESSES,
     REACH,
     RECORD,
     SIDES,
@@ -31,8 +33,11 @@ from service.contract import wire
 from service.contract.frames import Finger
 
 
-def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out: Path) -> Outcome:
-    """Probe for signs, then ``probes_n`` times to learn from; done if no mistake was named. Raises DriverError."""
+def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out: Path, presses: bool) -> Outcome:
+    """Probe for signs, then ``probes_n`` times to learn from; done if no mistake was named. Raises DriverError.
+
+    ``presses``: also press until the gel slides, see `Commissioning`.
+    """
     taught = settings.cycle
     if taught is None:
         raise SettingsError("commission: the configuration lacks the table [cycle] with pick and open_mm")
@@ -43,19 +48,20 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     record = read_record(path)
     show(warning(live=live, simulated=settings.simulated))
     if not live:
-        return _rehearse(probes_n, path, record)
+        return _rehearse(probes_n, path, record, presses=presses)
     if record is None:
         record = Record(begun=time.strftime("%Y-%m-%dT%H:%M:%S"), seed=seed, object=settings.task.object)
     elif record.named:
         raise SettingsError(f"{path} names mistakes; mend them and remove it: {'; '.join(record.named)}")
-    return asyncio.run(_commission(Probing(settings, taught, out), probes_n, path, record))
+    return asyncio.run(_commission(Probing(settings, taught, out), probes_n, path, record, presses=presses))
 
 
-def _rehearse(probes_n: int, path: Path, record: Record | None) -> Outcome:
+def _rehearse(probes_n: int, path: Path, record: Record | None, *, presses: bool) -> Outcome:
     done_n = 0 if record is None else len(record.probes)
     steps = [
         "put the object into the fixture and take it afresh, before each probe",
-        "probe at " + ", ".join(f"{x:+g} mm {theta:+g} deg" for x, theta in SIDES) + ": are the signs right?",
+        f"probe at {_places(SIDES)}: are the signs right?",
+        *([f"press at {_places(PRESSES)} until the gel slides"] if presses else []),
         f"{probes_n - done_n} probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
         f"keep what was seen in {path} after each",
     ]
@@ -63,6 +69,10 @@ def _rehearse(probes_n: int, path: Path, record: Record | None) -> Outcome:
     for step in steps:
         show(f"  {step}")
     return Outcome(True, {"live": False, "steps": steps})
+
+
+def _places(of: tuple[tuple[float, float], ...]) -> str:
+    return ", ".join(f"{x:+g} mm {theta:+g} deg" for x, theta in of)
 
 
 class Felt:
@@ -95,9 +105,10 @@ class Probing:
     def __init__(self, settings: Settings, taught: CycleSettings, out: Path) -> None:
         self._settings, self._taught, self._out = settings, taught, out
 
-    async def probe(self, x_mm: float, theta_deg: float) -> Ended:
+    async def probe(self, x_mm: float, theta_deg: float, *, until_slip: bool = False) -> Ended:
         """One probe from this error."""
-        plan = make_plan(self._settings, x_mm, theta_deg, None, None).model_copy(update={"purpose": "probe"})
+        how = {"purpose": "probe", "until_slip": until_slip}
+        plan = make_plan(self._settings, x_mm, theta_deg, None, None).model_copy(update=how)
         felt = Felt()
         log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
         runner = Runner(plan, *live_ports(self._settings, plan), log, (felt,))
@@ -117,10 +128,11 @@ class Probing:
         await fixture.put_back()
 
 
-async def _commission(probing: Probing, probes_n: int, path: Path, record: Record) -> Outcome:
+async def _commission(probing: Probing, probes_n: int, path: Path, record: Record, *, presses: bool) -> Outcome:
     stop_on_signals()
     draw = errors(record.seed, *REACH, FITS)
-    running = Commissioning(path, record, probing.probe, probing.fetch, draw, show)
+    press = partial(probing.probe, until_slip=True) if presses else None
+    running = Commissioning(path, record, probing.probe, probing.fetch, draw, show, press)
     reason = ""
     try:
         await probing.begin()

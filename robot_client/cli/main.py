@@ -122,6 +122,7 @@ def _mode(parser: argparse.ArgumentParser) -> None:
 
 def _commissioning(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--probes", type=int, default=150, metavar="N", help="to learn from, after four for the signs")
+    parser.add_argument("--presses", action="store_true", help="also press until the gel slides, to identify it")
     parser.add_argument("--seed", type=int, default=0, help="of the known errors of a new record (default 0)")
     parser.add_argument("--out", type=Path, default=Path("runs") / "commissioning", help="folder of the record")
 
@@ -174,7 +175,8 @@ def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
     if args.command == "commission":
         if args.probes < 0:
             raise ValueError(f"--probes {args.probes}: expected 0 or more")
-        return commission(settings, live=args.live, probes_n=args.probes, seed=args.seed, out=args.out)
+        how = {"probes_n": args.probes, "presses": args.presses, "seed": args.seed, "out": args.out}
+        return commission(settings, live=args.live, **how)
     if args.command == "cycle":
         if args.parts is not None and args.parts < 1:
             raise ValueError(f"--parts {args.parts}: expected 1 or more")

@@ -64,6 +64,7 @@ class Plan(Contract):
     ``gels``: which gels the cell was commissioned with.
     ``pause_s``: how long a descent whose lease has ended may be taken up again; 0 where the arm cannot stand and go on.
     A probe ends above the gap again after its first decision, whatever that is: it moves by no correction.
+    ``until_slip``: a probe that presses on until the gel slides, to learn what the gel is like.
 
     ``creep_allowance_mm``: how much deeper than ``expected_depth_mm`` the TCP may go where earlier attempts pushed the
     object up in the hand, so that its bottom gets as deep as it should. 0: never deeper. ``clearance_mm``: the object's
@@ -84,6 +85,7 @@ class Plan(Contract):
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
     purpose: Literal["insert", "probe"] = "insert"
+    until_slip: bool = False
     client: str = "tactile-insertion robot client"
     object: str = Field(default="", max_length=128)
     controller: wire.ControllerName | None = None

@@ -28,6 +28,8 @@ from service.contract.words.wiring import WIRINGS
 
 SIDES = ((8.0, 8.0), (-8.0, -8.0), (8.0, -8.0), (-8.0, 8.0))
 """Where the cell is asked for signs: mm and deg. Straight above the edges, a yaw to either side looks alike."""
+PRESSES = ((0.0, 15.0), (0.0, -15.0))
+"""Where the gel is asked for what it is like: turned, an object lies on both sides of its gap, pushed straight up."""
 REACH = (15.0, 15.0)
 """How far off probes to learn from begin at most: as far as the released networks were trained."""
 FITS = (2.5, 3.0)
@@ -60,7 +62,8 @@ class Probe(Contract):
 class Record(Contract):
     """A commissioning as it is kept. ``seed`` decides the errors of all probes, ``named`` are mistakes of the cell.
 
-    ``gels`` are those of its first probe, as the service names them. ``sha256`` is of all the rest, as it was written.
+    ``gels`` are those of its first probe, as the service names them. ``presses`` went on until the gel slid. ``sha256``
+    is of all the rest, as it was written.
     """
 
     version: Literal[1] = 1
@@ -70,12 +73,14 @@ class Record(Contract):
     gels: dict[Finger, str] = Field(default_factory=dict)
     signs: tuple[Probe, ...] = ()
     named: tuple[str, ...] = ()
+    presses: tuple[Probe, ...] = ()
     probes: tuple[Probe, ...] = ()
     sha256: str = ""
 
     def digest(self) -> str:
         """SHA-256 of all that it says."""
-        content = self.model_dump(mode="json", exclude={"sha256"})
+        younger = {"presses"} if not self.presses else set()  # records from before there were any keep their digest
+        content = self.model_dump(mode="json", exclude={"sha256", *younger})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -211,7 +216,8 @@ def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) 
 class Commissioning:
     """Carries it out. ``probe`` is one probe from wherever the arm stands, ``fetch`` puts the object back and takes it.
 
-    ``path`` is the record's; what it holds already is not done again.
+    ``press`` is a probe that goes on until the gel slides; only where it is given are there any. ``path`` is the
+    record's; what it holds already is not done again.
     """
 
     path: Path
@@ -220,6 +226,7 @@ class Commissioning:
     fetch: Callable[[], Awaitable[None]]
     draw: Callable[[int], tuple[float, float]]
     show: Callable[[str], None]
+    press: Callable[[float, float], Awaitable[Ended]] | None = None
     _began_s: float = field(default_factory=time.monotonic)
 
     async def run(self, probes_n: int) -> Record:
@@ -230,6 +237,11 @@ class Commissioning:
                 done = await self._probe(f"sign {number + 1} of {len(SIDES)}", *SIDES[number])
                 self._keep(signs=(*self.record.signs, done))
             self._keep(named=mistakes(self.record.signs))
+            while self.press and not self.record.named and len(self.record.presses) < len(PRESSES):
+                number = len(self.record.presses)
+                title = f"press {number + 1} of {len(PRESSES)}"
+                done = await self._probe(title, *PRESSES[number], self.press)
+                self._keep(presses=(*self.record.presses, done))
             while not self.record.named and len(self.record.probes) < probes_n:
                 number = len(self.record.probes)
                 done = await self._probe(f"probe {number + 1} of {probes_n}{self._left(probes_n)}", *self.draw(number))
@@ -240,9 +252,11 @@ class Commissioning:
             ) from None
         return self.record
 
-    async def _probe(self, title: str, x_mm: float, theta_deg: float) -> Probe:
+    async def _probe(
+        self, title: str, x_mm: float, theta_deg: float, how: Callable[[float, float], Awaitable[Ended]] | None = None
+    ) -> Probe:
         await self.fetch()  # each time: it drifts in the hand, and open gels are learnt before a grasp
-        done, phase, reason, gels = await self.probe(x_mm, theta_deg)
+        done, phase, reason, gels = await (how or self.probe)(x_mm, theta_deg)
         if phase is not Phase.PROBED:
             raise DriverError(f"{title}: {reason}")
         if gels != (self.record.gels or gels):

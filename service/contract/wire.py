@@ -103,6 +103,7 @@ class Arm(_Message):
     ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them, the lever arm
     of the edge's friction; None if nobody knows it. ``gripper_width_mm``: how far apart the fingers are; None if the
     gripper does not tell. ``grip_n`` is their force, ``shear_reach_mm`` how far the gel shears before it slides.
+    ``until_slip``: press on until the gel slides, deeper than a decision needs, to learn what the gel is like.
     """
 
     type: Literal["arm"] = "arm"
@@ -113,6 +114,7 @@ class Arm(_Message):
     shear_reach_mm: float | None = Field(default=None, gt=0, le=100)
     expected_depth_mm: float = Field(gt=0, le=1000)
     gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
+    until_slip: bool = False
 
 
 class Descending(_Message):

@@ -20,6 +20,7 @@ from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
 
 Floats = NDArray[np.float32]
 FELT, FELT_BY_N = 0.1, 10  # a press moves so many lattice points by this share of itself; an object that sags, fewer
+UNTIL_SLIP_N = 20  # steps of a press until slip, at most
 REACHES, FEWEST_N = 2.0, 4  # an attempt presses by so many shear reaches where they are told, and steps at least
 
 
@@ -60,24 +61,28 @@ class PressedFinger:
 
     def read(self, field_px: MarkerField) -> Floats:
         """[rows, columns, 3] in mm since the tracker's first frame; raise Refusal where there is no such grid."""
-        seen = field_px.valid.ravel()
+        valid = field_px.valid.ravel()
         if self._weights is None:
-            if not seen.size:
+            if not valid.size:
                 raise Refusal("out_of_distribution", f"no marker grid was found: {field_px.reason or field_px.status}")
             rest_mm = (field_px.rest_px.reshape(-1, 2) - self.centre_px) * self.mm_per_px
             self._weights = lattice_weights(rest_mm, self.lattice, field_px.pitch_px * self.mm_per_px)
-        if seen.size != self._weights.shape[1]:
+        if valid.size != self._weights.shape[1]:
             raise Refusal("out_of_distribution", f"the grid changed to {field_px.valid.shape} markers")
         moved_mm = field_px.displacement_px.reshape(-1, 2) * np.float32(self.mm_per_px)
-        return on_lattice(moved_mm, seen, self._weights).reshape(self.lattice.rows, self.lattice.columns, 3)
+        return on_lattice(moved_mm, valid, self._weights).reshape(self.lattice.rows, self.lattice.columns, 3)
 
 
 @dataclass(slots=True)
 class Descent:
-    """The steps of depth of one attempt. ``speed_mm_s`` None: the client did not tell, and no depth is known."""
+    """The steps of depth of one attempt. ``speed_mm_s`` None: the client did not tell, and no depth is known.
+
+    ``until_slip``: it presses on after the last step that the networks read.
+    """
 
     card: ModelCard
-    told: dict[str, float | None]
+    conditions: dict[str, float | None]
+    until_slip: bool = False
     problem: Refusal | None = None
     _steps: DepthSteps | None = None
     _last: Floats | None = None
@@ -106,8 +111,10 @@ class Descent:
     @property
     def worth_n(self) -> int:
         """As many steps as the networks read, fewer where the gel slides before: what turns then stays turned."""
-        spec, reach_mm = self.card.pressing, self.told.get("shear_reach_mm")
+        spec, reach_mm = self.card.pressing, self.conditions.get("shear_reach_mm")
         assert spec is not None
+        if self.until_slip:
+            return UNTIL_SLIP_N
         if not reach_mm:
             return spec.steps_n
         return min(spec.steps_n, max(FEWEST_N, round(REACHES * reach_mm / spec.step_mm)))
@@ -121,10 +128,11 @@ class Descent:
         """Take the pairs up to now, ``first`` being the first to show motion; the steps that are complete."""
         try:
             self._check(pairs)
-            speed_mm_s, spec = self.told["speed_mm_s"], self.card.pressing
+            speed_mm_s, spec = self.conditions["speed_mm_s"], self.card.pressing
             assert spec is not None
             assert speed_mm_s is not None
-            self._steps = DepthSteps(spec, speed_mm_s)
+            longest_n = max(spec.steps_n, self.worth_n)
+            self._steps = DepthSteps(spec.model_copy(update={"steps_n": longest_n}), speed_mm_s)
             self._steps.begin([pair.captured_ns for pair in pairs], [self._read(pair) for pair in pairs], first)
             return self._fresh()
         except Refusal as refusal:
@@ -153,15 +161,15 @@ class Descent:
 
     def _check(self, pairs: list[PairObservation]) -> None:
         """Learn what the frames themselves tell, and raise Refusal outside what the networks were trained on."""
-        if not self.told.get("speed_mm_s"):
+        if not self.conditions.get("speed_mm_s"):
             detail = "these networks read depth: expected `descending` with speed_mm_s"
             raise Refusal("out_of_distribution", detail)
         stamps_ns = np.array([pair.captured_ns for pair in pairs], np.float64)
         if len(stamps_ns) > 1:
             period_s = float(np.median(np.diff(stamps_ns))) * 1e-9
-            self.told["frame_spacing_mm"] = period_s * float(self.told["speed_mm_s"] or 0.0)
+            self.conditions["frame_spacing_mm"] = period_s * float(self.conditions["speed_mm_s"] or 0.0)
         pitch_mm = [finger.field.pitch_px * self.card.profile.mm_per_px for finger in pairs[-1].fingers]
         for pitch in pitch_mm:
-            outside = self.card.pressing.outside(self.told | {MARKER_PITCH: pitch}) if self.card.pressing else ""
+            outside = self.card.pressing.outside(self.conditions | {MARKER_PITCH: pitch}) if self.card.pressing else ""
             if outside:
                 raise Refusal("out_of_distribution", outside)

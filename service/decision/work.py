@@ -73,6 +73,7 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
     if attempt.fed:
         return []
     steps, pair, descent = attempt.take_steps(models.card), attempt.ring[-1], attempt.descent
+    steps = steps[: max(0, _read_n(models) - len(attempt.steps) + len(steps))]
     if descent is None or attempt.dismisses(descent):
         return []
     number, generation, problem = attempt.arm.attempt, attempt.generation, descent.problem
@@ -98,10 +99,16 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
     return [Work(number, compute)] if steps or complete else []
 
 
+def _read_n(models: ModelSet) -> int:
+    """How many steps of depth the networks read."""
+    assert models.card.pressing is not None
+    return models.card.pressing.steps_n
+
+
 def _run_of_steps(models: ModelSet, attempt: Attempt, descent: Descent) -> DecisionRun:
     still = np.zeros((2, *models.card.input_shape), np.float32)
     still[..., 2] = 1.0  # a step is a change already, and says itself what was seen
-    return DecisionRun(models, still, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm, descent.told)
+    return DecisionRun(models, still, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm, descent.conditions)
 
 
 def decide_again(models: ModelSet, attempt: Attempt) -> Evidence:
@@ -113,7 +120,7 @@ def decide_again(models: ModelSet, attempt: Attempt) -> Evidence:
     if card.pressing:
         if descent is None or descent.problem is not None:
             raise descent.problem if descent and descent.problem else Refusal("no_motion", "no step of depth was shown")
-        run, shown = _run_of_steps(models, attempt, descent), list(attempt.steps)
+        run, shown = _run_of_steps(models, attempt, descent), list(attempt.steps[: card.pressing.steps_n])
     else:
         if attempt.network_reference is None:
             raise Refusal("no_motion", "no frame pair was shown")
@@ -157,7 +164,7 @@ def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, 
     )
 
 
-def seen_enough(attempt: Attempt) -> Iterator[wire.Enough]:
+def enough_message(attempt: Attempt) -> Iterator[wire.Enough]:
     """The order to stop, if the networks have seen all that they read while the arm was still going down."""
     descent, pair = attempt.descent, attempt.ring[-1]
     if attempt.stage is Stage.ARMED and not attempt.slip_sent and descent is not None and descent.enough:

@@ -37,7 +37,7 @@ class Observation:
     imprint: ImprintChange | None = None
 
     @property
-    def judged(self) -> bool:
+    def informative(self) -> bool:
         """Whether this frame says anything about slip: its markers were found anew and compared with the reference."""
         return self.field.usable and self.slip.state not in {"unknown", "lost"}
 
@@ -88,6 +88,12 @@ class PairObservation:
     def pixels(self) -> NDArray[np.uint8]:
         """Rectified uint8 [2, H, W, 3], left first, as the networks take them."""
         return np.stack([self.left.image, self.right.image])
+
+    def markers_px(self) -> NDArray[np.float32]:
+        """Where both fingers' markers are, float32 [2, rows, columns, 2]; NaN where they were not found."""
+        fields = self.left.field, self.right.field
+        places = [np.where(one.valid[..., None], one.rest_px + one.displacement_px, np.nan) for one in fields]
+        return np.stack(places).astype(np.float32)
 
 
 def belongs(observation: Observation, pair: FramePair) -> bool:

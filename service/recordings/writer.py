@@ -21,7 +21,7 @@
   ``frame_seq``        int64 [n], pair numbers; ``captured_ns`` int64 [n], monotonic
   ``rest_px``          float32 [2, rows, cols, 2] marker positions at rest (u, v) in the rectified image
   ``displacement_px``  float32 [2, rows, cols, 2] marker displacement in the last of the pairs
-  ``valid``            bool [2, rows, cols]
+  ``valid``            bool [2, rows, cols]; ``held_px`` where markers were before the descent, NaN if not found
   ``steps``            float32 [k, 2, rows, cols, 3] of (du_mm, dv_mm, 1 if seen), a step of depth each, and
                        ``conditions`` float32 [6] (`model_card.CONDITIONS`): what networks that read depth were shown
   ``decision``         0-d string array: JSON of the ``correction`` or ``no_decision`` message; "{}" if there was none

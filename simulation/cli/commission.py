@@ -1,23 +1,33 @@
-"""`python -m simulation commission`: cells that probe, adapt and learn from work, in lock step, resumable."""
+"""`commission`: cells that probe, adapt and learn from work; `scene`: what a commissioning's presses tell of a gel."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
+from reporting.files import write_durably, write_json
 from reporting.page import publish
 from service.contract.shipped import released_models
 from simulation.closed_loop.campaign import fingerprint
+from simulation.data.sources import sources_sha256
 from simulation.scene.scene import Scene, SceneError
-from simulation.scene.worlds import World, files_in, load_objects, load_world
+from simulation.scene.worlds import World, files_in, load_objects, load_scene, load_world
 from simulation.studies.commissioning import Cell, Plan, commission, mistaken, write
 from simulation.studies.commissioning_page import commissioning_page
+from simulation.studies.identify import cells as pressing
+from simulation.studies.identify import posterior, study
+from simulation.studies.identify.page import identify_page
+
+PLAYED_BY = "simulation.studies.identify.cells"
+FIRST_COARSE, FIRST_FINE, FIRST_FRESH = 1000, 5000, 900_000
+"""Numbers of the first cells that the posterior is fitted to, and of the first that it is judged on."""
 
 
 @dataclass(frozen=True)
@@ -106,3 +116,118 @@ def _check_foreign(scene: Scene) -> None:
     from simulation.foreign.cell import pad_of  # brings scipy and scikit-fem
 
     pad_of(scene)
+
+
+@dataclass(frozen=True)
+class Identify:
+    """Estimate gel and friction of a cell from the recordings of its commissioning; write them as a world file.
+
+    It takes the four probes that ask for signs, and two presses until slip at each of two grips. Beside the file comes
+    the same as JSON, with 90 % intervals. What the presses do not tell has an interval as wide as that of drawn cells.
+    """
+
+    recordings: Annotated[Path, tyro.conf.Positional]
+    """folder with the service's recordings, those of both grips"""
+    object: str
+    """what was held: an object by name or TOML file, a rectangle that covers the pads"""
+    out: Path
+    """world file to write"""
+    posterior: Path = posterior.SHIPPED
+    """the one to take, unless that which ships"""
+
+
+@dataclass(frozen=True)
+class Play:
+    """What plays drawn cells."""
+
+    out: Path = Path("runs/identify")
+    """folder for what is played; the same command goes on where it was interrupted"""
+    models: Path = field(default_factory=released_models)
+    """networks that decide the probes; nothing of what they say is used"""
+    workers: int = 0
+    """processes; 0 takes every core"""
+
+
+@dataclass(frozen=True)
+class Fit(Play):
+    """Fit the posterior to drawn cells, anew: what ships is made so."""
+
+    coarse_cells: int = 306
+    """cells on coarser pads, which the intervals are not calibrated on"""
+    cells: int = 300
+    to: Path = Path("runs/identify/posterior.npz")
+    """file to write"""
+
+
+@dataclass(frozen=True)
+class Evaluate(Play):
+    """Judge the posterior on fresh drawn cells: does a 90 % interval hold the truth in 90 of 100?"""
+
+    first: int = FIRST_FRESH
+    """number of the first cell; none of those that it was fitted to"""
+    cells: int = 60
+    layer_cells: int = 0
+    """as many further cells of the finer tier, which cost many times as much"""
+    posterior: Path = posterior.SHIPPED
+    docs: Path | None = None
+    """also write identify.md and its data into this folder"""
+    note: str = ""
+    """prose for the page"""
+
+
+def scene(arguments: list[str]) -> int:
+    """`identify`, `fit` or `judge`."""
+    commands: dict[str, Callable[..., Any]] = {"identify": Identify, "fit": Fit, "judge": Evaluate}
+    options = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion scene")
+    match options:
+        case Identify():
+            _identify(options)
+        case Fit():
+            _fit(options)
+        case Evaluate():
+            _evaluate(options)
+    return 0
+
+
+def _identify(options: Identify) -> None:
+    fitted = posterior.load(options.posterior)
+    grip_n, intervals = study.identified(options.recordings, load_scene(options.object), fitted)
+    comment = f"Identified from {options.recordings.name}, held: {options.object}, at {grip_n:g} N."
+    write_durably(options.out, study.world_file(grip_n, intervals, comment).encode())
+    write_json(options.out.with_suffix(".json"), study.as_json(grip_n, intervals, fitted))
+    for one in intervals:
+        print(f"{one.key:<24} {one.estimate:8.3g}   {study.range_text(one)}")
+    print(f"written: {options.out}")
+
+
+def _cells(options: Play, first: int, count: int, play: pressing.Play, tier: str = "bristle") -> list[pressing.Cell]:
+    numbers = range(first, first + count)
+    return [pressing.Cell(n, options.out / f"{tier}-{n:07d}", options.models, play, tier) for n in numbers]
+
+
+def _fit(options: Fit) -> None:
+    cells = _cells(options, FIRST_COARSE, options.coarse_cells, "coarse")
+    cells += _cells(options, FIRST_FINE, options.cells, "closer")
+    about = {
+        "made_by": f"python -m simulation scene fit --coarse-cells {options.coarse_cells} --cells {options.cells}",
+        "physics": sources_sha256(PLAYED_BY),
+        "simulated": True,
+    }
+    options.to.parent.mkdir(parents=True, exist_ok=True)
+    made = study.fitted(list(study.played(cells, options.workers)), about)
+    made.save(options.to)
+    print(json.dumps(dict(made.about)))
+
+
+def _evaluate(options: Evaluate) -> None:
+    cells = _cells(options, options.first, options.cells, "whole")
+    cells += _cells(options, options.first, options.layer_cells, "whole", "layer")
+    fitted = posterior.load(options.posterior)
+    rows = [study.scored(row, fitted) for row in study.played(cells, options.workers)]
+    data = {"simulated": True, "note": options.note, "posterior": dict(fitted.about), "rows": rows}
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_json(options.out / "judged.json", data)
+    page = identify_page(data)
+    if options.docs:
+        publish(options.docs, "identify", page, data)
+    print(page)

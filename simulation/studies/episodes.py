@@ -23,12 +23,16 @@ from simulation.scene.state import PhysicsError
 
 @dataclass(frozen=True)
 class Episode:
-    """One insertion, or one probe that ends with its first decision, to play and keep in ``folder``."""
+    """One insertion, or one probe that ends with its first decision, to play and keep in ``folder``.
+
+    ``until_slip``: a probe that presses on until the gel slides.
+    """
 
     folder: Path
     models: Path
     job: Mapping[str, Any]
     probe: bool
+    until_slip: bool = False
 
 
 def play(episode: Episode) -> Row:
@@ -44,7 +48,7 @@ def play(episode: Episode) -> Row:
         insertion = stage(job, models_of(episode.models))
         plan = insertion.state.plan
         if episode.probe:
-            insertion.state = State(plan.model_copy(update={"purpose": "probe"}))
+            insertion.state = State(plan.model_copy(update={"purpose": "probe", "until_slip": episode.until_slip}))
         insertion.session.on_attempt = attempts.append
         outcome = insertion.run()
         robot_s = insertion.seconds.total_s + trip_s(plan)
@@ -58,8 +62,7 @@ def play(episode: Episode) -> Row:
 def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> None:
     episode.folder.mkdir(parents=True, exist_ok=True)
     for number, attempt in enumerate(attempts, 1):  # those of each grasp begin with 1
-        arrays = attempt.arrays()
-        kept = {name: arrays[name] for name in ("steps", "conditions", "decision") if name in arrays}
+        kept = attempt.read_by_depth()
         if "steps" in kept:
             np.savez(episode.folder / f"attempt_{number:02d}.npz", **kept)  # type: ignore[arg-type]
     summary = {
@@ -87,7 +90,7 @@ def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
     """What the client would keep of a probe that it took for one at this error."""
     decision = row["trials"][0]["decision"] if row["trials"] else {}
     felt, turns = decision.get("estimate") or {}, decision.get("turns_deg")
-    said = f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN
+    ending = f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN
     return Probe(
         x_mm=x_mm,
         theta_deg=theta_deg,
@@ -96,6 +99,6 @@ def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
         sigma_x_mm=felt.get("sigma_x_mm"),
         sigma_theta_deg=felt.get("sigma_theta_deg"),
         turns_deg=turns and (turns[0], turns[1]),
-        said="" if felt else said,
+        said="" if felt else ending,
         insertion_id="simulated",
     )

@@ -11,6 +11,7 @@ PAGES = {
     "accuracy": "simulation.studies.accuracy_report:accuracy_page",
     "benchmark": "export.bench.report:benchmark_page",
     "hard_cases": "tests.hard_cases.__main__:hard_cases_page",
+    "identify": "simulation.studies.identify.page:identify_page",
     "motion_bounds": "simulation.studies.motion_bounds.report:bounds_page",
     "commissioning": "simulation.studies.commissioning_page:commissioning_page",
     "drawn_worlds": "simulation.studies.drawn_worlds:drawn_worlds_page",

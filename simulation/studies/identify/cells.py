@@ -1,0 +1,96 @@
+"""Drawn cells that press as a commissioning does: what the posterior is fitted to, and what it is judged on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from robot_client.session.commission import PRESSES, SIDES
+from service.contract import ContractError
+from simulation.closed_loop.job import job_in
+from simulation.data.drawn_cells import SETTLE_MM
+from simulation.scene import drawn
+from simulation.scene.scene import SceneError
+from simulation.scene.worlds import World, load_scene
+from simulation.studies.episodes import Episode, play
+from simulation.studies.identify import recorded
+from simulation.studies.identify.evidence import Floats
+from simulation.studies.pace.points import client, with_care
+
+Play = Literal["coarse", "closer", "whole"]
+SAVES: Mapping[Play, Mapping[str, Any]] = {
+    "coarse": {"numerics.settle_mm": SETTLE_MM, "gel.node_rows": 16, "gel.node_columns": 16},
+    "closer": {"numerics.settle_mm": SETTLE_MM},
+    "whole": {},
+}
+"""What cells save that are not judged on: coarser pads move Poisson's ratio by a twentieth of its range, so that only
+others calibrate intervals. The arm of both starts closer above the tops."""
+CLOSER_MM = 2.0
+GRIP_TO_HALVE_N = 20.0
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A drawn cell with the rectangle that it presses. Everything about it follows from its number."""
+
+    number: int
+    folder: Path
+    models: Path
+    play: Play
+    tier: str = "bristle"
+
+    @property
+    def tables(self) -> drawn.Tables:
+        """Its world, and under `object` what it holds."""
+        rng = np.random.default_rng((self.number, 0x1D))
+        tables = drawn.draw_world(rng)
+        tables["gel"]["tier"] = self.tier
+        size = round(float(rng.uniform(*recorded.WIDTH_MM)), 1), round(float(rng.uniform(*recorded.DEPTH_MM)), 1)
+        mass_kg = round(math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))), 3)
+        body = {"shape": "rectangle", "size_x_mm": size[0], "size_y_mm": size[1], "mass_kg": mass_kg}
+        return {**tables, "object": body}
+
+
+def second_grip_n(grip_n: float) -> float:
+    """The other grip of presses: half of the cell's own, or twice a light one."""
+    return 0.5 * grip_n if grip_n >= GRIP_TO_HALVE_N else 2.0 * grip_n
+
+
+def pressed(cell: Cell) -> dict[str, Any]:
+    """In a worker: the cell's truth, and the numbers that its probes show or why they show none."""
+    tables = cell.tables
+    row: dict[str, Any] = {"number": cell.number, "play": cell.play, "tables": tables}
+    try:
+        return {**row, "numbers": _probed(cell, tables).tolist()}
+    except (ContractError, SceneError) as error:
+        return {**row, "refused": str(error)}
+
+
+def _probed(cell: Cell, tables: drawn.Tables) -> Floats:
+    world = drawn.world({name: table for name, table in tables.items() if name != "object"}, f"cell-{cell.number}")
+    cell.folder.mkdir(parents=True, exist_ok=True)
+    body = cell.folder / "object.toml"
+    body.write_text(drawn.toml({"object": tables["object"]}, "what a drawn cell presses"), encoding="utf-8")
+    scene, own = load_scene(body), float(world.changes["grasp.force_n"])
+    kinds = ((own, SIDES, False), (own, PRESSES, True), (second_grip_n(own), PRESSES, True))
+    for group, (grip_n, starts, until_slip) in enumerate(kinds):
+        for index, start in enumerate(starts):
+            job = _job(cell, world, body, (start, index, group), grip_n)
+            play(Episode(cell.folder / f"{group}{index}", cell.models, job, probe=True, until_slip=until_slip))
+    return recorded.read(cell.folder).numbers(scene)
+
+
+def _job(
+    cell: Cell, world: World, body: Path, which: tuple[tuple[float, float], int, int], grip_n: float
+) -> dict[str, Any]:
+    start, index, group = which
+    tables = dict(with_care(client(), world, str(body)))
+    if cell.play != "whole":
+        tables["task"] = {"approach_clearance_mm": CLOSER_MM}
+    job = job_in(world, str(body), index, start, cell.number * 16 + group * 4 + index, client=tables)
+    return {**job, "changes": {**job["changes"], "grasp.force_n": grip_n, **SAVES[cell.play]}}

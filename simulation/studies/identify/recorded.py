@@ -1,0 +1,98 @@
+"""The probes of a commissioning as their recordings keep them, sorted out for what they tell of the gel."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from robot_client.session.commission import PRESSES, SIDES
+from service.contract import ContractError, Sensor
+from service.contract.model_card import CONDITIONS
+from simulation.scene.scene import Scene
+from simulation.studies.identify.evidence import Floats, Touch, numbers_of
+
+GRIPS_N = (10.0, 40.0)
+GRIPS_APART = (1.8, 2.2)
+"""The firmer over the lighter grip."""
+WIDTH_MM, DEPTH_MM = (40.0, 110.0), (40.0, 100.0)
+"""Of the rectangle that presses: its faces cover the pads, and turned it lies on both sides of its gap."""
+AT_MM, AT_DEG = 0.5, 1.0  # of where a press or a probe for signs begins
+
+
+class Sorted(NamedTuple):
+    """Probes for signs, and presses by grip: first the cell's own, at which the first signs were asked for."""
+
+    signs: Sequence[Touch]
+    presses: Mapping[float, Sequence[Touch]]
+
+    def numbers(self, scene: Scene) -> Floats:
+        """What they show, of a part that the posterior was fitted for. Raises ContractError."""
+        body = scene.object
+        for name, value, (low, high) in (
+            ("size_x_mm", body.size_x_mm, WIDTH_MM),
+            ("size_y_mm", body.size_y_mm, DEPTH_MM),
+        ):
+            if body.shape != "rectangle" or not low <= value <= high:
+                raise ContractError(f"object {scene.name}: expected a rectangle with {name} {low:g} to {high:g}")
+        return numbers_of(self.signs, self.presses, (body.size_x_mm, body.size_y_mm))
+
+
+def read(folder: Path) -> Sorted:
+    """The probes below ``folder``. Raises ContractError where they are not those that tell of a gel."""
+    touches = [one for path in sorted(folder.glob("*/summary.json")) for one in _touches(path)]
+    signs = [one for one in touches if _begins(one, SIDES)]
+    signs = [one for one in signs if one.grip_n == signs[0].grip_n]  # those of a second commissioning tell no more
+    presses = defaultdict[float, list[Touch]](list)
+    for one in touches:
+        if _begins(one, PRESSES):
+            presses[one.grip_n].append(one)
+    return sorted_out(signs, presses)
+
+
+def sorted_out(signs: Sequence[Touch], presses: Mapping[float, Sequence[Touch]]) -> Sorted:
+    """Probes that are known by their kind. Raises ContractError where some are missing, or made at other grips."""
+    if not signs:
+        raise ContractError("no probe for signs that touched; expected the recordings of a commissioning")
+    own = signs[0].grip_n
+    grips = sorted(presses, key=lambda grip: abs(grip - own))
+    if len(grips) != 2 or grips[0] != own:
+        raise ContractError(
+            f"presses at {', '.join(f'{grip:g} N' for grip in grips) or 'no grip'}; expected some at the cell's own"
+            f" {own:g} N and some at twice or half of it"
+        )
+    apart = max(grips) / min(grips)
+    if not (GRIPS_N[0] <= min(grips) and max(grips) <= GRIPS_N[1] and GRIPS_APART[0] <= apart <= GRIPS_APART[1]):
+        raise ContractError(
+            f"presses at {grips[0]:g} and {grips[1]:g} N; expected {GRIPS_N[0]:g} to {GRIPS_N[1]:g} N,"
+            " one twice the other"
+        )
+    shape, usual = signs[0].markers_px.shape, Sensor.load()
+    if any(one.markers_px.shape != (2, usual.marker_rows, usual.marker_columns, 2) for one in (*signs, *presses[own])):
+        raise ContractError(f"markers {list(shape)}; expected those of the sensor {usual.name} on both fingers")
+    return Sorted(signs, {grip: presses[grip] for grip in grips})
+
+
+def _begins(touch: Touch, places: Sequence[tuple[float, float]]) -> bool:
+    return any(abs(touch.x_mm - x) < AT_MM and abs(touch.yaw_deg - yaw) < AT_DEG for x, yaw in places)
+
+
+def _touches(summary: Path) -> list[Touch]:
+    """What a probe showed; nothing where it touched nothing, or was no probe."""
+    try:
+        content = json.loads(summary.read_text(encoding="utf-8"))
+        if content.get("purpose") != "probe" or not (path := summary.with_name("attempt_01.npz")).exists():
+            return []
+        with np.load(path) as stored:
+            if "held_px" not in stored.files:
+                return []
+            steps, held = stored["steps"].astype(np.float64), stored["held_px"].astype(np.float64)
+            conditions = dict(zip(CONDITIONS, map(float, stored["conditions"]), strict=True))
+        x_mm, yaw_deg = float(content["approach"]["x_mm"]), float(content["approach"]["yaw_deg"])
+        return [Touch(x_mm, yaw_deg, conditions["grip_n"], conditions["speed_mm_s"], steps, held)]
+    except (OSError, ValueError, KeyError) as error:
+        raise ContractError(f"{summary.parent} is no recording of a probe: {error}") from error

@@ -1,0 +1,115 @@
+"""What presses tell of a gel: intervals hold what they promise, and what is not intervals is as wide as before."""
+
+import json
+
+import numpy as np
+import pytest
+
+from service.contract import ContractError
+from service.contract.shipped import released_models
+from simulation.__main__ import main
+from simulation.scene.worlds import load_world
+from simulation.studies.identify import posterior, recorded, study
+from simulation.studies.identify.cells import Cell, pressed, second_grip_n
+
+CELL = 5
+
+
+def numbers(truth, rng):
+    """Of cells that show the first parameter, the second where the first is large, and nothing else."""
+    noise = rng.normal(0.0, 0.02, (len(truth), 2))
+    shown = np.stack([truth[:, 0], np.where(truth[:, 0] > 0.5, truth[:, 1], 0.5)], 1) + noise
+    return np.hstack([shown, rng.normal(0.0, 1.0, (len(truth), 48))])
+
+
+@pytest.fixture(scope="module")
+def made():
+    rng = np.random.default_rng(1)
+    truth = rng.random((600, len(posterior.PARAMETERS)))
+    return posterior.fit(numbers(truth, rng), truth, np.arange(600) > 100, {"made_by": "a test"})
+
+
+def test_nine_of_ten_fresh_cells_lie_within_their_intervals(made):
+    rng = np.random.default_rng(2)
+    truth = rng.random((2000, len(posterior.PARAMETERS)))
+    _, low, high = made.shares(numbers(truth, rng))
+    held = ((truth >= low) & (truth <= high)).mean(0)
+    assert np.all((held > 0.86) & (held < 0.94))
+
+
+def test_what_is_not_shown_is_as_wide_as_before_and_what_is_shown_is_not(made):
+    rng = np.random.default_rng(3)
+    intervals = made.intervals(numbers(np.full((1, len(posterior.PARAMETERS)), 0.7), rng)[0])
+    assert intervals[0].known
+    assert not any(one.known for one in intervals[2:])
+    assert all(one.low <= one.estimate <= one.high for one in intervals)
+
+
+def test_numbers_like_no_drawn_cells_are_refused(made):
+    with pytest.raises(ContractError, match="like none of the 600 simulated cells"):
+        made.intervals(np.full(50, 40.0))
+    with pytest.raises(ContractError, match="too few markers"):
+        made.intervals(np.full(50, np.nan))
+
+
+def test_a_parameter_keeps_its_range():
+    for one in posterior.PARAMETERS:
+        ends = [one.value(share) for share in (0.0, 1.0)]
+        assert ends == pytest.approx([one.low, one.high])
+        assert one.share(one.value(0.3)) == pytest.approx(0.3)
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """The recordings of a drawn cell that pressed, and its row."""
+    folder = tmp_path_factory.mktemp("cell")
+    return folder, pressed(Cell(CELL, folder, released_models(), "coarse"))
+
+
+def test_the_recordings_of_a_cell_become_a_world_file(played, tmp_path, capsys):
+    folder, row = played
+    out = tmp_path / "cell.toml"
+    assert main(["scene", "identify", str(folder), "--object", str(folder / "object.toml"), "--out", str(out)]) == 0
+    changes = load_world(out).changes
+    assert changes["grasp.force_n"] == pytest.approx(row["tables"]["grasp"]["force_n"], rel=1e-4)
+    content = json.loads(out.with_suffix(".json").read_text())
+    assert set(content["gel"]) == {one.key for one in posterior.PARAMETERS}
+    assert content["posterior"]["made_by"].startswith("python -m simulation scene fit")
+    unknown = [key for key, one in content["gel"].items() if not one["known"]]
+    assert out.read_text().count("not told by the probes") == len(unknown)
+    assert capsys.readouterr().out.count("not told by the probes") == len(unknown)
+
+
+def test_the_shipped_posterior_knows_the_stiffness_of_a_cell_that_it_was_not_fitted_to(played):
+    intervals = posterior.load().intervals(np.array(played[1]["numbers"]))
+    gel = next(one for one in intervals if one.key == "shear_modulus_n_per_mm2")
+    assert gel.known
+    assert study.scored(played[1], posterior.load())["gel"]["friction"]["width"] <= 1.3
+
+
+def test_presses_that_do_not_tell_are_refused_by_name(played):
+    folder, _ = played
+    probes = recorded.read(folder)
+    own, other = probes.presses
+    for presses, says in (
+        ({}, "presses at no grip"),
+        ({own: probes.presses[own]}, f"presses at {own:g} N"),
+        ({own: probes.presses[own], 1.1 * own: probes.presses[other]}, "one twice the other"),
+    ):
+        with pytest.raises(ContractError, match=says):
+            recorded.sorted_out(probes.signs, presses)
+    with pytest.raises(ContractError, match="no probe for signs"):
+        recorded.read(folder / "00")
+
+
+@pytest.mark.parametrize("grip_n", [10.0, 19.9, 20.0, 40.0])
+def test_the_second_grip_stays_within_what_the_networks_were_trained_on(grip_n):
+    assert recorded.GRIPS_N[0] <= second_grip_n(grip_n) <= recorded.GRIPS_N[1]
+
+
+def test_a_part_that_does_not_cover_the_pads_is_refused(played):
+    from simulation.scene.worlds import load_scene
+
+    probes = recorded.read(played[0])
+    with pytest.raises(ContractError, match="expected a rectangle"):
+        probes.numbers(load_scene("circle"))
