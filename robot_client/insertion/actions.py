@@ -125,10 +125,10 @@ def descend(state: State, captured_ns: int, at_s: float) -> Result:
     if state.done:
         return state, commands
     speeds = plan.ramps.in_legs(start_mm, legs).speeds() if legs else [(0.0, 0.0, probing_mm_s)]
-    state, told = tell_speed(
+    state, messages = tell_speed(
         replace(state, speeds=tuple((at_s + after_s, way_mm, mm_s) for after_s, way_mm, mm_s in speeds))
     )
-    return state, (*told, *commands)
+    return state, (*messages, *commands)
 
 
 def tell_speed(state: State) -> Result:

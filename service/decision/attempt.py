@@ -107,7 +107,7 @@ class Attempt:
     start_mm: float = 0.0
     fed: bool = False
     watched_ns: int = 0
-    _judged_ns: dict[Finger, int] = field(default_factory=dict)
+    _informed_ns: dict[Finger, int] = field(default_factory=dict)
     slip_sent: bool = False
     stop_ns: int | None = None
     stale_sent: bool = False
@@ -166,16 +166,16 @@ class Attempt:
         self.stage = Stage.DECIDED
         return Refused(**self._named, reason=reason, detail=detail)
 
-    def judged(self, seen: Observation, now_ns: int) -> Iterator[Watching]:
+    def watching(self, observation: Observation, now_ns: int) -> Iterator[Watching]:
         """`watching`, if with this frame both fingers were judged on newer ones than before.
 
         Its stamp is the older finger's: neither of them detects slip for the other.
         """
-        if self.spoilt or not seen.judged:
+        if self.spoilt or not observation.informative:
             return
-        self._judged_ns[seen.finger] = seen.captured_ns
-        oldest_ns = min(self._judged_ns.values())
-        if len(self._judged_ns) == len(FINGERS) and oldest_ns > self.watched_ns:
+        self._informed_ns[observation.finger] = observation.captured_ns
+        oldest_ns = min(self._informed_ns.values())
+        if len(self._informed_ns) == len(FINGERS) and oldest_ns > self.watched_ns:
             self.watched_ns = oldest_ns
             yield Watching(**self._named, frame_captured_ns=oldest_ns, judged_ns=now_ns)
 
@@ -188,8 +188,8 @@ class Attempt:
             return
         onsets = [o.onset_ns for o in both.fingers]
         if self.onset_again:
-            found = [watch.update(one.field) for watch, one in zip(self.onset_again, both.fingers, strict=True)]
-            onsets = [None if onset is None else onset.captured_ns for onset in found]
+            fresh = [watch.update(one.field) for watch, one in zip(self.onset_again, both.fingers, strict=True)]
+            onsets = [None if onset is None else onset.captured_ns for onset in fresh]
         self.onset_ns = min((stamp_ns for stamp_ns in onsets if stamp_ns is not None), default=None)
 
     def dismisses(self, descent: Descent) -> bool:
@@ -233,7 +233,7 @@ class Attempt:
         self.decision_pairs += fresh
         return fresh
 
-    def told(self) -> dict[str, float | None]:
+    def conditions(self) -> dict[str, float | None]:
         """The conditions of the attempt as far as the client told them; see `model_card.CONDITIONS`."""
         arm = self.arm
         return {
@@ -267,7 +267,7 @@ class Attempt:
                 return []
             pairs = list(self.ring)
             self.decision_pairs += pairs[index:]
-            self.descent = Descent(card, self.told(), self.arm.until_slip)
+            self.descent = Descent(card, self.conditions(), self.arm.until_slip)
             fresh = self.descent.begin(pairs, index)
         self.steps += fresh
         return fresh
@@ -295,6 +295,6 @@ class Attempt:
         decision = {"decision": np.array(self.decision.model_dump_json() if self.decision else "{}")}
         if not self.steps or self.descent is None or self.reference is None:
             return decision
-        told = [self.descent.told.get(name) or 0.0 for name in CONDITIONS]
-        steps = {"steps": np.stack(self.steps), "conditions": np.array(told, np.float32)}
+        conditions = [self.descent.conditions.get(name) or 0.0 for name in CONDITIONS]
+        steps = {"steps": np.stack(self.steps), "conditions": np.array(conditions, np.float32)}
         return {**decision, **steps, "held_px": self.reference.markers_px()}

@@ -61,16 +61,16 @@ class PressedFinger:
 
     def read(self, field_px: MarkerField) -> Floats:
         """[rows, columns, 3] in mm since the tracker's first frame; raise Refusal where there is no such grid."""
-        seen = field_px.valid.ravel()
+        valid = field_px.valid.ravel()
         if self._weights is None:
-            if not seen.size:
+            if not valid.size:
                 raise Refusal("out_of_distribution", f"no marker grid was found: {field_px.reason or field_px.status}")
             rest_mm = (field_px.rest_px.reshape(-1, 2) - self.centre_px) * self.mm_per_px
             self._weights = lattice_weights(rest_mm, self.lattice, field_px.pitch_px * self.mm_per_px)
-        if seen.size != self._weights.shape[1]:
+        if valid.size != self._weights.shape[1]:
             raise Refusal("out_of_distribution", f"the grid changed to {field_px.valid.shape} markers")
         moved_mm = field_px.displacement_px.reshape(-1, 2) * np.float32(self.mm_per_px)
-        return on_lattice(moved_mm, seen, self._weights).reshape(self.lattice.rows, self.lattice.columns, 3)
+        return on_lattice(moved_mm, valid, self._weights).reshape(self.lattice.rows, self.lattice.columns, 3)
 
 
 @dataclass(slots=True)
@@ -81,7 +81,7 @@ class Descent:
     """
 
     card: ModelCard
-    told: dict[str, float | None]
+    conditions: dict[str, float | None]
     until_slip: bool = False
     problem: Refusal | None = None
     _steps: DepthSteps | None = None
@@ -111,7 +111,7 @@ class Descent:
     @property
     def worth_n(self) -> int:
         """As many steps as the networks read, fewer where the gel slides before: what turns then stays turned."""
-        spec, reach_mm = self.card.pressing, self.told.get("shear_reach_mm")
+        spec, reach_mm = self.card.pressing, self.conditions.get("shear_reach_mm")
         assert spec is not None
         if self.until_slip:
             return UNTIL_SLIP_N
@@ -128,7 +128,7 @@ class Descent:
         """Take the pairs up to now, ``first`` being the first to show motion; the steps that are complete."""
         try:
             self._check(pairs)
-            speed_mm_s, spec = self.told["speed_mm_s"], self.card.pressing
+            speed_mm_s, spec = self.conditions["speed_mm_s"], self.card.pressing
             assert spec is not None
             assert speed_mm_s is not None
             longest_n = max(spec.steps_n, self.worth_n)
@@ -161,15 +161,15 @@ class Descent:
 
     def _check(self, pairs: list[PairObservation]) -> None:
         """Learn what the frames themselves tell, and raise Refusal outside what the networks were trained on."""
-        if not self.told.get("speed_mm_s"):
+        if not self.conditions.get("speed_mm_s"):
             detail = "these networks read depth: expected `descending` with speed_mm_s"
             raise Refusal("out_of_distribution", detail)
         stamps_ns = np.array([pair.captured_ns for pair in pairs], np.float64)
         if len(stamps_ns) > 1:
             period_s = float(np.median(np.diff(stamps_ns))) * 1e-9
-            self.told["frame_spacing_mm"] = period_s * float(self.told["speed_mm_s"] or 0.0)
+            self.conditions["frame_spacing_mm"] = period_s * float(self.conditions["speed_mm_s"] or 0.0)
         pitch_mm = [finger.field.pitch_px * self.card.profile.mm_per_px for finger in pairs[-1].fingers]
         for pitch in pitch_mm:
-            outside = self.card.pressing.outside(self.told | {MARKER_PITCH: pitch}) if self.card.pressing else ""
+            outside = self.card.pressing.outside(self.conditions | {MARKER_PITCH: pitch}) if self.card.pressing else ""
             if outside:
                 raise Refusal("out_of_distribution", outside)

@@ -108,7 +108,7 @@ def _read_n(models: ModelSet) -> int:
 def _run_of_steps(models: ModelSet, attempt: Attempt, descent: Descent) -> DecisionRun:
     still = np.zeros((2, *models.card.input_shape), np.float32)
     still[..., 2] = 1.0  # a step is a change already, and says itself what was seen
-    return DecisionRun(models, still, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm, descent.told)
+    return DecisionRun(models, still, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm, descent.conditions)
 
 
 def decide_again(models: ModelSet, attempt: Attempt) -> Evidence:
@@ -164,7 +164,7 @@ def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, 
     )
 
 
-def seen_enough(attempt: Attempt) -> Iterator[wire.Enough]:
+def enough_message(attempt: Attempt) -> Iterator[wire.Enough]:
     """The order to stop, if the networks have seen all that they read while the arm was still going down."""
     descent, pair = attempt.descent, attempt.ring[-1]
     if attempt.stage is Stage.ARMED and not attempt.slip_sent and descent is not None and descent.enough:

@@ -37,7 +37,7 @@ class Observation:
     imprint: ImprintChange | None = None
 
     @property
-    def judged(self) -> bool:
+    def informative(self) -> bool:
         """Whether this frame says anything about slip: its markers were found anew and compared with the reference."""
         return self.field.usable and self.slip.state not in {"unknown", "lost"}
 

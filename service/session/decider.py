@@ -39,7 +39,7 @@ class Decider:
         if why := self.grasp.turned:
             return [attempt.refusal("turned_in_hand", why)]
         spec = self.models.card.pressing
-        why = spec.outside(attempt.told()) if spec else ""
+        why = spec.outside(attempt.conditions()) if spec else ""
         return [attempt.refusal("untrained", why)] if why else []
 
     def conclude(self, attempt: Attempt, now_ns: int) -> Decision | None:

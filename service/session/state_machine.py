@@ -15,7 +15,7 @@ from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.claim import Doubts, unclaimed
 from service.decision.controllers import Command, make_controller
 from service.decision.models import ModelSet
-from service.decision.work import Work, plan, seen_enough, slip_message
+from service.decision.work import Work, enough_message, plan, slip_message
 from service.perception.observation import FingerWatch, Observation
 from service.session.decider import Decider, Decision
 from service.session.fingers import Fingers
@@ -187,7 +187,7 @@ class InsertionSession:
         if attempt.stage is not Stage.ARMED or attempt.slip_sent:
             return []
         if not observation.slip.stop:
-            return [*attempt.judged(observation, now_ns)]
+            return [*attempt.watching(observation, now_ns)]
         attempt.stops(observation.captured_ns)
         return [slip_message(str(self.insertion_id), attempt, observation, now_ns)]
 
@@ -213,7 +213,7 @@ class InsertionSession:
             return replies + self._conclude(now_ns)
         for work in plan(self.models, attempt):
             replies += self._submit(work, now_ns)
-        return [*replies, *seen_enough(attempt)]
+        return [*replies, *enough_message(attempt)]
 
     # ---- networks ------------------------------------------------------------------------------------------------
 

@@ -161,7 +161,7 @@ class Fit(Play):
 
 
 @dataclass(frozen=True)
-class Judge(Play):
+class Evaluate(Play):
     """Judge the posterior on fresh drawn cells: does a 90 % interval hold the truth in 90 of 100?"""
 
     first: int = FIRST_FRESH
@@ -178,15 +178,15 @@ class Judge(Play):
 
 def scene(arguments: list[str]) -> int:
     """`identify`, `fit` or `judge`."""
-    commands: dict[str, Callable[..., Any]] = {"identify": Identify, "fit": Fit, "judge": Judge}
+    commands: dict[str, Callable[..., Any]] = {"identify": Identify, "fit": Fit, "judge": Evaluate}
     options = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="tactile-insertion scene")
     match options:
         case Identify():
             _identify(options)
         case Fit():
             _fit(options)
-        case Judge():
-            _judge(options)
+        case Evaluate():
+            _evaluate(options)
     return 0
 
 
@@ -222,11 +222,11 @@ def _fit(options: Fit) -> None:
     print(json.dumps(dict(made.about)))
 
 
-def _judge(options: Judge) -> None:
+def _evaluate(options: Evaluate) -> None:
     cells = _cells(options, options.first, options.cells, "whole")
     cells += _cells(options, options.first, options.layer_cells, "whole", "layer")
     fitted = posterior.load(options.posterior)
-    rows = [study.judged(row, fitted) for row in study.played(cells, options.workers)]
+    rows = [study.scored(row, fitted) for row in study.played(cells, options.workers)]
     data = {"simulated": True, "note": options.note, "posterior": dict(fitted.about), "rows": rows}
     options.out.mkdir(parents=True, exist_ok=True)
     write_json(options.out / "judged.json", data)

@@ -90,7 +90,7 @@ def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
     """What the client would keep of a probe that it took for one at this error."""
     decision = row["trials"][0]["decision"] if row["trials"] else {}
     felt, turns = decision.get("estimate") or {}, decision.get("turns_deg")
-    said = f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN
+    ending = f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN
     return Probe(
         x_mm=x_mm,
         theta_deg=theta_deg,
@@ -99,6 +99,6 @@ def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
         sigma_x_mm=felt.get("sigma_x_mm"),
         sigma_theta_deg=felt.get("sigma_theta_deg"),
         turns_deg=turns and (turns[0], turns[1]),
-        said="" if felt else said,
+        said="" if felt else ending,
         insertion_id="simulated",
     )

@@ -28,12 +28,12 @@ NAMES = {
 
 def identify_page(data: Row) -> str:
     """The whole page."""
-    judged = [row for row in data["rows"] if "gel" in row]
-    own = [row for row in judged if row["tier"] == "bristle"]
-    other = [row for row in judged if row["tier"] != "bristle"]
+    scored = [row for row in data["rows"] if "gel" in row]
+    own = [row for row in scored if row["tier"] == "bristle"]
+    other = [row for row in scored if row["tier"] != "bristle"]
     return page(
         "# What a cell's probes tell of its gel, simulated",
-        _verdict(own, other),
+        _conclusion(own, other),
         data["note"],
         """
         `scene identify` reads the recordings of a commissioning: the four probes that ask for signs, and two presses
@@ -59,10 +59,10 @@ _COLUMNS = (
 )
 
 
-def _rows(judged: Sequence[Row]) -> list[Row]:
+def _rows(cells: Sequence[Row]) -> list[Row]:
     rows = []
     for one in PARAMETERS:
-        gels = [row["gel"][one.key] for row in judged]
+        gels = [row["gel"][one.key] for row in cells]
         widths = [gel["width"] for gel in gels]
         holds = wilson(sum(gel["holds"] for gel in gels), len(gels))
         known = sum(width < WIDEST for width in widths) / max(1, len(widths))
@@ -87,7 +87,7 @@ def _others(other: Sequence[Row]) -> Sequence[str | Table]:
     )
 
 
-def _verdict(own: Sequence[Row], other: Sequence[Row]) -> str:
+def _conclusion(own: Sequence[Row], other: Sequence[Row]) -> str:
     rows = _rows(own)
     missed = [row for row in rows if not ASKED[0] <= row["holds"].value <= ASKED[1]]
     asked = f"asked for: {100 * ASKED[0]:.0f} to {100 * ASKED[1]:.0f} %"
@@ -101,8 +101,8 @@ def _verdict(own: Sequence[Row], other: Sequence[Row]) -> str:
     )
 
 
-def _together(judged: Sequence[Row]) -> Estimate:
-    holds = [gel["holds"] for row in judged for gel in row["gel"].values()]
+def _together(cells: Sequence[Row]) -> Estimate:
+    holds = [gel["holds"] for row in cells for gel in row["gel"].values()]
     return wilson(sum(holds), len(holds))
 
 

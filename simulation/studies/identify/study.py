@@ -74,7 +74,7 @@ def fitted(rows: Sequence[Row], about: Mapping[str, Any]) -> Posterior:
     return posterior.fit(numbers[sound], truth[sound], kinds[sound], about)
 
 
-def judged(row: Row, model: Posterior) -> Row:
+def scored(row: Row, model: Posterior) -> Row:
     """A fresh cell: for each parameter the interval, the truth, and whether it is held; or why there is none."""
     out = {"number": row["number"], "tier": row["tables"]["gel"]["tier"]}
     if "numbers" not in row:

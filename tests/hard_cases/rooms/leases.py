@@ -166,11 +166,11 @@ def clocks_that_stood_still(seed: int) -> float:
     return float(sum(mapped.narrowed(read) is not None for read in after))
 
 
-def for_one(_judged: Callable[..., Any]) -> Callable[..., Any]:
-    def judged(attempt: Attempt, seen: Observation, now_ns: int) -> Iterator[wire.Watching]:
-        yield wire.Watching(**attempt._named, frame_captured_ns=seen.captured_ns, judged_ns=now_ns)
+def for_one(_watching: Callable[..., Any]) -> Callable[..., Any]:
+    def watching(attempt: Attempt, observation: Observation, now_ns: int) -> Iterator[wire.Watching]:
+        yield wire.Watching(**attempt._named, frame_captured_ns=observation.captured_ns, judged_ns=now_ns)
 
-    return judged
+    return watching
 
 
 def observed(finger: Finger, captured_ns: int, status: str = "tracking", state: str = "hold") -> Observation:
@@ -192,11 +192,11 @@ def armed() -> Attempt:
     "perception",
     why="one camera goes on while the other one stands still",
     holds="one finger alone keeps no arm moving, neither detects slip for the other: messages",
-    guard=Guard("service.decision.attempt:Attempt.judged", "any finger will do", for_one),
+    guard=Guard("service.decision.attempt:Attempt.watching", "any finger will do", for_one),
 )
 def one_finger_alone(seed: int) -> float:
     attempt, finger = armed(), FINGERS[seed % 2]
-    return float(sum(len([*attempt.judged(observed(finger, n), n)]) for n in range(1, 30)))
+    return float(sum(len([*attempt.watching(observed(finger, n), n)]) for n in range(1, 30)))
 
 
 @case(
@@ -204,18 +204,18 @@ def one_finger_alone(seed: int) -> float:
     why="frames come in time and are black, repeated, or show markers that nothing can be said of",
     holds="frames that say nothing about slip are not judged: messages",
     guard=Guard(
-        "service.perception.observation:Observation.judged",
+        "service.perception.observation:Observation.informative",
         "every frame that came was judged",
-        lambda _: property(lambda _seen: True),
+        lambda _: property(lambda _observation: True),
     ),
 )
 def frames_that_say_nothing(_seed: int) -> float:
     blind = (("no_grid", "unknown"), ("lost", "lost"), ("duplicate", "hold"), ("tracking", "unknown"))
-    said = 0
+    count = 0
     for status, state in blind:
         attempt = armed()
-        said += sum(len([*attempt.judged(observed(f, n, status, state), n)]) for n in range(1, 9) for f in FINGERS)
-    return float(said)
+        count += sum(len([*attempt.watching(observed(f, n, status, state), n)]) for n in range(1, 9) for f in FINGERS)
+    return float(count)
 
 
 @case(

@@ -19,7 +19,7 @@ from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import Insertion, stage
 
 RELEASED = Path(__file__).parents[3] / "models" / "pressing" / "pair.step.onnx"
-Said = list[wire.ServiceMessage]
+Messages = list[wire.ServiceMessage]
 
 
 class AnsweredError(Exception):
@@ -46,38 +46,38 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
 
 def first_attempt(
     models: ModelSet, *, told_reach: bool = False, until_slip: bool = False, **changes: float
-) -> tuple[Insertion, Said]:
+) -> tuple[Insertion, Messages]:
     """An insertion that is blocked at first, played until its first answer, and all that the service said."""
     soft = {"gel.friction": 1.0, "gel.shear_modulus_n_per_mm2": 0.08}
     job = Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", soft | changes, told_reach=told_reach)
-    insertion, said = stage(job, models), Said()
+    insertion, replies = stage(job, models), Messages()
     if until_slip:
         plan = insertion.state.plan.model_copy(update={"purpose": "probe", "until_slip": True})
         insertion.state = State(plan)
     hear = insertion._hear
 
-    def listen(messages: Said) -> None:
-        said.extend(messages)
+    def listen(messages: Messages) -> None:
+        replies.extend(messages)
         hear(messages)
-        if answers(said)[-1:] and answers(said)[-1] in ("correction", "no_decision"):
+        if answers(replies)[-1:] and answers(replies)[-1] in ("correction", "no_decision"):
             raise AnsweredError
 
     insertion._hear = listen  # type: ignore[method-assign]
     with pytest.raises(AnsweredError):
         insertion.run()
-    return insertion, said
+    return insertion, replies
 
 
-def answers(said: Said) -> list[str]:
-    return [message.type for message in said if message.type in ("slip", "enough", "correction", "no_decision")]
+def answers(replies: Messages) -> list[str]:
+    return [message.type for message in replies if message.type in ("slip", "enough", "correction", "no_decision")]
 
 
 @pytest.mark.parametrize("fps", [30, 60])
 def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..., ModelSet], fps: int) -> None:
     models = made()
-    _, said = first_attempt(models, **{"camera.fps": fps})
-    assert answers(said)[:2] == ["enough", "correction"]
-    enough = next(message for message in said if isinstance(message, wire.Enough))
+    _, replies = first_attempt(models, **{"camera.fps": fps})
+    assert answers(replies)[:2] == ["enough", "correction"]
+    enough = next(message for message in replies if isinstance(message, wire.Enough))
     spacing_mm = 10.0 / fps
     depth_mm = models.card.pressing.depth_mm
     assert depth_mm <= enough.pressed_mm < depth_mm + spacing_mm
@@ -92,18 +92,18 @@ def test_a_gel_that_slides_soon_is_pressed_less_where_that_is_told(made, reach_m
 def test_a_press_until_slip_goes_on_after_what_the_networks_read(made: Callable[..., ModelSet]) -> None:
     models = made()
     _, usual = first_attempt(models)
-    insertion, said = first_attempt(models, until_slip=True)
+    insertion, replies = first_attempt(models, until_slip=True)
     attempt, read_n = insertion.session.attempt, models.card.pressing.steps_n
-    assert answers(said)[0] == "slip"
+    assert answers(replies)[0] == "slip"
     assert read_n < len(attempt.steps) < network_input.UNTIL_SLIP_N
     assert attempt.descent.pressed_mm > models.card.pressing.depth_mm
-    decided = [next(one for one in heard if isinstance(one, wire.Correction)) for heard in (usual, said)]
+    decided = [next(one for one in heard if isinstance(one, wire.Correction)) for heard in (usual, replies)]
     assert decided[0].estimate == decided[1].estimate
 
 
 def test_a_press_until_slip_ends_where_nothing_slips(made: Callable[..., ModelSet]) -> None:
-    _, said = first_attempt(made(), until_slip=True, **{"gel.friction": 2.0, "grasp.force_n": 40.0})
-    enough = next(message for message in said if isinstance(message, wire.Enough))
+    _, replies = first_attempt(made(), until_slip=True, **{"gel.friction": 2.0, "grasp.force_n": 40.0})
+    enough = next(message for message in replies if isinstance(message, wire.Enough))
     assert enough.pressed_mm < network_input.UNTIL_SLIP_N * 0.15 + 10.0 / 30.0
 
 
@@ -112,13 +112,13 @@ def test_what_moves_the_markers_too_little_for_a_press_stops_nothing(
 ) -> None:
     """As when a heavy object sags in the air: the onset is awaited anew, until slip stops the arm."""
     monkeypatch.setattr(network_input, "FELT", 1e6)
-    _, said = first_attempt(made())
-    assert answers(said)[0] == "slip"
+    _, replies = first_attempt(made())
+    assert answers(replies)[0] == "slip"
 
 
 def test_a_speed_that_nobody_trained_for_is_refused_by_name(made: Callable[..., ModelSet]) -> None:
-    _, said = first_attempt(made(trained={"speed_mm_s": Span(low=20, high=40)}))
-    refused = next(message for message in said if isinstance(message, wire.NoDecision))
+    _, replies = first_attempt(made(trained={"speed_mm_s": Span(low=20, high=40)}))
+    refused = next(message for message in replies if isinstance(message, wire.NoDecision))
     assert refused.reason == "out_of_distribution"
     assert "speed_mm_s is 10" in refused.detail
 
@@ -134,8 +134,8 @@ def test_a_gap_that_nobody_trained_for_is_refused_before_the_arm_goes_down(made:
 
 
 def test_a_strange_field_is_refused_with_its_strangeness(made: Callable[..., ModelSet]) -> None:
-    _, said = first_attempt(made(strangeness_limit=1e-6))
-    refused = next(message for message in said if isinstance(message, wire.NoDecision))
+    _, replies = first_attempt(made(strangeness_limit=1e-6))
+    refused = next(message for message in replies if isinstance(message, wire.NoDecision))
     assert "strangeness" in refused.detail
 
 

@@ -83,7 +83,7 @@ def conditions(job: Job) -> tuple[float | None, float | None]:
     insertion._post(Begin(at_s=0.0, pose=insertion._pose()))
     while insertion.session.attempt is None:
         insertion._frame()
-    heard = insertion.session.attempt.told()
+    heard = insertion.session.attempt.conditions()
     return heard["grip_n"], heard["shear_reach_mm"]
 
 

@@ -86,7 +86,7 @@ def test_the_shipped_posterior_knows_the_stiffness_of_a_cell_that_it_was_not_fit
     intervals = posterior.load().intervals(np.array(played[1]["numbers"]))
     gel = next(one for one in intervals if one.key == "shear_modulus_n_per_mm2")
     assert gel.known
-    assert study.judged(played[1], posterior.load())["gel"]["friction"]["width"] <= 1.3
+    assert study.scored(played[1], posterior.load())["gel"]["friction"]["width"] <= 1.3
 
 
 def test_presses_that_do_not_tell_are_refused_by_name(played):
