@@ -155,7 +155,7 @@ class Fit(Play):
     coarse_cells: int = 306
     """cells on coarser pads, which the intervals are not calibrated on"""
     cells: int = 300
-    layer_cells: int = 100
+    layer_cells: int = 44
     to: Path = Path("runs/identify/posterior.npz")
     """file to write"""
 
