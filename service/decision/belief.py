@@ -249,6 +249,11 @@ class BeliefGrid:
         total = inside.sum()
         return float(inside.sum(1) @ self._cells / total), float(inside.sum(0) @ self._cells / total)
 
+    def enters(self) -> float:
+        """Probability that an attempt from where the object stands now goes in."""
+        chances = self._outlines.chances(self.current_x_mm, self.current_theta_deg)
+        return SURE_INSERT * float((self.layers.sum(0) * chances).sum())
+
     def moments(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Mean and standard deviation of the current error, (mm, deg) each."""
         probability = self.probability

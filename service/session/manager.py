@@ -257,9 +257,8 @@ class InsertionManager:
         """Another version may have shown that it should decide."""
         if self.versions is None or insertion.beside is None:
             return
-        inserted, fresh = finished.outcome == "inserted", insertion.continues is None
         try:
-            self.versions.learn(insertion.beside, inserted=inserted, cause=finished.cause, fresh=fresh)
+            self.versions.learn(insertion.beside, finished, fresh=insertion.continues is None)
         except Exception as error:  # the insertion has ended well all the same
             self.hub.publish("error", f"versions: {error or type(error).__name__}")
 

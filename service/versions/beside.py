@@ -4,82 +4,102 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from service.contract.wire import Arm, ControllerName, Correction, Limits
+from service.contract.wire import ControllerName, Correction, Limits
 from service.contract.wire_parts import errors_left
 from service.decision.attempt import Attempt
-from service.decision.controllers import Belief, Command, Controller, make_controller
+from service.decision.belief import BeliefGrid
+from service.decision.controllers import Belief, Command, Heuristic
 from service.decision.evidence import Evidence, Refusal
 from service.decision.models import ModelSet
 from service.decision.work import check_evidence, decide_again
-from service.versions.contest import Held, held, log_score
+from service.versions.contest import Held, intervals_hold, log_score
+
+Move = tuple[float, float]
 
 
 @dataclass(slots=True)
 class Beside:
     """What versions would have answered in one insertion; of ``networks`` by version the ``active`` one decides it.
 
-    Not thread safe: the recorder's thread asks :meth:`decide`, and once it has ended somebody asks for the scores.
+    Each has a belief of its own that goes on with the moves that were made, and so foretells whether the next attempt
+    goes in. ``scores``: how well, in order of the attempts that came out. Not thread safe: the recorder's thread asks
+    :meth:`decide`, and once it has ended somebody asks for the rest.
     """
 
     active: str
     networks: Mapping[str, ModelSet]
     limits: Limits
     controller: ControllerName
-    _controllers: dict[str, Controller] = field(default_factory=dict)
+    scores: list[dict[str, float]] = field(default_factory=list)
+    _beliefs: dict[str, Belief] = field(default_factory=dict)
+    _chances: dict[str, float] = field(default_factory=dict)
     _first: dict[str, Evidence | None] = field(default_factory=dict)
-    _arm: Arm | None = None
-    _moves: list[tuple[float, float]] = field(default_factory=list)
+    _moves: list[Move] = field(default_factory=list)
 
     def decide(self, attempt: Attempt) -> dict[str, Any]:
         """The answer of each but the active version to a decided attempt, as plain data."""
+        if attempt.outcome == "blocked":
+            self._came_out(inserted=False)
         decision, made = attempt.decision, (0.0, 0.0)
-        felt: dict[str, Evidence | None] = {self.active: None}
         if isinstance(decision, Correction):
             made = decision.dx_mm, decision.dtheta_deg
-            felt[self.active] = attempt.result.evidence if attempt.result else None
-        answers = {name: self._answer(name, attempt, made, felt) for name in self.networks if name != self.active}
-        if not self._moves:
-            self._first, self._arm = felt, attempt.arm
+        felt, answers = dict[str, Evidence | None](), dict[str, Any]()
+        for name in self.networks:
+            evidence, refusal = self._evidence(name, attempt)
+            command = self._follow(name, attempt, evidence, made)
+            felt[name] = evidence
+            if name != self.active:
+                answers[name] = refusal if evidence is None or command is None else _facts(evidence, command)
+        self._first = self._first or felt
         self._moves.append(made)
+        self._chances = {name: belief.grid.enters() for name, belief in self._beliefs.items()}
         return answers
 
-    def _answer(
-        self, name: str, attempt: Attempt, made: tuple[float, float], felt: dict[str, Evidence | None]
-    ) -> dict[str, Any]:
-        """What a version would do; its belief goes on with the move that was ``made`` instead."""
-        models = self.networks[name]
-        controller = self._controllers.get(name) or self._new_controller(models, attempt.arm)
-        self._controllers[name] = controller
-        felt[name] = command = None
+    def _evidence(self, name: str, attempt: Attempt) -> tuple[Evidence | None, dict[str, str]]:
+        """What a version makes of an attempt, or why it refuses."""
+        if name == self.active:
+            acted = isinstance(attempt.decision, Correction) and attempt.result is not None
+            return (attempt.result.evidence if acted and attempt.result else None), {}
         try:
-            evidence = decide_again(models, attempt)
-            check_evidence(models, attempt, evidence)
-            command = controller.decide(evidence, attempt.arm.attempt)
-            felt[name], answer = evidence, _facts(evidence, command)
+            evidence = decide_again(self.networks[name], attempt)
+            check_evidence(self.networks[name], attempt, evidence)
         except Refusal as refusal:
-            answer = {"refused": refusal.reason, "detail": str(refusal)}
+            return None, {"refused": refusal.reason, "detail": str(refusal)}
         except Exception as error:
-            answer = {"refused": "non_finite", "detail": f"the networks failed: {error}"}
-        if command is None:
-            controller.blocked_without_evidence()
-        if isinstance(controller, Belief):
-            wanted = (command.dx_mm, command.dtheta_deg) if command else (0.0, 0.0)
-            controller.grid.move(made[0] - wanted[0], made[1] - wanted[1])
-        return answer
+            return None, {"refused": "non_finite", "detail": f"the networks failed: {error}"}
+        return evidence, {}
 
-    def _new_controller(self, models: ModelSet, arm: Arm) -> Controller:
-        known = arm.grasp_height_mm, models.card.expectations, arm.gripper_width_mm
-        return make_controller(self.controller, self.limits, *known)
+    def _follow(self, name: str, attempt: Attempt, evidence: Evidence | None, made: Move) -> Command | None:
+        """What a version would command; its belief goes on with the move that was ``made`` instead."""
+        arm = attempt.arm
+        if (belief := self._beliefs.get(name)) is None:
+            expected = self.networks[name].card.expectations
+            grid = BeliefGrid(arm.grasp_height_mm, expected, arm.gripper_width_mm)
+            belief = self._beliefs[name] = Belief(self.limits, grid=grid)
+        before = belief.grid.offset.copy()
+        command = None
+        if evidence is None:
+            belief.blocked_without_evidence()
+        else:
+            command = belief.decide(evidence, arm.attempt)
+            if self.controller == "heuristic":
+                command = Heuristic(self.limits).decide(evidence, arm.attempt)
+        belief.grid.offset = before + made
+        return command
 
-    def scores(self) -> dict[str, tuple[float, Held]]:
-        """The score of each version's first answer in an insertion that went in, and which intervals held."""
-        if self._arm is None:
+    def _came_out(self, *, inserted: bool) -> None:
+        """The attempt after the last answer is over."""
+        if self._chances:
+            self.scores.append({name: log_score(one, inserted=inserted) for name, one in self._chances.items()})
+        self._chances = {}
+
+    def went_in(self) -> dict[str, Held]:
+        """The insertion went in: whether the intervals of each version's first answer held the error, now known."""
+        self._came_out(inserted=True)
+        if not self._first:
             return {}
-        arm, error = self._arm, errors_left(self._moves)[0]
-        return {
-            name: (log_score(self.networks[name], evidence, arm, error), held(evidence, error))
-            for name, evidence in self._first.items()
-        }
+        error = errors_left(self._moves)[0]
+        return {name: intervals_hold(evidence, error) for name, evidence in self._first.items()}
 
 
 def _facts(evidence: Evidence, command: Command) -> dict[str, Any]:

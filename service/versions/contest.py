@@ -8,25 +8,22 @@ waits for each later insertion: what was right for a thousand may still turn.
 """
 
 import math
-from typing import Literal
+from typing import Literal, Self
 
-import numpy as np
 from pydantic import Field
 
 from service.contract.frames import Contract
-from service.contract.wire import Arm
-from service.decision.belief import USUAL, BeliefGrid
+from service.contract.wire import MAX_ATTEMPTS
 from service.decision.evidence import Evidence
-from service.decision.models import ModelSet
 
 ENOUGH = 20.0  # the capital from which on a claim counts as refuted
 STAKES = (0.1, 0.3, 0.6, 0.9)
 LEAST_COVERAGE = 0.75  # of 90 % intervals, against what is known to within what fits the gap
-TOLERATED = 0.1  # of insertions that fail; twice as many as with the version before, if that is more
-SPAN = 30.0  # of the errors at the start, mm and deg
-FLAT = 4.0 * USUAL.tolerance[0] * USUAL.tolerance[1] / SPAN**2  # what knowing nothing gives to where the error was
-FLOOR = 0.05  # of that is the least that a version is taken to have given
-WORST = -math.log(FLOOR * FLAT)
+TOLERATED = 1.1  # times as many attempts as with the version before
+KNOWN_N, UNKNOWN = 50, 5.0  # insertions from which on that is known, and attempts that are tolerated where it is not
+FAILED = MAX_ATTEMPTS + 1  # attempts that a failure counts as
+SUREST = 0.98  # that a version is taken to have been of how an attempt ends
+WORST = -math.log(1.0 - SUREST)
 
 Role = Literal["shadow", "previous"]
 Held = tuple[bool | None, bool | None]
@@ -56,20 +53,20 @@ class Bet(Contract):
 
 
 class Contest(Contract):
-    """What speaks for a version beside the active one, after ``scored_n`` insertions that went in.
+    """What speaks for a version beside the active one, after ``scored_n`` attempts that both had foretold.
 
-    ``score``: it foretells the first error better. ``covers``: its intervals hold enough, of x and of yaw. ``misses``:
-    those of the active one do not. ``fails``: more insertions fail than ``tolerated``.
+    ``score``: it foretells better which attempts go in. ``covers``: its intervals hold enough, of x and of yaw.
+    ``misses``: those of the active one do not. ``slow``: that one takes more attempts than ``tolerated``.
     """
 
     scored_n: int = 0
     ended_n: int = 0
-    failed_n: int = 0
-    tolerated: float = Field(default=TOLERATED, gt=0.0, lt=1.0)
+    attempts_n: int = 0
+    tolerated: float = Field(default=UNKNOWN, ge=1.0)
     score: Bet = Bet()
     covers: tuple[Bet, Bet] = (Bet(), Bet())
     misses: tuple[Bet, Bet] = (Bet(), Bet())
-    fails: Bet = Bet()
+    slow: Bet = Bet()
 
     def worth(self, role: Role) -> float:
         """What speaks for deciding with it: of a shadow the weakest of all that has to be shown, else the mean.
@@ -83,54 +80,48 @@ class Contest(Contract):
     def because(self, role: Role) -> str:
         """What speaks for it most, in words."""
         if role == "shadow":
-            return "it foretells errors better, and its intervals hold them"
+            return "it foretells better what goes in, and its intervals hold"
         return max(self._doubts, key=lambda doubt: self._doubts[doubt].worth)
 
     @property
     def _doubts(self) -> dict[str, Bet]:
         return {
-            "the version before foretells errors better": self.score,
+            "the version before foretells better what goes in": self.score,
             "the intervals of x hold too few errors": self.misses[0],
             "the intervals of yaw hold too few errors": self.misses[1],
-            "more insertions fail than before": self.fails,
+            "more attempts are needed than before": self.slow,
         }
 
     @property
     def tolerates(self) -> float:
-        """The share of failures to tolerate of a version that takes over."""
-        return min(0.9, max(TOLERATED, 2.0 * self.failed_n / max(1, self.ended_n)))
+        """The mean of attempts to tolerate of a version that takes over."""
+        return TOLERATED * self.attempts_n / self.ended_n if self.ended_n >= KNOWN_N else UNKNOWN
 
-    def ended(self, *, failed: bool) -> "Contest":
-        """An insertion ended, inserted or for a reason that its decisions may have."""
-        counted = {"ended_n": self.ended_n + 1, "failed_n": self.failed_n + failed}
-        return self.model_copy(update=counted | {"fails": self.fails.that(failed, self.tolerated)})
+    def ended(self, attempts: int) -> Self:
+        """An insertion ended after so many attempts, `FAILED` where it failed for a reason that decisions may have."""
+        counted = {"ended_n": self.ended_n + 1, "attempts_n": self.attempts_n + attempts}
+        slow = self.slow.on((attempts - self.tolerated) / self.tolerated)
+        return self.model_copy(update=counted | {"slow": slow})
 
-    def scored(self, better: float, held: Held, active_held: Held) -> "Contest":
-        """An insertion went in: ``better`` is the difference of the scores, ``held`` as :func:`held` has it."""
+    def scored(self, better: float) -> Self:
+        """An attempt has come out: ``better`` is the difference of the scores of what was foretold."""
+        return self.model_copy(update={"scored_n": self.scored_n + 1, "score": self.score.on(better / WORST)})
+
+    def held(self, held: Held, active_held: Held) -> Self:
+        """An insertion went in, and its first error is known."""
         covers = tuple(bet.that(one, LEAST_COVERAGE) for bet, one in zip(self.covers, held, strict=True))
         missed = tuple(None if one is None else not one for one in active_held)
         misses = tuple(bet.that(one, 1.0 - LEAST_COVERAGE) for bet, one in zip(self.misses, missed, strict=True))
-        done = {"scored_n": self.scored_n + 1, "score": self.score.on(better / WORST)}
-        return self.model_copy(update=done | {"covers": covers, "misses": misses})
+        return self.model_copy(update={"covers": covers, "misses": misses})
 
 
-def log_score(models: ModelSet, evidence: Evidence | None, arm: Arm, error: tuple[float, float]) -> float:
-    """From -WORST to 0: the log of the probability that a belief on this evidence gives to where ``error`` may lie.
-
-    That is within what fits the gap. None stands for a refusal: the belief knows that the attempt was blocked.
-    """
-    grid = BeliefGrid(arm.grasp_height_mm, models.card.expectations, arm.gripper_width_mm)
-    if evidence is None:
-        grid.absorb_failure()
-    else:
-        grid.absorb(evidence)
-    near_x = np.abs(grid.current_x_mm - error[0]) <= USUAL.tolerance[0]
-    near_theta = np.abs(grid.current_theta_deg - error[1]) <= USUAL.tolerance[1]
-    mass = float(grid.probability[np.ix_(near_x, near_theta)].sum())
-    return math.log((1.0 - FLOOR) * mass + FLOOR * FLAT)
+def log_score(chance: float, *, inserted: bool) -> float:
+    """Of a ``chance`` that an attempt goes in, once it has come out: from -WORST to about 0."""
+    chance = min(SUREST, max(1.0 - SUREST, chance))
+    return math.log(chance if inserted else 1.0 - chance)
 
 
-def held(evidence: Evidence | None, error: tuple[float, float]) -> Held:
+def intervals_hold(evidence: Evidence | None, error: tuple[float, float]) -> Held:
     """Whether the 90 % intervals of x and of yaw hold the error, None where there are none."""
     if evidence is None or evidence.sigma is None:
         return None, None

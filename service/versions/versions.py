@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from service.contract.frames import Contract, ContractError
-from service.contract.wire import Cause, ControllerName, Limits
+from service.contract.wire import Cause, ControllerName, Finished, Limits
 from service.decision.models import ModelSet, load_models
 from service.versions.beside import Beside
-from service.versions.contest import ENOUGH, Contest, Role
+from service.versions.contest import ENOUGH, FAILED, Contest, Role
 from service.versions.store import Store, Wiring, version_of
 
 BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
@@ -27,7 +27,7 @@ class Version(Contract):
 class Rival(Version):
     """A version beside the active one: ``evidence`` that it should decide, by ``ended_n`` insertions.
 
-    Of these, ``scored_n`` went in after a blocked first attempt, whose error is known in hindsight.
+    It has foretold ``scored_n`` of their attempts.
     """
 
     evidence: float
@@ -168,21 +168,24 @@ class Versions:
 
     # ---- what insertions teach ---------------------------------------------------------------------------------------
 
-    def learn(self, answered: Beside, *, inserted: bool, cause: Cause | None, fresh: bool) -> None:
+    def learn(self, answered: Beside, finished: Finished, *, fresh: bool) -> None:
         """An insertion has ended, and may have shown that another version should decide.
 
         ``fresh``: its first attempt was the object's first. Raises OSError where nothing can be written.
         """
         with self._lock:
             wiring = self._now.wiring
-            if answered.active != wiring.active or not (inserted or cause in BLAMED):
+            inserted = finished.outcome == "inserted"
+            if answered.active != wiring.active or not (inserted or finished.cause in BLAMED):
                 return
-            scores = answered.scores() if inserted and fresh else {}
+            held = answered.went_in() if inserted else {}
             for role, version in wiring.beside.items():
-                contest = wiring.contest(role).ended(failed=not inserted)
-                if version in scores:
-                    (mine, mine_held), (other, other_held) = scores[wiring.active], scores[version]
-                    contest = contest.scored(other - mine, other_held, mine_held)
+                contest = wiring.contest(role).ended(finished.attempts if inserted else FAILED)
+                compared = fresh and version in answered.networks  # not one that was given meanwhile
+                for scores in answered.scores if compared else ():
+                    contest = contest.scored(scores[version] - scores[wiring.active])
+                if compared and version in held:
+                    contest = contest.held(held[version], held[wiring.active])
                 wiring = wiring.with_one(role, version, contest)
             self._now = self._now._replace(wiring=wiring)
             self._store.wire(wiring)
