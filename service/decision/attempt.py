@@ -64,10 +64,10 @@ def unlike_grids(both: PairObservation) -> list[str]:
 def nothing_held(both: PairObservation) -> str:
     """Why the hand counts as empty, or nothing: both gels look as they do where nothing touches them.
 
-    One finger alone may look so: a flat object in a light grip hardly bulges it. Of a stiff gel the picture shows more.
+    One finger alone may look so, under a flat object in a light grip. Stiff gels may show the object's weight alone.
     """
-    untouched = all(f.bulge is not None and max(f.bulge, f.touch or 0.0) < 1.0 for f in both.fingers)
-    return "both gels look as they do when nothing touches them" if untouched else ""
+    weighed = all((finger.weight or 0.0) >= 1.0 for finger in both.fingers)
+    return "both gels look as they do when nothing touches them" if both.looks_open and not weighed else ""
 
 
 def implausible_width(arm: Arm) -> str:

@@ -14,6 +14,7 @@ from service.contract.wire import Cause, Doubt, DoubtReason
 from service.decision.attempt import Attempt
 from service.decision.seating import Push, seating_evidence, strongest_push
 from service.decision.turning import TURNED_DEG, lasting_turn_deg, turned_going_in
+from service.perception.observation import WEIGHED_SHARE, PairObservation
 
 Doubts = tuple[Doubt, ...]
 DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the depth that was asked for
@@ -160,8 +161,15 @@ def _held(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
     for before, now in zip(reference.fingers, attempt.ring[-1].fingers, strict=True):
         if now.bulge is None:
             yield _doubt("not_seen", f"the {now.finger} gel does not show whether it is touched")
-        elif before.bulge is not None and before.bulge >= 1.0 > now.bulge:
-            yield _doubt("not_held", f"the {now.finger} gel looks as if nothing touches it", now.bulge, 1.0)
+        elif before.bulge is not None and now.bulge < (least := _least_bulge(before.bulge, reference)):
+            yield _doubt("not_held", f"the {now.finger} gel looks as if nothing touches it", now.bulge, least)
+
+
+def _least_bulge(before: float, reference: PairObservation) -> float:
+    """What a finger must still show; nothing where the other one alone showed the object touch it."""
+    if before >= 1.0:
+        return 1.0
+    return WEIGHED_SHARE * before if reference.looks_open else 0.0
 
 
 def _width(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:

@@ -36,7 +36,7 @@ OUTLIERS, RANGE = 0.02, 40.0
 FAR = np.array([15.0, 14.0])  # beyond, the networks often answer with hardly any error at all
 FAR_OUTLIERS, FAR_SIGMA = 0.3, 4.0
 SURE = np.array([2.2, 5.0])  # one sigma. Networks that were so sure once seldom are in doubt in that cell, but for far
-SURE_SHARE, FAR_SURE_SHARE = 0.93, 0.35
+SURE_SHARE, FAR_SURE_SHARE = 0.85, 0.35
 CHECKED_N = 8  # attempts: what contradicts itself later is a search in which the networks err
 TURN_DEG, LIKE = 0.2, 0.5  # of the larger turn, and the smaller one as its share: both fingers saw the object turn
 CLEAR_TURN_DEG, CLEARLY_LIKE = 1.0, 0.7
@@ -69,13 +69,11 @@ class Followed:
         self.log_evidence = 0.0
 
     def learn(self, estimate: Pair, sigma: Pair, *, sure: bool, sure_once: bool) -> None:
-        """Take in an estimate. Where networks were sure once and are not now, it says no more than that."""
+        """Take in an estimate, and whether networks that were ``sure_once`` are still sure."""
         here = [CELLS + moved for moved in self.moved]
         far = np.logical_or.outer(np.abs(here[0]) > FAR[0], np.abs(here[1]) > FAR[1])
-        likelihood = np.ones_like(self.weights)
-        if sure or not sure_once:
-            near = [_near(*axis) for axis in zip(here, estimate, sigma, SIDE, NOISE, strict=True)]
-            likelihood = np.where(far, math.prod(map(_far, estimate, sigma)), np.outer(*near))
+        near = [_near(*axis) for axis in zip(here, estimate, sigma, SIDE, NOISE, strict=True)]
+        likelihood = np.where(far, math.prod(map(_far, estimate, sigma)), np.outer(*near))
         if sure_once:
             share = np.where(far, FAR_SURE_SHARE, SURE_SHARE)
             likelihood = likelihood * (share if sure else 1.0 - share)

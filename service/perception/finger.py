@@ -98,8 +98,8 @@ class TactileFinger:
             "slip": (time.perf_counter() - tracked) * 1e3,
         }
         onset_ns = None if onset is None else onset.captured_ns
-        stamps = frame.seq, frame.captured_ns
-        return Observation(self.finger, *stamps, image, field, slip, onset_ns, cost_ms, bulge, touch, imprint)
+        stamps, weight = (frame.seq, frame.captured_ns), self._open.weight(field)
+        return Observation(self.finger, *stamps, image, field, slip, onset_ns, cost_ms, bulge, touch, imprint, weight)
 
     def _with_contact(self, slip: SlipState, *, empty: bool) -> SlipState:
         """The state, or "no_contact" where nothing touches the gel; the first state that stops the arm always passes.

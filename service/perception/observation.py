@@ -11,6 +11,8 @@ from service.perception.markers.field import MarkerField
 from service.perception.slip.detector import SlipState
 from service.perception.slip.imprint import ImprintChange
 
+WEIGHED_SHARE = 0.5  # of the bulge that a gel showed under an object whose weight alone was felt: with less it is lost
+
 
 @dataclass(frozen=True, slots=True)
 class Observation:
@@ -21,6 +23,7 @@ class Observation:
     ``cost_ms`` the time of rectification, tracking and slip detection. ``bulge``: how far the markers are from where
     they lie in an untouched gel, in shares of what such a gel may show; below 1 nothing touches it, None: unknown.
     ``touch``: the same of the whole picture, where one of the open gel was learnt; what phases of a grasp follow.
+    ``weight``: how far the markers hang down, from 1 on something's weight.
     ``imprint``: what the imprint between the markers did, where it is asked for.
     """
 
@@ -35,6 +38,7 @@ class Observation:
     bulge: float | None = None
     touch: float | None = None
     imprint: ImprintChange | None = None
+    weight: float | None = None
 
     @property
     def informative(self) -> bool:
@@ -69,6 +73,11 @@ class PairObservation:
 
     left: Observation
     right: Observation
+
+    @property
+    def looks_open(self) -> bool:
+        """Whether both gels look as they do where nothing touches them, but for something's weight."""
+        return all(f.bulge is not None and max(f.bulge, f.touch or 0.0) < 1.0 for f in self.fingers)
 
     @property
     def fingers(self) -> tuple[Observation, Observation]:

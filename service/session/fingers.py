@@ -6,7 +6,7 @@ import numpy as np
 
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
 from service.decision.attempt import Attempt
-from service.perception.observation import FingerWatch, Observation, PairObservation, belongs
+from service.perception.observation import WEIGHED_SHARE, FingerWatch, Observation, PairObservation, belongs
 from service.perception.slip.phases import Grasp
 from service.perception.slip.slide import SlideWitness
 
@@ -24,7 +24,7 @@ class Fingers:
     _newest_ns: dict[Finger, int] = field(default_factory=dict)
     grasp: Grasp = field(default_factory=lambda: Grasp(len(FINGERS)))
     _grasped_in: int = 0
-    _faint: set[Finger] = field(default_factory=set)
+    _faint: dict[Finger, float] = field(default_factory=dict)
     _witness: SlideWitness = field(default_factory=SlideWitness)
 
     def watch(self, finger: Finger) -> FingerWatch:
@@ -65,17 +65,29 @@ class Fingers:
         """Why the hand counts as empty since the attempt was armed, said once; or nothing.
 
         A finger that its picture did not show touched when it was armed, as under a face that covers all of a stiff
-        gel, is judged by its markers. At full depth it is the claim that asks whether the object is still held.
+        gel, is judged by its markers; where only the object's weight showed, by what is left of that. At full depth it
+        is the claim that asks whether the object is still held.
         """
         observations, before = self.both().fingers, self.grasp.whole.phase
         if attempt.generation != self._grasped_in:  # arming has shown that something is held
             self._grasped_in, self.grasp = attempt.generation, Grasp(len(FINGERS), "hold")
-            self._faint = {finger.finger for finger in observations if (finger.touch or 0.0) < 1.0}
-        touches = [finger.bulge if finger.finger in self._faint else finger.touch for finger in observations]
+            by_weight = self.both().looks_open
+            self._faint = {
+                finger.finger: WEIGHED_SHARE * (finger.bulge or 1.0) if by_weight else 1.0
+                for finger in observations
+                if (finger.touch or 0.0) < 1.0
+            }
+        touches = [self._touch(finger) for finger in observations]
         phase = self.grasp.update(touches, [finger.slip.slip for finger in observations])
         if phase != "lost" or before == "lost" or attempt.outcome == "inserted":
             return ""
         return "both gels are empty: the object has left the hand"
+
+    def _touch(self, finger: Observation) -> float | None:
+        """How strongly a finger feels the object now, from 1 on; None: not known."""
+        if finger.finger not in self._faint:
+            return finger.touch
+        return None if finger.bulge is None else finger.bulge / self._faint[finger.finger]
 
     def age_ms(self, now_ns: int) -> float | None:
         """Age of the newest frame; None until both fingers have shown one."""

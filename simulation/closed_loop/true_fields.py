@@ -140,8 +140,10 @@ class TrueFieldFinger:
             slip, onset = self._slip.update(field), self._onset.update(field)
         picture = cast("NDArray[np.uint8]", LatePicture(self._cell.picture_later(self._index), self._rectifier))
         onset_ns = None if onset is None else onset.captured_ns
-        bulge, stamps = self._open.bulge(field), (frame.seq, frame.captured_ns)
-        return Observation(self._finger, *stamps, picture, field, slip, onset_ns, {}, bulge, self._open.touch(field))
+        gel, stamps = self._open, (frame.seq, frame.captured_ns)
+        observation = Observation(self._finger, *stamps, picture, field, slip, onset_ns, {})
+        shown = gel.bulge(field), gel.touch(field), gel.weight(field)
+        return dataclasses.replace(observation, bulge=shown[0], touch=shown[1], weight=shown[2])
 
     def _field(self, frame: TactileFrame) -> MarkerField:
         """What is found in a frame: the cell's gel, or what a fault has made of it."""

@@ -37,7 +37,9 @@ class OpenGelSettings:
     ``home_pitch``: RMS distance of the markers from a learnt frame, in shares of the pitch (real gels come home to
     0.016, a flat object held with 2 N moves them by 0.02). ``print_pitch``: from a regular grid of unknown place, size
     and turn, which a press from 8 N on leaves. ``worn_pitch``: where a picture is known as well, for which real
-    markers need not have come home. ``valid_share``: of the markers, below which they tell nothing.
+    markers need not have come home. ``valid_share``: of the markers, below which they tell nothing. ``weight_pitch``:
+    how far all markers hang down on the mean where something's weight is held. In no frame of 22 real runs did both
+    open gels hang so far before a grasp, and in 0.5 % of those after a loss.
     """
 
     shade_grey: float = 4.5
@@ -46,6 +48,7 @@ class OpenGelSettings:
     print_pitch: float = 0.012
     worn_pitch: float = 0.06
     valid_share: float = 0.6
+    weight_pitch: float = 0.005
 
 
 class OpenGel:
@@ -100,23 +103,42 @@ class OpenGel:
             self._weighed = field, self._bulge(field)
         return self._weighed[1]
 
+    def weight(self, field: MarkerField) -> float | None:
+        """How far all markers hang down from where they lay in the open gel, something's weight from 1 on.
+
+        None: unseen, or no frame of the open gel was learnt. A stiff gel in a light grip may show that and no bulge.
+        """
+        may = self._comparable(field)
+        if self._home is None or may is None:
+            return None
+        down_px = self._from_home(field, self._home, may)[:, 1].mean()
+        return float(down_px) / (self.settings.weight_pitch * field.pitch_px)
+
     def _bulge(self, field: MarkerField) -> float | None:
-        if not field.usable:
+        may = self._comparable(field)
+        if may is None:
             return None
-        may = field.valid
-        home = self._home
-        if home is not None:
-            if home.valid.shape != may.shape:
-                return None
-            may = may & home.valid
-        if may.sum() < max(12, self.settings.valid_share * may.size):
-            return None
-        now = (field.rest_px + field.displacement_px)[may].astype(np.float64)
-        if home is None:
+        if self._home is None:
+            now = (field.rest_px + field.displacement_px)[may].astype(np.float64)
             off, limit = off_print(np.argwhere(may).astype(np.float64), now), self.settings.print_pitch
         else:
-            off, limit = now - (home.rest_px + home.displacement_px)[may], self.settings.home_pitch
+            off, limit = self._from_home(field, self._home, may), self.settings.home_pitch
         return _spread(off) / (limit * field.pitch_px)
+
+    def _comparable(self, field: MarkerField) -> NDArray[np.bool_] | None:
+        """The markers that are seen now and were in the open gel; None where they are too few."""
+        may = field.valid
+        if self._home is not None and field.usable:
+            if self._home.valid.shape != may.shape:
+                return None
+            may = may & self._home.valid
+        enough = field.usable and may.sum() >= max(12, self.settings.valid_share * may.size)
+        return may if enough else None
+
+    @staticmethod
+    def _from_home(field: MarkerField, home: MarkerField, may: NDArray[np.bool_]) -> Float64:
+        now, then = (one.rest_px + one.displacement_px for one in (field, home))
+        return np.asarray((now - then)[may], np.float64)
 
 
 def shrunk(image: NDArray[np.uint8]) -> Picture:

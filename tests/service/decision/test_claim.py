@@ -139,6 +139,22 @@ def test_a_stiff_gel_whose_markers_hardly_move_shows_a_held_object_in_its_pictur
     assert bool(nothing_held(shown)) != held
 
 
+def weighed(both: PairObservation, left: float | None, right: float | None) -> PairObservation:
+    return PairObservation(replace(both.left, weight=left), replace(both.right, weight=right))
+
+
+@pytest.mark.parametrize(("left", "right", "held"), [(1.2, 1.1, True), (3.0, 0.9, False), (None, 3.0, False)])
+def test_stiff_gels_hold_what_both_carry_the_weight_of(left: float | None, right: float | None, held: bool) -> None:
+    assert bool(nothing_held(weighed(pair(left=0.7, right=0.6), left, right))) != held
+
+
+def test_what_only_its_weight_has_shown_must_still_be_half_there_at_full_depth() -> None:
+    attempt = descent(reference=weighed(pair(left=0.7, right=0.6), 1.2, 1.2))
+    for left, right, expected in ((0.36, 0.31, []), (0.34, 0.6, ["not_held"]), (0.7, 0.2, ["not_held"])):
+        attempt.ring.append(pair(left=left, right=right))
+        assert reasons(attempt) == expected
+
+
 def blocked(contact_s: float, grip_mm: float, rate_hz: float = 30.0) -> Attempt:
     """An attempt at 10 mm/s whose markers follow the object from ``contact_s`` on, for ``grip_mm`` at most, of 2 mm."""
     stamps_s = np.arange(0.0, contact_s + 0.2, 1 / rate_hz)

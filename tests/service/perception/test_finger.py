@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.contract import FrameSpec, TactileFrame, wire
+from service.contract import FrameSpec, Sensor, TactileFrame, wire
 from service.decision.models import load_models
 from service.perception.finger import TactileFinger
 from service.perception.observation import Observation
@@ -62,13 +62,25 @@ def test_an_empty_hand_is_not_armed(tmp_path) -> None:
     )
 
 
-def test_an_emptied_hand_stops_the_arm_within_three_frames(tmp_path) -> None:
+def gripped() -> np.ndarray:
+    cell = QuasiStaticCell(load_scene("circle"), 1)
+    cell.regrasp(3.0, 2.0)
+    return cell.look().gel.astype(np.float32)
+
+
+def weight_alone() -> np.ndarray:
+    """A light object in stiff gels, which bulge by less than an open gel may show."""
+    down = np.stack([FREE, FREE])
+    down[..., 1] = 0.012 * Sensor.load().marker_pitch_mm
+    return down
+
+
+@pytest.mark.parametrize("grasp", [gripped, weight_alone])
+def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, tmp_path) -> None:
     models = load_models(tiny_models.write_models(tmp_path / "m"))
     renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
     calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
-    cell = QuasiStaticCell(load_scene("circle"), 1)
-    cell.regrasp(3.0, 2.0)
-    held = cell.look().gel.astype(np.float32)
+    held = grasp()
     session = make_session(models, calibration)
     messages: dict[int, list[str]] = {}
     session.handle(wire.ClientHello(insertion_id="drop", client="test"), 0)

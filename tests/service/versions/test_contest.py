@@ -57,17 +57,17 @@ def test_a_bet_on_a_fair_coin_stays_worth_one_on_the_mean_and_never_needs_more_t
     assert len(Bet().capital) == len(STAKES)
 
 
-@pytest.mark.parametrize(("runs_n", "most_n"), [(120, 250), pytest.param(1000, 1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("runs_n", "most_n"), [(120, 250), pytest.param(300, 800, marks=pytest.mark.slow)])
 def test_a_version_that_is_no_better_is_promoted_in_at_most_one_of_twenty_cells(runs_n: int, most_n: int) -> None:
     assert share_within("shadow", runs_n, most_n, seed=1) <= 1 / ENOUGH
 
 
-@pytest.mark.parametrize(("runs_n", "most_n"), [(120, 250), pytest.param(1000, 1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("runs_n", "most_n"), [(120, 250), pytest.param(300, 800, marks=pytest.mark.slow)])
 def test_a_better_one_whose_intervals_hold_three_quarters_is_not_promoted_more_often(runs_n: int, most_n: int) -> None:
     assert share_within("shadow", runs_n, most_n, seed=2, better=0.5, covers=0.75) <= 1 / ENOUGH
 
 
-@pytest.mark.parametrize(("runs_n", "most_n"), [(120, 250), pytest.param(1000, 1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("runs_n", "most_n"), [(120, 250), pytest.param(300, 800, marks=pytest.mark.slow)])
 def test_a_version_that_is_as_good_as_the_one_before_is_rolled_back_in_at_most_one_of_twenty_cells(
     runs_n: int, most_n: int
 ) -> None:

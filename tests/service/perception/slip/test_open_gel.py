@@ -85,3 +85,15 @@ def test_a_watch_goes_from_no_contact_over_grasping_to_hold_and_back():
     assert states[45].stop
     assert {state.state for state in states[46:]} == {"no_contact"}
     assert not any(state.slip for state in states)
+
+
+def test_a_weight_is_what_all_markers_hang_down_by_from_where_they_were():
+    gel, rng, points = OpenGel(), np.random.default_rng(3), grid()
+    fields = [MarkerTracker().update(draw(points + np.array([0.0, by]), rng), FRAME_NS) for by in (0.0, 0.3, -0.3)]
+    assert gel.weight(fields[0]) is None, "no open gel was learnt"
+    gel.learn(fields[0])
+    down, up = (gel.weight(field) for field in fields[1:])
+    expected = 0.3 / (gel.settings.weight_pitch * fields[0].pitch_px)
+    assert down == pytest.approx(expected, rel=0.2)
+    assert up == pytest.approx(-expected, rel=0.2)
+    assert gel.weight(empty_field(FRAME_NS, "lost", "no marker")) is None
