@@ -223,7 +223,7 @@ commissioning: $(RUN_VENV)/ready ## first days of 12 drawn cells: signs with eac
 
 identify: $(RUN_VENV)/ready ## what presses tell of a gel, on 60 fresh drawn cells: docs/identify.md; FIT=1 fits what ships anew
 	$(if $(FIT),$(RUN) -m simulation scene fit --out runs/identify --to simulation/studies/identify/posterior.npz)
-	$(RUN) -m simulation scene judge --out runs/identify --layer-cells 4 --docs docs
+	$(RUN) -m simulation scene judge --out runs/identify --layer-cells 12 --docs docs
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.

@@ -26,7 +26,7 @@ from simulation.studies.identify import posterior, study
 from simulation.studies.identify.page import identify_page
 
 PLAYED_BY = "simulation.studies.identify.cells"
-FIRST_COARSE, FIRST_FINE, FIRST_FRESH = 1000, 5000, 900_000
+FIRST_COARSE, FIRST_FINE, FIRST_LAYER, FIRST_FRESH = 1000, 5000, 7000, 910_000
 """Numbers of the first cells that the posterior is fitted to, and of the first that it is judged on."""
 
 
@@ -155,6 +155,7 @@ class Fit(Play):
     coarse_cells: int = 306
     """cells on coarser pads, which the intervals are not calibrated on"""
     cells: int = 300
+    layer_cells: int = 44
     to: Path = Path("runs/identify/posterior.npz")
     """file to write"""
 
@@ -208,8 +209,10 @@ def _cells(options: Play, first: int, count: int, play: pressing.Play, tier: str
 def _fit(options: Fit) -> None:
     cells = _cells(options, FIRST_COARSE, options.coarse_cells, "coarse")
     cells += _cells(options, FIRST_FINE, options.cells, "closer")
+    cells += _cells(options, FIRST_LAYER, options.layer_cells, "closer", "layer")
     about = {
-        "made_by": f"python -m simulation scene fit --coarse-cells {options.coarse_cells} --cells {options.cells}",
+        "made_by": "python -m simulation scene fit"
+        f" --coarse-cells {options.coarse_cells} --cells {options.cells} --layer-cells {options.layer_cells}",
         "physics": sources_sha256(PLAYED_BY),
         "simulated": True,
     }

@@ -42,7 +42,7 @@ def identify_page(data: Row) -> str:
         drawn, and the software was not told it. Width is that of the interval, over what nine of ten drawn cells span:
         at 100 % nothing is known that was not known before.
         """,
-        "Cells of the bristle tier, to which the posterior was fitted; the coverage furthest from 90 % first:",
+        "Cells of the bristle tier; the coverage furthest from 90 % first:",
         table(sorted(_rows(own), key=lambda row: -abs(row["holds"].value - 0.9)), *_COLUMNS),
         *_others(other),
         _refused(data["rows"]),
@@ -82,7 +82,7 @@ def _others(other: Sequence[Row]) -> Sequence[str | Table]:
     if not other:
         return ()
     return (
-        f"{len(other)} cells of the layer tier, which it was not fitted to:",
+        f"{len(other)} cells of the layer tier:",
         table(sorted(_rows(other), key=lambda row: -abs(row["holds"].value - 0.9)), *_COLUMNS),
     )
 

@@ -26,7 +26,9 @@ def numbers(truth, rng):
 def made():
     rng = np.random.default_rng(1)
     truth = rng.random((600, len(posterior.PARAMETERS)))
-    return posterior.fit(numbers(truth, rng), truth, np.arange(600) > 100, {"made_by": "a test"})
+    return posterior.fit(
+        numbers(truth, rng), truth, np.where(np.arange(600) > 100, "bristle", "coarse"), {"made_by": "a test"}
+    )
 
 
 def test_nine_of_ten_fresh_cells_lie_within_their_intervals(made):
