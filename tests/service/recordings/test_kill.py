@@ -28,15 +28,15 @@ def test_a_killed_service_has_kept_the_insertion_and_makes_it_whole_at_the_next_
     options += ["--frames-timeout-s", "30", "--decision-timeout-s", "60", "--client-timeout-s", "60"]
 
     class Cell:
-        def __init__(self, url):
-            self.url, self.fingers = url, fingers
+        def __init__(self, running):
+            self.url, self.bearer, self.fingers = running.url, running.bearer, fingers
 
         def probe(self) -> None:
             for finger in fingers:
                 finger.probe(time.monotonic())
 
     with service_process(models_folder, recordings, *options) as service:
-        driver = Driver(Cell(service.url), "killed")
+        driver = Driver(Cell(service), "killed")
         driver.until("hello")
         decided = driver.attempt(1)
         driver.rest()

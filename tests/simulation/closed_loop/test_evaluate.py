@@ -104,16 +104,6 @@ def test_a_row_says_which_job_it_came_from(models):
 
 
 @pytest.mark.slow
-def test_an_object_that_blocked_attempts_pushed_up_in_the_hand_is_brought_all_the_way_in() -> None:
-    """At the depth told its bottom would be 5 mm too high, and still be claimed."""
-    start = Job("white_box", 17, 0.008142816554850718, 13.757468583277417, 17, "belief", "fields")
-    row = insert(start, load_models(RELEASED))
-    assert row["course"]["slipped_mm"] > 5.0, "this start no longer shows it: look for another one"
-    assert row["claimed"]
-    assert row["inserted"]
-
-
-@pytest.mark.slow
 def test_a_contact_that_is_about_to_leave_an_edge_settles_though_slowly() -> None:
     """Friction limits there need 600 to 900 damped rounds; given 300, this insertion ended without an equilibrium."""
     row = insert(Job("can", 0, 15.0, 15.0, 0, "belief", "fields"), load_models(RELEASED))
