@@ -52,8 +52,8 @@ function moving(list, of) {
 }
 
 async function trend(list) {
-  const place = at("trend");
-  place.replaceChildren();
+  const place = element("div"); // of this call: another may begin while this one waits for the library
+  at("trend").replaceChildren(place);
   if (list.length < 2) { place.textContent = "A trend needs two insertions."; return; }
   const x = list.map((_, i) => i + 1), key = "trend", height = Math.max(90, Math.floor((at("history").clientHeight - 260) / 3)) || 120;
   const reach = (one) => mean((one.decisions ?? []).map((decision) => decision.reach_pitch).filter((value) => value > 0));

@@ -203,7 +203,9 @@ def test_a_past_insertion_is_found_and_played_back_with_the_keyboard_alone(live:
         driver.attempt(1)
         tell_depth(driver, began_ns, time.monotonic_ns())
         give_up(driver, "operator" if name == "keys" else "limits")
+    page.route("**/uPlot.iife.min.js", lambda route: (page.wait_for_timeout(500), route.continue_()))
     page.goto(live.url("/#history"))
+    page.evaluate("window.dispatchEvent(new HashChangeEvent('hashchange'))")  # while the charts' library is on its way
     wait_until(page, "document.querySelectorAll('#past tr').length >= 2")
     wait_until(page, "document.querySelectorAll('#trend canvas').length === 3")
     keep(page, "dashboard_history")
