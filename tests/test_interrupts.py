@@ -33,6 +33,8 @@ COMMANDS = {
     "hard-probes": ("simulation hard-probes --out OUT", 10),
     "slip-report": ("simulation slip-report --out OUT", 10),
     "foreign-check": ("simulation foreign-check --out OUT --runs OUT", 10),
+    "scene judge": ("simulation scene judge --out OUT", 15),
+    "scene fit": ("simulation scene fit --out OUT/posterior.npz", 15),
     "verify": ("export verify models/pressing --stream-steps 10000000", 15),
     "benchmark": ("export benchmark models/pressing/pair.step.onnx --seconds 100 --docs OUT", 10),
 }
