@@ -45,7 +45,7 @@ class Options(PlayOptions):
     drawn_n: int = 300
     """how many worlds are drawn by Latin hypercube"""
     layer_share: float = 0.5
-    """of the drawn worlds that are played in the finer tier, which costs about twice as much"""
+    """of the drawn worlds that are played in the finer tier, which costs more"""
     older: Path = Path("models")
     """folder of an earlier release"""
     paper_models: Path = Path("models/paper")

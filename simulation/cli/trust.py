@@ -33,7 +33,7 @@ class Options(PlayOptions):
     drawn_n: int = 200
     """how many worlds are drawn by Latin hypercube"""
     layer_share: float = 0.02
-    """of the drawn worlds that are played in the finer tier, which costs about twice as much"""
+    """of the drawn worlds that are played in the finer tier, which costs more"""
     seed: int = 1
     perception: tyro.conf.Suppress[Perception] = "fields"
 
