@@ -20,11 +20,12 @@ def installed(tmp_path_factory):
     subprocess.run([*pip, "wheel", "--no-deps", "-w", str(folder), str(ROOT)], check=True, timeout=300)
     venv.create(folder / "venv", with_pip=True)
     python = folder / "venv" / "bin" / "python"
+    wheel = next(folder.glob("*.whl"))
+    # Isolated, and before it borrows: where pip finds this project on a path, it calls the wheel installed.
+    subprocess.run([python, "-I", "-m", "pip", "-q", "install", "--no-deps", str(wheel)], check=True, timeout=300)
     where = "import sysconfig; print(sysconfig.get_path('purelib'))"
     site = subprocess.run([python, "-c", where], check=True, capture_output=True, text=True, timeout=60)
     Path(site.stdout.strip(), "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    wheel = next(folder.glob("*.whl"))
-    subprocess.run([python, "-m", "pip", "-q", "install", "--no-deps", str(wheel)], check=True, timeout=300)
     return python
 
 
