@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_client.insertion.geometry import TOOL_DOWN, CellFrame, WorkPose, multiply, normalised, yaw_quaternion
 from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_correction, check_pose
-from robot_client.insertion.motion import CYCLE_S, MotionGuide
+from robot_client.insertion.motion import CYCLE_S, TURN_DEG_S, MotionGuide, Ramp, Ramps
 from robot_client.insertion.profile import plan_profile
 from tests.robot_client.insertion.stories import RAMPS
 
@@ -39,6 +39,13 @@ def test_a_profile_ends_at_its_length_and_keeps_speed_acceleration_and_jerk(leng
     assert max(v) <= speed * (1 + 1e-6) + noise / dt
     assert max(map(abs, a)) <= acceleration * (1 + 1e-6) + noise / dt**2
     assert max(map(abs, j)) <= jerk * (1 + 1e-6) + noise / dt**3
+
+
+@given(st.floats(0.1, 90.0), POSITIVE)
+def test_a_turn_follows_the_ramp_in_degrees_and_is_never_quicker_than_an_arm_may_turn(turn_deg, speed):
+    ramp = Ramp(speed_mm_s=speed, acceleration_mm_s2=1e6, jerk_mm_s3=1e9)
+    took_s = Ramps(travel=ramp).duration_s(pose(), pose(yaw=turn_deg), "travel")
+    assert took_s == pytest.approx(turn_deg / min(speed, TURN_DEG_S), rel=0.05, abs=0.01)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 0.0])

@@ -71,6 +71,19 @@ def test_a_belief_aims_at_what_sharp_evidence_says() -> None:
     assert command.dtheta_deg == pytest.approx(6.0, abs=1.5)
 
 
+@given(sigma=st.floats(1.0, 2.5), off=st.floats(0.5, 2.0))
+def test_a_magnitude_counts_a_little_less_than_if_it_were_alone(sigma: float, off: float) -> None:
+    shares = {-1: 12.5 / 30, 0: 5.0 / 30, 1: 12.5 / 30}, {-1: 10.0 / 30, 0: 10.0 / 30, 1: 10.0 / 30}
+    usual = np.array([shares[0][entry.sign_x] * shares[1][entry.sign_theta] for entry in CLASSES])
+    grid = Belief(LIMITS).grid
+    likelihood = grid.likelihood(Evidence(CLASSES, usual, (0.0, 0.0), (sigma, 3.0)))
+    along_x, middle = likelihood[:, likelihood.shape[1] // 2], len(grid.current_x_mm) // 2
+    alone_mm, _ = stated(Evidence(CLASSES, usual, (0.0, 0.0), (sigma, 3.0)), USUAL.spread)
+    at = middle + round(off * alone_mm / 0.5)
+    sigmas = (grid.current_x_mm[at] - grid.current_x_mm[middle]) / alone_mm
+    assert np.log(along_x[middle] / along_x[at]) == pytest.approx(0.9 * 0.5 * sigmas**2, abs=0.12)
+
+
 def test_the_belief_remembers_that_a_pose_failed() -> None:
     belief = Belief(LIMITS)
     vague = Evidence(CLASSES, np.full(len(CLASSES), 1 / len(CLASSES)), (0.0, 0.0), (30.0, 30.0))

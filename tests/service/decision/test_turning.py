@@ -49,12 +49,14 @@ def pressed(turn_rad, slid_rad):
     return attempt
 
 
-def hanging(turn_deg):
-    """A pair whose markers lie turned against the open gels."""
+def hanging(turn_deg, around_deg=0.0):
+    """A pair whose markers within CORE_PX of (163, 160) px lie turned against the open gels, and those around them."""
     fingers = []
     for name, sign in (("left", 1.0), ("right", -1.0)):
         shown = observation(name)
-        moved = twist(shown.field.rest_px, sign * turn_deg, shown.field.rest_px.mean((0, 1))) - shown.field.rest_px
+        rest, middle = shown.field.rest_px, np.array([163.0, 160.0])
+        held = np.hypot(*np.moveaxis(rest - middle, -1, 0))[..., None] <= CORE_PX
+        moved = np.where(held, twist(rest, sign * turn_deg, middle), twist(rest, sign * around_deg, middle)) - rest
         field = replace(shown.field, displacement_px=moved.astype(np.float32), valid=np.ones(moved.shape[:2], np.bool_))
         fingers.append(replace(shown, field=field))
     return PairObservation(*fingers)

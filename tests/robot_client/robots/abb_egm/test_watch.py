@@ -81,3 +81,14 @@ def test_a_robots_clock_that_steps_back_takes_no_way_and_hides_no_lateness():
     assert w.take(state(100, 1000), 0.4) == 0.0
     with pytest.raises(StreamFault, match="late"):
         w.check(state(100, 1000))
+
+
+def test_what_the_stream_was_like_is_counted():
+    w = watch()
+    for at_s, sequence in ((0.0, 1), (0.004, 2), (0.104, 3), (0.108, 4), (0.148, 5)):
+        w.take(state(sequence, round(1000 * at_s)), at_s)
+    w.bad("no datagram")
+    w.bad("no datagram")
+    assert (w.bad_datagrams, w.gaps, w.repeated) == (2, 2, 0)
+    assert w.worst_gap_s == pytest.approx(0.1)
+    assert w.not_ready == "no datagram"

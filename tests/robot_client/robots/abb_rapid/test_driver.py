@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import math
+import time
 
 import pytest
 from hypothesis import given
@@ -134,6 +135,21 @@ def test_the_guard_stops_the_arm_when_the_client_falls_silent():
             assert isinstance(await soon(events), Failure)  # the guard hung up
             assert await at_rest(peer) > 21.0, "stopped on the way"
             assert peer.stopped_by_silence == 1
+
+    asyncio.run(story())
+
+
+def test_a_descent_goes_on_while_its_lease_is_renewed_and_stops_when_it_ends():
+    async def story():
+        async with connected() as (peer, arm, events):
+            arm.move(pose(z=20.0), "descend", time.monotonic() + 0.2)
+            arm.renew(time.monotonic() + 2.0)
+            await asyncio.sleep(0.5)
+            assert events.empty(), "the first lease counts no more"
+            event = await soon(events)
+            assert isinstance(event, Failure)
+            assert event.code == "unwatched"
+            assert await at_rest(peer) > 21.0, "stopped on the way"
 
     asyncio.run(story())
 
