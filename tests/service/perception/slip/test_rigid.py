@@ -20,7 +20,7 @@ def fitted(points, moved, weights=None, *, scale=False):
 def test_points_that_moved_as_one_body_give_its_motion_four_are_enough(degrees, right_px, down_px, points_n):
     points = np.random.default_rng(points_n).uniform(0.0, 60.0, (points_n, 2))
     points[:4] = SQUARE
-    moved = twist(points, degrees, np.array([20.0, 20.0])) + (right_px, down_px)
+    moved = twist(points, degrees, np.array([20.0, 20.0])) + np.array([right_px, down_px])
     motion = fitted(points, moved)
     assert motion is not None
     assert np.degrees(motion.angle_rad) == pytest.approx(degrees, abs=1e-6)
@@ -45,8 +45,8 @@ def test_a_body_that_grows_is_followed_only_where_scale_is_asked_for(size):
 def test_points_that_lag_lose_their_weight_and_those_that_lead_keep_it_longer(seed):
     rng = np.random.default_rng(seed)
     points = rng.uniform(0.0, 200.0, (60, 2))
-    moved = points + (6.0, 0.0)
-    moved[:20] = points[:20] + (1.0, 0.0)  # a third has let go
+    moved = points + np.array([6.0, 0.0])
+    moved[:20] = points[:20] + np.array([1.0, 0.0])  # a third has let go
     start = fitted(points, moved)
     motion = refine(points, moved, start, np.ones(60), 0.5, PITCH_PX, scale=False)
     assert motion.shift_px == pytest.approx((6.0, 0.0), abs=0.6)
