@@ -2,10 +2,13 @@
 
 ``data/chunk-000/file-000.parquet`` rows are frames; ``meta/info.json`` names the features; ``meta/episodes/...`` says
 which rows are which trial; ``meta/tasks.parquet`` and ``meta/stats.json`` complete it. Written with pyarrow alone.
+``meta/trials.json`` is ours, and other readers pass it by: the sensor, and what a shard states of each trial.
 """
 
+import hashlib
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +19,14 @@ from numpy.typing import NDArray
 from reporting.files import write_durably, write_json
 from service.contract import Sensor
 from simulation.data.dataset import Dataset
-from simulation.data.trial import FRAMES, Trial
+from simulation.data.manifest import DatasetError, file_sha256
+from simulation.data.trial import FRAMES, Trial, arrays, from_row, stated
 
 EPISODES_PER_FILE = 8  # about 100 MB of PNG, the size LeRobot itself rolls over at
 FILES_PER_CHUNK = 1000
 CAMERAS = ("observation.images.left", "observation.images.right")
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+INFO, TRIALS = "meta/info.json", "meta/trials.json"
 _EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _HAND = ["x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad"]
 _WRENCH = ["fx_n", "fy_n", "fz_n", "tx_nmm", "ty_nmm", "tz_nmm"]
@@ -54,6 +59,7 @@ def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[
     """Write trials ``numbers`` of ``dataset`` under ``out``, which must not hold a dataset already."""
     tasks: dict[str, int] = {}
     episodes: list[dict[str, Any]] = []
+    trials: list[dict[str, Any]] = []
     stats = _Stats()
     for first in range(0, len(numbers), EPISODES_PER_FILE):
         rows: list[dict[str, Any]] = []
@@ -64,15 +70,77 @@ def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[
             task = tasks.setdefault(text, len(tasks))
             frames = dataset.frames(number, 0, FRAMES)
             rows += _rows(trial, frames, episode, task)
+            trials.append(stated(trial))
             own = _Stats()
             own.add(rows[-FRAMES:], frames)
             stats.merge(own)
             episodes.append(_episode(episode, text, place) | own.columns())
             show(len(episodes))
-        _write(
-            out / _DATA.format(chunk_index=place[0], file_index=place[1]), rows, _data_schema(dataset.manifest.sensor)
-        )
+        path = out / _DATA.format(chunk_index=place[0], file_index=place[1])
+        _write(path, rows, _data_schema(dataset.manifest.sensor))
+    (out / TRIALS).parent.mkdir(parents=True, exist_ok=True)
+    write_json(out / TRIALS, {"sensor": dataset.manifest.sensor.model_dump(mode="json"), "trials": trials})
     _write_meta(out, tasks, episodes, stats, dataset.manifest.sensor)
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What an export is of: its sensor, and one digest of all its files."""
+
+    sensor: Sensor
+    digest: str
+
+    def sha256(self) -> str:
+        """As that of a manifest."""
+        return self.digest
+
+
+class Exported:
+    """Reads what :func:`export` wrote as a `Dataset` reads shards: the same trials, and frames from the images.
+
+    Raises DatasetError where ``path`` holds no such export: in another's LeRobot dataset no onset of motion is stated.
+    """
+
+    def __init__(self, path: Path) -> None:
+        import pyarrow.parquet as pq
+
+        try:
+            kept = json.loads((path / TRIALS).read_text(encoding="utf-8"))
+            sensor, self._trials = Sensor.model_validate(kept["sensor"]), list(kept["trials"])
+            rows = pq.read_table(path / "meta/episodes").to_pylist()
+            places = [(row["data/chunk_index"], row["data/file_index"]) for row in rows]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise DatasetError(f"{path}: no dataset that `export-dataset` wrote, {TRIALS}: {error}") from error
+        self._files = [path / _DATA.format(chunk_index=chunk, file_index=file) for chunk, file in places]
+        listed = "\n".join(file_sha256(file) for file in (path / TRIALS, *dict.fromkeys(self._files)))
+        self.manifest = Contents(sensor, hashlib.sha256(listed.encode()).hexdigest())
+
+    def __len__(self) -> int:
+        return len(self._trials)
+
+    def trial(self, index: int) -> Trial:
+        """Trial ``index``, checked."""
+        names = ("observation.gel", "observation.state", "observation.wrench")
+        gel, state, wrench = (np.array(column) for column in self._columns(index, names))
+        values = {"gel": gel, "depth_mm": state[:, 0], "wrench": wrench, "in_hand": state[:, 1:]}
+        row = {name: values[name].astype(kind).tobytes() for name, (_, kind) in arrays(self.manifest.sensor).items()}
+        trial = from_row({**self._trials[index], **row}, self.manifest.sensor)
+        trial.check()
+        return trial
+
+    def frames(self, index: int, start: int, count: int) -> NDArray[np.uint8]:
+        """Uint8 [count, 2, H, W, 3] BGR, without loss."""
+        pairs = list(zip(*self._columns(index, CAMERAS), strict=True))[start : start + count]
+        return np.array([[_drawn(picture["bytes"]) for picture in pair] for pair in pairs], np.uint8)
+
+    def _columns(self, index: int, names: Sequence[str]) -> list[list[Any]]:
+        import pyarrow.parquet as pq
+
+        path = self._files[index]
+        table = pq.read_table(path, columns=list(names), filters=[("episode_index", "=", index)])
+        if len(table) != FRAMES:
+            raise DatasetError(f"{path}: {len(table)} frames of episode {index}, expected {FRAMES}")
+        return [table[name].to_pylist() for name in names]
 
 
 def _rows(trial: Trial, frames: NDArray[np.uint8], episode: int, task: int) -> list[dict[str, Any]]:
@@ -87,6 +155,10 @@ def _rows(trial: Trial, frames: NDArray[np.uint8], episode: int, task: int) -> l
         row |= {"frame_index": k, "episode_index": episode, "index": episode * FRAMES + k, "task_index": task}
         rows.append(row)
     return rows
+
+
+def _drawn(png: bytes) -> Any:
+    return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
 
 
 def _png(frame: NDArray[np.uint8]) -> dict[str, Any]:
@@ -171,7 +243,7 @@ def _write_meta(
         "features": features(sensor),
     }
     write_json(out / "meta/stats.json", stats.result())
-    write_json(out / "meta/info.json", info)  # last: a folder with it is whole
+    write_json(out / INFO, info)  # last: a folder with it is whole
 
 
 class _Stats:

@@ -135,14 +135,18 @@ def parquet_schema(sensor: Sensor, *, drawn: bool = False) -> Any:
     return pa.schema(fields)
 
 
+def stated(trial: Trial) -> dict[str, Any]:
+    """What a row of a shard states of the trial, but for its arrays."""
+    names = (*SCALARS, *DRAWN) if trial.drawn else SCALARS
+    row: dict[str, Any] = {name: getattr(trial, name) for name in names}
+    return row | {"appearances": json.dumps([look.as_dict() for look in trial.appearances], sort_keys=True)}
+
+
 def to_row(trial: Trial) -> dict[str, Any]:
     """The trial as one row of a shard."""
-    row: dict[str, Any] = {name: getattr(trial, name) for name in SCALARS}
-    row["appearances"] = json.dumps([look.as_dict() for look in trial.appearances], sort_keys=True)
+    row = stated(trial)
     for name, (_, kind) in arrays(trial.sensor).items():
         row[name] = np.ascontiguousarray(getattr(trial, name), kind).tobytes()
-    if trial.drawn:
-        row |= {name: getattr(trial, name) for name in DRAWN}
     return row
 
 

@@ -1,6 +1,6 @@
 """Trials as arrays: labels and marker fields of all of them, pooled pictures of some, cached on disk once.
 
-The only module that touches the simulator, and only its dataset reader.
+The only module that touches the simulator, and only its readers of datasets.
 """
 
 import hashlib
@@ -72,11 +72,12 @@ class Trials:
 
 
 def open_source(path: str) -> Source:
-    """Open a collected dataset; raise ContractError naming the path if there is none."""
+    """Open a collected dataset, its shards or its LeRobot export; ContractError naming the path if there is none."""
     from simulation.data.dataset import Dataset
+    from simulation.data.lerobot import INFO, Exported
 
     try:
-        source: Source = Dataset(path)
+        source: Source = Exported(Path(path)) if (Path(path) / INFO).exists() else Dataset(path)
     except (OSError, ValueError) as error:
         raise ContractError(f"cannot read the dataset {path}: {error}") from error
     return source

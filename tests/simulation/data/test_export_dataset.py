@@ -1,8 +1,10 @@
 """Exports: other people's readers find every trial, frame for frame."""
 
 import base64
+import dataclasses
 import json
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from mcap.reader import make_reader
 
 from simulation.cli.dataset import export_dataset
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
+from simulation.data.lerobot import TRIALS, Exported
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 
 
@@ -125,6 +128,30 @@ def test_lerobot_frames_are_the_dataset_s_without_loss(source: Path, lerobot: Pa
     trial = made_up_trial(1)
     assert row["error"] == pytest.approx([trial.x_mm, trial.theta_deg])
     assert np.allclose(np.reshape(row["observation.gel"], (2, 20, 21, 3)), trial.gel[12])
+
+
+def test_an_export_is_read_again_as_the_shards_are(source: Path, lerobot: Path) -> None:
+    shards, exported = Dataset(source), Exported(lerobot)
+    assert len(exported) == 2
+    assert exported.manifest.sensor == shards.manifest.sensor
+    for index in range(2):
+        was, now = shards.trial(index), exported.trial(index)
+        for field in dataclasses.fields(was):
+            assert np.array_equal(getattr(was, field.name), getattr(now, field.name)), field.name
+    assert np.array_equal(exported.frames(1, 12, 3), shards.frames(1, 12, 3))
+
+
+def test_an_export_that_was_altered_is_another_and_another_s_dataset_is_refused(lerobot: Path, tmp_path: Path) -> None:
+    mine = Path(shutil.copytree(lerobot, tmp_path / "mine"))
+    before = Exported(mine).manifest.sha256()
+    assert before == Exported(lerobot).manifest.sha256()
+    kept = json.loads((mine / TRIALS).read_text())
+    kept["trials"][0]["x_mm"] += 1.0
+    (mine / TRIALS).write_text(json.dumps(kept))
+    assert Exported(mine).manifest.sha256() != before
+    (mine / TRIALS).unlink()
+    with pytest.raises(DatasetError, match="no dataset that `export-dataset` wrote"):
+        Exported(mine)
 
 
 def test_mcap_holds_images_dots_and_truth(source: Path, tmp_path: Path) -> None:

@@ -5,8 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from simulation.cli.dataset import export_dataset
 from simulation.data import drawn_cells
+from simulation.data.dataset import DatasetWriter
 from simulation.scene.rubber import shear_reach_pitches
+from tests.simulation.strategies import made_up_manifest, made_up_trial
 from tests.training.synthetic import SyntheticSource
 from training.data.pressed import load_pressed
 from training.data.reading import decisions
@@ -66,6 +69,32 @@ def test_a_run_states_how_it_reads_and_what_it_was_trained_on(pressed_source, co
     speed = checkpoint.pressing.trained["speed_mm_s"]
     assert 11.0 < speed.low <= speed.high < 13.0
     assert checkpoint.figures["validation/all"]["trials"] > 0
+
+
+def test_a_network_is_trained_on_a_lerobot_export_as_on_the_shards_it_is_of(tmp_path, config):
+    trials = [
+        made_up_trial(
+            k, gel=made_up_trial(k).gel * np.float16(3), onset_frame=8, drawn="{}", speed_mm_s=10.0, grip_n=20.0
+        )
+        for k in range(12)
+    ]
+    with DatasetWriter(tmp_path / "shards", made_up_manifest(trials_per_object=12)) as writer:
+        writer.commit(writer.write_shard("rectangle-00000.parquet", trials))
+        writer.finish()
+    assert export_dataset([str(tmp_path / "shards"), "--out", str(tmp_path / "lerobot")]) == 0
+    runs = {
+        name: config.model_copy(
+            update={
+                "network": SMALL,
+                "runs": str(tmp_path / name / "runs"),
+                "data": config.data.model_copy(update={"path": str(tmp_path / name)}),
+            }
+        )
+        for name in ("shards", "lerobot")
+    }
+    one, other = (train(run) for run in runs.values())
+    assert one.weights_sha256() == other.weights_sha256()
+    assert one.figures == other.figures
 
 
 def test_a_drawn_cell_says_all_that_was_drawn():
