@@ -72,3 +72,29 @@ def test_nothing_is_started_on_a_controller_that_is_not_fit_for_it(panel, reason
     error, posted, started = start_of(panel)
     assert reason in error
     assert (posted, started) == ([], False)
+
+
+@pytest.mark.parametrize("refused_n", [0, 1, 3])
+def test_a_stop_that_was_refused_is_asked_for_again_until_the_controller_reports_it(refused_n):
+    state, asked = {"ctrlexecstate": "running"}, []
+
+    def answer(request):
+        if request.method == "POST":
+            asked.append(request.url.params["action"])
+            if len(asked) <= refused_n:
+                return httpx.Response(503)
+            state["ctrlexecstate"] = "stopped"
+        return httpx.Response(200, json={"_embedded": {"_state": [state]}})
+
+    async def story():
+        client = RwsClient(RwsSettings(stop_timeout_s=10.0, poll_s=0.01))
+        await client._client.aclose()
+        client._generation = RWS1
+        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
+        try:
+            return await client.stop_program()
+        finally:
+            await client._client.aclose()
+
+    assert asyncio.run(story()) == "controller confirms: program stopped"
+    assert asked == ["stop"] * (refused_n + 1)
