@@ -117,3 +117,21 @@ def test_asking_for_the_end_of_an_insertion_ends_no_other_one(models: ModelSet, 
     assert shared.active.session.insertion_id == "second"
     shared.abort("operator", "done")
     wait_for_recorders()
+
+
+def test_another_client_is_refused_while_one_drives_and_takes_over_once_it_is_gone(
+    models: ModelSet, tmp_path: Path
+) -> None:
+    shared = manager(models, tmp_path)
+    first, second = Client(shared), Client(shared)
+    first.connect("first")
+    refused = second.connect("second")
+    assert (refused.type, refused.code, refused.fatal) == ("fault", "busy", True)
+    assert [message.type for message in first.heard] == ["hello"], "who drives notices nothing"
+    shared.disconnect(second.send)
+    assert shared.active.send is not None, "a watcher that leaves takes no insertion with it"
+    shared.disconnect(first.send)
+    assert second.connect("second").type == "hello"
+    assert shared.active.session.insertion_id == "second"
+    shared.abort("operator", "done")
+    wait_for_recorders()
