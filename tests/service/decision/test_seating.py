@@ -129,6 +129,7 @@ def test_the_push_is_the_weaker_fingers_and_what_the_grasp_bears_both_fingers() 
     assert push.weaker_pitch == pytest.approx(0.2)
     assert push.mean_pitch == pytest.approx(0.3)
     assert strongest_push([push, push_of(pair_of((1.0, 1.0)), REST)]) == pytest.approx(0.3)
+    assert strongest_push([]) == strongest_push([push_of(pair_of((math.nan, 0.0)), REST)]) == 0.0
 
 
 @given(st.sampled_from([math.nan, math.inf, -math.inf]), st.integers(0, 19), st.integers(0, 20), st.floats(-40.0, 40.0))
