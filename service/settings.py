@@ -42,6 +42,13 @@ class Deadlines:
     decision_s: float = 10.0  # from `stopped` to the networks' result
 
 
+class _Help(argparse.RawDescriptionHelpFormatter):
+    """Options as an engineer reads them: no default where there is none, and no name of the function that makes it."""
+
+    def _expand_help(self, action: argparse.Action) -> str:
+        return re.sub(r" \(default(: null| factory: \w+)\)", "", super()._expand_help(action))
+
+
 class SettingsError(ContractError):
     """Settings that cannot be used; the text names the option."""
 
@@ -68,7 +75,9 @@ class Settings(BaseSettings):
         cli_exit_on_error=False,
     )
 
-    models: Path = Field(default_factory=released_models, description="folder with the ONNX files and their cards")
+    models: Path = Field(
+        default_factory=released_models, description="folder of ONNX files with cards; default the released"
+    )
     shadow: Path | None = Field(None, description="folder with networks to run beside, and to decide once shown better")
     camera_left: str = Field(description="left finger: http://HOST:PORT/PATH (MJPEG), v4l2:N, file:PATH or push:")
     camera_right: str = Field(description="right finger, same forms")
@@ -167,7 +176,9 @@ def read_settings(arguments: Sequence[str]) -> Settings:
     _check_keys(path, table)
     kind = _with_defaults(table)
     try:
-        source: CliSettingsSource[Settings] = CliSettingsSource(kind, cli_prog_name="tactile-insertion serve")
+        source: CliSettingsSource[Settings] = CliSettingsSource(
+            kind, cli_prog_name="tactile-insertion serve", formatter_class=_Help
+        )
         return CliApp.run(kind, cli_args=rest, cli_settings_source=source)
     except CliError as error:
         unknown = re.search(r"unrecognized arguments: --(\S+)", str(error))
