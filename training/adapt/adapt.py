@@ -54,7 +54,7 @@ class Comparison:
         return self.best != "released" and not self.objections
 
     def text(self) -> str:
-        """The table and the verdict, for a terminal."""
+        """The table and the answer, for a terminal."""
         rows = [{"stage": stage, **row} for stage, row in self.figures.items()]
         columns = (
             ("stage", "stage"),
@@ -210,5 +210,5 @@ def _means(values: NDArray[np.float64], fixtures: NDArray[np.int64], seed: int) 
 
 
 def report(comparison: Comparison) -> dict[str, object]:
-    """The verdict as plain data."""
+    """The answer as plain data."""
     return {**asdict(comparison), "accepted": comparison.accepted}

@@ -107,7 +107,7 @@ def adapt(
         recordings: folder of recordings of the cell, real or simulated.
         start: released checkpoint.
         out: folder of the new checkpoint.pt; `python -m export onnx` makes a model folder of it.
-        json: file for the verdict as data.
+        json: file for the answer as data.
         seed: of folds and batches.
     """
     import torch
