@@ -55,10 +55,11 @@ class Arrived(_Event):
 
 
 class Standstill(_Event):
-    """After a hold the arm has come to rest at ``pose`` (measured)."""
+    """After a hold the arm has come to rest at ``pose`` (measured), and has been there for ``still_s``."""
 
     kind: Literal["standstill"] = "standstill"
     pose: WorkPose
+    still_s: float = Field(default=0.0, ge=0.0)
 
 
 class FromService(_Event):

@@ -146,6 +146,7 @@ def _on_standstill(state: State, event: Standstill) -> Result:
             depth_mm=depth_mm,
             outcome=outcome,
             gripper_width_mm=state.width_mm,
+            still_s=event.still_s,
         )
     )
     if outcome == "dropped":
@@ -156,8 +157,7 @@ def _on_standstill(state: State, event: Standstill) -> Result:
         return state, (stopped, *commands)
     if plan.purpose == "probe" and outcome == "inserted":  # nothing was felt, so there is nothing to report
         return lift(state, event.at_s)
-    phase = Phase.CLOSING if outcome == "inserted" else Phase.DECIDING
-    wait_s = plan.timeouts.closing_s if outcome == "inserted" else plan.timeouts.deciding_s
+    phase, wait_s = (Phase.CLOSING, plan.timeouts.closing_s) if inserted else (Phase.DECIDING, plan.timeouts.deciding_s)
     return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (stopped,)
 
 

@@ -16,9 +16,9 @@ TURN_DEG_S = 55.0  # no ramp turns faster, and the limits allow a little more
 _RESUME_S = 0.05  # after a gap the motion resumes on a ramp as short as this, and no steeper than its own
 _SETTLE_MM = 0.03
 _SETTLE_DEG = 0.03
-_STILL_MM = 0.015  # within a window this small for _SETTLE_S: standing still
+_STILL_MM = 0.015  # within a window this small for SETTLE_S: standing still
 _STILL_DEG = 0.01
-_SETTLE_S = 0.04
+SETTLE_S = 0.04
 
 Settled = Literal["arrived", "standstill"]
 
@@ -197,7 +197,7 @@ class MotionGuide:
         if not near or (self._waiting == "arrived" and not on_target):
             self._still, self._still_since_s = measured, now_s
             return None
-        if now_s - self._still_since_s < _SETTLE_S:
+        if now_s - self._still_since_s < SETTLE_S:
             return None
         settled, self._waiting = self._waiting, None
         return settled

@@ -72,9 +72,6 @@ PROTOCOL = 2
 MAX_TEXT_BYTES = 65536
 
 
-# ---- client to service ------------------------------------------------------------------------------------------
-
-
 class ClientHello(_Message):
     """First message. ``role`` watch receives everything and sends heartbeats alone. ``continues``: see `Refused`.
 
@@ -130,6 +127,7 @@ class Stopped(_Message):
     """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion.
 
     ``inserted``: full depth was reached; `finished` reports whether that is confirmed. ``gripper_width_mm``: now.
+    ``still_s``: since when the arm stands, as far as the client knows.
     """
 
     type: Literal["stopped"] = "stopped"
@@ -137,6 +135,7 @@ class Stopped(_Message):
     depth_mm: float
     outcome: Outcome
     gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
+    still_s: float = Field(default=0.0, ge=0, le=1)
 
 
 class Abort(_Message):
@@ -157,8 +156,6 @@ class ClientHeartbeat(_Message):
 
 _Client = ClientHello | Episode | LearnOpen | Arm | Descending | Stopped | Abort | ClientHeartbeat | Telemetry
 ClientMessage = Annotated[_Client, Field(discriminator="type")]
-
-# ---- service to client ------------------------------------------------------------------------------------------
 
 
 class ServiceHello(_Message):

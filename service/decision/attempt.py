@@ -111,7 +111,7 @@ class Attempt:
     slip_sent: bool = False
     stop_ns: int | None = None
     stale_sent: bool = False
-    stopped_ns: int | None = None
+    stopped_ns: int | None = None  # when the arm came to stand
     outcome: Outcome | None = None
     depth_mm: float = 0.0
     gripper_width_mm: float | None = None

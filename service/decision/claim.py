@@ -22,8 +22,8 @@ FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was
 WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; gel gives way by less
 BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry,
 BLIND_MM = 2.5  # or as long as a slow arm takes for this
-SLID_MM = 0.8  # where the object slid further on than this, nothing shows how far it turned
-LATE_S = 0.075  # that pictures may come late: what a fast arm turns meanwhile slides before anything shows it
+SLID_MM = 0.9  # where the object slid further than this, nothing shows how far it turned
+LATE_S = 0.075  # that pictures may come late: what the arm turns meanwhile slides before anything shows it
 PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
 
 
@@ -47,7 +47,7 @@ class GraspRecord:
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
         late_mm = LATE_S * max(attempt.speed_mm_s or 0.0, went_mm_s(attempt))
-        followed = slid_mm(attempt) <= SLID_MM and late_mm <= SLID_MM
+        followed = late_mm + slid_mm(attempt) <= SLID_MM
         self.turned_deg += lasting_turn_deg(attempt.ring[-1] if attempt.ring and followed else None)
 
     @property
@@ -94,7 +94,7 @@ def slid_mm(attempt: Attempt) -> float:
     grown = np.maximum.accumulate(moved)
     from_s, to_s = np.interp([0.1, 0.9], grown / grown[-1], stamps_s)
     slid_s = lasted_s - to_s - (to_s - from_s) / 8
-    return went_mm_s(attempt) * float(slid_s)
+    return went_mm_s(attempt) * max(float(slid_s), 0.0)
 
 
 # ---- at full depth ----------------------------------------------------------------------------------------------

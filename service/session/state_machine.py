@@ -149,7 +149,7 @@ class InsertionSession:
         if message.outcome == "dropped":
             return self._end(attempt, "part_lost")
         if attempt.stage is Stage.ARMED:
-            attempt.stage, attempt.stopped_ns = Stage.STOPPED, now_ns
+            attempt.stage, attempt.stopped_ns = Stage.STOPPED, now_ns - round(message.still_s * 1e9)
         return self._conclude(now_ns)
 
     def _is_current(self, number: int, stages: set[Stage]) -> bool:

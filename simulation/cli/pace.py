@@ -39,9 +39,9 @@ class Options(PlayOptions):
     """folder of the other pages' results, which the figures show beside these"""
     html: Path | None = None
     """file for the figures to hover and zoom in, 5 MB; needs plotly"""
-    count: int = 100
+    count: int = 200
     """starts"""
-    seed: int = 75
+    seed: int = 85
     points: tuple[str, ...] = ()
     """names of choices to play beside the first; all if left out"""
     draw: bool = False

@@ -1,7 +1,6 @@
 """The arm and the cameras of the simulated cell in lock step: time passes a frame at a time, as fast as it computes.
 
-Nothing here decides anything. The motion is the real driver's in outline: constant speed, and a stop that takes effect
-after the lag of the controller, so that overtravel is part of every attempt.
+Nothing here decides anything. A stop takes effect after the controller's lag: overtravel is part of every attempt.
 """
 
 from __future__ import annotations
@@ -44,9 +43,9 @@ class LockstepCell:
     """Scene, hand and cameras with one clock. Poses are the TCP's, mm and deg, in the work-object frame.
 
     Poses are told ones, see `unstated`; the object's error and its depth are true. With ``draws`` False frames carry
-    no picture (uint8 [0, 0, 3]): for perception that reads the gel itself. A camera with
-    latency shows the gel of so long ago, stamped when the frame arrives; after a travel, it shows the gel at rest from
-    the first frame on.
+    no picture (uint8 [0, 0, 3]): for perception that reads the gel itself. A camera with latency
+    shows the gel of so long ago, stamped when the frame arrives; after a travel, the gel at rest from the first on.
+    ``still_s``: since a descent ended.
     """
 
     scene: Scene
@@ -59,6 +58,7 @@ class LockstepCell:
     frame: int = 0
     bottom_z_mm: float = math.inf
     moving: bool = False
+    still_s: float = 0.0
     state: CellState = field(init=False)
     shots: deque[CellState] = field(init=False)
     course: Course = field(default_factory=Course)
@@ -143,7 +143,7 @@ class LockstepCell:
         """
         if self.state.grasp_lost:
             raise GraspEndError("the fingers do not hold the object: it was pushed 12 mm, or turned away")
-        self.bottom_z_mm, self.moving, self._law, self._walked_s = bottom_z_mm, True, law, 0.0
+        self.bottom_z_mm, self.moving, self._law, self._walked_s, self.still_s = bottom_z_mm, True, law, 0.0, 0.0
 
     def hold(self) -> None:
         """Order a stop: it takes effect after the controller's lag."""
@@ -187,8 +187,7 @@ class LockstepCell:
 
     def arrived(self) -> tuple[bool, bool]:
         """Which of the two frames taken last reached the service: cameras drop a share of them, each for itself."""
-        share = dropped_share(self.scene)
-        if share <= 0.0:
+        if (share := dropped_share(self.scene)) <= 0.0:
             return True, True
         lost = np.random.default_rng(hash_seed(self.seed, self.frame, 99)).random(2) < share
         return not lost[0], not lost[1]
@@ -203,29 +202,30 @@ class LockstepCell:
 
     def _pass(self, periods: float) -> None:
         """Advance by a share of a frame period."""
+        passed_s = periods / self.scene.fps
         if self.moving and not self.pausing:
             x, y, z, yaw = _pose_of(self.physics)
-            bottom = self.misplaced.true((0.0, 0.0, self.bottom_z_mm, 0.0))[2]
-            target = max(bottom, z - self._way_mm(periods))
+            bottom, way_mm = self.misplaced.true((0.0, 0.0, self.bottom_z_mm, 0.0))[2], self._way_mm(passed_s)
+            target = max(bottom, z - way_mm)
             if self._go(x, y, target, yaw):
                 self.moving = target - bottom > (_ROUNDING_MM if self._law else 0.0)
-                self._walked_s += periods / self.scene.fps
-        elif self.physics.relaxes:
-            self._do(lambda: self.physics.wait(periods / self.scene.fps))
+                self._walked_s += passed_s
+                self.still_s = 0.0 if self.moving else passed_s * (1.0 - (z - target) / max(way_mm, _ROUNDING_MM))
+            return
+        self.still_s += passed_s
+        if self.physics.relaxes:
+            self._do(lambda: self.physics.wait(passed_s))
 
-    def _way_mm(self, periods: float) -> float:
-        """How far the arm goes down in a share of a frame period."""
-        if self._law is None:
-            return periods * self.speed_mm_s / self.scene.fps
-        passed_s = periods / self.scene.fps
+    def _way_mm(self, passed_s: float) -> float:
+        """How far the arm goes down in that time."""
         way_mm = self._ahead_mm(passed_s)
-        self.physics.pace_mm_s = max(way_mm / passed_s, 1e-3)
+        if self._law is not None:
+            self.physics.pace_mm_s = max(way_mm / passed_s, 1e-3)
         return way_mm
 
     def _ahead_mm(self, passed_s: float) -> float:
-        if self._law is None:
-            return self.speed_mm_s * passed_s
-        return self._law(self._walked_s + passed_s) - self._law(self._walked_s)
+        law, walked_s = self._law, self._walked_s
+        return law(walked_s + passed_s) - law(walked_s) if law else self.speed_mm_s * passed_s
 
     def _finger_at(self, index: int) -> int:
         """Which finger is seen by the camera that is called ``index`` (0 left, 1 right)."""

@@ -86,7 +86,7 @@ class Insertion:
         self.until: frozenset[Phase] = frozenset()  # phases in which to stop playing
         self.before = cell.state  # what it was when the descent began, hanging free
         self._events: deque[Event] = deque()
-        self._standing, self._settled_s = False, 0.0
+        self._standing = False
         self._skipped: list[Work] = []
 
     def run(self) -> Outcome:
@@ -154,12 +154,11 @@ class Insertion:
         self._show(pair, now_ns)
         self._hear(self.session.on_tick(now_ns))
         self._post(ClientTick(at_s=self.cell.now_s))
-        if was_moving and not self.cell.moving:
-            self._standing, self._settled_s = True, self.cell.now_s + (SETTLE_S if self.client else 0.0)
-        if self._standing and not self.cell.moving and self.cell.now_s >= self._settled_s:
-            self._standing = False
-            event = Standstill if self.state.phase is Phase.STOPPING else Arrived
-            self._post(event(at_s=self.cell.now_s, pose=self._pose()))
+        self._standing |= was_moving and not self.cell.moving
+        if self._standing and not self.cell.moving and self.cell.still_s >= (SETTLE_S if self.client else 0.0):
+            self._standing, now_s, pose = False, self.cell.now_s, self._pose()
+            still = Standstill(at_s=now_s, pose=pose, still_s=self.cell.still_s)
+            self._post(still if self.state.phase is Phase.STOPPING else Arrived(at_s=now_s, pose=pose))
 
     def _show(self, pair: FramePair, now_ns: int) -> None:
         arrived = self.cell.arrived()

@@ -39,7 +39,7 @@ class Driver:
         self.live.probe()
         self.send(wire.Descending(insertion_id=self.id, attempt=number))
         slip = self.until("slip")
-        self.send(wire.Stopped(insertion_id=self.id, attempt=number, depth_mm=6.0, outcome="blocked"))
+        self.send(wire.Stopped(insertion_id=self.id, attempt=number, depth_mm=3.0, outcome="blocked"))
         correction = self.until("correction")
         assert slip.attempt == correction.attempt == number
         return correction

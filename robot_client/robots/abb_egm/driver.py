@@ -17,7 +17,7 @@ from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import Unwatched
 from robot_client.insertion.limits import Leg, LimitError, Limits, Motion
-from robot_client.insertion.motion import MotionGuide, Ramps
+from robot_client.insertion.motion import SETTLE_S, MotionGuide, Ramps
 from robot_client.ports import Arm, Check, DriverError, Finding, Post, Signals
 from robot_client.robots.abb_egm import codec
 from robot_client.robots.abb_egm.settings import Settings
@@ -245,8 +245,9 @@ class EgmArm:
         assert self._guide is not None
         settled = self._guide.observe(measured, now_s)
         if settled and not self._failed and not self._closing:
-            event = Arrived if settled == "arrived" else Standstill
-            self._post(event(at_s=now_s, pose=measured))
+            arrived = settled == "arrived"
+            still = Standstill(at_s=now_s, pose=measured, still_s=SETTLE_S)
+            self._post(Arrived(at_s=now_s, pose=measured) if arrived else still)
 
     # ---- trouble --------------------------------------------------------------------------------------------------
 

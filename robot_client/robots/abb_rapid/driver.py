@@ -256,7 +256,7 @@ class SocketArm:
             self._still, self._still_since_s = here, now_s
         elif now_s - self._still_since_s >= _STILL_S:
             self._waiting = None
-            self._report(Standstill(at_s=now_s, pose=here))
+            self._report(Standstill(at_s=now_s, pose=here, still_s=_STILL_S))
 
     def _report(self, event: Arrived | Standstill) -> None:
         if self._post is not None and not self._latched:

@@ -10,7 +10,7 @@ from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import Unwatched
 from robot_client.insertion.limits import Leg, LimitError, Limits, Motion
-from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
+from robot_client.insertion.motion import CYCLE_S, SETTLE_S, MotionGuide, Ramps
 from robot_client.ports import Arm, DeviceSettings, Post
 
 _BATCH = 50
@@ -83,8 +83,9 @@ class DryArm(Arm):
                 self.on_target(pose)
                 settled = self._guide.observe(pose, self._cycles * CYCLE_S)
                 if settled:
-                    event = Arrived if settled == "arrived" else Standstill
-                    self._post(event(at_s=time.monotonic(), pose=pose))
+                    now_s = time.monotonic()
+                    still = Standstill(at_s=now_s, pose=pose, still_s=SETTLE_S)
+                    self._post(Arrived(at_s=now_s, pose=pose) if settled == "arrived" else still)
                     break
             await asyncio.sleep(0.0 if self._guide.moving else 0.001)
 

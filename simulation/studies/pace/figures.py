@@ -55,7 +55,7 @@ def _pressing(data: Row) -> Panel:
         depth = float(name.removeprefix("test, ").removesuffix(" mm"))
         fixed.append(Mark(f"{depth:g} mm", exact(depth / speed), _percent(right), depth == ships_mm))
     sure = [
-        Mark(name.removeprefix("test, "), exact(ships_mm * (1 - row["saved"]) / speed), _percent(row["right"]))
+        Mark(_how_sure(name), exact(ships_mm * (1 - row["saved"]) / speed), _percent(row["right"]))
         for name, row in kept["sure"].items()
         if name in EARLY
     ]
@@ -67,6 +67,10 @@ def _pressing(data: Row) -> Panel:
         [Series("always as deep", fixed, joined=True), Series("as soon as this sure", sure)],
         y_from=40.0,
     )
+
+
+def _how_sure(name: str) -> str:
+    return f"{float(name.removeprefix('test, ')):.0%} sure"
 
 
 def _networks(kept: Row) -> Panel:

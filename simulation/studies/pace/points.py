@@ -55,7 +55,6 @@ def client(
 POINTS = (
     Point(BEFORE, client(10.0, NO_LEGS_MM_S, air_mm_s=55.0, lift_mm=APPROACH_MM)),
     Point(SHIPPED, client()),
-    Point("probes at 10 mm/s", client(10.0)),
     Point("quick: legs of 25 mm/s, 120 in the air", client(5.0, 25.0, air_mm_s=120.0, brisk=True)),
 )
 

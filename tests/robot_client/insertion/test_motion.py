@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_client.insertion.geometry import TOOL_DOWN, CellFrame, WorkPose, multiply, normalised, yaw_quaternion
 from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_correction, check_pose
-from robot_client.insertion.motion import CYCLE_S, TURN_DEG_S, MotionGuide, Ramp, Ramps
+from robot_client.insertion.motion import CYCLE_S, SETTLE_S, TURN_DEG_S, MotionGuide, Ramp, Ramps
 from robot_client.insertion.profile import plan_profile
 from tests.robot_client.insertion.stories import RAMPS
 
@@ -207,7 +207,10 @@ def test_standstill_waits_for_the_lagging_arm():
         assert guide.observe(pose(z=measured), now) is None
     guide.hold()
     slip_z = measured
+    way = [measured]
     while guide.observe(pose(z=measured), now) is None:
         now += CYCLE_S
         measured += (guide.target.z_mm - measured) * CYCLE_S / 0.05
+        way.append(measured)
+    assert way[-round(SETTLE_S / CYCLE_S)] - measured < 0.02, "it stood for as long as its driver says"
     assert slip_z - measured == pytest.approx(0.5, abs=0.06), "overtravel is lag times speed"

@@ -41,7 +41,7 @@ CORRECTION = Correction(
         ClientHello(insertion_id="a", client="test"),
         Arm(insertion_id="a", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0),
         Descending(insertion_id="a", attempt=15),
-        Stopped(insertion_id="a", attempt=2, depth_mm=6.5, outcome="blocked"),
+        Stopped(insertion_id="a", attempt=2, depth_mm=6.5, outcome="blocked", still_s=0.15),
         Abort(insertion_id="a", cause="operator", reason="panel"),
     ],
 )

@@ -188,12 +188,17 @@ def test_an_object_that_slid_far_or_was_not_seen_has_turned_by_nobody_knows_how_
         assert math.isnan(grasp.turned_deg)
 
 
-def test_what_a_quick_arm_turns_before_a_picture_shows_it_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("speed_mm_s", "slid_mm", "known"),
+    [(10.0, 0.1, True), (10.0, 0.3, False), (None, 0.1, True), (11.0, 0.0, True), (12.1, 0.0, False)],
+)
+def test_what_an_arm_turns_before_a_picture_shows_it_counts_to_what_slid(
+    monkeypatch: pytest.MonkeyPatch, speed_mm_s: float | None, slid_mm: float, known: bool
+) -> None:
     monkeypatch.setattr(claim, "lasting_turn_deg", lambda both: math.nan if both is None else 0.2)
-    for speed_mm_s, known in ((10.6, True), (10.7, False), (None, True)):
-        grasp = GraspRecord(50.0)
-        grasp.blocked(replace(blocked(0.5, 1.9), speed_mm_s=speed_mm_s))
-        assert math.isfinite(grasp.turned_deg) == known
+    grasp = GraspRecord(50.0)
+    grasp.blocked(replace(blocked(0.5, 2.0 - slid_mm, 240.0), speed_mm_s=speed_mm_s))
+    assert math.isfinite(grasp.turned_deg) == known
 
 
 def test_a_grasp_remembers_its_strongest_push_and_its_furthest_press() -> None:

@@ -43,7 +43,7 @@ def last(turn_rad, slid_rad):
 
 
 def pressed(turn_rad, slid_rad):
-    attempt = descent()
+    attempt = descent(depth_mm=12.5)
     attempt.pushes = [push._replace(moved_pitch=max(0.0, k - 50.0)) for k, push in enumerate(attempt.pushes)]
     attempt.ring.append(last(turn_rad, slid_rad))
     return attempt

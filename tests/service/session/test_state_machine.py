@@ -26,7 +26,7 @@ def hello(session: InsertionSession, **changes: object) -> wire.ServiceHello:
 
 
 def probe(session: InsertionSession, attempt: int, start_ns: int, frames: int = 30, outcome: str = "blocked") -> list:
-    """One attempt in lock step at 10 mm/s: the arm stops one frame after slip, or at the last frame."""
+    """One attempt in lock step at 6 mm/s: the arm stops one frame after slip, or at the last frame."""
     messages = session.handle(
         wire.Arm(insertion_id=ID, attempt=attempt, gap_width_mm=56.0, expected_depth_mm=25.0), start_ns
     )
@@ -38,7 +38,7 @@ def probe(session: InsertionSession, attempt: int, start_ns: int, frames: int = 
             messages += session.handle(wire.Descending(insertion_id=ID, attempt=attempt), pair.captured_ns)
         if not stopped and (any(isinstance(m, wire.Slip) for m in messages) or index == frames - 1):
             stopped = True
-            message = wire.Stopped(insertion_id=ID, attempt=attempt, depth_mm=5.0, outcome=outcome)
+            message = wire.Stopped(insertion_id=ID, attempt=attempt, depth_mm=3.0, outcome=outcome)
             messages += session.handle(message, pair.captured_ns)
     return messages
 
@@ -88,6 +88,18 @@ def test_an_insertion_of_several_attempts_ends_with_inserted(session: InsertionS
     end = wire.Stopped(insertion_id=ID, attempt=4, depth_mm=25.0, outcome="inserted")
     (finished,) = session.handle(end, pair.captured_ns)
     assert (finished.outcome, finished.attempts) == ("inserted", 4)
+
+
+def test_the_arm_came_to_stand_before_its_client_was_sure_of_it(session: InsertionSession) -> None:
+    hello(session)
+    session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
+    for index in range(3):
+        session.on_pair(drawn.pair(index), drawn.pair(index).captured_ns)
+    session.handle(wire.Descending(insertion_id=ID, attempt=1), 10**9)
+    stopped = wire.Stopped(insertion_id=ID, attempt=1, depth_mm=5.0, outcome="blocked", still_s=0.15)
+    session.handle(stopped, 2 * 10**9)
+    assert session.attempt is not None
+    assert session.attempt.stopped_ns == 1_850_000_000
 
 
 def test_a_repeated_stop_repeats_the_correction_and_nothing_else(session: InsertionSession) -> None:

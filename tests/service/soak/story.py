@@ -106,7 +106,7 @@ class Story:
             finger.probe(started)
         self.send(wire.Descending(insertion_id=self.id, attempt=self.attempt))
         self.until({"slip", "fault"})
-        stopped = wire.Stopped(insertion_id=self.id, attempt=self.attempt, depth_mm=6.0, outcome="blocked")
+        stopped = wire.Stopped(insertion_id=self.id, attempt=self.attempt, depth_mm=3.0, outcome="blocked")
         self.send(stopped)
         answer = self.until({"correction", "no_decision"})
         if self.rng.random() < 0.2:  # said twice, answered twice, with the same

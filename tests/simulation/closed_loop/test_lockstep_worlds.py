@@ -71,6 +71,19 @@ def test_frames_and_ways_follow_rate_and_speed(fps, speed_mm_s) -> None:
     assert -np.diff(heights)[:1] == pytest.approx(speed_mm_s / fps, abs=1e-6) or speed_mm_s / fps > 1.0
 
 
+def test_an_arm_that_was_told_to_hold_stands_from_the_end_of_its_lag_on() -> None:
+    held = cell(unstated={"stop_lag_s": 0.05}, camera__fps=30.0, camera__latency_ms=0.0)
+    held.descend(0.0)
+    held.next_pair(look=False)
+    held.hold()
+    held.next_pair(look=False)
+    assert (held.moving, held.still_s) == (True, 0.0)
+    for frames in (2, 3):
+        held.next_pair(look=False)
+        assert held.still_s == pytest.approx(frames / 30.0 - 0.05, abs=1e-6)
+    assert held.pose[2] == pytest.approx(35.0 - held.speed_mm_s * (1 / 30.0 + 0.05))
+
+
 def test_blocks_above_the_approach_are_run_into_and_not_jumped_into() -> None:
     hit = cell(unstated={"blocks_up_mm": 5.5})
     assert hit.state.in_contact

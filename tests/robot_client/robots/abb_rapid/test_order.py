@@ -64,3 +64,4 @@ def test_an_arm_that_was_never_sent_off_stands_still_at_once(clock):
     arm.hold("slip", stop=False)
     rests(arm, clock, 2)
     assert [type(event) for event in events] == [Standstill]
+    assert events[0].still_s > 0.1
