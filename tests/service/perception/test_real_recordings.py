@@ -11,6 +11,7 @@ from service.perception.slip.grasp import WATCH_SLIP_PITCH, GraspWatch, watch_se
 from tests.service.perception.real import GELSLIM_CROP, read_video, real_data
 
 pytestmark = pytest.mark.real_data
+UNCUT_FRAMES_N = 450
 CONTACT_FREE = [(3, 26), (99, 104), (188, 201), (293, 331), (423, 475), (603, 613), (643, 716)]
 
 
@@ -59,21 +60,23 @@ def test_gelsight_mini_markers_are_found_in_every_clip():
 @pytest.mark.slow
 @pytest.mark.parametrize("slip_pitch", [WATCH_SLIP_PITCH, SlipSettings().slip_pitch])
 def test_no_slip_is_announced_while_a_real_object_is_held_and_shaken(slip_pitch):
-    """22 finger clips of held objects, between grasp and release, at a clip's and at an insertion's limit.
+    """Clips that were cut to the grasp, at a clip's and at an insertion's limit; longer ones are put down on the way.
 
-    Judged on these that the detector was settled with, so a regression; `python -m simulation slip-report --real` says
-    what is known out of sample.
+    Judged on some of those that the detector was settled with, so a regression; docs/real_grasps.md says what is known
+    out of sample, of the longer ones, too.
     """
     folder = real_data("gelsight_mini_slip")
     alarms, frames = 0, 0
     for clip in sorted(folder.glob("*_hold/camera_*.avi")):
-        tracker, watch = MarkerTracker(), GraspWatch(watch_settings(slip_pitch))
         images = read_video(clip)
+        if len(images) >= UNCUT_FRAMES_N:
+            continue
+        tracker, watch = MarkerTracker(), GraspWatch(watch_settings(slip_pitch))
         states = [watch.update(tracker.update(image, k * 125_000_000)) for k, image in enumerate(images)]
         watched = states[45:-30]
         alarms += sum(state.slip for state in watched)
         frames += len(watched)
-    assert frames > 3000
+    assert frames > 1500
     assert alarms / frames * 1500 <= 0.2
 
 
