@@ -1,7 +1,5 @@
 """`python -m simulation COMMAND`: a table of commands, each imported only when it is called."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys

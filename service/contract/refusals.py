@@ -1,7 +1,5 @@
 """What the refusal of a file says: the key, what is allowed there, and what was given."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 from typing import Any, cast

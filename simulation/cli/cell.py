@@ -1,7 +1,5 @@
 """Commands that run the cell in real time: alone, or broken on purpose."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 

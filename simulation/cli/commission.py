@@ -1,7 +1,5 @@
 """`commission`: cells that probe, adapt and learn from work; `scene`: what a commissioning's presses tell of a gel."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """Commands around a dataset: collect it, export it for other people's tools, which show it, too."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`drawn-worlds` and `sealed`: the closed loop where nobody trained; `draw-worlds`, `draw-objects`: files for it."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """`python -m simulation evaluate`: every world with every object in lock step, on all cores, resumable, as rows."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping, Sequence

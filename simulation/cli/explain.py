@@ -1,7 +1,5 @@
 """`python -m simulation explain SCENE`."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from itertools import count

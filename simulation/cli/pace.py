@@ -1,7 +1,5 @@
 """`python -m simulation pace` and `choose`: what settings cost in seconds a box, and those for what a cell needs."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

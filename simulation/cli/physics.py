@@ -1,7 +1,5 @@
 """Commands that hold the physics against references and its own promises."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Commands that show what one poke of the simulated cell does and what its sensor records."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands that run the cell with service and robot client around it: they start processes, and solve nothing."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import sys

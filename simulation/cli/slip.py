@@ -1,7 +1,5 @@
 """Commands that measure how well slip is detected, in simulation and on recorded grasps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

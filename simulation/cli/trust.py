@@ -1,7 +1,5 @@
 """`python -m simulation trust`: claims under adversity, in lock step on all cores, resumable."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

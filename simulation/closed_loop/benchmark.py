@@ -1,7 +1,5 @@
 """Every world with every object: what `evaluate --worlds` plays, and its rows."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The cameras of a cell in lock step: ours, or those of the foreign cell."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

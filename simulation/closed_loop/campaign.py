@@ -4,8 +4,6 @@ The log is only valid for the networks, the physics, the service and the client 
 go on with others.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The client that is played in lock step: its plan, and how its arm goes down."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from robot_client.insertion.events import Move

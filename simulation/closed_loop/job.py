@@ -1,7 +1,5 @@
 """What is played in the closed loop and what came of it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -140,7 +138,7 @@ class Outcome:
     unseen_allowed_mm: float = 0.0
 
     @classmethod
-    def never_held(cls, job: Job, reason: str) -> Outcome:
+    def never_held(cls, job: Job, reason: str) -> "Outcome":
         """Of an object that could not even be grasped."""
         start = (job.x_mm, job.theta_deg)
         return cls(False, False, 0, reason, True, start, grasp_kept=False, course=Course())

@@ -3,8 +3,6 @@
 Nothing here decides anything. A stop takes effect after the controller's lag: overtravel is part of every attempt.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import deque
@@ -87,7 +85,7 @@ class LockstepCell:
         draws: bool = True,
         make: Callable[[Scene, int], Cell] = QuasiStaticCell,
         cameras: Callable[[Scene, int], tuple[Camera, Camera]] = own_cameras,
-    ) -> LockstepCell:
+    ) -> "LockstepCell":
         """A cell with the object grasped, told to be at the error given, at approach height; ``make``: mechanics."""
         cell = make(scene, seed)
         cell.regrasp(x_mm, theta_deg)

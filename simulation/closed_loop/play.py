@@ -5,8 +5,6 @@ perception, the shipped ONNX files and its controller; what it answers goes thro
 With `client` and `session`, this is the one module of the simulator that imports them.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import asdict
 from functools import cache, partial

@@ -1,7 +1,5 @@
 """Statistics of closed-loop results; nothing here runs an insertion or draws."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

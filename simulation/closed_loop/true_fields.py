@@ -4,8 +4,6 @@ Slip and onset are judged by the service's own detectors on the true marker fiel
 added; a picture is drawn only when a network asks for it. Some five times cheaper than drawing and tracking all.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

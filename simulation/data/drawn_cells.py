@@ -4,8 +4,6 @@ A trial of theirs is pressed to a fixed depth, whatever slips, with a frame ever
 cameras of all rates can be drawn from it when it is read; the arm's speed counts where the gel relaxes.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

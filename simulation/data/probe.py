@@ -1,7 +1,5 @@
 """One guarded descent in lock step: what the cell of the paper does once, without sockets and faster than real time."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

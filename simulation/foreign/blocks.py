@@ -3,8 +3,6 @@
 A contact is a spring of the scene's stiffness along its normal and a softer one with Coulomb's limit across it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -3,8 +3,6 @@
 It shares the scene, its frames and the ground truth with the project's own physics, and none of its code.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Closing the fingers on an object that is held still but for y: it finds its place between them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

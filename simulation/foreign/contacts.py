@@ -5,8 +5,6 @@ cut along the inner edge: what lies over the block stands on its top (corners) o
 the tops, it is the prism's upright edges that lean on the wall.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -7,8 +7,6 @@ Poisson's ratio near 0.5 does not lock; Bathe, Finite Element Procedures, 1996, 
 is not touched is eliminated once (Schur's complement), which is exact.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any, NamedTuple

@@ -6,8 +6,6 @@ iterations. Where that does not come to rest, it solves the convex problem again
 its pressures (as in Haslinger's fixed point), and gives up by name where that does not settle either.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 

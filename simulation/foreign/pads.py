@@ -7,8 +7,6 @@ those that the object exerts on the gel. Friction is Coulomb's, |t| <= mu p at e
 its beginning and t obey t = projection of (t - rho s) onto the disc of radius mu p (Alart and Curnier, 1991).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,11 +37,11 @@ class Grip:
     on: Array
     status: NDArray[np.int8]
 
-    def copy(self) -> Grip:
+    def copy(self) -> "Grip":
         """Independent of this one."""
         return Grip(self.turn.copy(), self.place.copy(), self.opening, self.on.copy(), self.status.copy())
 
-    def take(self, other: Grip) -> None:
+    def take(self, other: "Grip") -> None:
         """Become a copy of another one."""
         self.turn, self.place, self.opening = other.turn.copy(), other.place.copy(), other.opening
         self.on, self.status = other.on.copy(), other.status.copy()

@@ -4,8 +4,6 @@ Another light, another print and another noise than those of `simulation.optics`
 light falls on the gel's true slopes: a stiff gel that is pressed in by little shows little.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

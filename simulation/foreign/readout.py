@@ -1,7 +1,5 @@
 """From the pads' face to what a camera could see: displacement, pressure and imprint where the markers rest."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

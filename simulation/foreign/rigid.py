@@ -1,7 +1,5 @@
 """Rigid motions: rotations, and how points follow a small motion of their body."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Object frame. On side s (+1: +y, -1: -y) the surface is y = s * height(x); the object is a prism there.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -10,8 +10,6 @@ added to the block's answer (`edged_layer`), so that elements as large as a cont
 gel whose edges are far is the endless one.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple

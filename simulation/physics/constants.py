@@ -1,7 +1,5 @@
 """From a scene's keys to the numbers that the compiled kernels read."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

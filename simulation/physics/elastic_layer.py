@@ -7,8 +7,6 @@ against their matrix exponential in the tests). The half-space integrates Boussi
 cell (Love 1929; Johnson, Contact Mechanics, 1985, ch. 3) and serves to check the solver against Hertz and Mindlin.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Closing the fingers on the object."""
 
-from __future__ import annotations
-
 from simulation.physics.kernels import load_step
 from simulation.physics.kernels.records import Workspace
 from simulation.scene.scene import Scene

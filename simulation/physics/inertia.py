@@ -5,8 +5,6 @@ m / (2 dt^2) |centre - where it would coast to|^2, so the solver stays what it i
 centre of mass counts: the objects turn by a few degrees while they slide by millimetres.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

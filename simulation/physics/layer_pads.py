@@ -8,8 +8,6 @@ pressure only where surfaces meet), and its forces balance to the core's residua
 twice the layer's smallest stiffness the iteration contracts (Richardson); Anderson's method makes it fast.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

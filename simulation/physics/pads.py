@@ -1,7 +1,5 @@
 """The pads of a scene before anything is held: their size, their nodes, how stiff they are, how far the gel goes on."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Frames and signs are the work-object frame's; angles at the interface in deg.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any

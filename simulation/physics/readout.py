@@ -4,8 +4,6 @@ A pad's rubber couples neighbours over about half its thickness, and being incom
 the bristles know neither, so the readout adds both (`gel_coupling`). It changes no force.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

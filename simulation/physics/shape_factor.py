@@ -6,8 +6,6 @@ In one equation, exact for a thin wide pad (oedometric modulus M) and for a slen
 compression e is (E + (M - E) s) e, where lambda^2 lap(s) = s - 1, lambda^2 = t^2 (M - E) / (12 G), s = 0 at the sides.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the outside sees of the physics' poses."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

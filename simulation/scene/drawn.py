@@ -4,8 +4,6 @@ Worlds come from a Latin hypercube: over `count` of them every quantity is sprea
 are those that collection draws from (`docs/worlds.md`), and they are frozen: nobody changes them to please a network.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path

@@ -3,8 +3,6 @@
 Each is declared once, with the predicate that switches it on and the reason it gives.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ as an object of its size can, stands upright, is still in the grasp, and has not
 A lowest corner that is deep enough proves nothing: a box jammed at 42 degrees has one.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tables of a scene: the object, the blocks, the gel, the grasp, the cameras, and what is computed how."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal
 

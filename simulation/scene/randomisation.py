@@ -1,7 +1,5 @@
 """Domain randomisation: what an installation meets that no scene file can know."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Formulas of rubber that scenes, effects and physics share: ratios, reaches, the shear reach."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@
 work-object frame (origin at the gap's centre at the height of the block tops, x across the gap, y along it, z up).
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping
 from typing import Any, Self
@@ -168,7 +166,7 @@ class Scene(Part):
         foot = self.object.footprint_mm if x_mm >= 0.0 else -self.object.footprint_mm
         return abs(x_mm) + shapes.half_width_mm(foot, theta_deg) <= 0.5 * self.blocks.gap_mm
 
-    def varied(self, changes: Mapping[str, Any]) -> Scene:
+    def varied(self, changes: Mapping[str, Any]) -> "Scene":
         """A copy with dotted keys replaced, e.g. {"gel.friction": 0.5}. Raises SceneError."""
         data = self.model_dump()
         for key, value in changes.items():

@@ -5,8 +5,6 @@ up. A footprint is a convex polygon [n, 2] in mm, counter-clockwise, of the obje
 the height y(x) of the surface that the fingers touch; the object is a prism there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal

@@ -1,7 +1,5 @@
 """What a moment of a simulated cell looks like to the outside, why there may be none, and what a cell can do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Protocol
 

@@ -7,8 +7,6 @@ since the approach over; ``tcp_offset_mm``, in the tool frame, turns with the to
 arm takes for the work object about the gap's centre; ``blocks_up_mm`` lifts the blocks towards the hand.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal

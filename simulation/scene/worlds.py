@@ -5,8 +5,6 @@ a scene. A world file states everything about the cell but the object, and wins 
 `simulation/objects` is the registry of the objects that are known by name.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ the same tier, converged (what load step and node count cost), and against the c
 costs).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

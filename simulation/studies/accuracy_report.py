@@ -1,7 +1,5 @@
 """Page and figure of `simulation.studies.accuracy`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 The software is not told the world. Adapting is training's own command in a process of its own, as on a cell's PC.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """docs/commissioning.md from the rows of `python -m simulation commission`: what is missed first."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The closed loop where nobody trained: worlds by Latin hypercube, drawn objects, every variant on the same starts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Insertions and probes in lock step that keep what a recording keeps for learning: what the networks were shown."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass

@@ -4,14 +4,12 @@ Each must end solved, with the object lost from the grasp, or refused by a typed
 balanced and inside the friction cones. The same (seed, number) is the same probe on every machine.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -41,7 +39,7 @@ class Tally:
     worst_cone_n_per_mm2: float = -math.inf
     cpu_s: float = 0.0
 
-    def add(self, other: Tally) -> None:
+    def add(self, other: "Tally") -> None:
         """Add another tally to this one."""
         self.ended += other.ended
         self.worst_residual_n = max(self.worst_residual_n, other.worst_residual_n)
@@ -49,7 +47,7 @@ class Tally:
         self.cpu_s += other.cpu_s
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Tally:
+    def from_dict(cls, data: dict[str, Any]) -> Self:
         """Inverse of `as_dict`."""
         cpu_s = 1e-3 * data["cpu_ms_per_probe"] * data["probes"]
         return cls(Counter(data["ended"]), data["worst_residual_n"], data["worst_cone_violation_n_per_mm2"], cpu_s)

@@ -1,7 +1,5 @@
 """Page of `simulation.studies.hard_probes`, apart from what its results are hashed with."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from reporting.page import page

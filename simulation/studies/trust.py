@@ -4,8 +4,6 @@ What counts first is a claim that is not true. A claim is only as good as the gr
 (`simulation.scene.ground_truth`), so both the claims and the truths that were not claimed are counted.
 """
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

@@ -8,8 +8,6 @@ indentation d > 0, and the Huber function of the trial stretch whose linear bran
 that its gradient is exactly the return-mapped traction.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -6,8 +6,6 @@ edge under the footprint, then one per footprint vertex (on the top face, or aga
 vertical edge of the prism where it passes the block's top edge. Block 0 is at +x, block 1 at -x.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

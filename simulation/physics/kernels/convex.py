@@ -6,8 +6,6 @@ has the coupled Newton end what it began.
 Within a round normals and tangents of the contacts are held as the limits are; the last round's are the equilibrium's.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Unknown: a twist of the object about the TCP in the hand frame (mm, rad), then o
 top edge in the world frame.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Small dense linear algebra for compiled kernels. No LAPACK, so no scipy at run time; vectors are three scalars."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

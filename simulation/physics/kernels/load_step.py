@@ -8,8 +8,6 @@ until that changes nothing (lagged friction, Li et al. 2020). Where the limits j
 What a step leaves for the next: stretches of bristles and contacts, normal forces, poses; all else is made anew.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

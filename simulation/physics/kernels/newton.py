@@ -4,8 +4,6 @@ A handful of iterations where it descends; where it does not, `convex` takes ove
 at every trial pose, so that normals and tangents are those of the equilibrium, not of the step before.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Records reach a kernel as one pointer, which keeps compilation short. Units: mm,
 annotations: numba types them, mypy cannot.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

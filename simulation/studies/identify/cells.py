@@ -1,7 +1,5 @@
 """Drawn cells that press as a commissioning does: what the posterior is fitted to, and what it is judged on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Two presses until slip, turned so that they touch on both sides, are made at eac
 signs are the rest. By symmetry both fingers and both sides show the same: their fields are laid over each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """docs/identify.md from identify.json: what probes tell of a gel, what is missed first."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ how far it is off by a second one. Intervals are conformal on cells that were he
 alike, so many hold the truth, however wrong the regression is. What the numbers do not tell gets all of its range.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

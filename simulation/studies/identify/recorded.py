@@ -1,7 +1,5 @@
 """The probes of a commissioning as their recordings keep them, sorted out for what they tell of the gel."""
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Fit the posterior to drawn cells, judge it on fresh ones, write what it says of a cell as a world file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

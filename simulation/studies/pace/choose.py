@@ -1,7 +1,5 @@
 """The choice of settings for what an integrator has: seconds a box, success, force."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from reporting.statistics import Estimate, wilson

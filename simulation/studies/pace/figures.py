@@ -1,7 +1,5 @@
 """What the figures of the page show: seconds a box, decisions, builds and physics, each against what it costs."""
 
-from __future__ import annotations
-
 from collections.abc import Set as AbstractSet
 
 from reporting.statistics import Estimate, wilson

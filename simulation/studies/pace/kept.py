@@ -1,7 +1,5 @@
 """What other pages measured, as the figures of this one need it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

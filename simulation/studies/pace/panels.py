@@ -1,7 +1,5 @@
 """The figures of the page, declared once: drawn as a picture, and as a page to hover and zoom in."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The settings that are played against each other, and the insertions of each: all begin from the same starts."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

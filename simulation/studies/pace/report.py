@@ -1,7 +1,5 @@
 """The page of seconds a box: each choice of settings against what ships, on the same starts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The slip rule of the paper's group in 2019, the baseline of the report."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from service.perception.markers.field import MarkerField

@@ -1,7 +1,5 @@
 """What the slip path costs a finger: rectify, track, detect contact, slip and onset, on raw simulated frames."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -6,8 +6,6 @@ The detector's stall rule presumes a moving arm, so alarms count while the arm m
 evaluated without that rule over the whole of every trial.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence

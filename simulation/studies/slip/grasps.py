@@ -4,8 +4,6 @@ The rows come from `python -m service judge`, the labels from a JSON file that s
 be checked. Runs are counted, not frames; a run whose label names no loss can only be called lost falsely.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any

@@ -1,7 +1,5 @@
 """The slip report for people: docs/slip_report.md from slip_report.json."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How far the tracker is from the truth on simulated descents: displacement RMS at 2 and 6 grey levels of noise."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ A quarter of the pressed nodes slipping is slip (``scene.numerics.slip_share``),
 slips (the arm goes on for a few frames), holds (the arm stops after contact but before slip) and free insertions.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A run counts by its most suspicious frame, so only the frames that look most lik
 lost, those between the visible slide and five frames before the loss; of a held one, all until it is let go.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

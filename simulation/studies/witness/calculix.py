@@ -4,8 +4,6 @@ Serendipity bricks with reduced integration (C3D20R), surface-to-surface penalty
 element, another contact and another iteration than in `simulation.foreign`. The plate goes where it is told.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Probes of the foreign cell beside CalculiX: the same plate on the same path presses the same pad."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field

@@ -1,7 +1,5 @@
 """Page of what a third party says of the finite elements, and of what accuracy costs in time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

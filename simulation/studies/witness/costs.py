@@ -4,8 +4,6 @@ All of them descend on one edge in equal parts of a depth. Errors are those of t
 and of the depth at which a quarter of the contact slips.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple

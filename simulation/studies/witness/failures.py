@@ -1,7 +1,5 @@
 """What the cameras showed at the end of each insertion of the sealed test that failed there: played again, drawn."""
 
-from __future__ import annotations
-
 import sys
 import textwrap
 from collections.abc import Sequence

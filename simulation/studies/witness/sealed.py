@@ -3,8 +3,6 @@
 Played in the cell of finite elements, and in our own tiers beside it from the same starts.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

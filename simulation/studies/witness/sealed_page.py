@@ -1,7 +1,5 @@
 """Page of the sealed test: what is missed first, then the figures, then every failure."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from typing import Any

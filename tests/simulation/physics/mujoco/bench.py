@@ -3,8 +3,6 @@
 `python -m tests.simulation.physics.mujoco.bench --out docs` writes mujoco.json and mujoco.md (4 CPU minutes).
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -9,8 +9,6 @@ friction carries part of the slope and the friction cone leans too. Or `apart`, 
 a tip that only moves into the pad, without friction, and shear through a second one that is pinched with that pressure.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

@@ -1,7 +1,5 @@
 """One poke in MuJoCo's time: the blocks come, stop gently and wait, and the object turns in the pads."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The pokes that both engines do: what varies between them, and which of a pad's two kinds of tips MuJoCo is given."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
