@@ -22,7 +22,6 @@ def write_durably(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write plain data, indented, durably."""
     write_durably(path, (json.dumps(data, indent=1) + "\n").encode())
 
 

@@ -21,7 +21,6 @@ class Column(NamedTuple):
     format: str = ""
 
     def cell(self, row: Any) -> str:
-        """The formatted value of a row."""
         return text_of(_value(row, self.key), self.format)
 
 
@@ -52,7 +51,6 @@ class Table:
     rows: tuple[Any, ...]
 
     def cells(self) -> list[list[str]]:
-        """The formatted cells, row by row."""
         return [[column.cell(row) for column in self.columns] for row in self.rows]
 
     def markdown(self) -> str:

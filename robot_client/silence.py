@@ -16,7 +16,6 @@ class Silence:
     _asked_s: float | None = None
 
     def heard(self, now_s: float) -> None:
-        """Something valid came."""
         self._heard_s = now_s
 
     def over(self, now_s: float) -> float | None:

@@ -71,7 +71,6 @@ class _Run(Contract):
 
     @property
     def folder(self) -> Path:
-        """Where this run writes."""
         return Path(self.runs) / self.name
 
 

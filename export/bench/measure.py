@@ -27,7 +27,6 @@ class Timing(NamedTuple):
 
     @classmethod
     def of(cls, wall_ms: NDArray[np.float64], cpu_ms: NDArray[np.float64]) -> "Timing":
-        """Percentiles of the calls."""
         return cls(len(wall_ms), *(float(np.percentile(times, q)) for times in (wall_ms, cpu_ms) for q in (50, 99)))
 
 

@@ -84,7 +84,6 @@ class Felt:
         self.gels: dict[Finger, str] = {}
 
     def on_event(self, state: State, event: Event) -> None:  # noqa: ARG002 the protocol's signature
-        """Note a decision."""
         if not isinstance(event, FromService):
             return
         if isinstance(event.message, wire.ServiceHello):
@@ -106,7 +105,6 @@ class Probing:
         self._settings, self._taught, self._out = settings, taught, out
 
     async def probe(self, x_mm: float, theta_deg: float, *, until_slip: bool = False) -> Ended:
-        """One probe from this error."""
         how = {"purpose": "probe", "until_slip": until_slip}
         plan = make_plan(self._settings, x_mm, theta_deg, None, None).model_copy(update=how)
         felt = Felt()

@@ -54,7 +54,6 @@ async def examine(settings: Settings) -> list[Row]:
 
 
 def examine_pc(recordings: Path) -> Iterator[Finding]:
-    """Cores, load, and room for recordings."""
     cores_n = len(os.sched_getaffinity(0))
     yield Finding(cores_n >= CORES_N, f"{cores_n} processor cores (expected {CORES_N} or more)")
     load = os.getloadavg()[0] / (os.cpu_count() or 1)

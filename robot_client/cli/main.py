@@ -164,7 +164,6 @@ def _replayed(path: Path) -> Outcome:
 
 
 def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
-    """A command that needs the cell's settings."""
     if args.command == "check":
         return check(settings)
     if args.command == "home":

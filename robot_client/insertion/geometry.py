@@ -99,7 +99,6 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def conjugate(q: Quaternion) -> Quaternion:
-    """The inverse rotation of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 

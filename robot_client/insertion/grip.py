@@ -8,7 +8,6 @@ from robot_client.insertion.state import Phase, State
 
 
 def grasp(state: State, at_s: float) -> Result:
-    """Have the gripper hold the object."""
     return replace(state, phase=Phase.GRASPING, deadline_s=at_s + state.plan.timeouts.grasping_s), (Grasp(),)
 
 

@@ -39,7 +39,6 @@ class Ramps(Contract):
     retract: Ramp = Ramp(speed_mm_s=25.0, acceleration_mm_s2=200.0, jerk_mm_s3=4000.0)
 
     def of(self, motion: Motion) -> Ramp:
-        """The ramp of one kind of motion."""
         return {"travel": self.travel, "descend": self.descend, "retract": self.retract}[motion]
 
     def duration_s(self, start: WorkPose, end: WorkPose, motion: Motion) -> float:

@@ -37,7 +37,6 @@ class Seconds:
 
     @property
     def total_s(self) -> float:
-        """All of them."""
         return sum(self.spent.values())
 
     def on_event(self, state: State, event: Event) -> None:

@@ -55,5 +55,4 @@ async def upright(
 
 
 def new_id() -> str:
-    """A name for an insertion, by the time."""
     return f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"

@@ -52,7 +52,6 @@ class Pace:
     ending: bool = False
 
     def order(self, word: str) -> str:
-        """Take an order; returns the answer to it."""
         match word.strip().lower():
             case "p" | "pause":
                 self.paused = True

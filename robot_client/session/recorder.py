@@ -38,15 +38,12 @@ class Recorder:
         self._write({"version": LOG_VERSION, "plan": plan.model_dump(mode="json")})
 
     def event(self, event: Event) -> None:
-        """Log an event."""
         self._write({"event": event.model_dump(mode="json")})
 
     def command(self, command: Command) -> None:
-        """Log a command that is being carried out."""
         self._write({"command": command.model_dump(mode="json")})
 
     def end(self, summary: dict[str, Any]) -> None:
-        """Log how it ended and close."""
         self._write({"end": summary})
         self._close()
 

@@ -46,7 +46,6 @@ class DryService:
     _targets_n: int = 0
 
     async def start(self, post: Post) -> None:
-        """Nothing to connect."""
         self._post = post
 
     def watch(self, pose: WorkPose) -> None:

@@ -45,7 +45,6 @@ class Report:
         self._stopped_s = 0.0
 
     def on_event(self, state: State, event: Event) -> None:
-        """Note what the event adds and print it."""
         entered, self._phase = state.phase is not self._phase, state.phase
         self.seconds.on_event(state, event)
         if isinstance(event, FromService):

@@ -157,7 +157,6 @@ class Runner:
         self.recorder.end(self.summary())
 
     def summary(self) -> dict[str, Any]:
-        """How it ended, for the log."""
         return {
             "phase": str(self.state.phase),
             "inserted": self.state.phase is Phase.INSERTED,

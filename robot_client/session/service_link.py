@@ -109,7 +109,6 @@ class ServiceLink:
         self._outbox.put_nowait(message)
 
     async def close(self) -> None:
-        """Send what is queued, then close."""
         self._post = None
         if self._connection is None:
             return

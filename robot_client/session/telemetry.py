@@ -24,7 +24,6 @@ class Telemetry:
     _samples: list[wire.RobotSample] = field(default_factory=list)
 
     def begin(self, start: WorkPose) -> None:
-        """Say what is to be done."""
         versions = {"client": _version(), "protocol": str(wire.PROTOCOL), "python": platform.python_version()}
         task, approach = self.plan.object, pose(self.plan.approach)
         named = self.plan.insertion_id
@@ -67,7 +66,6 @@ class Telemetry:
 
 
 def pose(of: WorkPose) -> wire.ToolPose:
-    """A pose as the wire has it."""
     return wire.ToolPose(x_mm=of.x_mm, y_mm=of.y_mm, z_mm=of.z_mm, yaw_deg=of.yaw_deg)
 
 

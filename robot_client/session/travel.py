@@ -74,5 +74,4 @@ async def _end(arm: Arm, tell: Callable[[str], None]) -> None:
 
 
 def pose_text(pose: WorkPose) -> str:
-    """A pose for a person."""
     return f"x {pose.x_mm:+.2f}, y {pose.y_mm:+.2f}, z {pose.z_mm:+.2f} mm, yaw {pose.yaw_deg:+.2f} deg"

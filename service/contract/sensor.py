@@ -112,7 +112,6 @@ class Sensor(Contract):
 
     @property
     def markers(self) -> MarkerSpec:
-        """The marker grid."""
         return MarkerSpec(
             rows=self.marker_rows,
             columns=self.marker_columns,

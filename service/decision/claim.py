@@ -43,7 +43,6 @@ class GraspRecord:
     turned_deg: float = 0.0
 
     def blocked(self, attempt: Attempt) -> None:
-        """Take in an attempt that was blocked."""
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
         late_mm = LATE_S * max(attempt.speed_mm_s or 0.0, went_mm_s(attempt))

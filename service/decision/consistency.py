@@ -82,7 +82,6 @@ class Followed:
         self.weights = weights / weights.sum()
 
     def move(self, command: Pair) -> None:
-        """Go on after a correction."""
         self.moved = self.moved + self.signs * command
         self.weights = _BLUR[0] @ self.weights @ _BLUR[1].T
 

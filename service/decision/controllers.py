@@ -34,7 +34,6 @@ class BeliefPicture:
     x_mm: Floats
     theta_deg: Floats
     probability: Floats
-    hit_probability: float
 
 
 class Controller(Protocol):
@@ -113,20 +112,20 @@ class Belief:
         if not consistent:
             fallback = Heuristic(self.limits).decide(evidence, attempt)
             reason = f"evidence contradicts the earlier attempts, heuristic used: {fallback.reason}"
-            return self._moved(Command(fallback.dx_mm, fallback.dtheta_deg, self.name, reason, self._picture(0.0)))
+            return self._moved(Command(fallback.dx_mm, fallback.dtheta_deg, self.name, reason, self._picture()))
         (dx, dtheta), hit = self.grid.best_move()
         mean, spread = self.grid.moments()
         reason = f"belief {_pair(mean)} +- {_pair(spread)}, next attempt inserts with p {hit:.2f}"
         reason += f", networks trusted with p {self.grid.trust:.2f}"
-        return self._moved(Command(dx, dtheta, self.name, reason, self._picture(hit)))
+        return self._moved(Command(dx, dtheta, self.name, reason, self._picture()))
 
     def blocked_without_evidence(self) -> None:
         """The pose failed; no move follows."""
         self.grid.absorb_failure()
         self.grid.creep()
 
-    def _picture(self, hit: float) -> BeliefPicture:
-        return BeliefPicture(self.grid.current_x_mm, self.grid.current_theta_deg, self.grid.probability.copy(), hit)
+    def _picture(self) -> BeliefPicture:
+        return BeliefPicture(self.grid.current_x_mm, self.grid.current_theta_deg, self.grid.probability.copy())
 
     def _moved(self, command: Command) -> Command:
         limited = within(command, self.limits)

@@ -140,7 +140,6 @@ class Descent:
             return []
 
     def add(self, pair: PairObservation) -> list[Floats]:
-        """The steps that one more pair completes."""
         if self._steps is None or self.problem:
             return []
         try:

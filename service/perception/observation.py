@@ -81,7 +81,6 @@ class PairObservation:
 
     @property
     def fingers(self) -> tuple[Observation, Observation]:
-        """Left, right."""
         return self.left, self.right
 
     @property

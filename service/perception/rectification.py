@@ -177,7 +177,6 @@ class _CameraTable(Contract):
 
 
 def _written(finger: Finger, camera: CameraCalibration) -> list[str]:
-    """Lines of the finger's table."""
     lens, warp, measured = camera.lens, camera.warp, camera.measured
     lines = [
         f"\n[{finger}]",

@@ -28,7 +28,6 @@ class Fingers:
     _witness: SlideWitness = field(default_factory=SlideWitness)
 
     def watch(self, finger: Finger) -> FingerWatch:
-        """The perception of one finger."""
         return self.left if finger == "left" else self.right
 
     def note(self, *frames: TactileFrame) -> None:

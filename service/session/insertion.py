@@ -228,7 +228,6 @@ class Insertion:
         return sent
 
     def _show(self) -> None:
-        """Pass observations on to watchers and the recording."""
         for observation in self._observed:
             self.show(observation)
             self._note(Recorder.observation, observation)

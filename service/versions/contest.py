@@ -78,7 +78,6 @@ class Contest(Contract):
         return math.fsum(bet.worth for bet in self._doubts.values()) / len(self._doubts)
 
     def because(self, role: Role) -> str:
-        """What speaks for it most, in words."""
         if role == "shadow":
             return "it foretells better what goes in, and its intervals hold"
         return max(self._doubts, key=lambda doubt: self._doubts[doubt].worth)

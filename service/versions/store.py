@@ -89,7 +89,6 @@ class Store:
         return wiring
 
     def close(self) -> None:
-        """Let another service have it."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None
@@ -122,7 +121,6 @@ class Store:
         return version
 
     def _holds(self, version: str) -> bool:
-        """Whether a version is kept, and whole."""
         files = (path.read_bytes() for path in (self.home / version).glob("*.onnx"))
         return _name(hashlib.sha256(content).hexdigest() for content in files) == version
 

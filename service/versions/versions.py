@@ -96,7 +96,6 @@ class Versions:
         self._now = _Now(wiring, networks)
 
     def close(self) -> None:
-        """Let another service have the folder."""
         self._store.close()
 
     @property

@@ -36,7 +36,6 @@ class CameraFeed:
         self._thread = threading.Thread(target=self._run, name=f"camera-{camera.finger}", daemon=True)
 
     def start(self) -> None:
-        """Start drawing."""
         self._thread.start()
 
     def stop(self) -> None:

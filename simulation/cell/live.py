@@ -157,7 +157,6 @@ class LiveCell:
             self.cabinet.arm.limits = MotionLimits(lag_s=wanted)
 
     async def start(self) -> None:
-        """Return once every device answers."""
         loop = self._loop = asyncio.get_running_loop()
         await asyncio.to_thread(self.world.warm)
         for index, finger in enumerate(FINGERS):

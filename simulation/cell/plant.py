@@ -81,7 +81,6 @@ def build(scene: Scene, options: CellOptions) -> Plant:
 
 
 def _pose_of(cell: QuasiStaticCell) -> Pose:
-    """Where the mechanics have the TCP."""
     x, y, z, yaw = (float(value) for value in cell.pose)
     return Pose((x, y, z), tool_down(math.degrees(yaw)))
 

@@ -38,7 +38,6 @@ class Result:
     cores: tuple[float, float] = (math.nan, math.nan)  # mean CPU of cell and service during the insertion
 
     def as_json(self) -> str:
-        """One indented JSON object."""
         return json.dumps(asdict(self), indent=1)
 
 
@@ -108,7 +107,6 @@ def collect(
 def screen(
     result: Result, recording: Path | None, drawn: Path | None, folder: Path, film: Path | None = None
 ) -> list[str]:
-    """The one-screen report."""
     word = "INSERTED" if result.inserted else "NOT INSERTED"
     count = f"{result.attempts} attempt{'' if result.attempts == 1 else 's'}"
     lines = [

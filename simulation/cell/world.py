@@ -8,7 +8,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -45,10 +45,7 @@ class Course:
     max_block_shift_mm: float = 0.0
     max_block_tilt_deg: float = 0.0
     max_force_n: float = 0.0
-    max_slipping_share: float = 0.0
     frames: int = 0
-    unsolved: int = 0  # moves for which the physics found no equilibrium
-    contact_events: list[tuple[int, float]] = field(default_factory=list)  # (captured_ns, bottom z) at each touchdown
 
 
 class World:
@@ -92,11 +89,9 @@ class World:
         self._advance(self._pose())
 
     def start(self) -> None:
-        """Start the cameras' clock."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop the clock."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join(timeout=5.0)
@@ -151,7 +146,7 @@ class World:
             captured_ns = time.monotonic_ns()
             before = self._gel
             self._advance(self._pose())
-            self._note(captured_ns)
+            self._note()
             for sink in self._sinks:
                 sink(Exposure(seq, captured_ns, self._gel, before))
             now_s = time.monotonic()
@@ -174,14 +169,13 @@ class World:
         try:
             self.state = self._mechanics.move_to(*where)
         except RuntimeError as error:  # no equilibrium: the arm was driven into the blocks
-            self.course.unsolved += 1
             self.on_unsolved(str(error))
             return
         self._gel = np.array(self.state.gel, np.float32)
         if self.state.grasp_lost:
             self.held = False
 
-    def _note(self, captured_ns: int) -> None:
+    def _note(self) -> None:
         course, state = self.course, self.state
         course.frames += 1
         if state is None:
@@ -190,13 +184,6 @@ class World:
         course.max_block_shift_mm = max(course.max_block_shift_mm, float(np.hypot(motion[:, 0], motion[:, 1]).max()))
         course.max_block_tilt_deg = max(course.max_block_tilt_deg, float(motion[:, 3].max()))
         course.max_force_n = max(course.max_force_n, float(np.linalg.norm(np.asarray(state.wrench_n_nmm)[:3])))
-        course.max_slipping_share = max(course.max_slipping_share, float(np.max(state.slipping_share)))
-        touching = bool(state.in_contact)
-        if touching and not self._touching:
-            course.contact_events.append((captured_ns, float(state.bottom_z_mm)))
-        self._touching = touching
-
-    _touching = False
 
 
 class HeldPart:
@@ -223,11 +210,9 @@ class HeldPart:
         return self._size_mm if self._there else None
 
     def gripped(self, force_n: float) -> None:
-        """The fingers hold it."""
         self._world.grip(force_n, fed=self._fed)
 
     def released(self) -> None:
-        """The fingers opened, or it slipped out."""
         self._there = self._is_home()
         self._world.let_go(put_back=self._there)
 
@@ -237,5 +222,4 @@ class HeldPart:
         return near and abs(at.yaw_deg - home.yaw_deg) < 2.0
 
     def lost(self) -> bool:
-        """The mechanics lost the grasp."""
         return self._world.state is not None and bool(self._world.state.grasp_lost)

@@ -61,10 +61,9 @@ def main(arguments: list[str]) -> int:
     )
     played = _variants(options)
     setup = fingerprint({variant.title: variant.models for variant in played})
-    campaign.claim(options.out, setup)
-    todo = drawn_worlds.tasks(played, begun, options.seed, options.perception)
-    rows = campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers, ray=options.ray)
-    sys.stdout.write(drawn_worlds.write(rows, played, begun, setup, options.docs))
+    rows = options.play(drawn_worlds.tasks(played, begun, options.seed, options.perception), setup)
+    data = drawn_worlds.report_of(rows, played, begun, setup)
+    sys.stdout.write(publish(options.docs, drawn_worlds.NAME, drawn_worlds.drawn_worlds_page(data), data))
     return 0
 
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import tyro
 
+from reporting.page import publish
+from simulation.cli.drawn_worlds import drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
-from simulation.closed_loop import campaign
 from simulation.closed_loop.campaign import fingerprint
 from simulation.closed_loop.job import Perception
-from simulation.scene import drawn
 from simulation.scene.worlds import files_in, load_objects, load_world
 from simulation.studies import trust
 
@@ -40,13 +40,10 @@ def main(arguments: list[str]) -> int:
     """Run, print the page, write the files."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion trust")
     options.check()
-    worlds = [load_world(path) for path in files_in(options.worlds)] if options.worlds else []
-    for number, tables in enumerate(drawn.draw_worlds(options.drawn_n, options.seed)):
-        tables["gel"]["tier"] = "layer" if number < options.layer_share * options.drawn_n else "bristle"
-        worlds.append(drawn.world(tables, f"drawn-{number:04d}"))
+    worlds = [load_world(path) for path in files_in(options.worlds)]
+    worlds += drawn_worlds_of(options.drawn_n, options.seed, options.layer_share)
     setup = fingerprint({"belief": options.models})
     todo = trust.tasks(worlds, load_objects(options.objects), options.count, options.seed, options.models, "")
-    campaign.claim(options.out, setup)
-    rows = campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers, ray=options.ray)
-    sys.stdout.write(trust.write(rows, setup, options.docs))
+    data = trust.report_of(options.play(todo, setup), setup)
+    sys.stdout.write(publish(options.docs, trust.NAME, trust.trust_page(data), data))
     return 0

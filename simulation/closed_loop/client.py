@@ -75,7 +75,6 @@ def _as_set(plan: Plan, client: Settings) -> Plan:
 
 
 def walk_of(plan: Plan, here: WorkPose, move: Move) -> Walk:
-    """The way of a descent over time."""
     if move.legs:
         return plan.ramps.in_legs(here.z_mm, move.legs).position
     return plan.ramps.profile(here, move.target, move.motion).position

@@ -103,7 +103,6 @@ class LockstepCell:
 
     @property
     def now_s(self) -> float:
-        """The clock in seconds."""
         return self.now_ns / 1e9
 
     @property

@@ -5,8 +5,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from simulation.scene.worlds import known_object
-
 Row = dict[str, Any]
 
 FAILED_COUNTS_AS = 16
@@ -20,16 +18,6 @@ SIGNS: Mapping[str, tuple[int, int]] = {
 def title_of(scene: str) -> str:
     """Name of an object that a row calls by its name or by the path of its file."""
     return Path(scene).stem
-
-
-def in_order(scenes: Iterable[str]) -> list[str]:
-    """Each object once, as tables list them: in the order that their files state, then by name."""
-
-    def place(scene: str) -> tuple[float, str]:
-        known = known_object(scene)
-        return math.inf if known is None or known.order is None else known.order, title_of(scene)
-
-    return sorted(set(scenes), key=place)
 
 
 def trials_of(row: Row) -> int:

@@ -52,7 +52,6 @@ class Plan:
 
     @property
     def file_name(self) -> str:
-        """File name of the shard inside the dataset."""
         return shard_file_name(self.scene_name, self.shard)
 
     def group_id(self, number: int) -> int:

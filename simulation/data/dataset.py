@@ -120,7 +120,6 @@ class DatasetWriter:
         return complete
 
     def close(self) -> None:
-        """Let another process write."""
         self._lock.close()
 
     def _save(self) -> None:

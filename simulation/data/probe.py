@@ -15,7 +15,7 @@ __all__ = ["CellState", "Outcome", "PhysicsError", "Probe", "QuasiStaticCell", "
 Outcome = Literal["blocked", "inserted", "grasp_lost"]
 INSERTION_DEPTH_MM = 25.0
 ONSET_MM = 0.02  # markers that moved by this much, about 0.3 px, show motion of the object
-DECISION_FRAMES = 8
+FRAMES, DECISION_FRAMES = 30, 8  # kept of a descent, and those of them that a decision rests on
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,37 +69,18 @@ def run_probe(
     theta_deg: float,
     *,
     seed: int = 0,
-    fps: int | None = None,
-    frames: int = 30,
-    speed_mm_s: float | None = None,
-    stop_delay_frames: int = 0,
-    overtravel_mm: float = 0.0,
 ) -> Probe:
     """Regrasp at the error given, descend until slip, a full insertion or the force limit, and keep the last frames.
 
-    The stop takes effect stop_delay_frames after the frame that shows slip, plus overtravel_mm. Frames are then taken
-    while the arm stands still until the decision's 8 frames from the onset are complete.
-
     Given a Cell instead of a Scene, its compiled state is used again: the blocks are put back and the object is held
     afresh, as with a new one; only the draw of the grasp's pre-tilt goes on from where the cell's stream stands. For
-    pokes that leave blocks and object as they are, use `descend`. Raises PhysicsError where no equilibrium is found
-    and ValueError for arguments that make no sense.
+    pokes that leave blocks and object as they are, use `descend`. Raises PhysicsError where no equilibrium is found.
     """
     cell = scene if isinstance(scene, QuasiStaticCell) else QuasiStaticCell(scene, seed)
     if isinstance(scene, QuasiStaticCell):
         cell.reset_blocks()
     cell.regrasp(x_mm, theta_deg)
-    return descend(
-        cell,
-        x_mm,
-        theta_deg,
-        phase=float(np.random.default_rng((seed, 1)).random()),
-        fps=fps,
-        frames=frames,
-        speed_mm_s=speed_mm_s,
-        stop_delay_frames=stop_delay_frames,
-        overtravel_mm=overtravel_mm,
-    )
+    return descend(cell, x_mm, theta_deg, phase=float(np.random.default_rng((seed, 1)).random()))
 
 
 def descend(
@@ -107,21 +88,20 @@ def descend(
     x_mm: float,
     theta_deg: float,
     *,
-    phase: float = 0.5,
+    phase: float,
     fps: float | None = None,
-    frames: int = 30,
-    speed_mm_s: float | None = None,
     stop_delay_frames: int = 0,
     overtravel_mm: float = 0.0,
     press_mm: float | None = None,
 ) -> Probe:
     """As `run_probe`, from where the cell stands now: for pokes that follow one another without a new fixture.
 
-    phase: when the first frame falls within a frame period, 0..1. press_mm: do not stop on slip, but so far below the
-    depth of the onset's frame, or at the force limit.
+    phase: when the first frame falls within a frame period, 0..1. The stop takes effect stop_delay_frames after the
+    frame that shows slip, plus overtravel_mm. Frames are then taken while the arm stands still until the decision's 8
+    frames from the onset are complete. press_mm: do not stop on slip, but so far below the depth of the onset's frame,
+    or at the force limit.
     """
-    rate, speed = fps or cell.scene.fps, speed_mm_s or cell.scene.speed_mm_s
-    _check(frames, rate, speed, stop_delay_frames, overtravel_mm)
+    rate, speed = fps or cell.scene.fps, cell.scene.speed_mm_s
     cell.pace_mm_s = speed
     if cell.coasting is not None:
         cell.coasting.speed_mm_s = speed
@@ -132,16 +112,7 @@ def descend(
     still_moves = cell.coasting is not None or cell.relaxes
     while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
         record.add(cell.wait(1.0 / rate) if still_moves else record.states[-1], record.depth_mm[-1])
-    return _keep(record, frames, slip, stop, outcome, x_mm, theta_deg)
-
-
-def _check(frames: int, rate: float, speed: float, stop_delay_frames: int, overtravel_mm: float) -> None:
-    sound = frames > DECISION_FRAMES and stop_delay_frames >= 0 and overtravel_mm >= 0.0
-    if not (sound and rate > 0 and speed > 0.0):
-        raise ValueError(
-            f"probe: expected frames > {DECISION_FRAMES}, fps and speed > 0, delay and overtravel >= 0, got "
-            f"{frames}, {rate}, {speed}, {stop_delay_frames}, {overtravel_mm}"
-        )
+    return _keep(record, slip, stop, outcome, x_mm, theta_deg)
 
 
 def _lower(
@@ -178,24 +149,16 @@ def _lower(
             return slip, "blocked"
 
 
-def _keep(
-    record: _Recorder, frames: int, slip: int, stop: int, outcome: Outcome, x_mm: float, theta_deg: float
-) -> Probe:
-    count = len(record.states)
-    last = count
-    if record.onset >= 0:
-        last = (
-            max(record.onset + DECISION_FRAMES + 1, min(count, record.onset + frames - 4))
-            if outcome == "inserted"
-            else count
-        )
-        last = min(last, count)
-    index = np.maximum(np.arange(last - frames, last), 0)
-    shift = frames - last
+def _keep(record: _Recorder, slip: int, stop: int, outcome: Outcome, x_mm: float, theta_deg: float) -> Probe:
+    last = len(record.states)
+    if record.onset >= 0 and outcome == "inserted":
+        last = min(last, record.onset + FRAMES - 4)
+    index = np.maximum(np.arange(last - FRAMES, last), 0)
+    shift = FRAMES - last
     states = [record.states[i] for i in index]
 
     def place(frame: int) -> int:
-        return frame + shift if frame >= 0 and 0 <= frame + shift < frames else -1
+        return frame + shift if frame >= 0 and 0 <= frame + shift < FRAMES else -1
 
     return Probe(
         gel=np.stack([state.gel for state in states]).astype(np.float16),

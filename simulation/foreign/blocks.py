@@ -62,7 +62,6 @@ class Bodies:
         self.reset()
 
     def reset(self) -> None:
-        """Both blocks stand where the scene has them."""
         sink = 0.25 * self._block_weight_n / TABLE_N_PER_MM if self.free else 0.0
         self.block_turn = np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])])
         self.block_place = np.array([[self._half_gap_mm, 0.0, -sink], [-self._half_gap_mm, 0.0, -sink]])
@@ -82,7 +81,6 @@ class Bodies:
         return self.block_turn.copy(), self.block_place.copy()
 
     def recall(self, memory: tuple[Array, ...]) -> None:
-        """Put back what `memory` gave."""
         self.block_turn, self.block_place = (part.copy() for part in memory)
 
     def begin(self, grip: Grip, before: Hand, after: Hand) -> None:

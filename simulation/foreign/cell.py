@@ -228,7 +228,6 @@ class ForeignCell:
         return float(bottom[0]), math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
 
     def look(self) -> CellState:
-        """The state now, without moving."""
         grip, scene = self.grip, self.scene
         turn, place = self.bodies.pose(grip)
         pose = Pose(turn, place - turn[:, 2] * scene.grasp.height_mm, scene.object.footprint_mm)

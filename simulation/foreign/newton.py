@@ -80,7 +80,6 @@ class Step:
         self.drive.move(self.grip, motion)
 
     def undo(self) -> None:
-        """Put all back as the step was given."""
         self.drive.recall(self._memory)
         self.grip.take(self._before)
 

@@ -38,11 +38,9 @@ class Grip:
     status: NDArray[np.int8]
 
     def copy(self) -> "Grip":
-        """Independent of this one."""
         return Grip(self.turn.copy(), self.place.copy(), self.opening, self.on.copy(), self.status.copy())
 
     def take(self, other: "Grip") -> None:
-        """Become a copy of another one."""
         self.turn, self.place, self.opening = other.turn.copy(), other.place.copy(), other.opening
         self.on, self.status = other.on.copy(), other.status.copy()
 

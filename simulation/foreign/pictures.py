@@ -56,7 +56,6 @@ class Camera:
 
     @property
     def calibration(self) -> CameraCalibration:
-        """The exact calibration of this camera."""
         return CameraCalibration(self._homography, self.sensor.raw, self.sensor.rectified)
 
     def raw(self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None) -> Image:

@@ -81,7 +81,7 @@ class Appearance:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any], sensor: Sensor) -> Self:
-        """Inverse of :meth:`as_dict` (also after JSON); keys an older shard lacks keep their defaults.
+        """Inverse of :meth:`as_dict` (also after JSON).
 
         Raises ValueError naming unknown keys, or the scale if it is another sensor's.
         """
@@ -89,7 +89,7 @@ class Appearance:
         unknown = set(own) - {f.name for f in dataclasses.fields(cls)}
         if unknown:
             raise ValueError(f"appearance has unknown keys {sorted(unknown)}")
-        if data.get("mm_per_px", sensor.mm_per_px) != sensor.mm_per_px:
+        if data["mm_per_px"] != sensor.mm_per_px:
             raise ValueError(f"appearance has mm_per_px {data['mm_per_px']}, sensor {sensor} {sensor.mm_per_px}")
         return cls(sensor=sensor, **own)
 

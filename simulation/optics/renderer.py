@@ -75,7 +75,6 @@ class Renderer:
 
     @property
     def calibration(self) -> CameraCalibration:
-        """The exact calibration of this camera."""
         return CameraCalibration(self.homography, self.sensor.raw, self.sensor.rectified)
 
     @property

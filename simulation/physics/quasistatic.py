@@ -248,7 +248,6 @@ class QuasiStaticCell:
         return "friction unsettled" if self.state["report"][0] <= 1e-3 else "forces unbalanced"
 
     def lost(self) -> bool:
-        """Whether the object has left the grasp."""
         return self.grasp_lost
 
     def _grips(self) -> Array:
@@ -269,7 +268,6 @@ class QuasiStaticCell:
         return float(bottom[0]), math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
 
     def look(self) -> CellState:
-        """The state now, without moving."""
         turn, place = self._world()
         centre = place + turn[:, 2] * float(self.constants["bottom"][0])
         pose, motion = Pose(turn, centre, self.foot), block_motion(self.state, 0.5 * self.scene.blocks.gap_mm)

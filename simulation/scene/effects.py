@@ -158,7 +158,6 @@ def decide(effect: Effect, scene: Scene) -> tuple[bool, str]:
 
 
 def active_effects(scene: Scene) -> Active:
-    """All switches of a scene."""
     return Active(**{effect.key: decide(effect, scene)[0] for effect in EFFECTS})
 
 

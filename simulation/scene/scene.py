@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
-from pydantic_core import to_json
 
 from service.contract import Sensor
 from service.contract.refusals import describe
@@ -17,19 +16,8 @@ from simulation.scene import shapes
 from simulation.scene.parts import Blocks, Camera, Effects, Figures, Gel, Grasp, HeldObject, Numerics, Part
 
 APPROACH_MM = 5.0  # how high above the block tops a descent starts
-YOUNGER_KEYS = {
-    "blocks": ("insertion_depth_mm",),
-    "object": ("vertices_mm", "texture_period_mm", "texture_gain"),
-    "camera": ("readout_ms", "latency_ms"),
-    "gel": ("poisson_ratio", "margin_mm", "relaxation_share", "relaxation_s"),
-    "grasp": ("finger_stiffness_n_per_mm",),
-    "effects": ("inertia", "rolling_shutter", "poisson", "gel_edges", "relaxation", "finger_compliance"),
-}
-RECORD = ("training", "order", "paper")  # keys that change nothing of the cell
-FIRST_SENSOR_KEYS = (
-    *("mm_per_px", "raw_width_px", "raw_height_px", "width_px", "height_px"),
-    *("marker_columns", "marker_rows", "marker_pitch_px", "marker_diameter_px"),
-)
+OF_NO_CELL: dict[str, Any] = {"training": True, "order": True, "paper": True, "camera": {"sensor": {"name"}}}
+"""What a scene says that changes nothing of its cell."""
 
 
 class SceneError(ValueError):
@@ -124,7 +112,6 @@ class Scene(Part):
 
     @property
     def sensor(self) -> Sensor:
-        """The profile of both fingers."""
         return self.camera.sensor
 
     @property
@@ -134,27 +121,11 @@ class Scene(Part):
 
     @property
     def fps(self) -> float:
-        """Frames a second."""
         return self.camera.fps or self.sensor.fps
 
     def identity_json(self) -> str:
-        """Everything about the cell, as one line of JSON: what data sets know it by.
-
-        A key younger than the first data sets counts only where it is set, so that they keep their scenes. The sensor's
-        numbers stand where they stood then, among the camera's; its name does not count.
-        """
-        left_out: dict[str, Any] = dict.fromkeys(RECORD, True)
-        for part, keys in YOUNGER_KEYS.items():
-            values = getattr(self, part)
-            fields = type(values).model_fields
-            left_out[part] = {key for key in keys if getattr(values, key) == fields[key].default}
-        left_out["camera"] |= {"sensor", "fps"}
-        data = self.model_dump(exclude=left_out)
-        sensor, usual = self.sensor.model_dump(exclude={"name", "fps"}), Sensor.load().model_dump()
-        first = {key: sensor.pop(key) for key in FIRST_SENSOR_KEYS}
-        younger = {key: value for key, value in sensor.items() if value != usual[key]}
-        data["camera"] = {"fps": self.fps, **first, **data["camera"], **({"sensor": younger} if younger else {})}
-        return to_json(data).decode()
+        """Everything about the cell, as one line of JSON: what data sets know it by."""
+        return self.model_dump_json(exclude=OF_NO_CELL)
 
     @property
     def number(self) -> int:

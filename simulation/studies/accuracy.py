@@ -123,7 +123,6 @@ def error_of(end: End, reference: End) -> Error:
 
 
 def measure(repeats: int, show: Callable[[int], None]) -> list[Cost]:
-    """Every setting on every scene."""
     out: list[Cost] = []
     for scene in training_objects():
         references = {tier: poke(scene, tier, changes, 1) for tier, changes in REFERENCES.items()}

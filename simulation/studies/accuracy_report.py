@@ -16,7 +16,6 @@ ERRORS = (("position um", "position_um", ".2f"), ("turn deg", "turn_deg", ".4f")
 
 
 def accuracy_page(report: Row) -> str:
-    """The whole of docs/accuracy.md from accuracy.json."""
     times: dict[str, dict[str, float]] = report["probe_ms"]
     kinds, raw = next(iter(times.values())), Sensor.load().raw
     return page(

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reporting.page import page, publish
+from reporting.page import page
 from reporting.statistics import wilson
 from reporting.table import table
 from simulation.closed_loop.benchmark import first_answers
@@ -133,7 +133,6 @@ def _untrue(row: Row) -> Row:
 
 
 def drawn_worlds_page(data: Row) -> str:
-    """The whole of docs/drawn_worlds.md from drawn_worlds.json."""
     first = data["variants"][0]
     wrong = wilson(first["claimed_wrongly"], first["insertions"])
     done = wilson(first["inserted"], first["insertions"])
@@ -175,9 +174,3 @@ def drawn_worlds_page(data: Row) -> str:
             *COLUMNS,
         ),
     )
-
-
-def write(rows: Sequence[Row], variants: Sequence[Variant], begun: Sequence[Start], setup: Row, docs: Path) -> str:
-    """Write NAME.md and NAME.json into the folder; returns the text."""
-    data = report_of(rows, variants, begun, setup)
-    return publish(docs, NAME, drawn_worlds_page(data), data)

@@ -40,7 +40,6 @@ class Tally:
     cpu_s: float = 0.0
 
     def add(self, other: "Tally") -> None:
-        """Add another tally to this one."""
         self.ended += other.ended
         self.worst_residual_n = max(self.worst_residual_n, other.worst_residual_n)
         self.worst_cone_n_per_mm2 = max(self.worst_cone_n_per_mm2, other.worst_cone_n_per_mm2)
@@ -48,12 +47,10 @@ class Tally:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Self:
-        """Inverse of `as_dict`."""
         cpu_s = 1e-3 * data["cpu_ms_per_probe"] * data["probes"]
         return cls(Counter(data["ended"]), data["worst_residual_n"], data["worst_cone_violation_n_per_mm2"], cpu_s)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
         return {
             "probes": self.ended.total(),
             "ended": dict(sorted(self.ended.items())),

@@ -8,7 +8,6 @@ from simulation.studies.hard_probes import CONE_N_PER_MM2, RESIDUAL_N
 
 
 def hard_probes_page(report: dict[str, Any]) -> str:
-    """The whole of docs/hard_probes.md from hard_probes.TIER.json."""
     total = report["probes"]
     return page(
         f"""

@@ -53,7 +53,6 @@ def _row(axes: Sequence[Any], name: str, options: Options) -> None:
 
 
 def draw(options: Options) -> None:
-    """One row of pictures an object."""
     rows, columns = len(options.objects), len(COLUMNS)
     with drawing(options.out, rows, columns, size=(16, 2.9 * rows), dpi=60) as panels:
         for axes, name in zip(panels, options.objects, strict=True):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from reporting.page import page, publish
+from reporting.page import page
 from reporting.statistics import wilson
 from reporting.table import table
 from service.contract import FINGERS, Finger
@@ -119,7 +119,6 @@ def _short(reason: str) -> str:
 
 
 def trust_page(data: Row) -> str:
-    """The whole of docs/trust.md from trust.json."""
     every, by_fault = data["all"], {row["fault"]: row for row in data["faults"]}
     wrong = wilson(every["claimed_wrongly"], every["insertions"])
     good = by_fault.get(WITHOUT, figures([]))
@@ -171,9 +170,3 @@ def _untrue(rows: Sequence[Row]) -> tuple[Any, ...]:
         "## Claims that were not true",
         table(rows, ("world and fault", "condition"), ("object", "scene"), ("seed", "seed", "d"), against),
     )
-
-
-def write(rows: Sequence[Row], setup: Mapping[str, Any], docs: Path) -> str:
-    """Write NAME.md and NAME.json into the folder; returns the text."""
-    data = report_of(rows, setup)
-    return publish(docs, NAME, trust_page(data), data)

@@ -16,7 +16,7 @@ import pytest
 
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import insert, models_of
-from simulation.data.probe import run_probe
+from simulation.data.probe import QuasiStaticCell, run_probe
 from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import load_scene
 
@@ -66,7 +66,9 @@ def sha256(*arrays: np.ndarray) -> str:
 def probe(row: dict[str, Any]) -> dict[str, Any]:
     scene = load_scene(row["scene"]).varied(row["changes"])
     try:
-        made = run_probe(scene, row["x_mm"], row["theta_deg"], seed=row["seed"], speed_mm_s=row.get("speed_mm_s"))
+        cell = QuasiStaticCell(scene, row["seed"])
+        cell.scene = scene.varied({"speed_mm_s": row["speed_mm_s"] or scene.speed_mm_s})
+        made = run_probe(cell, row["x_mm"], row["theta_deg"], seed=row["seed"])
     except PhysicsError:
         return {"outcome": "refused"}
     return {

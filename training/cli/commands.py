@@ -145,7 +145,6 @@ def expect(
 
 
 def print_table(figures: dict[str, dict[str, float]]) -> None:
-    """What was measured of each object and split."""
     names = "trials accuracy chance ece wrong_side_x mae_x_mm mae_theta_deg rmse_x_mm rmse_theta_deg"
     columns = (names + " coverage90_x coverage90_theta").split()
     for row, values in figures.items():

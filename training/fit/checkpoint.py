@@ -33,7 +33,7 @@ class Checkpoint:
     training_data_sha256: str
     git_commit: str
     run: dict[str, JsonValue] = field(default_factory=dict)
-    """Settings of the run it came from; empty in checkpoints older than the field."""
+    """Settings of the run it came from."""
     sensor: Sensor = field(default_factory=Sensor.load)
     """Of the data it was trained on."""
     pressing: Pressing | None = None
@@ -42,7 +42,6 @@ class Checkpoint:
     """Of attempts with it, for the belief."""
 
     def save(self, path: Path) -> None:
-        """Write atomically."""
         about = {
             "format": _FORMAT,
             "name": self.name,
@@ -71,12 +70,10 @@ class Checkpoint:
             if about.pop("format") != _FORMAT:
                 raise ContractError(f"checkpoint {path} has another format, expected {_FORMAT}")
             about["network"] = NetworkConfig.model_validate(about["network"])
-            if "sensor" in about:
-                about["sensor"] = Sensor.model_validate(about["sensor"])
+            about["sensor"] = Sensor.model_validate(about["sensor"])
             if about.get("pressing"):
                 about["pressing"] = Pressing.model_validate(about["pressing"])
-            if "expectations" in about:
-                about["expectations"] = Expectations.model_validate_json(json.dumps(about["expectations"]))
+            about["expectations"] = Expectations.model_validate_json(json.dumps(about["expectations"]))
             for name in ("scales", "joint_scales"):
                 about[name] = Scales(**about[name])
             return cls(weights=stored["weights"], **about)

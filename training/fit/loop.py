@@ -165,5 +165,4 @@ def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lamb
         raise ContractError(f"{path} holds another architecture, expected this run's") from error
     optimiser.load_state_dict(stored["optimiser"])  # brings its learning rate along
     schedule.last_epoch = stored["schedule"]["last_epoch"]
-    at = {name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state")}
-    return _Progressed(**at, minutes=stored.get("minutes", 0.0))
+    return _Progressed(**{name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state", "minutes")})

@@ -119,7 +119,6 @@ class Trainer:
         return self.normalised(batch)[rows, rows % batch.length.clamp(max=self.most_steps), :, :2]
 
     def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
-        """The pair's predictions of trials."""
         state = self.states(chosen, pictures=pictures)
         with torch.inference_mode():
             outputs = (self.network.logits(state), *self.network.error(state))
@@ -128,7 +127,6 @@ class Trainer:
         return Predictions(logits, error, log_sigma, truth, self.trials.objects[chosen])
 
     def predict_density(self, chosen: NDArray[np.int64], *, pictures: bool) -> Densities:
-        """The joint densities of trials."""
         state = self.states(chosen, pictures=pictures)
         with torch.inference_mode():
             density = self.network.log_density(state).double().numpy()

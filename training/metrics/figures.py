@@ -57,7 +57,6 @@ class Predictions:
                 raise ContractError(f"predictions hold a {name} that is not finite")
 
     def take(self, chosen: NDArray[np.bool_]) -> Self:
-        """The chosen rows."""
         return replace(self, **{name: getattr(self, name)[chosen] for name in self.__slots__})
 
     def calibration(self) -> Scales:
@@ -70,13 +69,11 @@ class Predictions:
         return Scales(float(grid[int(np.argmin(losses))]), float(scale[0]), float(scale[1]))
 
     def rescaled(self, scales: Scales) -> "Predictions":
-        """The predictions with their calibration applied."""
         shift = np.log([scales.sigma_x, scales.sigma_theta])
         return replace(self, logits=self.logits / scales.temperature, log_sigma=self.log_sigma + shift)
 
 
 def probabilities(logits: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
-    """Softmax of logits / temperature."""
     scaled = logits / temperature
     scaled = scaled - scaled.max(-1, keepdims=True)
     weights = np.exp(scaled)

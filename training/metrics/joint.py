@@ -44,7 +44,6 @@ class Densities:
     objects: NDArray[np.str_]
 
     def take(self, chosen: NDArray[np.bool_]) -> Self:
-        """The chosen trials."""
         return replace(
             self, log_density=self.log_density[chosen], truth=self.truth[chosen], objects=self.objects[chosen]
         )
@@ -64,5 +63,4 @@ class Densities:
         return replace(self.predictions(temperature).calibration(), temperature=temperature)
 
     def rescaled(self, scales: Scales) -> Predictions:
-        """Predictions of the densities with their calibration applied."""
         return self.predictions(scales.temperature).rescaled(replace(scales, temperature=1.0))

@@ -27,11 +27,9 @@ class AffineFit(nn.Module):
         self.read = nn.Linear(NUMBERS, size)
 
     def forward(self, fields: Tensor) -> Tensor:
-        """See class."""
         return self.read_raw(self.raw(fields))
 
     def read_raw(self, raw: Tensor) -> Tensor:
-        """Features of what :meth:`raw` gave."""
         return torch.relu(self.read(raw / self.spread))
 
     def set_spread(self, fields: Tensor) -> None:

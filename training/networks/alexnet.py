@@ -101,7 +101,6 @@ class AlexNetLstm(nn.Module):
         return self.alexnet.classifier(self.convolved(images)).reshape(-1, 2 * HIDDEN)  # type: ignore[no-any-return]
 
     def advance(self, features: Tensor, geometry: Tensor | None, state: Tensor) -> Tensor:  # noqa: ARG002 the paper's networks know pictures alone
-        """One step of the LSTM."""
         hidden, cell = self.lstm(features, (state[:, :LSTM], state[:, LSTM:]))
         return torch.cat([hidden, cell], 1)
 

@@ -95,7 +95,6 @@ class Decider(nn.Module):
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
 
     def grid(self, sensor: Sensor) -> tuple[int, int]:
-        """Rows and columns that the trunk reads."""
         return sensor.marker_rows, sensor.marker_columns
 
     def set_scales(self, fields: Tensor) -> None:
@@ -123,7 +122,6 @@ class Decider(nn.Module):
         return self
 
     def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
-        """One recurrent step."""
         return self.trunk.advance(features, geometry, state)
 
     def logits(self, state: Tensor) -> Tensor:

@@ -57,7 +57,6 @@ class _Form(nn.Module):
         self.role = role
 
     def decide(self, state: Tensor) -> tuple[Tensor, ...]:
-        """Outputs of this role."""
         if self.role == "joint":
             return (self.network.log_density(state),)
         if self.role == "pair":

@@ -55,7 +55,6 @@ class Strangeness(nn.Module):
         self.register_buffer("limit", torch.ones(()))
 
     def forward(self, fields: Tensor) -> Tensor:
-        """See class."""
         away = self._shape(fields) - self.mean
         along = away @ self.axes
         beside = (away.square().sum(1) - along.square().sum(1)).clamp_min(0.0) / self.rest

@@ -41,7 +41,6 @@ class Motions(NamedTuple):
     groups: NDArray[np.str_]
 
     def of(self, split: str) -> NDArray[np.int64]:
-        """Indices of a split."""
         return np.flatnonzero(self.split == SPLITS.index(split))
 
     def tensors(self, chosen: NDArray[np.int64], rng: np.random.Generator | None = None) -> tuple[Tensor, ...]:

@@ -27,20 +27,16 @@ class DryGripper(Gripper):
         """Nothing to connect."""
 
     async def start(self, post: Post) -> None:
-        """Nothing to connect."""
         self._post = post
 
     def grasp(self) -> None:
-        """Held at once."""
         event = Grasped(at_s=time.monotonic(), width_mm=self.settings.width_mm)
         asyncio.get_running_loop().call_soon(lambda: self._post(event))
 
     async def width_mm(self) -> float:
-        """As it is set."""
         return self.settings.width_mm
 
     async def release(self, width_mm: float) -> float:
-        """Open at once."""
         return width_mm
 
     async def finds_nothing(self) -> bool:

@@ -7,5 +7,4 @@ from robot_client.ports import Gripper
 
 
 def make(settings: Settings) -> Gripper:
-    """The gripper, not connected yet."""
     return TextWsg50(settings) if settings.protocol == "text" else BinaryWsg50(settings)

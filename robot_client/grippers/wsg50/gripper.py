@@ -43,7 +43,6 @@ class Wsg50(Gripper):
 
     @property
     def held(self) -> bool:
-        """Whether the grasping state is HOLDING."""
         return self.state is GraspingState.HOLDING
 
     # ---- port -----------------------------------------------------------------------------------------------------

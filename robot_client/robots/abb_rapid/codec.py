@@ -93,7 +93,6 @@ def decode_motion(text: str) -> MotionAnswer:
 class TextParser:
     """Cuts a TCP stream at ``#``; forgets what grows beyond a RAPID string."""
 
-    overflows: int = 0
     _rest: str = field(default="")
 
     def feed(self, data: bytes) -> list[str]:
@@ -101,5 +100,4 @@ class TextParser:
         *whole, self._rest = (self._rest + data.decode("ascii", "replace")).split("#")
         if len(self._rest) > MAX_TEXT:
             self._rest = ""
-            self.overflows += 1
         return [text for text in whole if len(text) <= MAX_TEXT]

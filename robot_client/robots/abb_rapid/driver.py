@@ -113,7 +113,6 @@ class SocketArm:
             self._stop_program()
 
     async def close(self) -> str:
-        """Stop, end the program, disconnect."""
         self._until_s = None
         self._post, self._latched = None, self._latched or "closed"
         self._ask_guard("S", self._next())
@@ -130,7 +129,6 @@ class SocketArm:
         return outcome
 
     def position(self) -> WorkPose | None:
-        """The guard's newest answer."""
         return self._here
 
     def target(self) -> WorkPose | None:
@@ -138,11 +136,9 @@ class SocketArm:
         return self._target
 
     def statistics(self) -> dict[str, Any]:
-        """Answers of the guard."""
         return {"guard_answers": self._answers}
 
     def signals(self) -> Signals | None:
-        """Those of the controller."""
         return self.rws
 
     def checks(self) -> dict[str, Check]:

@@ -38,7 +38,6 @@ class DryArm(Arm):
     _cycles: int = 0
 
     async def start(self, post: Post) -> WorkPose:
-        """Stand at the start pose."""
         self._post = post
         self._guide = MotionGuide(self.limits, self.ramps, self.settings.start)
         self._task = asyncio.get_running_loop().create_task(self._run())
@@ -53,11 +52,9 @@ class DryArm(Arm):
         self._guide.renew(until_s)
 
     def hold(self, reason: str, *, stop: bool) -> None:  # noqa: ARG002 the port's signature
-        """Freeze the target."""
         self._guide.hold()
 
     async def close(self) -> str:
-        """Nothing to stop."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -68,11 +65,9 @@ class DryArm(Arm):
         return self._guide.target
 
     def target(self) -> WorkPose | None:
-        """What it follows exactly."""
         return self._guide.target
 
     def statistics(self) -> dict[str, Any]:
-        """Cycles that were computed."""
         return {"dry_cycles": self._cycles}
 
     async def _run(self) -> None:
@@ -102,5 +97,4 @@ class DryArm(Arm):
 
 
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:  # noqa: ARG001 the port's signature
-    """The arm of a rehearsal."""
     return DryArm(limits, ramps, settings)

@@ -40,7 +40,6 @@ class Candidates:
     tightness: FloatArray
 
     def only(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
-        """The spots that a mask or indices choose."""
         return type(self)(self.xy_px[keep], self.strength[keep], self.tightness[keep])
 
 

@@ -45,11 +45,9 @@ class Alarms:
 
     @property
     def open(self) -> list[Alarm]:
-        """Those that nobody has acknowledged, newest first."""
         return [alarm for alarm in self.all if alarm.acknowledged_s is None]
 
     def sound(self, key: str, level: Level, title: str, **facts: str | None) -> Alarm:
-        """Something is wrong."""
         alarm = next((a for a in self.open if a.key == key), None)
         if alarm is None:
             number = 1 + max((a.number for a in self.all), default=0)

@@ -75,7 +75,6 @@ class Page:
         self._woken.set()
 
     async def next(self) -> str:
-        """The next text to send."""
         while not self.newest:
             self._woken.clear()
             await self._woken.wait()

@@ -47,7 +47,6 @@ class Running:
         return again
 
     def from_client(self, message: Any) -> None:
-        """A message of the client."""
         match message:
             case wire.Episode():
                 self.object = message.object.replace("_", " ")
@@ -66,7 +65,6 @@ class Running:
                 self.problem = message.reason
 
     def robot(self, sample: wire.RobotSample) -> None:
-        """Where arm and gripper are."""
         if sample.phase in {"inserted", "failed"}:
             return
         self.phase = sample.phase
@@ -74,7 +72,6 @@ class Running:
         self.depth_mm = sample.depth_mm if sample.depth_mm is not None else self.depth_mm
 
     def from_service(self, message: Any) -> None:
-        """A message of the service."""
         match message:
             case wire.Armed():
                 self.phase = "armed"
@@ -88,7 +85,6 @@ class Running:
                 self.problem = message.detail
 
     def believes(self, command: Command) -> None:
-        """The belief before a move."""
         belief = command.belief
         if belief is None:
             return

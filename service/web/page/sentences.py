@@ -44,7 +44,6 @@ SURE = ((0.9, "very sure"), (0.7, "fairly sure"), (0.45, "unsure"), (0.0, "guess
 
 
 def sure(confidence: float) -> str:
-    """A confidence in words."""
     return next(word for least, word in SURE if confidence >= least)
 
 
@@ -95,7 +94,6 @@ def event(message: Any, earlier_n: int = 0) -> str:
 
 
 def changed(version: dict[str, str]) -> str:
-    """What became of a version, and why."""
     return f"version {version['version'][:SHORT_N]} {CHANGES[version['what']]}: {version['why']}"
 
 

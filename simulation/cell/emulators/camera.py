@@ -84,11 +84,9 @@ class CameraEmulator:
         return bool(self._streams)
 
     async def start(self, sock: socket.socket) -> None:
-        """Listen on a bound socket."""
         self._server = await asyncio.start_server(self._serve, sock=sock)
 
     async def stop(self) -> None:
-        """Close every stream and the server."""
         if self._server is not None:
             self._server.close()
         self._stopped = True

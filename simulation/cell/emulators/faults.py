@@ -121,7 +121,6 @@ class FaultBoard:
         return self.faults
 
     def clear(self) -> Faults:
-        """Back to health."""
         self.faults = Faults()
         return self.faults
 

@@ -40,7 +40,6 @@ def bind_udp(port: int, name: str) -> socket.socket:
 
 
 def port_of(sock: socket.socket) -> int:
-    """The port a bound socket has."""
     port: int = sock.getsockname()[1]
     return port
 
@@ -86,7 +85,6 @@ class HttpServer:
                 connection.transport.abort()
 
     def stop(self) -> None:
-        """Close the listening socket and cut all connections."""
         for server in self._server.servers:
             server.close()
         for connection in list(self._server.server_state.connections):

@@ -33,7 +33,6 @@ class Wsg50Emulator:
         self._clock: asyncio.Task[None] | None = None
 
     async def start(self, sock: socket.socket, udp: socket.socket | None = None) -> None:
-        """Listen on bound sockets and start the clock."""
         loop = asyncio.get_running_loop()
         self._server = await loop.create_server(lambda: _Connection(self), sock=sock)
         if udp is not None:
@@ -41,7 +40,6 @@ class Wsg50Emulator:
         self._clock = asyncio.create_task(self._run())
 
     async def stop(self) -> None:
-        """Close the connection and the servers."""
         if self._clock is not None:
             self._clock.cancel()
             await asyncio.gather(self._clock, return_exceptions=True)

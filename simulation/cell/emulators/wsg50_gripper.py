@@ -79,7 +79,6 @@ class Gripper:
 
     @property
     def homed(self) -> bool:
-        """Whether the fingers know where they are."""
         return self.referenced and not self._board.faults.gripper.not_homed
 
     # ---- commands: the immediate status; PENDING means that ``finish`` gets the final one --------------------
@@ -139,7 +138,6 @@ class Gripper:
         return Status.SUCCESS
 
     def acknowledge(self) -> Status:
-        """Clear a latched stop."""
         if self.fast_stopped or self.state is GraspingState.ERROR:
             self.fast_stopped = False
             self.state = GraspingState.HOLDING if self.holding else GraspingState.IDLE

@@ -84,7 +84,6 @@ class Session:
                 self._handle(frame)
 
     def update(self, now_s: float) -> None:
-        """Send the auto-updates that are due."""
         for command, update in self._updates.items():
             if now_s < update.due_s:
                 continue

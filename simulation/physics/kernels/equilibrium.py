@@ -31,7 +31,6 @@ def copy_poses(source: Any, into: Any) -> None:
 
 @njit(cache=True)
 def copy_trial(source: Any, into: Any) -> None:
-    """Copy all that `move` changes."""
     copy_poses(source, into)
     for a in range(source.xi.shape[0]):
         into.xi[a] = source.xi[a]

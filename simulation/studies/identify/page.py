@@ -25,7 +25,6 @@ NAMES = {
 
 
 def identify_page(data: Row) -> str:
-    """The whole page."""
     scored = [row for row in data["rows"] if "gel" in row]
     own = [row for row in scored if row["tier"] == "bristle"]
     other = [row for row in scored if row["tier"] != "bristle"]

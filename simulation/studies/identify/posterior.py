@@ -140,7 +140,6 @@ class Posterior:
         return np.clip((numbers - self.middle) / self.spread, -FAR, FAR)
 
     def save(self, path: Path) -> None:
-        """Write it as one .npz."""
         arrays = {name: value.astype(np.float32) for name, value in vars(self).items() if name != "about"}
         np.savez_compressed(path, about=json.dumps(self.about), **arrays)
 

@@ -44,12 +44,10 @@ def world_file(grip_n: float, intervals: Sequence[Interval], comment: str) -> st
 
 
 def range_text(one: Interval) -> str:
-    """An interval in words."""
     return f"{one.low:.3g} to {one.high:.3g}" + ("" if one.known else ", not told by the probes")
 
 
 def as_json(grip_n: float, intervals: Sequence[Interval], model: Posterior) -> Row:
-    """The same as plain data."""
     rows = {one.key: {**one._asdict(), "known": one.known} for one in intervals}
     return {"level": posterior.LEVEL, "grip_n": grip_n, "gel": rows, "posterior": dict(model.about)}
 

@@ -27,7 +27,6 @@ class BoundsOptions:
 
 
 def cases(only: str = "") -> list[tuple[Fault, Phase]]:
-    """What is tried."""
     return [(fault, phase) for fault in FAULTS for phase in fault.phases if only in fault.name]
 
 

@@ -43,7 +43,6 @@ class Relay:
         return f"http://{HOST}:{self.own_port}"
 
     def misbehave(self, way: Way, late_s: float = 0.0) -> None:
-        """From now on."""
         self.way, self.late_s = way, late_s
         if way == "reset":
             for writer in self._writers:

@@ -11,7 +11,6 @@ Rows = list[dict[str, Any]]
 
 
 def bounds_page(data: dict[str, Any]) -> str:
-    """The page as Markdown."""
     rows: Rows = data["rows"]
     bounded = [row for row in rows if row["bounded"]]
     met = sum(row["injected"] for row in rows)

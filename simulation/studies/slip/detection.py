@@ -61,7 +61,6 @@ class Tally:
             self.delays.append(alarm - trial.slip_frame)
 
     def summary(self) -> dict[str, Any]:
-        """Plain numbers, shares with their Wilson intervals."""
         delays = np.array(self.delays or [0])
         spread = zip(("median", "p5", "p95"), percentiles(delays, 50, 5, 95), strict=True)
         return {

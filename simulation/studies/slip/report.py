@@ -11,7 +11,6 @@ Row = dict[str, Any]
 
 
 def slip_page(report: Row) -> str:
-    """The whole of docs/slip_report.md."""
     exact, path = report["slip"]["images"]["onset_error_frames"], report["path_ms"]
     return page(
         """

@@ -109,7 +109,6 @@ def played(probe: Probe, pad: Pad | None = None, **numerics: float) -> RecordedC
 
 
 def tried(probe: Probe) -> dict[str, Any]:
-    """`compared`, or why CalculiX has no answer."""
     try:
         return compared(probe)
     except calculix.CalculixError as error:

@@ -12,7 +12,6 @@ FORCE, FIELD, SLIP_POINTS = 0.03, 0.05, 5.0
 
 
 def foreign_check_page(data: Row) -> str:
-    """The whole of docs/foreign_check.md from foreign_check.json."""
     probes = [row for row in data["probes"] if "failed" not in row]
     lost = [row["kind"] for row in data["probes"] if "failed" in row]
     beyond = [row for row in probes if not _within(row)]

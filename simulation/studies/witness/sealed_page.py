@@ -16,7 +16,6 @@ LEAST_INSERTED, MOST_TRIALS, LEAST_COVERED = 0.95, 3.2, 0.80
 
 
 def foreign_world_page(data: Row) -> str:
-    """The whole of docs/foreign_world.md from foreign_world.json."""
     whole = next(row for row in data["figures"] if (row["cell"], row["family"]) == (WITNESS, "all"))
     failed = [row for row in data["insertions"][WITNESS] if not row["inserted"]]
     return page(

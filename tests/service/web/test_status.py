@@ -159,7 +159,7 @@ def test_the_same_alarm_counts_and_a_new_one_comes_first(tmp_path: Path) -> None
 def test_ghosts_are_spread_as_the_belief_is() -> None:
     x, theta = np.arange(-20, 20.5, 0.5), np.arange(-20, 20.5, 0.5)
     share = np.exp(-0.5 * (((x - 5) / 2)[:, None] ** 2 + ((theta + 3) / 1)[None, :] ** 2))
-    picture = BeliefPicture(x, theta, share / share.sum(), 0.5)
+    picture = BeliefPicture(x, theta, share / share.sum())
     running = Running("spread")
     running.believes(Command(0.0, 0.0, "belief", "", picture))
     mean, spread = np.mean(running.ghosts, axis=0), np.std(running.ghosts, axis=0)

@@ -15,6 +15,7 @@ from simulation.physics.quasistatic import PhysicsError
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import load_scene
 from tests.simulation.physics import theory
+from tests.simulation.physics.half_space import half_space
 
 CLEAN = theory.STRAIGHT
 
@@ -67,7 +68,7 @@ def test_the_layers_compliance_solves_naviers_equations(poisson: float, wave: fl
 
 def test_a_thick_layer_is_a_half_space() -> None:
     grid = elastic_layer.Grid(12, 14, 0.9, 1.1)
-    thick, half = elastic_layer.bonded_layer(grid, 30.0, 0.3, 0.3), elastic_layer.half_space(grid, 0.3, 0.3)
+    thick, half = elastic_layer.bonded_layer(grid, 30.0, 0.3, 0.3), half_space(grid, 0.3, 0.3)
     rng = np.random.default_rng(0)
     tractions = rng.normal(size=(2, 12, 14, 3))
     tractions -= tractions.mean((1, 2), keepdims=True)
@@ -75,7 +76,7 @@ def test_a_thick_layer_is_a_half_space() -> None:
 
 
 @pytest.mark.parametrize(
-    "make", [lambda g: elastic_layer.bonded_layer(g, 2.5, 0.1, 0.45), lambda g: elastic_layer.half_space(g, 1, 0)]
+    "make", [lambda g: elastic_layer.bonded_layer(g, 2.5, 0.1, 0.45), lambda g: half_space(g, 1, 0)]
 )
 def test_a_kernel_is_reciprocal_and_stores_energy(make) -> None:
     kernel = make(elastic_layer.Grid(9, 12, 1.0, 1.0))
@@ -128,6 +129,6 @@ def test_the_layer_tier_refuses_what_it_cannot_be() -> None:
     with pytest.raises(ValueError, match="thickness"):
         elastic_layer.bonded_layer(elastic_layer.Grid(4, 4, 1.0, 1.0), 0.0, 0.1, 0.3)
     with pytest.raises(ValueError, match="Poisson"):
-        elastic_layer.half_space(elastic_layer.Grid(4, 4, 1.0, 1.0), 0.1, 0.6)
+        elastic_layer.bonded_layer(elastic_layer.Grid(4, 4, 1.0, 1.0), 2.5, 0.1, 0.6)
     with pytest.raises(PhysicsError, match=r"grasp\.force_n"):
         QuasiStaticCell(load_scene("ellipse", gel__tier="layer", grasp__force_n=120.0, gel__thickness_mm=0.5))

@@ -20,6 +20,7 @@ from simulation.physics import elastic_layer
 from simulation.physics.kernels import bristles
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene
+from tests.simulation.physics import half_space as kernels
 
 Floats = NDArray[np.float64]
 WIDTH_MM, CROWN_MM, FRICTION = 21.0, 0.5, 0.8
@@ -54,7 +55,7 @@ def hang(nodes: int, tier: str, modulus_n_per_mm2: float = 1.0) -> QuasiStaticCe
     cell.constants["area"] = (WIDTH_MM / nodes) ** 2
     if cell.layer is not None:
         cells = elastic_layer.Grid(nodes, nodes, WIDTH_MM / nodes, WIDTH_MM / nodes)
-        cell.layer.use(elastic_layer.half_space(cells, modulus_n_per_mm2, 0.5), cell.nodes, cell.constants)
+        cell.layer.use(kernels.half_space(cells, modulus_n_per_mm2, 0.5), cell.nodes, cell.constants)
     cell.regrasp(0.0, 0.0)
     return cell
 

@@ -288,10 +288,3 @@ def test_an_effect_that_is_off_leaves_the_rest_bit_for_bit() -> None:
     unseen = {f"effects.{key}": "off" for key in (*OPTICS, "dropped_frames")}
     np.testing.assert_array_equal(poke(scene).gel, poke(scene.varied(unseen)).gel)
     np.testing.assert_array_equal(poke(scene).wrench, poke(scene.varied(unseen)).wrench)
-
-
-def test_a_younger_key_leaves_a_scenes_identity_until_it_is_set() -> None:
-    scene = load_scene("rectangle")
-    assert "readout_ms" not in scene.identity_json()
-    assert "inertia" not in scene.identity_json()
-    assert '"readout_ms":3.0' in scene.varied({"camera.readout_ms": 3.0}).identity_json()

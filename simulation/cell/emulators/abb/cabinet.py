@@ -79,11 +79,9 @@ class Cabinet:
 
     @property
     def motors_on(self) -> bool:
-        """True if the drives are powered."""
         return self.state == "motoron"
 
     def note(self, kind: int, code: int, title: str) -> None:
-        """Write a line into the event log."""
         self._entries += 1
         stamp = datetime.now().strftime("%Y-%m-%d T  %H:%M:%S")  # noqa: DTZ005 the controller's own wall clock
         self.log.append(LogEntry(self._entries, kind, code, title, stamp))

@@ -53,7 +53,6 @@ class RapidServers:
     _silent_s: float = 0.0
 
     async def start(self, motion: socket.socket, guard: socket.socket) -> None:
-        """Listen on two bound sockets."""
         self.motion_port, self.guard_port = motion.getsockname()[1], guard.getsockname()[1]
         self._servers = [
             await asyncio.start_server(self._serve_motion, sock=motion),
@@ -61,20 +60,17 @@ class RapidServers:
         ]
 
     async def close(self) -> None:
-        """Stop listening and hang up."""
         for server in self._servers:
             server.close()
         self.hang_up()
 
     def hang_up(self, *, motion: bool = True, guard: bool = True) -> None:
-        """Close the connections of the client."""
         for wanted, writer in ((motion, self._motion), (guard, self._guard)):
             if wanted and writer is not None:
                 writer.close()
 
     @property
     def moving(self) -> bool:
-        """True while a move is under way."""
         return self._travel is not None
 
     # ---- time -------------------------------------------------------------------------------------------------

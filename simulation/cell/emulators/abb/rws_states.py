@@ -28,13 +28,11 @@ def panel(cabinet: Cabinet, what: str) -> list[State]:
 
 
 def execution(cabinet: Cabinet) -> list[State]:
-    """Running or stopped, and the cycle mode."""
     fields = {"ctrlexecstate": "running" if cabinet.running else "stopped", "cycle": cabinet.cycle}
     return [State("rap-execution", "execution", fields)]
 
 
 def tasks(cabinet: Cabinet) -> list[State]:
-    """The one motion task."""
     fields = {
         "name": TASK,
         "type": "normal",
@@ -78,7 +76,6 @@ def signal(cabinet: Cabinet, path: str) -> list[State]:
 
 
 def event_log(cabinet: Cabinet, domain: str) -> list[State]:
-    """The event log, newest first."""
     return [
         State(
             "elog-message-li",

@@ -26,7 +26,6 @@ class Watched(NamedTuple):
     read: Callable[[], str]
 
     def message(self, value: str) -> str:
-        """The list item of one change."""
         href = f"/rw/elog/0/{value}" if self.event == "elog-message-ev" else self.path
         return (
             f'<li class="{self.event}" title="{self.field}"><a href="{href}" rel="self"/>'
