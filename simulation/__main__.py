@@ -24,7 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "draw-worlds": ("drawn_worlds:draw_worlds", "worlds that nobody trained for, as files"),
     "draw-objects": ("drawn_worlds:draw_objects", "random convex objects as files"),
     "collect": ("dataset:collect", "poke on all cores and keep the collisions as a dataset"),
-    "export-dataset": ("dataset:export_dataset", "trials as a LeRobot v3.0 dataset or as MCAP files"),
+    "export-dataset": ("dataset:export_dataset", "trials as a LeRobot v3.0 dataset"),
     "slip-report": ("slip:slip_report", "how well slip is detected, and the cost: table, JSON"),
     "grasps": ("slip:real_grasps", "recorded grasps of real objects, judged: table run by run"),
     "motion-bounds": ("cell:motion_bounds", "how far the arm goes on after nobody looks, live"),

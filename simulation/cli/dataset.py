@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from reporting.files import write_durably
 from service.contract import ContractError, Sensor
-from simulation.data import lerobot, mcap
+from simulation.data import lerobot
 from simulation.data.collect import Plan, make_shard, scene_of, scene_sha256, shard_of
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, ShardEntry, slice_of
 from simulation.data.manifest import MANIFEST, read_manifest
@@ -122,14 +122,12 @@ def _made(plans: list[Plan], options: CollectOptions) -> Iterator[ShardEntry]:
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
-    """Export trials with their rendered frames: one LeRobot v3.0 dataset, or one MCAP file a trial."""
+    """Export trials with their rendered frames as a LeRobot v3.0 dataset: Parquet with embedded PNG."""
 
     source: Annotated[Path, tyro.conf.Positional]
     """Folder of a collected dataset."""
     out: Path
     """New or empty folder to write into."""
-    layout: Literal["lerobot", "mcap"] = "lerobot"
-    """lerobot: Parquet with embedded PNG; mcap: opens in Foxglove and Rerun."""
     first: int = 0
     """Number of the first trial."""
     count: int = 100
@@ -145,11 +143,6 @@ def export_dataset(arguments: list[str]) -> int:
         raise DatasetError(f"{options.out}: not empty; nothing is overwritten")
     options.out.mkdir(parents=True, exist_ok=True)
     with progress("trials", len(numbers)) as show:
-        if options.layout == "lerobot":
-            lerobot.export(dataset, numbers, options.out, show)
-        else:
-            for done, number in enumerate(numbers, start=1):
-                mcap.export_trial(dataset, number, options.out / f"trial-{number:06d}.mcap")
-                show(done)
+        lerobot.export(dataset, numbers, options.out, show)
     print(f"{len(numbers)} trials under {options.out}")
     return 0

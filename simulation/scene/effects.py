@@ -6,6 +6,7 @@ Each is declared once, with the predicate that switches it on and the reason it 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 from simulation.scene import rubber
@@ -41,6 +42,12 @@ class Effect:
     needed: Callable[[Scene], tuple[bool, str]]
 
 
+def _above(key: str, limit: float) -> Callable[[Scene], tuple[bool, str]]:
+    """Needed where a number of the scene is above a limit."""
+    value_of = attrgetter(key)
+    return lambda scene: (value_of(scene) > limit, f"{key} is {value_of(scene):g} (limit {limit:g})")
+
+
 def _gravity(scene: Scene) -> tuple[bool, str]:
     share = scene.object.mass_kg * 9.81 / (2.0 * max(scene.gel.friction, 1e-9) * scene.grasp.force_n)
     return share > 0.03, f"weight is {100.0 * share:.1f} % of what the grip can carry (limit 3 %)"
@@ -60,16 +67,8 @@ def _inertia(scene: Scene) -> tuple[bool, str]:
     return share > 0.1, f"a sudden stop loads the grip to {100.0 * share:.1f} % of what it can carry (limit 10 %)"
 
 
-def _edge_friction(scene: Scene) -> tuple[bool, str]:
-    return scene.blocks.friction > 0.02, f"block friction is {scene.blocks.friction:g} (limit 0.02)"
-
-
 def _free_blocks(scene: Scene) -> tuple[bool, str]:
     return scene.blocks.free, "blocks.free is set" if scene.blocks.free else "blocks are fixed"
-
-
-def _gel_wear(scene: Scene) -> tuple[bool, str]:
-    return scene.gel.wear > 0.02, f"gel.wear is {scene.gel.wear:g} (limit 0.02)"
 
 
 def _gel_coupling(scene: Scene) -> tuple[bool, str]:
@@ -96,10 +95,6 @@ def _edges(scene: Scene) -> tuple[bool, str]:
     return min(beyond) < reach_mm, f"the gel ends {min(beyond):.2f} mm beyond the pad, rubber reaches {reach_mm:.1f} mm"
 
 
-def _relaxation(scene: Scene) -> tuple[bool, str]:
-    return scene.gel.relaxation_share > 0.01, f"gel.relaxation_share is {scene.gel.relaxation_share:g} (limit 0.01)"
-
-
 def _finger_compliance(scene: Scene) -> tuple[bool, str]:
     gel, finger, sensor = scene.gel, scene.grasp.finger_stiffness_n_per_mm, scene.sensor
     if finger == 0.0:
@@ -122,30 +117,22 @@ def _rolling(scene: Scene) -> tuple[bool, str]:
     return lag > 0.3, f"the image moves by up to {lag:.2f} px while it is read out (limit 0.3)"
 
 
-def _noise(scene: Scene) -> tuple[bool, str]:
-    return scene.camera.noise_grey > 0.0, f"camera.noise_grey is {scene.camera.noise_grey:g}"
-
-
-def _dropped(scene: Scene) -> tuple[bool, str]:
-    return scene.camera.dropped_share > 0.0, f"camera.dropped_share is {scene.camera.dropped_share:g}"
-
-
 EFFECTS = (
     Effect("gravity", "weight of the held object", _gravity),
     Effect("inertia", "the held object's mass against sudden stops", _inertia),
-    Effect("edge_friction", "friction at the blocks' edges and walls", _edge_friction),
+    Effect("edge_friction", "friction at the blocks' edges and walls", _above("blocks.friction", 0.02)),
     Effect("free_blocks", "blocks that slide on the table and tip", _free_blocks),
-    Effect("gel_wear", "worn spots and missing markers", _gel_wear),
+    Effect("gel_wear", "worn spots and missing markers", _above("gel.wear", 0.02)),
     Effect("gel_coupling", "rubber between the bristles: coupled and bulging markers", _gel_coupling),
     Effect("poisson", "rubber that hardly changes its volume", _poisson),
     Effect("gel_edges", "free edges where the gel ends", _edges),
-    Effect("relaxation", "rubber that gives way while its shape is held", _relaxation),
+    Effect("relaxation", "rubber that gives way while its shape is held", _above("gel.relaxation_share", 0.01)),
     Effect("finger_compliance", "fingers that bend across the gap", _finger_compliance),
     Effect("object_texture", "imprint of the object's texture", _texture),
     Effect("motion_blur", "markers smeared within an exposure", _blur),
     Effect("rolling_shutter", "rows read one after another while the gel moves", _rolling),
-    Effect("camera_noise", "grey-level noise", _noise),
-    Effect("dropped_frames", "frames that never arrive", _dropped),
+    Effect("camera_noise", "grey-level noise", _above("camera.noise_grey", 0.0)),
+    Effect("dropped_frames", "frames that never arrive", _above("camera.dropped_share", 0.0)),
 )
 
 

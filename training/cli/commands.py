@@ -51,17 +51,6 @@ def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = No
     print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
 
 
-def show(checkpoint: Annotated[Path, tyro.conf.Positional]) -> None:
-    """Print the figures that a checkpoint carries.
-
-    Args:
-        checkpoint: a ``checkpoint.pt`` written by ``train``.
-    """
-    from training.fit.checkpoint import Checkpoint
-
-    print_table(Checkpoint.load(checkpoint).figures)
-
-
 def board(
     name: Annotated[Literal["tensorboard", "trackio"], tyro.conf.Positional],
     run: Annotated[Path, tyro.conf.Positional],
@@ -157,7 +146,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commands: dict[str, Callable[..., Any]] = {
             "train": train,
             "recipe": recipe,
-            "show": show,
             "board": board,
             "depths": depths,
             "expect": expect,

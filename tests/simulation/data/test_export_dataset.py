@@ -1,6 +1,5 @@
 """Exports: other people's readers find every trial, frame for frame."""
 
-import base64
 import dataclasses
 import json
 import os
@@ -12,7 +11,6 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from mcap.reader import make_reader
 
 from simulation.cli.dataset import export_dataset
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
@@ -152,25 +150,6 @@ def test_an_export_that_was_altered_is_another_and_another_s_dataset_is_refused(
     (mine / TRIALS).unlink()
     with pytest.raises(DatasetError, match="no dataset that `export-dataset` wrote"):
         Exported(mine)
-
-
-def test_mcap_holds_images_dots_and_truth(source: Path, tmp_path: Path) -> None:
-    command = [str(source), "--out", str(tmp_path / "out"), "--layout", "mcap", "--first", "3", "--count", "1"]
-    assert export_dataset(command) == 0
-    with (tmp_path / "out/trial-000003.mcap").open("rb") as file:
-        reader = make_reader(file)
-        metadata = {entry.name: entry.metadata for entry in reader.iter_metadata()}
-        messages_of: dict[str, list[dict[str, object]]] = {}
-        for _, channel, message in reader.iter_messages():
-            messages_of.setdefault(channel.topic, []).append(json.loads(message.data))
-    assert set(messages_of) == {"/left/image", "/right/image", "/left/markers", "/right/markers", "/state"}
-    assert all(len(messages) == 30 for messages in messages_of.values())
-    trial = made_up_trial(3)
-    assert float(metadata["trial"]["x_mm"]) == trial.x_mm
-    image = np.frombuffer(base64.b64decode(str(messages_of["/right/image"][7]["data"])), np.uint8)
-    assert np.array_equal(cv2.imdecode(image, cv2.IMREAD_COLOR), Dataset(source).frames(3, 7, 1)[0, 1])
-    moved = np.asarray(messages_of["/left/markers"][7]["displacement_px"])
-    assert np.allclose(moved, trial.gel[7, 0, ..., :2] / 0.07, atol=1e-2)
 
 
 def test_nothing_is_overwritten_and_nothing_is_made_up(source: Path, tmp_path: Path) -> None:
