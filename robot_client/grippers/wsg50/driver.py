@@ -1,10 +1,300 @@
-"""Makes the WSG-50 in the protocol that its settings name; the two exclude each other on the device."""
+"""The WSG-50's binary protocol over TCP: grasp with a force limit, watch the grasp, notice a lost part.
 
-from robot_client.grippers.wsg50.binary import BinaryWsg50
+Frames are routed by id: replies to the request that waits for them, auto-updates to the watch. No program ever
+acknowledges a fault: that is an operator's command (`python -m robot_client home --acknowledge`). During an insertion
+the gripper is never stopped: STOP ends its part monitoring; the arm is what stops.
+"""
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Coroutine
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from robot_client.grippers.wsg50 import codec, codes
+from robot_client.grippers.wsg50.codec import Reply, Value
+from robot_client.grippers.wsg50.codes import FAULT_BITS, Command, GraspingState, Status, SystemState, UpdateFlag
 from robot_client.grippers.wsg50.settings import Settings
-from robot_client.grippers.wsg50.text import TextWsg50
-from robot_client.ports import Gripper
+from robot_client.insertion.events import Failure, Grasped, PartLost, Width
+from robot_client.ports import Check, DriverError, Finding, Gripper, HomingDirection, Post
+from robot_client.silence import Silence
+
+_HOME = "`python -m robot_client home --live` with empty fingers"
+_READ_BYTES = 4096
+_WIDTH_STEP_MM = 0.1  # a smaller change of the width is not reported
+_OPENED_MM = 1.0
+
+
+class GripperError(DriverError):
+    """The gripper refused, failed or fell silent; the text names the request."""
+
+
+@dataclass(slots=True)
+class Wsg50(Gripper):
+    """The Gripper port; ``limits`` holds what the gripper allows (0x53) for keys of the settings."""
+
+    settings: Settings
+    state: GraspingState | None = None
+    system: SystemState = field(default_factory=lambda: SystemState(0))
+    limits: dict[str, tuple[float, float]] = field(default_factory=dict)
+    _post: Post | None = None
+    _writer: asyncio.StreamWriter | None = None
+    _reader: asyncio.Task[None] | None = None
+    _waiting: dict[int, asyncio.Queue[Reply]] = field(default_factory=dict)
+    _parser: codec.StreamParser = field(default_factory=codec.StreamParser)
+    _lost: str = ""
+    _posted_mm: float = math.inf
+    _silence: Silence = field(init=False)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self._silence = Silence(self.settings.silence_s, self.settings.silence_s / 4.0)
+
+    @property
+    def held(self) -> bool:
+        return self.state is GraspingState.HOLDING
+
+    # ---- port -----------------------------------------------------------------------------------------------------
+
+    async def connect(self) -> None:
+        """Connect and read limits, system state and grasping state; raises GripperError. Moves nothing."""
+        opening = asyncio.open_connection(self.settings.host, self.settings.port)
+        try:
+            reader, self._writer = await asyncio.wait_for(opening, self.settings.reply_timeout_s)
+        except (OSError, TimeoutError) as error:
+            where, why = self.settings.address, f"{type(error).__name__} {error}".rstrip()
+            raise GripperError(f"gripper: cannot connect to {where}: {why}") from None
+        self._silence.heard(time.monotonic())
+        self._reader = asyncio.get_running_loop().create_task(self._read(reader))
+        stroke, v0, v1, _, _, f0, f1, _ = (float(v) for v in (await self.request(Command.SYSTEM_LIMITS)).values)
+        self.limits = {"force_limit_n": (f0, f1), "grasp_speed_mm_s": (v0, v1), "grasp_width_mm": (0.0, stroke)}
+        (bits,) = (await self.request(Command.SYSTEM_STATE, UpdateFlag.ONCE, 0)).values
+        self.system = SystemState(int(bits))
+        await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
+
+    async def start(self, post: Post) -> None:
+        """Connect, then watch the grasping state; raises GripperError, also for a latched fault."""
+        await self.connect()
+        fault = self._fault()
+        if fault:
+            acknowledge = "`python -m robot_client home --live --acknowledge`"
+            raise GripperError(f"gripper: {fault}; find the cause, then {acknowledge}")
+        await self._subscribe()
+        self._post = post
+        self._spawn(self._watch())
+
+    async def close(self) -> None:
+        """Announce the disconnect (else the gripper latches a fast stop) and leave; the fingers stay as they are."""
+        self._post = None
+        for task in list(self._tasks):
+            task.cancel()
+        if self._writer is not None:
+            for command in (Command.WIDTH, Command.GRASPING_STATE):
+                with contextlib.suppress(GripperError):
+                    await self.request(command, UpdateFlag.ONCE, 0)
+            with contextlib.suppress(GripperError):
+                await self.request(Command.DISCONNECT)
+            self._writer.close()
+        if self._reader is not None:
+            self._reader.cancel()
+            await asyncio.gather(self._reader, *self._tasks, return_exceptions=True)
+
+    def grasp(self) -> None:
+        """Accept a held object as it is; otherwise close on one with the force limit."""
+        self._spawn(self._grasp())
+
+    async def acknowledge(self) -> None:
+        """Clear a latched fault; raises GripperError."""
+        await self.request(Command.ACKNOWLEDGE, codec.ACKNOWLEDGE_WORD)
+
+    async def width_mm(self) -> float:
+        """Opening between the fingers; raises GripperError."""
+        (width,) = (await self.request(Command.WIDTH, UpdateFlag.ONCE, 0)).values
+        return float(width)
+
+    def checks(self) -> dict[str, Check]:
+        """Connection, faults, limits and state."""
+        return {"gripper": self._check}
+
+    async def home(self, direction: HomingDirection) -> float:
+        """Reference the axis; refuses while something is held, since homing opens the fingers. Width in mm."""
+        if self.state is GraspingState.HOLDING:
+            raise GripperError("gripper: holds a part; homing would drop it")
+        await self.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
+        return await self.width_mm()
+
+    async def release(self, width_mm: float) -> float:
+        """Open to ``width_mm``; raises GripperError if the fingers stand elsewhere then, or still hold something."""
+        if fault := self._fault():
+            raise GripperError(f"gripper: {fault}; nothing is opened")
+        await self._open_fingers(width_mm)
+        reached_mm = await self.width_mm()
+        if not abs(reached_mm - width_mm) <= _OPENED_MM or self.held:
+            raise GripperError(f"gripper: width is {reached_mm:.1f} mm after opening, expected {width_mm:g} mm")
+        return reached_mm
+
+    async def finds_nothing(self) -> bool:
+        """Close as for a grasp: True if that ends without a part; raises GripperError for any other trouble."""
+        try:
+            await self._close_fingers()
+        except GripperError:
+            await self._read_state()
+            if self.state is GraspingState.NO_PART:
+                return True
+            raise
+        return False
+
+    async def request(self, command: Command, *values: Value) -> Reply:
+        """Send and wait for the final reply (the second one of a two-stage command); raises GripperError."""
+        if self._writer is None or self._lost:
+            raise GripperError(f"gripper: {command.name}: {self._lost or 'not connected'}")
+        replies: asyncio.Queue[Reply] = asyncio.Queue()
+        self._waiting[command] = replies
+        self._writer.write(codec.encode_request(command, *values))
+        try:
+            reply = await asyncio.wait_for(replies.get(), self.settings.reply_timeout_s)
+            if reply.status is Status.CMD_PENDING:
+                reply = await asyncio.wait_for(replies.get(), self.settings.motion_timeout_s)
+        except TimeoutError:
+            raise GripperError(f"gripper: {command.name}: no reply in time") from None
+        finally:
+            self._waiting.pop(command, None)
+        if reply.status is not Status.SUCCESS:
+            raise GripperError(f"gripper: {command.name}: {self._lost or reply.status.name}")
+        return reply
+
+    def _fault(self) -> str:
+        faults = self.system & FAULT_BITS
+        return f"fault {faults.name}" if faults else ""
+
+    async def _subscribe(self) -> None:
+        for command in (Command.WIDTH, Command.GRASPING_STATE):
+            await self.request(command, UpdateFlag.PERIODIC, self.settings.update_period_ms)
+
+    async def _open_fingers(self, width_mm: float) -> None:
+        self._check_referenced()
+        low, high = self.limits["grasp_width_mm"]
+        if not low <= width_mm <= high:
+            raise GripperError(f"gripper: cannot open to {width_mm:g} mm, this gripper allows {low:g} .. {high:g}")
+        command = Command.RELEASE if self.held else Command.MOVE
+        kind = () if self.held else (codes.MoveFlag.STOP_ON_BLOCK,)
+        await self.request(command, *kind, width_mm, self.settings.grasp_speed_mm_s)
+        await self._read_state()
+
+    async def _read_state(self) -> None:
+        await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
+
+    def _check_referenced(self) -> None:
+        if SystemState.REFERENCED not in self.system:
+            raise GripperError(f"gripper: not homed; run {_HOME}")
+
+    async def _close_fingers(self) -> None:
+        settings = self.settings
+        self._check_referenced()
+        for name, (low, high) in self.limits.items():  # out of range it may clamp or latch a fast stop
+            value = getattr(settings, name)
+            if not low <= value <= high:
+                raise GripperError(f"gripper: {name} = {value:g}, this gripper allows {low:g} .. {high:g}")
+        await self.request(Command.SET_FORCE_LIMIT, settings.force_limit_n)
+        await self.request(Command.GRASP, settings.grasp_width_mm, settings.grasp_speed_mm_s)
+        await self._subscribe()
+
+    # ---- background -----------------------------------------------------------------------------------------------
+
+    async def _check(self) -> list[Finding]:
+        """Faults, homing, the force limit against the gripper's own, state and width."""
+        await self.connect()
+        assert self.state is not None
+        width_mm = await self.width_mm()
+        faults, force_n = self.system & FAULT_BITS, self.settings.force_limit_n
+        low_n, high_n = self.limits["force_limit_n"]
+        homed = SystemState.REFERENCED in self.system
+        return [
+            Finding(not faults, f"faults: {faults.name or 'none'}" if faults else "no fault"),
+            Finding(homed, "homed" if homed else f"not homed: run {_HOME}"),
+            Finding(low_n <= force_n <= high_n, f"force limit {force_n:g} N of {low_n, high_n} N"),
+            Finding(True, f"grasping state {self.state.name}, width {width_mm:.1f} mm"),
+        ]
+
+    async def _grasp(self) -> None:
+        try:
+            if self.state is not GraspingState.HOLDING:
+                await self._close_fingers()
+            width_mm = await self.width_mm()
+        except GripperError as error:
+            self._fail("grasp", str(error))
+            return
+        if self.state is not GraspingState.HOLDING:
+            name = self.state.name if self.state is not None else "unknown"
+            self._fail("grasp", f"gripper: grasping state is {name}, expected HOLDING")
+        elif self._post is not None:
+            self._post(Grasped(at_s=time.monotonic(), width_mm=width_mm))
+
+    async def _read(self, reader: asyncio.StreamReader) -> None:
+        try:
+            while data := await reader.read(_READ_BYTES):
+                for frame in self._parser.feed(data):
+                    self._route(frame)
+            self._lost = "the gripper closed the connection"
+        except OSError as error:
+            self._lost = f"connection lost: {error}"
+        for queue in self._waiting.values():
+            queue.put_nowait(Reply(0, Status.IO_ERROR))
+        self._fail("link", f"gripper: {self._lost}")
+
+    def _route(self, frame: codec.Frame) -> None:
+        try:
+            reply = codec.decode_reply(frame)
+        except codec.WsgError:
+            return  # not of this protocol: whoever waits for it times out
+        if reply.command == Command.GRASPING_STATE and reply.values:
+            self._silence.heard(time.monotonic())
+            self._on_state(float(reply.values[0]))
+        if reply.command == Command.WIDTH and reply.values:
+            self._on_width(float(reply.values[0]))
+        if reply.command in self._waiting:
+            self._waiting[reply.command].put_nowait(reply)
+
+    def _on_state(self, value: float) -> None:
+        if value not in tuple(GraspingState):
+            self._fail("protocol", f"gripper: grasping state {value:g}, expected 0..7")
+            return
+        before, self.state = self.state, GraspingState(int(value))
+        if self._post is None or self.state is before:
+            return
+        if self.state is GraspingState.ERROR:
+            self._fail("error", "gripper: grasping state ERROR (fast stop or fault)")
+        elif before is GraspingState.HOLDING:
+            if self.state in (GraspingState.PART_LOST, GraspingState.NO_PART):
+                self._post(PartLost(at_s=time.monotonic()))
+            else:
+                self._fail("released", f"gripper: left HOLDING for {self.state.name} without an order")
+
+    def _on_width(self, width_mm: float) -> None:
+        if self._post is not None and math.isfinite(width_mm) and abs(width_mm - self._posted_mm) >= _WIDTH_STEP_MM:
+            self._posted_mm = width_mm
+            self._post(Width(at_s=time.monotonic(), width_mm=width_mm))
+
+    async def _watch(self) -> None:
+        """Updates of the grasping state are the heartbeat: silence about it is a failure."""
+        while True:
+            await asyncio.sleep(self.settings.silence_s / 4.0)
+            silent_s = self._silence.over(time.monotonic())
+            if silent_s is not None:
+                self._fail("silent", f"gripper: no grasping state for {silent_s * 1e3:.0f} ms")
+
+    def _fail(self, code: Literal["grasp", "link", "protocol", "error", "released", "silent"], detail: str) -> None:
+        if self._post is not None:
+            post, self._post = self._post, None
+            post(Failure(at_s=time.monotonic(), source="gripper", code=code, detail=detail))
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
 
 def make(settings: Settings) -> Gripper:
-    return TextWsg50(settings) if settings.protocol == "text" else BinaryWsg50(settings)
+    return Wsg50(settings)

@@ -11,7 +11,6 @@ class Settings(DeviceSettings):
     """Where the gripper is and how it grasps. Ranges are checked against the gripper's own limits (0x53)."""
 
     device: Literal["wsg50"] = "wsg50"
-    protocol: Literal["binary", "text"] = "binary"
     host: str = "192.168.1.20"
     port: int = Field(default=1000, ge=0, le=65535)
     grasp_width_mm: float = 40.0

@@ -5,6 +5,7 @@ import os
 import re
 import socket
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from rich.console import Console
@@ -99,10 +100,10 @@ FAULTS = {
     ),
     "no gripper there": (lambda cell: with_(cell, gripper={"port": dead_port()}), "network", "host and port"),
     "gripper silent": (board(wsg={"silent": True}), "gripper", "protocol"),
-    "gripper speaks the other protocol": (
-        lambda cell: with_(cell, gripper={"protocol": "text"}),
-        "gripper",
-        "protocol",
+    "the controller's port for the gripper's": (
+        lambda cell: with_(cell, gripper={"port": urlsplit(cell.settings.robot.rws.url).port}),
+        "*",
+        "host and port",
     ),
     "gripper refuses connections": (board(wsg={"refuse_connections": True}), "*", "protocol|host and port"),
     "left camera lost": (lambda cell: cameras(cell, left="lost"), "camera", "cable"),

@@ -2,17 +2,16 @@
 
 import pytest
 
-from robot_client.grippers.wsg50 import binary, codec, gripper, text
-from robot_client.grippers.wsg50.binary import BinaryWsg50
+from robot_client.grippers.wsg50 import codec, driver
 from robot_client.grippers.wsg50.codes import Command, GraspingState, Status
+from robot_client.grippers.wsg50.driver import Wsg50
 from robot_client.grippers.wsg50.settings import Settings
-from robot_client.grippers.wsg50.text import TextWsg50
 from tests.robot_client.clock import stopped_clock
 
 
 @pytest.fixture
 def clock(monkeypatch):
-    return stopped_clock(monkeypatch, binary, gripper, text)
+    return stopped_clock(monkeypatch, driver)
 
 
 def receives(gripper, *frame):
@@ -24,20 +23,10 @@ def receives(gripper, *frame):
     "frame", [(Command.GRASPING_STATE, Status.NOT_AVAILABLE), (Command.WIDTH, Status.SUCCESS, 50.0)]
 )
 def test_frames_without_a_grasping_state_are_silence(clock, frame):
-    gripper = BinaryWsg50(Settings())
+    gripper = Wsg50(Settings())
     receives(gripper, Command.GRASPING_STATE, Status.SUCCESS, int(GraspingState.HOLDING))
     for _ in range(10):
         clock.now_s += 0.1
         receives(gripper, *frame)
-        silent_s = gripper._silence.over(clock.now_s)
-    assert silent_s == pytest.approx(1.0)
-
-
-def test_a_width_in_text_is_no_grasping_state(clock):
-    gripper = TextWsg50(Settings())
-    gripper._on_line("@GRIPSTATE=4")
-    for _ in range(10):
-        clock.now_s += 0.1
-        gripper._on_line("@POS=50.0")
         silent_s = gripper._silence.over(clock.now_s)
     assert silent_s == pytest.approx(1.0)
