@@ -24,7 +24,10 @@ REMEDIES: tuple[tuple[str, str], ...] = (
     (r"not homed", "Home the empty gripper: `tactile-insertion home --live`."),
     (r"force limit|grasp_", "Set the value of that name in [gripper] to one that the gripper allows."),
     (r"FAST_STOP|grasping state ERROR|fault", "Find the cause, then `tactile-insertion home --live --acknowledge`."),
-    (r"gripper: .*no reply", "Switch its text based interface off in its web page; the binary protocol is needed."),
+    (
+        r"gripper: .*no reply",
+        "Check host and port; its web page must have the text based interface off: the binary protocol is needed.",
+    ),
     (r"gripper: .*closed the connection", "It takes one client at a time: end the other one; check host and port."),
     (r"gripper: cannot connect", "Check [gripper] host and port, its power, and the cable."),
     (r"camera (left|right)", "Check cable and power of that finger; covering the lens shows which it is."),
