@@ -1,6 +1,6 @@
 """The cell in real time on loopback: robot, gripper and cameras as sockets, one physics behind them, and the truth.
 
-Everything listens on 127.0.0.1 only. The arm starts ``lift_mm`` above the approach pose with the object in its fingers
+Everything listens on 127.0.0.1 only. The arm starts 10 mm above the approach pose with the object in its fingers
 (or standing between the open fingers, ``--gripper open``), the motors off and RAPID stopped: the client brings it up.
 """
 
@@ -42,6 +42,7 @@ from simulation.cell.world import HeldPart, Mechanics, World
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM
 
 APPROACH_MM = 5.0  # the object's bottom above the block tops at the approach pose
+LIFT_MM = 10.0  # of the start above the approach pose
 TRACE_N = 30_000  # TCP heights, 250 a second: two minutes
 INSERTION_MM = 20.0  # how deep its bottom is in the gap when it counts as inserted
 
@@ -83,8 +84,8 @@ def bind_all(options: CellOptions) -> Sockets:
         (options.camera_left_port, "the left camera"),
         (options.camera_right_port, "the right camera"),
         (options.admin_port, "the admin server"),
-        (options.rapid_motion_port, "the RAPID motion server"),
-        (options.rapid_guard_port, "the RAPID guard"),
+        (0, "the RAPID motion server"),
+        (0, "the RAPID guard"),
     )
     with contextlib.ExitStack() as taken:
         bound = [taken.enter_context(bind_udp(0, "EGM"))]
@@ -106,7 +107,7 @@ class LiveCell:
     def __post_init__(self) -> None:
         options, plant = self.options, self.plant
         x, y, z = plant.start.position_mm
-        at_start = Pose((x, y, z + options.lift_mm), plant.start.quaternion)
+        at_start = Pose((x, y, z + LIFT_MM), plant.start.quaternion)
         limits = MotionLimits(lag_s=options.egm_lag_ms / 1000.0)
         self.cabinet = Cabinet(Follower(at_start, limits), self.board)
         self.frames = CellFrames()
@@ -116,7 +117,7 @@ class LiveCell:
         self.rapid = RapidServers(self.cabinet)
         self.egm.on_cycle += [self.rapid.cycle, self.stop_watch, self._set_lag, self._note_height]
         self.trace: deque[tuple[int, float]] = deque(maxlen=TRACE_N)
-        self.gate = Gate(self.board, options.rws_user, options.rws_password)
+        self.gate = Gate(self.board)
         self.rws = HttpServer(create_app(self.cabinet, self.frames, self.gate), self.sockets.rws)
         self.gate.abort = self.rws.abort
         held = options.gripper == "held"
@@ -218,7 +219,7 @@ class LiveCell:
             "expected_depth_mm": APPROACH_MM + INSERTION_MM,
             "creep_allowance_mm": CREEP_ALLOWANCE_MM,
             "approach": {"x_mm": x, "y_mm": y, "z_mm": z, "yaw_deg": self.plant.start.yaw_deg},
-            "home": {"x_mm": x, "y_mm": y, "z_mm": z + self.options.lift_mm, "yaw_deg": self.plant.start.yaw_deg},
+            "home": {"x_mm": x, "y_mm": y, "z_mm": z + LIFT_MM, "yaw_deg": self.plant.start.yaw_deg},
             "fps": self.plant.fps,
         }
 

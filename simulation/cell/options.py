@@ -9,7 +9,7 @@ import numpy as np
 
 from simulation.scene.scene import Scene
 
-_RANGES = {"x_mm": (-60.0, 60.0), "theta_deg": (-45.0, 45.0), "egm_lag_ms": (1.0, 500.0), "lift_mm": (0.0, 100.0)}
+_RANGES = {"x_mm": (-60.0, 60.0), "theta_deg": (-45.0, 45.0), "egm_lag_ms": (1.0, 500.0)}
 
 
 class CellError(ValueError):
@@ -38,14 +38,8 @@ class CellOptions:
     """The object stands in its fixture between the open fingers at the start, or is held already."""
     feed: bool = False
     """A new object stands in the fixture each time the arm is back there, and another box below the gap."""
-    fixture_spread: bool = True
-    """The fixture of --feed leaves an error that nobody is told; off, it holds the object where it is taught."""
     world: str | None = None
     """A world file (see docs/worlds.md); the project's own cell if left out."""
-    fixed_blocks: bool = False
-    """Blocks bolted down (as in data collection) instead of free."""
-    lift_mm: float = 10.0
-    """Height of the start above the approach pose."""
     egm_guide_port: int = 0
     """UDP port the robot sends to, where the guide listens; 0 picks a free one."""
     rws_port: int = 0
@@ -62,16 +56,8 @@ class CellOptions:
     """MJPEG of the right finger."""
     admin_port: int = 0
     """Truth and faults over HTTP."""
-    rapid_motion_port: int = 0
-    """Motion server of the controller without EGM, over TCP."""
-    rapid_guard_port: int = 0
-    """Its guard."""
     egm_joint_mode: bool = False
     """EGM takes joint targets instead of poses."""
-    rws_user: str = "Default User"
-    """User of Robot Web Services."""
-    rws_password: str = "robotics"  # noqa: S105 the controller's factory default, on loopback
-    """Its password (the controller's factory default)."""
 
     def check(self) -> None:
         """Raise CellError naming the option that cannot be."""
@@ -83,7 +69,7 @@ class CellOptions:
             if not low <= getattr(self, name) <= high:
                 raise CellError(f"--{name.replace('_', '-')} {getattr(self, name)}: expected {low:g} to {high:g}")
         names = ("egm_guide", "rws", "gripper", "gripper_udp", "gripper_udp_remote", "camera_left", "camera_right")
-        for name in (*names, "admin", "rapid_motion", "rapid_guard"):
+        for name in (*names, "admin"):
             if not 0 <= getattr(self, f"{name}_port") <= 65535:
                 raise CellError(f"--{name.replace('_', '-')}-port: expected 0 to 65535")
 

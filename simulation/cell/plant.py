@@ -24,9 +24,9 @@ LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; a solve that polishe
 
 
 def load(options: CellOptions) -> Scene:
-    """The scene of the options, blocks free unless they are bolted down; raises SceneError."""
+    """The scene of the options, blocks free; raises SceneError."""
     changes: dict[str, object] = {
-        "blocks.free": not options.fixed_blocks,
+        "blocks.free": True,
         "numerics.residual_n": LIVE_RESIDUAL_N,
     }
     changes |= {"camera.fps": options.fps} if options.fps else {}
@@ -58,7 +58,7 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         if options.feed and part_n not in fed:
             fed.add(part_n)
             cell.reset_blocks()
-        if options.feed and options.fixture_spread:
+        if options.feed:
             x_mm, theta_deg = draw_start(scene, options.seed + part_n)
         cell.regrasp(x_mm, theta_deg)
         return _pose_of(cell)

@@ -237,10 +237,10 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", 
     egm = EgmEmulator(cabinet, frames, guide_port)
     rws_socket, wsg_socket = bind_tcp(0, "RWS"), bind_tcp(0, "gripper")
     if omnicore:
-        gate = Gate(board, "Default User", "robotics", Basic)
+        gate = Gate(board, Basic)
         rws = HttpServer(create_app2(cabinet, frames, gate), rws_socket, omnicore)
     else:
-        gate = Gate(board, "Default User", "robotics")
+        gate = Gate(board)
         rws = HttpServer(create_app(cabinet, frames, gate), rws_socket)
     gate.abort = rws.abort
     gripper = Gripper(part or Part(), board, holding=holding)

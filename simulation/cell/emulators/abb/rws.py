@@ -31,6 +31,7 @@ from simulation.cell.emulators.abb.rws_more import add_more
 from simulation.cell.emulators.abb.rws_subscriptions import add_subscriptions
 from simulation.cell.emulators.faults import FaultBoard, take
 
+USER, PASSWORD = "Default User", "robotics"  # the controller's factory default
 MAX_SESSIONS = 70
 COOKIES = ("-http-session-", "ABBCX")  # both must be kept; the second one names the session
 _SESSION_IDLE_S = 300.0
@@ -67,9 +68,9 @@ async def _form(request: Request) -> dict[str, str]:
 class Gate:
     """What stands before every resource: faults, digest access, sessions."""
 
-    def __init__(self, board: FaultBoard, user: str, password: str, credentials: type[Digest] = Digest) -> None:
+    def __init__(self, board: FaultBoard, credentials: type[Digest] = Digest) -> None:
         self._board = board
-        self._credentials = credentials(user, password)
+        self._credentials = credentials(USER, PASSWORD)
         self._sessions: dict[str, float] = {}
         self.abort: Callable[[Any], None] = lambda _client: None
 
