@@ -22,7 +22,7 @@ from pydantic import Field, ValidationError
 from service.contract import FINGERS, ContractError, Finger, FrameSpec
 from service.contract.frames import Contract
 from service.contract.refusals import describe, nearest
-from service.contract.toml import read_toml
+from service.contract.toml import parse_toml
 from service.perception.lens import Lens, Projection, Warp, order_of
 
 SCHEMA_VERSION = 1
@@ -116,8 +116,13 @@ class Calibration:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a calibration file; raise CalibrationError, or FileNotFoundError, with one clear line."""
+        return cls.parse(Path(path).read_bytes(), path)
+
+    @classmethod
+    def parse(cls, content: bytes, path: str | Path) -> Self:
+        """Of a calibration file's bytes; raise CalibrationError with one clear line, which names the path."""
         try:
-            table = read_toml(path)
+            table = parse_toml(content, path)
         except ContractError as error:
             raise CalibrationError(str(error)) from error
         if table.get("schema_version") != SCHEMA_VERSION:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Metadata, Schema
+from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
@@ -24,10 +24,9 @@ class RecordingError(ContractError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One message of a recording: topic, schema name, wall-clock log time, sequence number, bytes."""
+    """One message of a recording: topic, wall-clock log time, sequence number, bytes."""
 
     topic: str
-    schema: str
     log_ns: int
     seq: int
     data: bytes
@@ -58,12 +57,9 @@ class Recording:
 
     def _read(self, stream: Any) -> Iterator[Entry]:
         channels: dict[int, Channel] = {}
-        schemas: dict[int, str] = {}
         try:
             for record in StreamReader(stream).records:
                 match record:
-                    case Schema():
-                        schemas[record.id] = record.name
                     case Channel():
                         channels[record.id] = record
                     case Metadata() if record.name == "insertion":
@@ -73,9 +69,8 @@ class Recording:
                     case Metadata() if record.name == RECOVERY:
                         self.recovered = True
                     case Message():
-                        channel = channels[record.channel_id]
-                        schema = schemas.get(channel.schema_id, "")
-                        yield Entry(channel.topic, schema, record.log_time, record.sequence, record.data)
+                        topic = channels[record.channel_id].topic
+                        yield Entry(topic, record.log_time, record.sequence, record.data)
             self.complete = True
         except (McapError, EOFError, OSError, ValueError, KeyError, IndexError) as error:
             if not self.metadata:
@@ -95,14 +90,15 @@ class Recording:
     def frames(self, finger: Finger) -> dict[int, TactileFrame]:
         """Every recorded frame of a finger by sequence number, with its exact stamp and pixels."""
         return {
-            entry.seq: TactileFrame(finger, entry.seq, entry.log_ns - self.offset_ns, _pixels(entry))
-            for topic in IMAGE.values()
-            for entry in self.of(f"/{finger}/{topic}")
+            entry.seq: TactileFrame(finger, entry.seq, entry.log_ns - self.offset_ns, pixels_of(topic, entry.data))
+            for topic in (f"/{finger}/{name}" for name in IMAGE.values())
+            for entry in self.of(topic)
         }
 
 
-def _pixels(entry: Entry) -> NDArray[np.uint8]:
-    if entry.schema == CompressedImage.DESCRIPTOR.full_name:
-        return decode_jpeg(CompressedImage.FromString(entry.data).data)
-    image = RawImage.FromString(entry.data)
+def pixels_of(topic: str, data: bytes) -> NDArray[np.uint8]:
+    """The picture that a message of a finger's image topic holds."""
+    if topic.endswith(IMAGE[CompressedImage]):
+        return decode_jpeg(CompressedImage.FromString(data).data)
+    image = RawImage.FromString(data)
     return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, 3)

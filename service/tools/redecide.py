@@ -6,7 +6,6 @@ same messages; only times (latencies, ages) and the recording's path may differ.
 
 import hashlib
 import json
-import tempfile
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -107,10 +106,7 @@ def open_replay(recording: Recording, models: ModelSet) -> Replay:
         raise RecordingError(f"{recording.path} was decided by other models ({recording.metadata['models']})")
     calibration = None
     if recording.metadata["calibration"]:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "calibration.toml"
-            path.write_text(recording.metadata["calibration"])
-            calibration = Calibration.load(path)
+        calibration = Calibration.parse(recording.metadata["calibration"].encode(), recording.path)
     limits = Limits.model_validate_json(recording.metadata["limits"])
     controller: Any = recording.metadata["controller"]
     session = make_session(models, calibration, controller, limits)

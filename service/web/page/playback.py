@@ -1,7 +1,6 @@
 """A recorded insertion played back: curves on one time axis, and what both fingers felt at any moment of it."""
 
 import json
-import tempfile
 from bisect import bisect_left
 from collections.abc import Iterator
 from functools import lru_cache
@@ -11,14 +10,12 @@ from typing import Any
 import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
-from numpy.typing import NDArray
 
-from service.cameras.capture import decode_jpeg
-from service.contract import FINGERS, ContractError, Finger
+from service.contract import FINGERS, Finger
 from service.contract.wire import parse_service
 from service.perception.rectification import Calibration, Rectifier
-from service.recordings.reader import RecordingError
-from service.recordings.schemas import CompressedImage, Markers, RawImage
+from service.recordings.reader import RecordingError, pixels_of
+from service.recordings.schemas import Markers
 from service.recordings.writer import IMAGE
 from service.web.page.broadcast import kinds, shown
 from service.web.page.sentences import event
@@ -93,9 +90,9 @@ def timeline(path: Path) -> dict[str, Any]:
         for topic, at_ns, data in _messages(make_reader(stream), TOPICS):
             match topic:
                 case "/robot":
-                    curves.robot(at_ns, _json(data)["depth_mm"])
+                    curves.robot(at_ns, json.loads(data)["depth_mm"])
                 case "/messages":
-                    content = _json(data)
+                    content = json.loads(data)
                     curves.message(at_ns, content["from"], content["message"])
                 case _:
                     curves.markers(topic.split("/")[1], at_ns, data)
@@ -113,7 +110,7 @@ def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
             if topic.endswith("markers"):
                 markers = Markers.FromString(data)
             else:
-                pixels = _pixels(topic, data)
+                pixels = pixels_of(topic, data)
     if markers is None:
         raise RecordingError(f"{path.parent.name} has no markers of the {finger} finger at {at_ns}")
     if pixels is None:
@@ -121,11 +118,11 @@ def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
     elif calibration:
         rectify = _rectifier(calibration, finger)
         pixels = rectify.apply(pixels) if pixels.shape == rectify.camera.raw.shape else pixels
-    valid = np.frombuffer(markers.valid, np.uint8)
+    flags = (np.frombuffer(each, np.uint8) for each in (markers.valid, markers.slipping, markers.sticking))
     arrows = {
         "rest": [round(v, 1) for v in markers.rest_px],
         "moved": [round(v, 2) for v in markers.displacement_px],
-        "kinds": kinds(valid, _flags(markers.slipping, valid.size), _flags(markers.sticking, valid.size)),
+        "kinds": kinds(*flags),
         "pitch": _pitch(markers),
     }
     return shown(finger, pixels, markers.state, markers.slip_score) | arrows
@@ -141,36 +138,16 @@ def _messages(reader: McapReader, topics: list[str], at_ns: int | None = None) -
         raise RecordingError(f"the recording cannot be read: {error or type(error).__name__}") from error
 
 
-def _flags(recorded: bytes, count: int) -> NDArray[np.uint8]:
-    """One flag a marker; recordings of older versions have none."""
-    return np.frombuffer(recorded, np.uint8) if len(recorded) == count else np.zeros(count, np.uint8)
-
-
 def _pitch(markers: Any) -> float:
     """Distance of neighbouring markers at rest, px."""
     rest = np.array(markers.rest_px, np.float32).reshape(markers.rows, markers.cols, 2)
     return float(np.median(rest[:, 1:, 0] - rest[:, :-1, 0]))
 
 
-def _pixels(topic: str, data: bytes) -> Any:
-    if topic.endswith(IMAGE[CompressedImage]):
-        return decode_jpeg(CompressedImage.FromString(data).data)
-    image = RawImage.FromString(data)
-    return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, 3)
-
-
 @lru_cache(maxsize=4)
 def _rectifier(calibration: str, finger: Finger) -> Rectifier:
     """Of a calibration's text; raises RecordingError where it is none."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "calibration.toml"
-        path.write_text(calibration, encoding="utf-8")
-        try:
-            return Rectifier(Calibration.load(path).camera(finger))
-        except (ContractError, ValueError) as error:
-            raise RecordingError(f"the recording's calibration cannot be used: {error}") from error
-
-
-def _json(data: bytes) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(data)
-    return content
+    try:
+        return Rectifier(Calibration.parse(calibration.encode(), "it").camera(finger))
+    except ValueError as error:
+        raise RecordingError(f"the recording's calibration cannot be used: {error}") from error
