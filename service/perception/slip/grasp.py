@@ -7,7 +7,7 @@ grasp as it is now, never that of open fingers.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,15 +16,9 @@ from service.perception.slip.detector import SlipDetector, SlipSettings, SlipSta
 from service.perception.slip.open_gel import OpenGel
 from service.perception.slip.rigid import carried_px
 
-
-@dataclass(frozen=True, slots=True)
-class GraspSettings:
-    """At rest means: nowhere carried further than ``rest_pitch`` within ``settle_s``."""
-
-    rest_pitch: float = 0.04
-    settle_s: float = 0.4
-
-
+# At rest: nowhere carried further within that time.
+_REST_PITCH = 0.04
+_SETTLE_S = 0.4
 # The least limit that raised no alarm while 11 real objects were held and shaken (3,048 finger frames), and a quarter
 # more; half of the recordings chose the same limit as the other half.
 WATCH_SLIP_PITCH = 0.0625
@@ -41,10 +35,9 @@ class GraspWatch:
     ``free`` detects a gel that nothing touches; let it learn the untouched gel if a frame of it is available.
     """
 
-    def __init__(self, slip: SlipSettings | None = None, settings: GraspSettings | None = None) -> None:
+    def __init__(self, slip: SlipSettings | None = None) -> None:
         self.free = OpenGel()
         self.detector = SlipDetector(slip or watch_settings(WATCH_SLIP_PITCH))
-        self.settings = settings or GraspSettings()
         self._anchor: MarkerField | None = None
         self._free = False
 
@@ -81,9 +74,9 @@ class GraspWatch:
         if anchor is None or anchor.valid.shape != field.valid.shape or self._moved(anchor, field):
             self._anchor = field
             return False
-        return (field.captured_ns - anchor.captured_ns) * 1e-9 >= self.settings.settle_s
+        return (field.captured_ns - anchor.captured_ns) * 1e-9 >= _SETTLE_S
 
     def _moved(self, anchor: MarkerField, field: MarkerField) -> bool:
         may = field.valid & anchor.valid
         step = np.asarray(field.displacement_px - anchor.displacement_px, np.float64)
-        return carried_px(step, may) > self.settings.rest_pitch * field.pitch_px
+        return carried_px(step, may) > _REST_PITCH * field.pitch_px

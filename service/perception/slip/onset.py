@@ -11,14 +11,9 @@ import numpy as np
 from service.perception.markers.field import MarkerField, median
 from service.perception.slip.rigid import carried_px
 
-
-@dataclass(frozen=True, slots=True)
-class OnsetSettings:
-    """``floor_pitch``: the least motion that counts, as a share of the pitch. ``sigmas``: above the jitter at rest."""
-
-    floor_pitch: float = 0.012
-    sigmas: float = 6.0
-    learn_n: int = 3
+_FLOOR_PITCH = 0.012  # the least motion that counts
+_SIGMAS = 6.0  # above the jitter at rest, which is known after
+_LEARN_N = 3  # frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +27,7 @@ class Onset:
 class OnsetDetector:
     """Reports the onset once per :meth:`rearm`; ``update`` returns it from the frame of onset on, None before."""
 
-    def __init__(self, settings: OnsetSettings | None = None) -> None:
-        self.settings = settings or OnsetSettings()
+    def __init__(self) -> None:
         self.disarm()
 
     def disarm(self) -> None:
@@ -67,10 +61,10 @@ class OnsetDetector:
         return self._onset
 
     def _threshold(self, pitch_px: float) -> float:
-        floor = self.settings.floor_pitch * pitch_px
-        if len(self._rest) < self.settings.learn_n:
+        floor = _FLOOR_PITCH * pitch_px
+        if len(self._rest) < _LEARN_N:
             return 1.5 * floor
         rest = np.array(self._rest)
         middle = float(median(rest))
         spread = 1.4826 * float(median(np.abs(rest - middle)))
-        return max(floor, middle + self.settings.sigmas * max(spread, 0.1 * floor))
+        return max(floor, middle + _SIGMAS * max(spread, 0.1 * floor))

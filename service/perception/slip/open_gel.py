@@ -9,7 +9,7 @@ learnt, where they were printed, on a sensor whose rectified image shows a regul
 grid is then never called open, and slip is detected as if something were held.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
 
@@ -28,34 +28,22 @@ _AROUND = np.ones((3, 3), np.uint8)
 _SLID = 0.5  # pitch; markers further off than this, all of them, were taken for their neighbours
 _EXPOSED = 1.3  # times the open gel's light; beyond, the camera is still finding its exposure
 
-
-@dataclass(frozen=True, slots=True)
-class OpenGelSettings:
-    """A gel is touched from these on.
-
-    ``shade_grey``: grey levels by which all but the most changed ``shade_area`` of the picture have changed at most.
-    ``home_pitch``: RMS distance of the markers from a learnt frame, in shares of the pitch (real gels come home to
-    0.016, a flat object held with 2 N moves them by 0.02). ``print_pitch``: from a regular grid of unknown place, size
-    and turn, which a press from 8 N on leaves. ``worn_pitch``: where a picture is known as well, for which real
-    markers need not have come home. ``valid_share``: of the markers, below which they tell nothing. ``weight_pitch``:
-    how far all markers hang down on the mean where something's weight is held. In no frame of 22 real runs did both
-    open gels hang so far before a grasp, and in 0.5 % of those after a loss.
-    """
-
-    shade_grey: float = 4.5
-    shade_area: float = 0.02
-    home_pitch: float = 0.018
-    print_pitch: float = 0.012
-    worn_pitch: float = 0.06
-    valid_share: float = 0.6
-    weight_pitch: float = 0.005
+# A gel is touched from these on, lengths in shares of the pitch.
+_SHADE_GREY = 4.5  # grey levels by which all of the picture but its most changed part has changed at most
+_SHADE_AREA = 0.02  # that part
+_HOME_PITCH = 0.018  # RMS, from a learnt frame; real gels come home to 0.016, 2 N on a flat object move them by 0.02
+_PRINT_PITCH = 0.012  # from a regular grid of unknown place, size and turn, which a press from 8 N on leaves
+_WORN_PITCH = 0.06  # where a picture is known as well, for which real markers need not have come home
+_VALID_SHARE = 0.6  # of the markers; fewer tell nothing
+# How far all markers hang down on the mean where something's weight is held. In no frame of 22 real runs did both open
+# gels hang so far before a grasp, and in 0.5 % of those after a loss.
+WEIGHT_PITCH = 0.005
 
 
 class OpenGel:
     """One finger's open gel: learnt before the grasp, or guessed from the regularity of its print."""
 
-    def __init__(self, settings: OpenGelSettings | None = None) -> None:
-        self.settings = settings or OpenGelSettings()
+    def __init__(self) -> None:
         self._home: MarkerField | None = None
         self._spanned: Spanned | None = None
         self._weighed: tuple[MarkerField | None, float | None] = None, None  # the last field, and its bulge
@@ -85,17 +73,17 @@ class OpenGel:
         if picture is None or self._spanned is None:
             return bulge
         shade = self.shade(picture)
-        away_pitch = 0.0 if bulge is None else bulge * self.settings.home_pitch
+        away_pitch = 0.0 if bulge is None else bulge * _HOME_PITCH
         if shade is None or away_pitch > _SLID:
             return shade
-        return max(shade, away_pitch / self.settings.worn_pitch)
+        return max(shade, away_pitch / _WORN_PITCH)
 
     def shade(self, picture: Picture) -> float | None:
         """How much a :func:`shrunk` picture differs from the open gel's, touched from 1 on; None: unlearnt, unlike."""
         if self._spanned is None or self._spanned.picture.shape != picture.shape:
             return None
-        changed = changed_grey(picture, self._spanned, self.settings.shade_area)
-        return None if changed is None else changed / self.settings.shade_grey
+        changed = changed_grey(picture, self._spanned, _SHADE_AREA)
+        return None if changed is None else changed / _SHADE_GREY
 
     def bulge(self, field: MarkerField) -> float | None:
         """How far the markers are from their places, RMS, in shares of what an untouched gel may show; None: unseen."""
@@ -112,7 +100,7 @@ class OpenGel:
         if self._home is None or may is None:
             return None
         down_px = self._from_home(field, self._home, may)[:, 1].mean()
-        return float(down_px) / (self.settings.weight_pitch * field.pitch_px)
+        return float(down_px) / (WEIGHT_PITCH * field.pitch_px)
 
     def _bulge(self, field: MarkerField) -> float | None:
         may = self._comparable(field)
@@ -120,9 +108,9 @@ class OpenGel:
             return None
         if self._home is None:
             now = (field.rest_px + field.displacement_px)[may].astype(np.float64)
-            off, limit = off_print(np.argwhere(may).astype(np.float64), now), self.settings.print_pitch
+            off, limit = off_print(np.argwhere(may).astype(np.float64), now), _PRINT_PITCH
         else:
-            off, limit = self._from_home(field, self._home, may), self.settings.home_pitch
+            off, limit = self._from_home(field, self._home, may), _HOME_PITCH
         return _spread(off) / (limit * field.pitch_px)
 
     def _comparable(self, field: MarkerField) -> NDArray[np.bool_] | None:
@@ -132,7 +120,7 @@ class OpenGel:
             if self._home.valid.shape != may.shape:
                 return None
             may = may & self._home.valid
-        enough = field.usable and may.sum() >= max(12, self.settings.valid_share * may.size)
+        enough = field.usable and may.sum() >= max(12, _VALID_SHARE * may.size)
         return may if enough else None
 
     @staticmethod

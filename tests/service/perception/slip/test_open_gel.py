@@ -9,7 +9,7 @@ from service.perception.markers.field import empty_field
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.grasp import GraspWatch
-from service.perception.slip.open_gel import OpenGel
+from service.perception.slip.open_gel import WEIGHT_PITCH, OpenGel
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene, object_names
@@ -93,7 +93,7 @@ def test_a_weight_is_what_all_markers_hang_down_by_from_where_they_were():
     assert gel.weight(fields[0]) is None, "no open gel was learnt"
     gel.learn(fields[0])
     down, up = (gel.weight(field) for field in fields[1:])
-    expected = 0.3 / (gel.settings.weight_pitch * fields[0].pitch_px)
+    expected = 0.3 / (WEIGHT_PITCH * fields[0].pitch_px)
     assert down == pytest.approx(expected, rel=0.2)
     assert up == pytest.approx(-expected, rel=0.2)
     assert gel.weight(empty_field(FRAME_NS, "lost", "no marker")) is None
