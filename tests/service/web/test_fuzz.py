@@ -121,17 +121,6 @@ def is_well(live: LiveService) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_said_on_a_websocket_kills_a_session(live: LiveService) -> None:
-    @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
-    @given(path=st.sampled_from(SOCKETS), sent=frames, hello=st.booleans())
-    def fuzz(path: str, sent: list[str | bytes], hello: bool) -> None:
-        talk(live, path, sent, hello)
-
-    fuzz()
-    is_well(live)
-
-
-@pytest.mark.slow
 def test_a_thousand_conversations_do_not_kill_a_session(live: LiveService) -> None:
     @settings(max_examples=1000, deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(path=st.sampled_from(SOCKETS), sent=frames, hello=st.booleans())
