@@ -1,7 +1,6 @@
 """The simulated plant behind the live cell: physics of one scene, optics of both fingers, their calibration."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +24,7 @@ LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; a solve that polishe
 
 def load(options: CellOptions) -> Scene:
     """The scene of the options, blocks free; raises SceneError."""
-    changes: dict[str, object] = {
-        "blocks.free": True,
-        "numerics.residual_n": LIVE_RESIDUAL_N,
-    }
+    changes: dict[str, object] = {"blocks.free": True, "numerics.residual_n": LIVE_RESIDUAL_N}
     changes |= {"camera.fps": options.fps} if options.fps else {}
     scene = load_scene(options.object)
     if options.world is not None:
@@ -63,9 +59,6 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         cell.regrasp(x_mm, theta_deg)
         return _pose_of(cell)
 
-    def save_calibration(path: Path) -> None:
-        calibration.save(path)
-
     return Plant(
         mechanics=cell,
         regrasp=regrasp,
@@ -73,7 +66,7 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         start=_pose_of(cell),
         part_width_mm=scene.object.held_size_y_mm or scene.object.size_y_mm,
         gap_width_mm=scene.blocks.gap_mm,
-        save_calibration=save_calibration,
+        save_calibration=calibration.save,
         sensor=scene.sensor,
         fps=scene.fps,
         dropped_share=dropped_share(scene),

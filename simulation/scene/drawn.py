@@ -4,6 +4,7 @@ Worlds come from a Latin hypercube: over `count` of them every quantity is sprea
 are those that collection draws from (`docs/worlds.md`), and they are frozen: nobody changes them to please a network.
 """
 
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -238,13 +239,5 @@ def toml(tables: Tables, comment: str) -> str:
     """The file that holds these tables."""
     lines = [f"# {comment}"]
     for table, values in tables.items():
-        lines += ["", f"[{table}]", *(f"{key} = {_value(value)}" for key, value in values.items())]
+        lines += ["", f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items())]
     return "\n".join(lines) + "\n"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return f"[{', '.join(_value(each) for each in value)}]"
-    return f'"{value}"' if isinstance(value, str) else repr(value)
