@@ -51,34 +51,22 @@ $(VENV)/browser: $(VENV)/ready
 	$(BIN)/pip install -q 'playwright>=1.49' 'axe-playwright-python>=0.1.4'
 	@touch $@
 
-$(READERS_VENV)/ready: pyproject.toml
-	$(PYTHON) -m venv $(READERS_VENV)
-	$(READERS_VENV)/bin/pip install -q 'rerun-sdk>=0.41' 'foxglove-sdk>=0.30'
-	@touch $@
-
-$(OLD_RUNTIME_VENV)/ready: pyproject.toml
-	$(PYTHON) -m venv $(OLD_RUNTIME_VENV)
-	$(OLD_RUNTIME_VENV)/bin/pip install -q 'onnxruntime==1.17.3' 'numpy<2'
-	@touch $@
-
-$(GRAPH_VENV)/ready: pyproject.toml
-	$(PYTHON) -m venv $(GRAPH_VENV)
-	$(GRAPH_VENV)/bin/pip install -q openvino onnxsim
-	@touch $@
-
-$(KSERVE_VENV)/ready: pyproject.toml
-	$(PYTHON) -m venv $(KSERVE_VENV)
-	$(KSERVE_VENV)/bin/pip install -q kserve
-	@touch $@
-
-$(LEROBOT_VENV)/ready: pyproject.toml
-	$(PYTHON) -m venv $(LEROBOT_VENV)
-	$(LEROBOT_VENV)/bin/pip install -q lerobot
+PEERS_OF_THEIR_OWN = $(READERS_VENV) $(OLD_RUNTIME_VENV) $(GRAPH_VENV) $(KSERVE_VENV) $(LEROBOT_VENV)
+$(READERS_VENV)/ready: PACKAGES = 'rerun-sdk>=0.41' 'foxglove-sdk>=0.30'
+$(OLD_RUNTIME_VENV)/ready: PACKAGES = 'onnxruntime==1.17.3' 'numpy<2'
+$(GRAPH_VENV)/ready: PACKAGES = openvino onnxsim
+$(KSERVE_VENV)/ready: PACKAGES = kserve
+$(LEROBOT_VENV)/ready: PACKAGES = lerobot
+$(PEERS_OF_THEIR_OWN:=/ready): pyproject.toml
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/pip install -q $(PACKAGES)
 	@touch $@
 
 $(DOCS_VENV)/ready: requirements/docs.txt
-	$(PYTHON) -m venv $(DOCS_VENV)
-	$(DOCS_VENV)/bin/pip install -q --require-hashes --no-deps -r requirements/docs.txt
+$(OPS_VENV)/ready: requirements/ops.txt
+$(DOCS_VENV)/ready $(OPS_VENV)/ready:
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/pip install -q --require-hashes --no-deps -r $<
 	@touch $@
 
 # ---- the main job -------------------------------------------------------------------------------------------------
@@ -193,8 +181,8 @@ bench: $(VENV)/ready ## what a decision of each released network costs on this m
 bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
 
-PEERS_OF_THEIR_OWN = $(READERS_VENV) $(OLD_RUNTIME_VENV) $(GRAPH_VENV) $(KSERVE_VENV) $(if $(LEROBOT),$(LEROBOT_VENV))
-peers: $(VENV)/browser $(addsuffix /ready,$(PEERS_OF_THEIR_OWN)) ## foreign software against this one, a row a package: docs/peers.md, .json (LEROBOT=1: its loader too, 8 GB)
+PEERS = $(if $(LEROBOT),$(PEERS_OF_THEIR_OWN),$(filter-out $(LEROBOT_VENV),$(PEERS_OF_THEIR_OWN)))
+peers: $(VENV)/browser $(PEERS:=/ready) ## foreign software against this one, a row a package: docs/peers.md, .json (LEROBOT=1: its loader too, 8 GB)
 	PEERS_PYTHON=$(CURDIR)/$(READERS_VENV)/bin/python OLD_RUNTIME_PYTHON=$(CURDIR)/$(OLD_RUNTIME_VENV)/bin/python \
 	  GRAPH_PYTHON=$(CURDIR)/$(GRAPH_VENV)/bin/python KSERVE_PYTHON=$(CURDIR)/$(KSERVE_VENV)/bin/python $(if $(LEROBOT),LEROBOT_PYTHON=$(CURDIR)/$(LEROBOT_VENV)/bin/python) \
 	  $(BIN)/python -m tests.peers
@@ -234,11 +222,6 @@ COMPOSE ?= $(if $(shell docker compose version 2>/dev/null),docker compose,$(OPS
 OVERRIDE = $(wildcard docker/compose.override.yaml)
 COMPOSE_FILE_ARGS = --project-name $(CELL) --file docker/compose.yaml $(if $(OVERRIDE),--file $(OVERRIDE))
 
-$(OPS_VENV)/ready: requirements/ops.txt
-	$(PYTHON) -m venv $(OPS_VENV)
-	$(OPS_VENV)/bin/pip install -q --require-hashes --no-deps -r requirements/ops.txt
-	@touch $@
-
 image: $(OPS_VENV)/ready ## build the three images (service, robot client, simulated cell)
 	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim build
 
@@ -274,4 +257,4 @@ requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
 clean: ## remove what the commands above made, but no data and no runs
-	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(READERS_VENV) $(OLD_RUNTIME_VENV) $(GRAPH_VENV) $(KSERVE_VENV) $(LEROBOT_VENV) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(PEERS_OF_THEIR_OWN) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
