@@ -50,8 +50,12 @@ class Options:
     """also ask each world for its signs with each mistake of a first day"""
     probes: int = 150
     """probes of known error in each world; 0: only the four that ask for signs"""
+    around: int = 300
+    """presses simulated around what is known of the cell: its objects, grip and height; 0: none"""
+    work: int = 50
+    """working insertions to learn from; 0: none"""
     insertions: int = 50
-    """working insertions to learn from, and fresh ones that every version is counted on"""
+    """fresh ones that every version is counted on"""
     seed: int = 0
     """of starts, grasps and noise"""
     models: Path = field(default_factory=released_models)
@@ -67,13 +71,15 @@ class Options:
 def main(arguments: list[str]) -> int:
     """Play all worlds, write the rows as they come."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion commission")
-    if options.probes < 0 or options.insertions < 1:
-        raise ValueError(f"--probes {options.probes} --insertions {options.insertions}: expected at least 0 and 1")
+    if min(options.probes, options.around, options.work) < 0 or options.insertions < 1:
+        given = f"--probes {options.probes} --around {options.around} --work {options.work}"
+        raise ValueError(f"{given} --insertions {options.insertions}: expected at least 0, 0, 0 and 1")
     models = options.models
     checkpoint = options.checkpoint or models / "checkpoint.pt"
     if not checkpoint.exists():
         raise ValueError(f"--checkpoint {checkpoint}: no such file; expected the release as `training` saved it")
-    plan = Plan(checkpoint, models, options.probes, options.insertions, options.workers)
+    counts = options.probes, options.insertions, options.workers, options.work, options.around
+    plan = Plan(checkpoint, models, *counts)
     made_by = hashlib.sha256(json.dumps(fingerprint({"belief": models}), sort_keys=True).encode()).hexdigest()[:12]
     worlds = [load_world(file) for file in files_in(options.worlds)]
     cells = [(_cell(options, world, made_by), plan) for world in worlds]

@@ -1,23 +1,26 @@
 """Commands around a dataset: collect it, export it for other people's tools, which show it, too."""
 
+import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from reporting.files import write_durably
 from service.contract import ContractError, Sensor
-from simulation.data import lerobot
+from service.contract.toml import read_toml
+from simulation.data import drawn_cells, lerobot
 from simulation.data.collect import Plan, make_shard, scene_of, scene_sha256, shard_of
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, ShardEntry, slice_of
 from simulation.data.manifest import MANIFEST, read_manifest
 from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
-from simulation.scene.worlds import training_objects
+from simulation.scene.worlds import load_world, training_objects
 
 SHARD_TRIALS = 250
 
@@ -34,6 +37,8 @@ class CollectOptions:
     """Scene names or TOML files; or `drawn` for worlds and objects drawn over all that cells are."""
     sensor: str = ""
     """Name or TOML file of the fingers' sensor, where it is not the scenes' own."""
+    around: Path | None = None
+    """World file that says what is known of one cell: the objects are pressed there, and what it leaves out is drawn"""
     seed: int = 0
     """Same seed, same data, bit for bit, whatever the number of workers."""
     workers: int = 0
@@ -68,8 +73,9 @@ def asked_manifest(options: CollectOptions) -> Manifest:
     sensors = {scene.sensor for scene in scenes.values()}
     if len(sensors) > 1:
         raise DatasetError(f"the scenes have sensors {', '.join(sorted(map(str, sensors)))}: a dataset has one")
+    around = f" --around {sha256(json.dumps(_known(options)).encode()).hexdigest()[:12]}" if options.around else ""
     return Manifest(
-        made_by="simulation collect",
+        made_by=f"simulation collect{around}",
         seed=options.seed,
         trials_per_object=options.trials_per_object,
         trials_per_shard=per_shard,
@@ -78,6 +84,16 @@ def asked_manifest(options: CollectOptions) -> Manifest:
         sensor=sensors.pop(),
         physics=sources_sha256("simulation.data.probe"),
     )
+
+
+def _known(options: CollectOptions) -> dict[str, Any] | None:
+    """The tables of the world file, checked."""
+    if options.around is None:
+        return None
+    if drawn_cells.NAME in options.objects:
+        raise DatasetError(f"--around {options.around}: expected the objects that the cell packs, not drawn ones")
+    load_world(options.around)
+    return read_toml(options.around)
 
 
 def _shard_size(options: CollectOptions) -> int:
@@ -96,7 +112,7 @@ def collect(arguments: list[str]) -> int:
         manifest = writer.manifest
         size, seed, share = manifest.trials_per_shard, manifest.seed, manifest.held_out_share
         plans = [
-            Plan(options.out, scene, shard, size, seed, share, manifest.sensor)
+            Plan(options.out, scene, shard, size, seed, share, manifest.sensor, _known(options))
             for scene, shard in manifest.missing_shards()
         ]
         with progress("collisions", sum(plan.trials for plan in plans)) as show:

@@ -11,9 +11,10 @@ unfinished shards again and gets the same bits.
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,10 @@ _SHARDS_PER_OBJECT = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One shard to make; small and picklable, everything follows from it."""
+    """One shard to make; small and picklable, everything follows from it.
+
+    ``known``: of the cell around which all else is drawn, as the tables of a world file.
+    """
 
     folder: Path
     scene_name: str
@@ -49,6 +53,7 @@ class Plan:
     seed: int
     held_out_share: float
     sensor: Sensor | None = None
+    known: Mapping[str, Mapping[str, Any]] | None = None
 
     @property
     def file_name(self) -> str:
@@ -90,7 +95,9 @@ def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.rand
     rng = np.random.Generator(np.random.PCG64([plan.seed, group]))
     held_out = bool(rng.random() < plan.held_out_share)
     drawn = ""
-    if plan.scene_name == drawn_cells.NAME:
+    if plan.known is not None:
+        scene, drawn = drawn_cells.draw_cell(rng, plan.known, base)
+    elif plan.scene_name == drawn_cells.NAME:
         scene, drawn = drawn_cells.draw_cell(rng)
     else:
         scene = randomised(base, rng, held_out=held_out)

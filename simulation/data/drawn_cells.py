@@ -1,10 +1,13 @@
 """Cells to collect from that are drawn whole: world and object of each re-fixture, over all that cells are.
 
+Around one cell, what is known of it is as it is, and its object; the rest is drawn.
+
 A trial of theirs is pressed to a fixed depth, whatever slips, with a frame every so many hundredths of a millimetre. So
 cameras of all rates can be drawn from it when it is read; the arm's speed counts where the gel relaxes.
 """
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -23,6 +26,8 @@ GRIDS = ((12, 12), (12, 12), (16, 16), (20, 21))
 cost a third of 20 x 21. The layer tier has the first."""
 SETTLE_MM = 1e-4
 """Coarser than a judge's, a tenth of what a tracker sees."""
+MOST_DRAWS = 1000
+"""Of cells that do not fit together, until what is known of one must be what does not fit."""
 
 
 def base() -> Scene:
@@ -30,21 +35,31 @@ def base() -> Scene:
     return drawn.scene_of_tables({"object": {"shape": "rectangle", "size_x_mm": 60.0, "size_y_mm": 50.0}}, NAME)
 
 
-def draw_cell(rng: np.random.Generator) -> tuple[Scene, str]:
-    """A scene, and all that was drawn of it as JSON by dotted key."""
-    while True:
-        tables, body = drawn.draw_world(rng), drawn.draw_object(rng)
+def draw_cell(
+    rng: np.random.Generator, known: Mapping[str, Mapping[str, Any]] | None = None, held: Scene | None = None
+) -> tuple[Scene, str]:
+    """A scene, and all that was drawn of it as JSON by dotted key.
+
+    known: tables of a world file, of what is not drawn; held: the object, instead of a drawn one. Raises SceneError
+    where nothing that is drawn fits to them.
+    """
+    for _ in range(MOST_DRAWS):
+        tables, body = drawn.draw_world(rng), {} if held else drawn.draw_object(rng)
         tables["gel"]["tier"] = "layer" if rng.random() < LAYER_SHARE else "bristle"
+        for table, values in (known or {}).items():
+            tables[table] = {**tables.get(table, {}), **values}
         try:
             world = drawn.world(tables, NAME)
-            scene = world.around(drawn.scene_of_tables(body, NAME))
-        except SceneError:
+            scene = world.around(held or drawn.scene_of_tables(body, NAME))
+        except SceneError as error:
+            misfit = str(error)
             continue  # the drawn parts do not fit together
         grid = int(rng.integers(len(GRIDS)))
         rows, columns = GRIDS[grid if tables["gel"]["tier"] == "bristle" else 0]
         numbers = {"gel.node_rows": rows, "gel.node_columns": columns, "numerics.settle_mm": SETTLE_MM}
         scene = scene.varied(numbers)
         return scene, json.dumps(_flat({**tables, **body}), sort_keys=True)
+    raise SceneError(f"none of {MOST_DRAWS} drawn cells fits to what is known: {misfit}")
 
 
 def stated(scene: Scene) -> dict[str, Any]:

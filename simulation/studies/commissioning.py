@@ -25,6 +25,7 @@ from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, ends
 from simulation.data.parallel import results
 from simulation.data.progress import progress
+from simulation.scene import drawn
 from simulation.scene.scene import Scene
 from simulation.scene.shapes import half_width_mm
 from simulation.scene.worlds import World
@@ -107,7 +108,8 @@ class Cell:
 class Plan:
     """How much a cell learns from and is judged on; ``checkpoint`` is the release that is adapted.
 
-    With 0 ``probes`` it is only asked for its signs.
+    With 0 ``probes`` it is only asked for its signs, with 0 ``work`` nothing is learnt from that, with 0 ``around``
+    nothing from presses simulated around what is known of the cell.
     """
 
     checkpoint: Path
@@ -115,6 +117,8 @@ class Plan:
     probes: int
     insertions: int
     workers: int = 0
+    work: int = 0
+    around: int = 0
 
 
 def commission(cell: Cell, plan: Plan) -> Row:
@@ -132,20 +136,50 @@ def commission(cell: Cell, plan: Plan) -> Row:
         row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
         return {**row, "robot_minutes": _minutes(signs), "adapt_s": 0.0, "accepted": False, "verdicts": {}}
     probes = _played(cell, plan, "probes", cell.probes(plan.probes), probe=True)
-    _played(cell, plan, "work", cell.jobs(plan.insertions, WORK), probe=False)
+    if plan.work:
+        _played(cell, plan, "work", cell.jobs(plan.work, WORK), probe=False)
+    around_s = _pressed_around(cell, plan) if plan.around else 0.0
     row["released"] = _scored(cell, plan, "released", plan.models)
     outcomes = {}
-    learnt = {"after_50": ("probes", min(FEW, plan.probes)), "after_150": ("probes", plan.probes)}
-    for name, (source, count) in {**learnt, "after_work": ("work", plan.insertions)}.items():
+    for name, (source, count) in _lessons(plan).items():
         outcomes[name], models = _adapted(cell, plan, name, source, count)
         row[name] = row["released"] if models is None else _scored(cell, plan, name, models)
     return {
+        "after_150": row["after_50"],
+        "after_work": row["released"],
         **row,
         "robot_minutes": _minutes([*signs, *probes]),
-        "adapt_s": max(outcome["took_s"] for outcome in outcomes.values()),
-        "accepted": outcomes["after_150"]["accepted"],
+        "adapt_s": around_s + max(outcome["took_s"] for outcome in outcomes.values()),
+        "accepted": outcomes.get("after_150", outcomes["after_50"])["accepted"],
         "verdicts": outcomes,
     }
+
+
+def _lessons(plan: Plan) -> dict[str, tuple[str, int]]:
+    """From what each version is learnt, and how many episodes of it."""
+    lessons = {"after_50": ("probes", min(FEW, plan.probes))}
+    if plan.probes > FEW:
+        lessons["after_150"] = ("probes", plan.probes)
+    if plan.work:
+        lessons["after_work"] = ("work", plan.work)
+    return lessons
+
+
+def _pressed_around(cell: Cell, plan: Plan) -> float:
+    """Press the cell's objects in simulated cells with what its client is told of grip and height; seconds of it."""
+    kept, known, out = (cell.folder / name for name in ("around.json", "around.toml", "around"))
+    if not kept.exists():
+        began, held = time.monotonic(), next(iter(cell.objects.values())).grasp
+        told_mm = held.height_mm + cell.world.unstated.told_height_error_mm
+        tables: drawn.Tables = {"grasp": {"force_n": held.force_n, "height_mm": told_mm}, "gel": {"tier": "bristle"}}
+        known.parent.mkdir(parents=True, exist_ok=True)
+        known.write_text(drawn.toml(tables, "what the client is told, of the tier that costs least"), encoding="utf-8")
+        each = str(-(-plan.around // len(cell.objects)))
+        where = ("--around", str(known), "--out", str(out), "--objects", *cell.objects)
+        more = ("--trials-per-object", each, "--seed", str(cell.seed), "--workers", str(plan.workers))
+        _call("simulation", "collect", *where, *more)
+        write_json(kept, {"took_s": time.monotonic() - began})
+    return float(json.loads(kept.read_text(encoding="utf-8"))["took_s"])
 
 
 def _minutes(rows: Sequence[Row]) -> float:
@@ -191,8 +225,10 @@ def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tupl
         run.mkdir(parents=True)
         for index in range(count):
             (shown / f"{index:05d}").symlink_to((cell.folder / source / f"{index:05d}").resolve())
-        answer, fresh = run / "told.json", ("--out", str(run), "--json", str(run / "told.json"))
-        refused = _call("training", "adapt", str(shown), "--from", str(plan.checkpoint), *fresh)
+        answer = run / "told.json"
+        words = [str(shown), "--from", str(plan.checkpoint), "--out", str(run), "--json", str(answer)]
+        words += ["--around", str(cell.folder / "around")] if plan.around and source == "probes" else []
+        refused = _call("training", "adapt", *words)
         outcome: Row = {"accepted": False, "best": "released", "objections": [refused], "samples_n": 0}
         if answer.exists():
             outcome = json.loads(answer.read_text(encoding="utf-8"))

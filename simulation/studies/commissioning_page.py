@@ -29,6 +29,15 @@ FIGURES: tuple[Any, ...] = (
     ("mean trials", "mean_trials", ".2f"),
     ("inserted", "inserted", ".0%"),
 )
+STAGES = ("released", "calibration", "gain", "all", "around")
+OF_STAGES: tuple[Any, ...] = (
+    ("- log likelihood", "likelihood", ".3f"),
+    ("direction", "accuracy", ".0%"),
+    ("MAE x mm", "mae_x_mm", ".2f"),
+    ("MAE yaw deg", "mae_theta_deg", ".2f"),
+    ("90 % holds x", "coverage90_x", ".0%"),
+    ("90 % holds yaw", "coverage90_theta", ".0%"),
+)
 MOST_MINUTES, MOST_ADAPT_S, MOST_TRIALS = 40.0, 600.0, 2.6
 
 
@@ -53,14 +62,22 @@ def commissioning_page(data: Row) -> str:
         """
         ## What the cell learns
 
-        The same fresh insertions are played by the release, by what `training adapt` makes of it after 50 probes and
-        after all, and after working insertions alone whose earlier errors are known in hindsight. Where it [keeps the
-        release](decisions/0096-adapting-in-stages.md), the figures are the release's. A failure counts as 16 trials.
-        All worlds together:
+        The same fresh insertions are played by the release and by what `training adapt` makes of it: after 50 probes,
+        after all, or after working insertions alone whose earlier errors are known in hindsight. Where it [keeps the
+        release](decisions/0096-adapting-in-stages.md), the figures are the release's. One of its stages learns from
+        [presses simulated around the cell](decisions/0180-presses-around-a-cell.md), which then needs probes only to be
+        calibrated and judged. A failure counts as 16 trials. All worlds together:
         """,
         _pooled(learnt),
         "Each world, the one that gained least first:",
         _worlds(learnt),
+        """
+        ## What each stage says of probes that it was not fitted to
+
+        The likelihood is of class and error, negative and logarithmic: less is better, and the likeliest that nothing
+        speaks against is accepted. Means over the attempts of all worlds, after 50 probes; the likeliest stage first:
+        """,
+        _stages(learnt),
         "## What was decided, and why",
         table(
             [{"world": row["world"], "after": name, **one} for row in learnt for name, one in row["verdicts"].items()],
@@ -149,6 +166,11 @@ def _together(learnt: Sequence[Row], version: str) -> Row:
     }
 
 
+def _versions(learnt: Sequence[Row]) -> tuple[str, ...]:
+    """Those that were learnt in each cell, and the release."""
+    return ("released", *(name for name in VERSIONS if all(name in row["verdicts"] for row in learnt)))
+
+
 def _points_lost(row: Row) -> float:
     """By how many points the direction is right less often than the release's, in the version where that is worst."""
 
@@ -185,7 +207,7 @@ def _share(rows: Sequence[Row], hits: Sequence[bool]) -> Estimate:
 
 def _pooled(learnt: Sequence[Row]) -> Table:
     return table(
-        [_together(learnt, version) for version in VERSIONS] if learnt else (),
+        [_together(learnt, version) for version in _versions(learnt)] if learnt else (),
         ("networks", lambda row: row["as"].replace("_", " ")),
         *FIGURES,
         ("claimed, not true", "claimed_wrongly", ".1%"),
@@ -199,7 +221,7 @@ def _worlds(learnt: Sequence[Row]) -> Table:
     rows = [
         {**_together([row], name), "world": row["world"], "claimed_wrongly": row[name]["claimed_wrongly"]}
         for row in sorted(learnt, key=worse)
-        for name in VERSIONS
+        for name in _versions(learnt)
     ]
     return table(
         rows,
@@ -208,6 +230,19 @@ def _worlds(learnt: Sequence[Row]) -> Table:
         *FIGURES,
         ("claimed, not true", "claimed_wrongly", "d"),
     )
+
+
+def _stages(learnt: Sequence[Row]) -> Table:
+    """Each stage after 50 probes, over the worlds in which it was fitted."""
+    outcomes = [row["verdicts"]["after_50"] for row in learnt if row["verdicts"]["after_50"]["figures"]]
+    weights = [outcome["samples_n"] for outcome in outcomes]
+
+    def mean(stage: str, name: str) -> float:
+        return float(np.average([outcome["figures"][stage][name] for outcome in outcomes], weights=weights))
+
+    names = [name for name in STAGES if outcomes and all(name in outcome["figures"] for outcome in outcomes)]
+    rows = [{"stage": name, **{key: mean(name, key) for _, key, _ in OF_STAGES}} for name in names]
+    return table(sorted(rows, key=lambda row: row["likelihood"]), ("stage", "stage"), *OF_STAGES)
 
 
 def _gap(outcome: Row, axis: int) -> str:

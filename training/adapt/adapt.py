@@ -17,14 +17,16 @@ from training.adapt.stages import (
     Rows,
     StageName,
     calibrated,
+    fit_around,
     fit_stage,
     folds_of,
     held_out,
     trainer_of,
 )
+from training.config import DataConfig
 from training.data.episodes import LATER, read_episodes
 from training.data.labels import class_of
-from training.data.pressed import Pressed
+from training.data.pressed import Pressed, load_pressed
 from training.fit.checkpoint import Checkpoint
 from training.metrics.figures import Z90, Predictions, figures, probabilities
 from training.metrics.joint import Densities
@@ -76,11 +78,18 @@ class Comparison:
 
 
 def adapt(
-    recordings: Path, start: Path, out: Path, *, stages: Iterable[StageName] = STAGES, seed: int = 0
+    recordings: Path,
+    start: Path,
+    out: Path,
+    *,
+    around: Path | None = None,
+    stages: Iterable[StageName] = STAGES,
+    seed: int = 0,
 ) -> Comparison:
     """Fit the released checkpoint ``start`` to ``recordings``; write ``out/checkpoint.pt`` if it is accepted.
 
-    Raises ContractError where there is nothing to learn from, or the checkpoint reads no depth.
+    ``around``: a dataset of presses simulated around the cell, for the stage of that name. Raises ContractError where
+    there is nothing to learn from, or the checkpoint reads no depth.
     """
     release = Checkpoint.load(start)
     if release.pressing is None:
@@ -88,19 +97,31 @@ def adapt(
     samples = read_episodes(recordings, release.sensor)
     predicted = trainer_of(release.build(), samples).predict(np.arange(len(samples)), pictures=False)
     samples, gap = framed(samples, predicted.error)
-    held = hold_out(release, samples, tuple(stages), seed)
+    presses = presses_around(around, release, out) if around else None
+    chosen = tuple(stage for stage in stages if stage != "around" or presses)
+    held = hold_out(release, samples, chosen, seed, presses)
     comparison = replace(compare(release, samples, held, seed), gap=gap)
     if comparison.accepted:
-        _fitted(comparison, release, samples, held[comparison.best], seed).save(out / "checkpoint.pt")
+        _fitted(comparison, release, samples, held[comparison.best], seed, presses).save(out / "checkpoint.pt")
     return comparison
 
 
-def hold_out(release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], seed: int) -> Held:
+def presses_around(path: Path, release: Checkpoint, out: Path) -> Pressed:
+    """The presses of a dataset as training samples, kept below ``out``. Raises ContractError."""
+    presses = load_pressed(DataConfig(path=str(path), cache=str(out / "cache")))
+    if presses.sensor != release.sensor:
+        raise ContractError(f"{path} is of sensor {presses.sensor}, the release of {release.sensor}")
+    return presses
+
+
+def hold_out(
+    release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], seed: int, presses: Pressed | None = None
+) -> Held:
     """What each stage says of fixtures that it was not fitted to; of too few samples nothing."""
     groups = samples.groups[samples.objects != LATER]
     if len(groups) < FEWEST or len(np.unique(groups)) < FOLDS:
         return {}
-    return {stage: held_out(stage, release, samples, seed) for stage in dict.fromkeys(("released", *stages))}
+    return {stage: held_out(stage, release, samples, seed, presses) for stage in dict.fromkeys(("released", *stages))}
 
 
 def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Comparison:
@@ -143,17 +164,25 @@ def _fair(stage: StageName, release: Checkpoint, predictions: Predictions, folds
 
 
 def _fitted(
-    comparison: Comparison, release: Checkpoint, samples: Pressed, held: tuple[Predictions, Densities], seed: int
+    comparison: Comparison,
+    release: Checkpoint,
+    samples: Pressed,
+    held: tuple[Predictions, Densities],
+    seed: int,
+    presses: Pressed | None,
 ) -> Checkpoint:
     """The release after the accepted stage on all samples, calibrated on what was said of ``held`` out ones."""
     pair, joint = (predictions.take(samples.objects != LATER) for predictions in held)
-    network = fit_stage(comparison.best, release, samples, np.arange(len(samples)), seed)
+    around = comparison.best == "around"
+    rows = np.arange(len(samples))
+    network = fit_around(release, presses, seed) if around else fit_stage(comparison.best, release, samples, rows, seed)
     lineage: dict[str, JsonValue] = {
         "from": release.weights_sha256(),
         "attempts": samples.sha256,
         "attempts_n": comparison.samples_n,
         "fixtures_n": comparison.fixtures_n,
         "stage": comparison.best,
+        "presses": presses.sha256 if around and presses else None,
         "before": dict(comparison.figures["released"]),
         "after": dict(comparison.figures[comparison.best]),
     }

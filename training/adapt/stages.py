@@ -4,7 +4,6 @@ Few probes say little: every stage is pulled to the release, the scales as by so
 their squared distance (L2-SP, Li et al. 2018).
 """
 
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -23,14 +22,14 @@ from training.metrics.joint import Densities
 from training.networks.decider import ERROR_SCALE, Decider
 
 Rows = NDArray[np.int64]
-StageName = Literal["released", "calibration", "gain", "heads", "all"]
-STAGES: tuple[StageName, ...] = ("released", "calibration", "gain", "heads", "all")
+StageName = Literal["released", "calibration", "gain", "all", "around"]
+STAGES: tuple[StageName, ...] = ("released", "calibration", "gain", "all", "around")
 PULL_N, WEIGHTS_PULL_N, SCALES_PULL_N = 20, 5, 5
 """Samples that the release counts for, against those of the cell: in gains, in weights, and in the few scales."""
 MOST_EPOCHS, SAMPLES_N = 60, 9000
 """Epochs of few samples, and how often samples are seen in all where there are many; 18 epochs at least."""
 FOLDS = 5
-BATCH = 32
+BATCH, RATE = 32, 1e-3
 _OF_DENSITIES = ("log_density", "truth", "objects")
 
 
@@ -40,8 +39,14 @@ def trainer_of(network: Decider, samples: Pressed) -> Trainer:
     return Trainer(config, samples, network, torch.ones(len(CLASSES)), torch.zeros(2, 3))
 
 
-def held_out(stage: StageName, release: Checkpoint, samples: Pressed, seed: int) -> tuple[Predictions, Densities]:
+def held_out(
+    stage: StageName, release: Checkpoint, samples: Pressed, seed: int, presses: Pressed | None = None
+) -> tuple[Predictions, Densities]:
     """What a stage says of each sample, fitted without its fixture; not calibrated."""
+    if stage == "around":
+        trainer = trainer_of(fit_around(release, presses, seed), samples)
+        rows = np.arange(len(samples))
+        return trainer.predict(rows, pictures=False), trainer.predict_density(rows, pictures=False)
     parts, densities, order = [], [], []
     for held in folds_of(samples.groups, seed):
         others = np.setdiff1d(np.arange(len(samples)), held)
@@ -88,19 +93,17 @@ def _share(count: int, pull_n: int = PULL_N) -> float:
 def fit_stage(stage: StageName, release: Checkpoint, samples: Pressed, rows: Rows, seed: int) -> Decider:
     """The release after one stage on the chosen samples, before it is calibrated."""
     network: Decider = release.build()
-    changes: dict[StageName, Callable[[], None]] = {
-        "gain": lambda: _scale_errors(network, samples, rows),
-        "heads": lambda: _tune(network, samples, rows, _heads(network), 2e-3, seed),
-        "all": lambda: _tune(network, samples, rows, [*network.trunk.parameters(), *_heads(network)], 1e-3, seed),
-    }
-    if stage in changes:
-        changes[stage]()
+    if stage == "gain":
+        _scale_errors(network, samples, rows)
+    if stage == "all":
+        _tune(network, samples, rows, seed)
     return network.eval()
 
 
-def _heads(network: Decider) -> list[nn.Parameter]:
-    heads = (network.direction, network.magnitude, network.density)
-    return [parameter for head in heads for parameter in head.parameters()]
+def fit_around(release: Checkpoint, presses: Pressed | None, seed: int) -> Decider:
+    """The release after all weights were fitted to simulated presses around the cell; not calibrated."""
+    assert presses is not None
+    return fit_stage("all", release, presses, np.arange(len(presses)), seed)
 
 
 def _scale_errors(network: Decider, samples: Pressed, rows: Rows) -> None:
@@ -119,20 +122,18 @@ def _scale_errors(network: Decider, samples: Pressed, rows: Rows) -> None:
             network.density.parts.bias[parts] = network.density.parts.bias[parts] * gain + offset / ERROR_SCALE
 
 
-def _tune(
-    network: Decider, samples: Pressed, rows: Rows, parameters: list[nn.Parameter], rate: float, seed: int
-) -> None:
-    """A few epochs with symmetries and disturbances; ``parameters`` are pulled to where they were."""
+def _tune(network: Decider, samples: Pressed, rows: Rows, seed: int) -> None:
+    """A few epochs with symmetries and disturbances; trunk and heads are pulled to where they were."""
     torch.manual_seed(seed)
     network.requires_grad_(requires_grad=False)
-    for parameter in parameters:
-        parameter.requires_grad_()
+    parts = (network.trunk, network.direction, network.magnitude, network.density)
+    parameters = [parameter.requires_grad_() for part in parts for parameter in part.parameters()]
     rng, trainer = np.random.default_rng(seed), trainer_of(network, samples)
     start = [parameter.detach().clone() for parameter in parameters]
     epochs = max(18, min(MOST_EPOCHS, SAMPLES_N // len(rows)))
-    optimiser = torch.optim.Adam(parameters, lr=rate)
+    optimiser = torch.optim.Adam(parameters, lr=RATE)
     total = epochs * -(-len(rows) // BATCH)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=total, pct_start=0.1)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=total, pct_start=0.1)
     network.train()
     for _ in range(epochs):
         order = rng.permutation(rows)

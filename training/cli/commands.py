@@ -84,6 +84,7 @@ def adapt(
     recordings: Annotated[Path, tyro.conf.Positional],
     start: Annotated[Path, tyro.conf.arg(name="from")],
     out: Path = Path("runs/adapted"),
+    around: Path | None = None,
     json: Path | None = None,
     seed: int = 0,
 ) -> int:
@@ -96,6 +97,7 @@ def adapt(
         recordings: folder of recordings of the cell, real or simulated.
         start: released checkpoint.
         out: folder of the new checkpoint.pt; `python -m export onnx` makes a model folder of it.
+        around: dataset of simulated presses of the cell's objects, from `collect --around`, for one more stage.
         json: file for the answer as data.
         seed: of folds and batches.
     """
@@ -106,7 +108,7 @@ def adapt(
     from training.adapt.adapt import report as plain_data
 
     torch.set_num_threads(1)
-    comparison = fit(recordings, start, out, seed=seed)
+    comparison = fit(recordings, start, out, around=around, seed=seed)
     print(comparison.text())
     if json is not None:
         write_json(json, plain_data(comparison))

@@ -14,9 +14,10 @@ import pytest
 
 from simulation.__main__ import main
 from simulation.cli.dataset import CollectOptions, asked_manifest
-from simulation.data.collect import POKES_PER_FIXTURE, Plan, make_shard, pokes
+from simulation.data.collect import POKES_PER_FIXTURE, Plan, draw_fixture, make_shard, pokes
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.data.manifest import read_manifest
+from simulation.scene.scene import SceneError
 from simulation.scene.worlds import load_scene
 
 WORDS = ["collect", "--objects", "circle", "--trials-per-shard", "3"]
@@ -44,6 +45,31 @@ def test_a_shard_follows_from_its_plan_alone(tmp_path: Path) -> None:
     assert make_shard(plan(tmp_path)) == first
     assert make_shard(plan(tmp_path, seed=1)).sha256 != first.sha256
     assert first.outcomes["blocked"] == first.trials == 4
+
+
+def test_around_a_cell_what_is_known_is_kept_and_the_rest_is_drawn(tmp_path: Path) -> None:
+    known = {"grasp": {"force_n": 21.5, "height_mm": 33.0}}
+    circle = load_scene("circle")
+    cells = [draw_fixture(circle, plan(tmp_path, known=known), number)[0] for number in range(5)]
+    assert {(cell.scene.grasp.force_n, cell.scene.grasp.height_mm) for cell in cells} == {(21.5, 33.0)}
+    assert all(cell.scene.object == circle.object for cell in cells)
+    assert len({cell.scene.gel.shear_modulus_n_per_mm2 for cell in cells}) == 5
+    with pytest.raises(SceneError, match="fits to what is known"):
+        draw_fixture(circle, plan(tmp_path, known={"grasp": {"height_mm": 1e6}}), 0)
+
+
+def test_presses_around_one_cell_are_not_continued_around_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.toml").write_text("[grasp]\nforce_n = 21.5\n")
+    (tmp_path / "b.toml").write_text("[grasp]\nforce_n = 31.5\n")
+    words = ["collect", "--out", str(tmp_path / "data"), "--trials-per-object", "2", "--workers", "1"]
+    assert main([*words, "--objects", "circle", "--around", str(tmp_path / "a.toml")]) == 0
+    dataset = Dataset(tmp_path / "data")
+    assert {dataset.trial(index).grip_n for index in range(2)} == {21.5}
+    assert main([*words, "--objects", "circle", "--around", str(tmp_path / "b.toml")]) == 2
+    assert "made_by" in capsys.readouterr().err
+    assert main([*words, "--objects", "drawn", "--around", str(tmp_path / "a.toml")]) == 2
 
 
 def test_labels_are_the_true_errors_and_only_collisions_are_kept(made: Path) -> None:
