@@ -25,7 +25,8 @@ Signs = tuple[int, int]
 
 ODDS = math.log(20.0)  # that a reversed cell must have against a good one
 NAMED = math.log(5.0)  # causes that explain it this much worse than the best one are named, too
-CELLS = np.arange(-15.0, 15.5)  # errors of the first attempt, mm and deg
+CELLS = np.arange(-18.0, 18.5)  # errors of the first attempt, mm and deg
+USUAL, WIDE_SHARE = 15.0, 0.05  # larger ones are rarer: a wide object may start 18 mm off, none turned by more
 SIDE = np.array([1.0, 3.0])  # an error twice as large is read as being on its side
 MIDDLE = 7.5  # of the errors on one side that were trained on
 SPREAD = 8.7  # one sigma of all of them
@@ -41,6 +42,8 @@ CHECKED_N = 8  # attempts: what contradicts itself later is a search in which th
 TURN_DEG, LIKE = 0.2, 0.5  # of the larger turn, and the smaller one as its share: both fingers saw the object turn
 CLEAR_TURN_DEG, CLEARLY_LIKE = 1.0, 0.7
 ONE_SIDED = 2  # turns seen from the same side; a clear one counts twice
+_STARTS = np.outer(np.where(np.abs(CELLS) <= USUAL, 1.0, WIDE_SHARE), np.abs(CELLS) <= USUAL)
+_STARTS /= _STARTS.sum()
 _BLUR = np.exp(-0.5 * np.square((CELLS[:, None] - CELLS) / WALK[:, None, None]))
 _BLUR /= _BLUR.sum(axis=1, keepdims=True)
 
@@ -65,7 +68,7 @@ class Followed:
     def __init__(self, signs: Signs) -> None:
         self.signs = np.array(signs)
         self.moved: Pair = np.zeros(2)
-        self.weights: Floats = np.full((len(CELLS), len(CELLS)), 1.0 / len(CELLS) ** 2)
+        self.weights: Floats = _STARTS
         self.log_evidence = 0.0
 
     def learn(self, estimate: Pair, sigma: Pair, *, sure: bool, sure_once: bool) -> None:
