@@ -29,7 +29,7 @@ class Driver:
             message = self.receive(left)
             if message.type == kind:
                 return message
-            assert message.type not in {"fault", "no_decision"}, message
+            assert message.type not in {"fault", "no_decision", "refused"}, message
         raise AssertionError(f"no {kind} within {timeout_s} s")
 
     def attempt(self, number: int) -> wire.Correction:
