@@ -16,9 +16,7 @@ class Wanted(NamedTuple):
     force_n: float
 
     def short(self, point: Row, count: int) -> float:
-        """How far a choice falls short, in parts of what was asked for; infinite with a false claim."""
-        if point["claimed_wrongly"]:
-            return float("inf")
+        """How far a choice falls short, in parts of what was asked for."""
         shares = (
             point["seconds_a_box"][0] / self.seconds_a_box - 1.0,
             (self.success - point["inserted"] / count) / max(1.0 - self.success, 0.01),
@@ -28,12 +26,15 @@ class Wanted(NamedTuple):
 
 
 def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:
-    """The quickest choice that keeps all three, and True; else the nearest, and False. Raises ValueError."""
+    """The quickest choice that keeps all three, and True; else the nearest, and False. Raises ValueError.
+
+    One with a false claim keeps nothing, and is nearest only where no other has fewer.
+    """
     if not (wanted.seconds_a_box > 0 and wanted.force_n > 0 and 0 < wanted.success <= 1):
         raise ValueError(f"{wanted}: expected seconds and force above 0, and a share above 0 up to 1")
     count = data["insertions"]
-    order = sorted(data["points"], key=lambda p: (wanted.short(p, count), p["seconds_a_box"][0]))
-    return order[0], wanted.short(order[0], count) == 0.0
+    best = min(data["points"], key=lambda p: (p["claimed_wrongly"], wanted.short(p, count), p["seconds_a_box"][0]))
+    return best, not best["claimed_wrongly"] and wanted.short(best, count) == 0.0
 
 
 def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:

@@ -31,7 +31,8 @@ def _boxes(data: Row, front: AbstractSet[str]) -> list[Panel]:
             return Mark(short, Estimate(*point["seconds_a_box"]), up, point["name"] == SHIPPED)
 
         best, rest = ([mark(p) for p in points if (p["name"] in front) == held] for held in (True, False))
-        return [Series("on the front", best, joined=y == "force"), Series("beaten", rest)]
+        both = Series("on the front", best, joined=y == "force"), Series("beaten", rest)
+        return [one for one in both if one.marks]
 
     seconds = "seconds a box"
     return [

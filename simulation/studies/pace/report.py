@@ -60,7 +60,7 @@ def _point(point: Point, rows: Sequence[Row], first: Sequence[Row]) -> Row:
         "gained": sum(row["inserted"] > before["inserted"] for row, before in zip(rows, first, strict=True)),
         "lost": sum(row["inserted"] < before["inserted"] for row, before in zip(rows, first, strict=True)),
         "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
-        "untrue": [list(row["shortfalls"]) for row in rows if row["claimed"] and not row["inserted"]],
+        "untrue": [[row["index"], *row["shortfalls"]] for row in rows if row["claimed"] and not row["inserted"]],
         "attempts": float(np.mean([row["attempts"] for row in rows])),
         "trips": float(np.mean([row["grasps"] - 1 for row in rows])),
         "seconds_a_box": list(a_box(rows)),
@@ -174,8 +174,12 @@ def pace_page(data: Row) -> str:
 
 def _untrue(points: Sequence[Row]) -> str:
     """Each claim that was not true, and why; nothing where all were."""
-    each = [f"{point['name']}: {'; '.join(why)}" for point in points for why in point["untrue"]]
-    return f"**Claims that were not true: {len(each)}.** {'. '.join(each)}." if each else ""
+    each = [
+        f"Start {start}, {point['name'].split(':')[0]}: {'; '.join(why)}."
+        for point in points
+        for start, *why in point["untrue"]
+    ]
+    return f"**Claims that were not true: {len(each)}.** {' '.join(sorted(each))}" if each else ""
 
 
 def _figures(kept: Row) -> str:
