@@ -167,8 +167,8 @@ def _together(learnt: Sequence[Row], version: str) -> Row:
 
 
 def _versions(learnt: Sequence[Row]) -> tuple[str, ...]:
-    """Those that were learnt in each cell, and the release."""
-    return ("released", *(name for name in VERSIONS if all(name in row["verdicts"] for row in learnt)))
+    """The release, and those that any cell learnt; in a cell that did not go on, the last is that of before."""
+    return ("released", *(name for name in VERSIONS if any(name in row["verdicts"] for row in learnt)))
 
 
 def _points_lost(row: Row) -> float:
