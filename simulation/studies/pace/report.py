@@ -254,11 +254,12 @@ def _choices(of: Row) -> str:
 
     **Not shipped**: legs of 25 mm/s need cameras of 38 frames a second and a PC that judges every one of them;
     120 mm/s in the air need an arm that follows its targets within 83 ms; harder ramps were never told
-    apart from the slow ones on a live cell. `choose` writes them; try them on your cell before you trust them:
+    apart from the slow ones on a live cell. `choose` writes the settings that keep what you ask for, or the nearest
+    where none does, as none with a false claim; with `--world` it plays all choices in your cell first:
 
     <!-- not executed: writes pace.toml -->
     ```sh
-    python -m simulation choose --seconds-a-box 12.5 --success 0.9 --max-force 40
+    python -m simulation choose --seconds-a-box 15 --success 0.95 --max-force 40
     ```
     """
 
