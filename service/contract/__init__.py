@@ -12,6 +12,7 @@ from service.contract.frames import (
     TactileFrame,
     decode_frame,
     encode_frame,
+    encoded_bytes,
 )
 from service.contract.model_card import CARD_KEY, Calibration, ErrorClass, ModelCard
 from service.contract.sensor import MarkerSpec, Sensor
@@ -31,4 +32,5 @@ __all__ = [
     "TactileFrame",
     "decode_frame",
     "encode_frame",
+    "encoded_bytes",
 ]

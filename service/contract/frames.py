@@ -5,6 +5,7 @@ the camera image has u to the right and v down, v = -z of the cell. Finger "left
 finger "right" sits at -y and has u = -x, with x, y, z the work-object frame (x across the gap, z up).
 """
 
+import math
 import struct
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -87,6 +88,11 @@ class FramePair:
     def captured_ns(self) -> int:
         """Capture time of the later of the two frames."""
         return max(self.left.captured_ns, self.right.captured_ns)
+
+
+def encoded_bytes(spec: FrameSpec) -> int:
+    """How many bytes :func:`encode_frame` makes of a frame of this size."""
+    return _HEADER.size + math.prod(spec.shape)
 
 
 def encode_frame(frame: TactileFrame) -> bytes:

@@ -14,7 +14,6 @@ from service.contract import ModelCard
 from service.contract.model_card import MARKER_PITCH, Lattice
 from service.decision.evidence import Refusal
 from service.perception.markers.field import MarkerField, marker_array
-from service.perception.markers.sequence import track_pairs
 from service.perception.observation import PairObservation
 from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
 
@@ -30,22 +29,6 @@ def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
         return pair.pixels()
     try:
         return np.stack([marker_array(finger.field, card.markers) for finger in pair.fingers])
-    except ValueError as error:
-        raise Refusal("out_of_distribution", str(error)) from error
-
-
-def network_frames(card: ModelCard, frames: NDArray[np.uint8]) -> NDArray[Any]:
-    """Recorded rectified frames uint8 [n, 2, H, W, 3] as the card's graph reads them: [n, 2, *card.input_shape].
-
-    Raises Refusal if the grid found is not the card's, or the card's graph reads depth, which frames alone do not tell.
-    """
-    if card.pressing is not None:
-        detail = "these networks read steps of depth, which need stamps and the arm's speed: expected a whole insertion"
-        raise Refusal("out_of_distribution", detail)
-    if card.markers is None:
-        return frames
-    try:
-        return track_pairs(frames, card.markers, card.profile.fps)
     except ValueError as error:
         raise Refusal("out_of_distribution", str(error)) from error
 

@@ -1,17 +1,17 @@
 """The service's own HTTP interface: /v1."""
 
 import asyncio
+from functools import partial
+from itertools import pairwise
 from typing import Annotated, Any
 
-import numpy as np
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, HTTPException, Query, Request
 
 from service import __version__
-from service.contract import FINGERS, ContractError, decode_frame
+from service.contract import FINGERS, ContractError, FramePair, decode_frame, encoded_bytes
 from service.contract.frames import Contract
 from service.contract.wire import Estimate, ModelEntry
-from service.decision.evidence import DecisionRun
-from service.decision.network_input import network_frames
+from service.session.sequence import decide
 from service.session.station import Station
 from service.web import asyncapi
 from service.web.access import Access
@@ -26,6 +26,7 @@ BINARY_BODY = {
 }
 GapWidth = Annotated[float, Query(gt=0, le=1000, allow_inf_nan=False)]
 GraspHeight = Annotated[float | None, Query(gt=0, le=500, allow_inf_nan=False)]
+Speed = Annotated[float | None, Query(gt=0, le=1000, allow_inf_nan=False)]
 
 
 class Models(Contract):
@@ -49,27 +50,10 @@ class Decided(Contract):
     confidence: float
 
 
-def decide(
-    station: Station, frames: np.ndarray[Any, np.dtype[np.uint8]], gap_width_mm: float, grasp_height_mm: float | None
-) -> Decided:
-    """What the networks say of a recorded sequence uint8 [n, 2, H, W, 3]; the first pair is the reference."""
-    card = station.models.card
-    frames = frames[: card.frames_per_decision]
-    inputs = network_frames(card, frames)
-    run = DecisionRun(station.models, inputs[0], gap_width_mm, grasp_height_mm)
-    for pair in inputs:
-        run.step(pair)
-    evidence = run.evidence()
-    return Decided(
-        class_probabilities=evidence.class_probabilities(),
-        estimate=evidence.estimate(),
-        confidence=evidence.confidence,
-    )
-
-
 def router(station: Station, access: Access) -> APIRouter:
     routes = APIRouter(prefix="/v1", tags=["v1"])
     watch, drive = [access.require("watch")], [access.require("drive")]
+    deciding = asyncio.Lock()
 
     @routes.get("/models", dependencies=watch)
     async def models() -> Models:
@@ -87,24 +71,40 @@ def router(station: Station, access: Access) -> APIRouter:
 
     @routes.post("/decisions", dependencies=drive, openapi_extra=BINARY_BODY)
     async def decisions(
-        request: Request, gap_width_mm: GapWidth = 56.0, grasp_height_mm: GraspHeight = None
+        request: Request,
+        gap_width_mm: GapWidth = 56.0,
+        grasp_height_mm: GraspHeight = None,
+        speed_mm_s: Speed = None,
     ) -> Decided:
-        """Body: encoded frames one after the other (left, right, left, right, ...), rectified."""
+        """Body: rectified frames as binary messages (left, right, left, right, ...), from rest to the stop.
+
+        Networks that read depth need the speed of the descent. Not while an insertion is under way.
+        """
+        if station.active is not None or deciding.locked():
+            raise HTTPException(409, "busy: an insertion is under way, or another sequence is being decided")
         async with whole_body(request, MAX_BODY_BYTES) as body:
-            frames = _pairs(body, station)
-        return await asyncio.to_thread(decide, station, frames, gap_width_mm, grasp_height_mm)
+            pairs = _pairs(body, station)
+        conditions = {"grasp_height_mm": grasp_height_mm, "speed_mm_s": speed_mm_s}
+        async with deciding:
+            answer = await asyncio.to_thread(partial(decide, station.models, pairs, gap_width_mm, **conditions))
+        return Decided.model_validate(answer.model_dump(include=set(Decided.model_fields)))
 
     return routes
 
 
-def _pairs(body: bytearray, station: Station) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    card = station.models.card
-    height, width, channels = card.frame.shape
-    needed = 2 * card.frames_per_decision
-    size, rest = divmod(len(body), needed)
-    if rest or not size:
-        raise ContractError(f"body of {len(body)} bytes, expected {needed} encoded frames of {width} x {height}")
-    frames = [decode_frame(bytes(body[i * size : (i + 1) * size]), card.frame) for i in range(needed)]
-    if [frame.finger for frame in frames] != list(FINGERS) * card.frames_per_decision:
+def _pairs(body: bytearray, station: Station) -> list[FramePair]:
+    spec = station.models.card.frame
+    size = encoded_bytes(spec)
+    frames_n, rest = divmod(len(body), size)
+    if rest or not frames_n or frames_n % 2:
+        size_px = f"{spec.width_px} x {spec.height_px}"
+        raise ContractError(
+            f"body of {len(body)} bytes, expected pairs of encoded frames of {size_px}, {size} bytes each"
+        )
+    frames = [decode_frame(bytes(body[i * size : (i + 1) * size]), spec) for i in range(frames_n)]
+    if [frame.finger for frame in frames] != list(FINGERS) * (frames_n // 2):
         raise ContractError("frames must alternate left, right")
-    return np.stack([frame.pixels for frame in frames]).reshape(-1, 2, height, width, channels)
+    pairs = [FramePair(*both) for both in zip(frames[::2], frames[1::2], strict=True)]
+    if any(one.captured_ns >= later.captured_ns for one, later in pairwise(pairs)):
+        raise ContractError("the stamps of the pairs do not rise; expected the time at which each was captured, ns")
+    return pairs

@@ -7,10 +7,12 @@ import pytest
 
 from service.contract import TactileFrame, encode_frame, wire
 from service.perception.rectification import Rectifier
+from service.session.factory import make_session
 from tests.docs.commands import ROOT
 from tests.service import drawn
 from tests.service.client import Driver
 from tests.service.conftest import LiveService, live_service
+from tests.service.session.test_state_machine import hello, probe
 
 WATCH, DRIVE, ADMIN = "a-token-for-watching", "a-token-for-driving", "a-token-for-administration"
 
@@ -47,19 +49,36 @@ def test_a_recorded_insertion_is_listed_played_and_removed(live: LiveService) ->
     assert httpx.get(base).status_code == 404
 
 
-def test_a_recorded_sequence_is_decided_over_http(live: LiveService) -> None:
+def sequence(first: int, last: int, period_ns: int = drawn.PERIOD_NS) -> bytes:
+    """Encoded rectified frames of a probe that moves from frame 10 and slips from frame 16 on."""
     rectifiers = {finger: Rectifier(drawn.calibration().camera(finger)) for finger in ("left", "right")}
-    body = b"".join(
-        encode_frame(TactileFrame(finger, i, i, rectifiers[finger].apply(drawn.raw(finger, 10 + i, 10, 16))))
-        for i in range(8)
+    return b"".join(
+        encode_frame(TactileFrame(finger, i, i * period_ns, rectifiers[finger].apply(drawn.raw(finger, i, 10, 16))))
+        for i in range(first, last)
         for finger in ("left", "right")
     )
-    answer = httpx.post(live.url("/v1/decisions"), content=body, headers=live.bearer)
+
+
+def test_a_recorded_sequence_is_decided_over_http_as_an_insertion_decides_it(live: LiveService) -> None:
+    def post(body: bytes) -> httpx.Response:
+        return httpx.post(live.url("/v1/decisions"), content=body, headers=live.bearer)
+
+    answer = post(sequence(2, 22))
     assert answer.status_code == 200
     assert sum(answer.json()["class_probabilities"].values()) == pytest.approx(1)
-    refused = httpx.post(live.url("/v1/decisions"), content=body[:-1], headers=live.bearer)
-    assert refused.status_code == 400
-    assert "expected 16 encoded frames" in refused.json()["error"]
+    session = make_session(live.station.models, drawn.calibration())
+    hello(session)
+    correction = probe(session, 1, 0)[-1]
+    assert answer.json()["estimate"]["dx_mm"] == pytest.approx(correction.estimate.dx_mm, abs=0.5)
+    refusals = {
+        "expected pairs of encoded frames": sequence(2, 5)[:-1],
+        "do not rise": sequence(2, 5, 0),
+        "frame pairs since motion began": sequence(2, 15),
+    }
+    for words, body in refusals.items():
+        refused = post(body)
+        assert refused.status_code == 400
+        assert words in refused.json()["error"]
 
 
 def test_models_and_cameras_are_told(live: LiveService) -> None:
