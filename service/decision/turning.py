@@ -16,7 +16,7 @@ TURNED_DEG = 0.6  # an object counts as upright up to 2 deg, and the expectation
 HANGS_DEG = 0.5  # shown by the markers; more has slid. Upright ones in drawn cells show 0.15 deg at most
 CARRIED = 0.25  # of the largest motion: markers that move by more are carried by the object
 GIVEN_BACK = 1.1  # of what the contact carries, the gels turn back
-GOING_IN_DEG = 0.5  # at full depth, since the descent began. Objects that stand free show 0.1 deg at most
+GOING_IN_DEG = 0.5  # at full depth, since the descent began. Objects that stand free show 0.15 deg at most
 STANDS_DEG = 0.7  # at full depth, with what earlier attempts have left
 FEWEST_N = 4  # markers that determine a turn
 
@@ -37,16 +37,23 @@ def hangs_turned(both: PairObservation, left_deg: float = 0.0) -> str:
     return ""
 
 
-def turned_going_in(both: PairObservation, left_deg: float = 0.0) -> str:
-    """Why an object does not hang at full depth as it did above, or nothing: something in the gap holds it askew.
+def turned_going_in(both: PairObservation, hung: PairObservation | None, left_deg: float = 0.0) -> str:
+    """Why an object does not hang at full depth as it ``hung`` above, or nothing: something in the gap holds it askew.
 
-    ``left_deg``: what earlier attempts have left of a turn.
+    A whole contact that slides all the way down moves too little at a time to be a motion; against the open gels it
+    shows. ``left_deg``: what earlier attempts have left of a turn.
     """
     turns_rad = [finger.slip.angle_rad for finger in both.fingers]
-    most_deg, all_deg = math.degrees(max(map(abs, turns_rad))), abs(left_deg + _both_deg(*turns_rad))
-    if most_deg <= GOING_IN_DEG and all_deg <= STANDS_DEG:
-        return ""
-    return f"the gels show it turned by {most_deg:.1f} deg on the way down, by about {all_deg:.1f} deg in all"
+    slid_deg = _both_deg(*(_shown_rad(finger) for finger in both.fingers))
+    if hung is not None:
+        slid_deg -= _both_deg(*(_shown_rad(finger) for finger in hung.fingers))
+    most_deg = max(abs(slid_deg), *(math.degrees(abs(turn_rad)) for turn_rad in turns_rad))
+    all_deg = abs(left_deg + _both_deg(*turns_rad))
+    if not most_deg <= GOING_IN_DEG:
+        return f"the gels show it turned by {most_deg:.1f} deg on the way down"
+    if not all_deg <= STANDS_DEG:
+        return f"the attempts and the way down have turned it by about {all_deg:.1f} deg"
+    return ""
 
 
 def lasting_turn_deg(both: PairObservation | None) -> float:
