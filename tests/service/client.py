@@ -47,7 +47,7 @@ class Driver:
     def rest(self) -> None:
         for finger in self.live.fingers:
             finger.probe_started = None
-        time.sleep(0.1)
+        time.sleep(0.2)  # three frames: none of before is still on its way
 
     def insert(self, number: int) -> wire.Finished:
         """Full depth of 1 mm, so slow that a machine that stalls leaves nothing unseen that counts."""
