@@ -152,6 +152,7 @@ def pace_page(data: Row) -> str:
         of seconds, force, boxes and false claims and as good in the rest.
         """,
         _untrue(data["points"]),
+        data.get("note", ""),
         f"![force, success, direction and physics, each against what it costs in time]({NAME}.png)",
         _figures(data["kept"]),
         columns(data, front(data["points"])),
