@@ -138,9 +138,13 @@ FAULTS = {
     "service sends binary": Fault(says(lambda _: b"\x00" * 64), NOW_S, "unreadable"),
     "service unknown message": Fault(says(lambda _: '{"type": "move", "insertion_id": "test"}'), NOW_S, "unreadable"),
     "service too long a message": Fault(says(lambda _: "x" * 100_000), NOW_S + 0.1, "service: link"),
-    "service fault": Fault(says(lambda _: wire.Fault(insertion_id="test", code="camera", detail="d")), NOW_S, "camera"),
+    "service fault": Fault(
+        says(lambda _: wire.Fault(insertion_id="test", code="camera_lost", detail="d")), NOW_S, "camera_lost"
+    ),
     "service mild fault": Fault(
-        says(lambda _: wire.Fault(insertion_id="test", code="c", detail="d", fatal=False)), NOW_S, "service: c"
+        says(lambda _: wire.Fault(insertion_id="test", code="protocol", detail="d", fatal=False)),
+        NOW_S,
+        "service: protocol",
     ),
     "service of another insertion": Fault(
         says(lambda _: wire.ServiceHeartbeat(insertion_id="other", count=1, frame_age_ms=1.0)), NOW_S, "insertion other"
