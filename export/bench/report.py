@@ -59,8 +59,8 @@ def _int8(report: Row) -> Iterator[str | Table]:
         yield table(
             rows,
             ("weights", "precision"),
-            ("CPU ms a step", "cpu_p50_ms", ".2f"),
-            ("files MB", "size_mb", ".2f"),
+            ("CPU ms a step", lambda row: row.get("cpu_p50_ms"), ".2f"),
+            ("files MB", lambda row: row.get("size_mb"), ".2f"),
             ("the same command", _same, ".0%"),
             ("verdict", lambda row: _worth(row, rows[0])),
         )

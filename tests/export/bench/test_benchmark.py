@@ -36,6 +36,15 @@ def test_every_mode_of_int8_has_a_row_with_a_verdict(report):
     assert text.count(" pays |") + text.count("does not pay |") == 3
 
 
+def test_a_build_that_this_processor_computes_wrongly_has_its_reason_in_the_place_of_figures(
+    models, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("export.quantise.quantise.FAR_OFF", 0.0)
+    benchmark([models / "direction.step.onnx"], seconds=0.02, docs=tmp_path, int8=models / "pair")
+    page = (tmp_path / "benchmark.md").read_text()
+    assert page.count("| - | - | - | refused: pair.step.onnx:") == 3
+
+
 def test_a_missing_model_is_named(tmp_path):
     with pytest.raises(ContractError, match="no model at"):
         benchmark([tmp_path / "absent.onnx"], seconds=0.05, docs=tmp_path)
