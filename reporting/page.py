@@ -1,5 +1,6 @@
 """A page is prose and tables in order. Prose is Markdown; the kit joins its lines and wraps them at 100 columns."""
 
+import re
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,6 +10,7 @@ from reporting.files import write_durably, write_json
 from reporting.table import Table
 
 COLUMNS = 100
+TIED = re.compile(r" (?=%|(?:[0-9]+[.)]|[-+*>]|#+)(?: |$))")  # at the head of a line they would begin a list or heading
 
 
 def page(*parts: str | Table) -> str:
@@ -36,7 +38,7 @@ def _wrapped(block: str) -> str:
 
 def _filled(paragraph: str) -> str:
     indent = "  " if paragraph.startswith("- ") else ""
-    tied = paragraph.replace(" %", "\N{NO-BREAK SPACE}%")
+    tied = TIED.sub("\N{NO-BREAK SPACE}", paragraph)
     text = textwrap.fill(tied, COLUMNS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     return text.replace("\N{NO-BREAK SPACE}", " ")
 

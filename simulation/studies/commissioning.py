@@ -1,6 +1,6 @@
 """A cell that learns, in lock step: what its probes and its work show is kept as recordings, from which it adapts.
 
-The software is not told the world. Adapting is training's own command in a process of its own, as on a cell's PC.
+The software is not given the world. Adapting is training's own command in a process of its own, as on a cell's PC.
 """
 
 import json
@@ -166,14 +166,14 @@ def _lessons(plan: Plan) -> dict[str, tuple[str, int]]:
 
 
 def _pressed_around(cell: Cell, plan: Plan) -> float:
-    """Press the cell's objects in simulated cells with what its client is told of grip and height; seconds of it."""
+    """Press the cell's objects in simulated cells with what its client is given of grip and height; seconds of it."""
     kept, known, out = (cell.folder / name for name in ("around.json", "around.toml", "around"))
     if not kept.exists():
         began, held = time.monotonic(), next(iter(cell.objects.values())).grasp
         told_mm = held.height_mm + cell.world.unstated.told_height_error_mm
         tables: drawn.Tables = {"grasp": {"force_n": held.force_n, "height_mm": told_mm}, "gel": {"tier": "bristle"}}
         known.parent.mkdir(parents=True, exist_ok=True)
-        known.write_text(drawn.toml(tables, "what the client is told, of the tier that costs least"), encoding="utf-8")
+        known.write_text(drawn.toml(tables, "what the client is given, of the tier that costs least"), encoding="utf-8")
         each = str(-(-plan.around // len(cell.objects)))
         where = ("--around", str(known), "--out", str(out), "--objects", *cell.objects)
         more = ("--trials-per-object", each, "--seed", str(cell.seed), "--workers", str(plan.workers))

@@ -50,7 +50,7 @@ def commissioning_page(data: Row) -> str:
         _conclusion(asked, learnt),
         data["note"],
         """
-        Every cell is drawn over what cells are ([worlds](worlds.md)), and the software is told none of it. Markers are
+        Every cell is drawn over what cells are ([worlds](worlds.md)), and the software is given none of it. Markers are
         true ones with the tracker's error; shares have the 95 % Wilson interval.
 
         ## Four probes name what is wired wrong

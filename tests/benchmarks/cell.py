@@ -58,12 +58,12 @@ def in_process_ms(models: ModelSet) -> float:
 
 
 class SteppedFinger(FakeFinger):
-    """A camera over HTTP that shows a picture exactly when it is told to."""
+    """A camera over HTTP that shows a picture exactly when it is asked to."""
 
     def __init__(self, finger: Finger) -> None:
         self.pictures: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self.shown, self.again, self.index_shown = jpeg(finger, 0, 0), 0, 0
-        self.left_ns = 0  # when the picture that it was told to show began to leave
+        self.left_ns = 0  # when the picture that it was asked to show began to leave
         super().__init__(finger)
 
     def serve(self, handler: BaseHTTPRequestHandler) -> None:
@@ -80,7 +80,7 @@ class SteppedFinger(FakeFinger):
                 handler.wfile.write(head.encode() + picture + b"\r\n")
 
     def next_picture(self) -> bytes:
-        """What it was told to show; told nothing for a while, the last picture once more, so that it stays live."""
+        """What it was asked to show; asked for nothing for a while, the last picture again, so that it stays live."""
         with contextlib.suppress(queue.Empty):
             self.shown = self.pictures.get(timeout=IDLE_S)
             return self.shown

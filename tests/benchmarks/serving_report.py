@@ -153,6 +153,6 @@ NOTES = """How it was measured:
 - Overload: the station is first given more frames than it can perceive, which tells the rate it can; then twice that
   rate. Age is counted from capture to the slip decision, a step is what perceiving the two frames of a pair took just
   then. Of the calm results the kernel let the perceiving thread wait for a core for at most 0.2 ms of their life.
-- Cells: as many services as told, each with two cameras and an attempt under way, all on this machine, the cameras'
+- Cells: as many services as stated, each with two cameras and an attempt under way, all on this machine, the cameras'
   programs too. What the load of a row has beyond the cells is other work.
 - CPU is the process's own time from the kernel: it does not grow with what others use, though caches do suffer."""

@@ -22,6 +22,13 @@ def test_prose_keeps_its_words_and_fits_the_columns(words):
     assert max(map(len, text.splitlines())) <= COLUMNS
 
 
+@given(st.lists(st.sampled_from(["words", "16.", "2)", "-", "+", ">", "#", "%"]), min_size=1, max_size=80))
+def test_no_line_of_prose_becomes_a_list_or_a_heading(words):
+    first, *others = page(" ".join(["All", *words])).splitlines()
+    assert first.startswith("All")
+    assert not [line for line in others if line.split()[0] != "words"]
+
+
 def test_tables_headings_pictures_and_lists_keep_their_lines():
     rows = table([("x" * 120,)], ("wide", 0))
     text = page(f"# {'long ' * 30}", rows, f"![{'a picture ' * 12}](p.png)", "- one\n- two\n  and a half")

@@ -204,7 +204,7 @@ def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Tabl
 
         Written by `python -m training depths`. Network `{checkpoint.name}`, data
         `{checkpoint.training_data_sha256[:12]}`, commit `{checkpoint.git_commit[:12]}`; all figures are of the
-        simulator. Each decision was seen through a camera of another rate, with the tracker's error, and was told gap
+        simulator. Each decision was seen through a camera of another rate, with the tracker's error, and was given gap
         width, grasp height, grip and shear reach as a cell states them. `test` holds cells of other draws than
         training. Intervals are 95 % Wilson.
         """

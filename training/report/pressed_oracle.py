@@ -1,7 +1,7 @@
 """The information limit of pressing: a decision from the object's true motion in the hand at each step of depth.
 
 A perfect reader of the gel knows how the object moved in the fingers and no more. A recurrent network of the same size
-reads that motion (6 degrees of freedom, exact), and is told all conditions exactly. How well it decides is the limit of
+reads that motion (6 degrees of freedom, exact), and has all conditions exactly. How well it decides is the limit of
 any tactile network.
 """
 

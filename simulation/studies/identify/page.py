@@ -36,7 +36,7 @@ def identify_page(data: Row) -> str:
         `scene identify` reads the recordings of a commissioning: the four probes that ask for signs, and two presses
         until slip at each of two grips ([why so](decisions/0175-what-a-press-tells.md)). It writes a [world
         file](worlds.md) with an estimate of each parameter and its 90 % interval. The gel of every cell below was
-        drawn, and the software was not told it. Width is that of the interval, over what nine of ten drawn cells span:
+        drawn, and the software was not given it. Width is that of the interval, over what nine of ten drawn cells span:
         at 100 % nothing is known that was not known before.
         """,
         "Cells of the bristle tier; the coverage furthest from 90 % first:",

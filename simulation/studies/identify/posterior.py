@@ -31,7 +31,7 @@ STRANGE = 1.5
 
 
 REACH = "shear_reach_mm"
-"""What the client may be told of the gel; no key of a world file."""
+"""What the client may be given of the gel; no key of a world file."""
 
 
 class Parameter(NamedTuple):

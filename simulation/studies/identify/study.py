@@ -44,7 +44,7 @@ def world_file(grip_n: float, intervals: Sequence[Interval], comment: str) -> st
 
 
 def range_text(one: Interval) -> str:
-    return f"{one.low:.3g} to {one.high:.3g}" + ("" if one.known else ", not told by the probes")
+    return f"{one.low:.3g} to {one.high:.3g}" + ("" if one.known else ", not determined by the probes")
 
 
 def as_json(grip_n: float, intervals: Sequence[Interval], model: Posterior) -> Row:

@@ -40,7 +40,7 @@ Inject = Callable[[Bench], None]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """``hides_s``: by how much a picture is older than anyone is told; inf: from the fault on it shows nothing new.
+    """``hides_s``: by how much a picture is older than its stamp; inf: from the fault on it shows nothing new.
 
     ``bounded``: whether the lease bounds it; what it does not bound is measured all the same.
     """

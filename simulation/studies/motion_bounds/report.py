@@ -41,12 +41,12 @@ def bounds_page(data: dict[str, Any]) -> str:
         _table(bounded),
         "## What it cannot bound",
         """
-        A picture that is older than anybody tells cannot be told from a new one by its content. A camera server should
-        stamp its frames when they are captured; one that does not is only as good as its latency, and nothing measures
-        that yet: here the delay begins in mid-descent, and the gap that it tears ends the lease, but one that was there
-        from the start adds 1 mm for each 100 ms at every stop.
+        A picture that is older than its stamp cannot be distinguished from a new one by its content. A camera server
+        should stamp its frames when they are captured; one that does not is only as good as its latency, and nothing
+        measures that yet: here the delay begins in mid-descent, and the gap that it tears ends the lease, but one that
+        was there from the start adds 1 mm for each 100 ms at every stop.
 
-        A picture that stands still beneath fresh noise is told by its own noise, which comes along each time
+        A picture that stands still beneath fresh noise is recognised by its own noise, which comes along each time
         ([decision 132](decisions/0132-noise-comes-once.md)). The first copy passes for new, which is one frame period
         more than the bound, and the service must have seen the picture when it was new. It looks at none between
         closing the fingers and arming, nor between two attempts: a camera that begins to repeat itself there, on both

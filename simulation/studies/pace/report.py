@@ -254,8 +254,8 @@ def _choices(of: Row) -> str:
     highest height at which an attempt was stopped, for no part that is upright to 2 deg reaches lower than that.
 
     **Not shipped**: legs of 25 mm/s need cameras of 38 frames a second and a PC that judges every one of them;
-    120 mm/s in the air need an arm that follows its targets within 83 ms; harder ramps were never told
-    apart from the slow ones on a live cell. `choose` writes the settings that keep what you ask for, or the nearest
+    120 mm/s in the air need an arm that follows its targets within 83 ms; harder ramps were never distinguished from
+    the slow ones on a live cell. `choose` writes the settings that keep what you ask for, or the nearest
     where none does, as none with a false claim; with `--world` it plays all choices in your cell first:
 
     <!-- not executed: writes pace.toml -->

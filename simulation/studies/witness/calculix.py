@@ -1,7 +1,7 @@
 """A gel pad under a rigid plate in CalculiX, a third party's finite elements (the program `ccx`; Dhondt 2004).
 
 Serendipity bricks with reduced integration (C3D20R), surface-to-surface penalty contact with Coulomb friction: another
-element, another contact and another iteration than in `simulation.foreign`. The plate goes where it is told.
+element, another contact and another iteration than in `simulation.foreign`. The plate goes where it is sent.
 """
 
 import os

@@ -27,7 +27,7 @@ def foreign_check_page(data: Row) -> str:
         data.get("note", ""),
         """
         The [foreign cell](decisions/0070-a-foreign-cell-of-finite-elements.md) plays each probe: a flat box is gripped,
-        carried or set down on the edges of the gap. Where the box was in the hand, load step by load step, is told to
+        carried or set down on the edges of the gap. Where the box was in the hand, load step by load step, is given to
         CalculiX 2.20, where a rigid plate goes the same way on the same pad: serendipity bricks with reduced
         integration against our quadratic ones with linear pressures, surface-to-surface penalty contact against exact
         contact at nodes, its own iteration and increments. Compared are the force of the plate, the displacement of

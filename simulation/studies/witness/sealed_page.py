@@ -31,9 +31,9 @@ def foreign_world_page(data: Row) -> str:
         a counter ({data["counter"]}): `{data["seal"][:16]}`. Nobody can choose them, and every one that was played is
         in [foreign_world.json](foreign_world.json). Three families: gels that end within 1 mm of the markers, gels
         that go on for 5 mm and more, and stiff gels that slide after 0.15 to 0.4 marker pitches. The rest of a world
-        is drawn over what cells are ([worlds](worlds.md)), with all that nobody tells the software; Poisson's ratio is
+        is drawn over what cells are ([worlds](worlds.md)), with all that the software is not given; Poisson's ratio is
         that of rubber, 0.45 to 0.495, without viscosity and soft fingers, which the cell has not. Objects are drawn,
-        too. Markers are true ones with the tracker's error; nobody told the shear reach; a failure counts as 16
+        too. Markers are true ones with the tracker's error; the shear reach was not given; a failure counts as 16
         trials. Our own tiers play the same starts beside it.
         """,
         table(data["figures"], *_FIGURES),
