@@ -1,9 +1,13 @@
 """What a network's outputs say, by the plain statistics of the density that they came from."""
 
+import math
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from service.decision.evidence import Density, Evidence, Refusal, from_joint
+from service.decision.evidence import Density, Evidence, Refusal, check_strangeness, from_joint, from_pair
 from tests.service import tiny_models
 
 GRID_X_MM, GRID_THETA_DEG = np.linspace(-20, 20, 161), np.linspace(-24, 24, 193)
@@ -49,3 +53,39 @@ def test_no_evidence_is_made_of_numbers_that_are_not_finite(where: str, bad: flo
     numbers = (float(values["error"][0]), 0.5), (float(values["sigma"][0]), 0.5)
     with pytest.raises(Refusal, match="finite"):
         Evidence(tiny_models.CLASSES, np.full(9, values["probability"][0]), *numbers, density)
+
+
+def test_the_interval_on_the_wire_holds_nine_errors_of_ten_where_the_sigma_is_true() -> None:
+    estimate = Evidence(tiny_models.CLASSES, np.full(9, 1 / 9), (3.0, -4.0), (1.5, 2.5)).estimate()
+    for (low, high), centre, sigma in (
+        (estimate.interval_x_mm, 3.0, 1.5),
+        (estimate.interval_theta_deg, -4.0, 2.5),
+    ):
+        assert math.erf((high - centre) / sigma / math.sqrt(2.0)) == pytest.approx(0.9, abs=1e-9)
+        assert centre - low == pytest.approx(high - centre)
+    assert Evidence(tiny_models.CLASSES, np.full(9, 1 / 9), (3.0, -4.0)).estimate().interval_x_mm is None
+
+
+@pytest.mark.parametrize(("temperature", "scale"), [(1.0, 1.0), (2.0, 0.5)])
+def test_two_networks_are_calibrated_by_their_own_cards(temperature: float, scale: float) -> None:
+    direction = tiny_models.card("direction", "step", calibration={"temperature": temperature})
+    sizes = {"sigma_scale_x": scale, "sigma_scale_theta": 3.0}
+    magnitude = tiny_models.card("magnitude", "step", calibration=sizes)
+    logits = np.log(np.arange(1.0, 10.0))[None]
+    moments = {"error": np.array([[2.0, -3.0]]), "log_sigma": np.log([[1.5, 2.0]])}
+    evidence = from_pair(direction, magnitude, {"logits": logits}, moments)
+    weights = np.arange(1.0, 10.0) ** (1 / temperature)
+    assert evidence.probabilities == pytest.approx(weights / weights.sum())
+    assert evidence.error == (2.0, -3.0)
+    assert evidence.sigma == pytest.approx((1.5 * scale, 6.0))
+
+
+@pytest.mark.parametrize(("strange", "known"), [(4.0, True), (4.1, False), (float("nan"), False)])
+def test_what_is_stranger_than_the_card_allows_is_refused(strange: float, known: bool) -> None:
+    card: Any = SimpleNamespace(pressing=SimpleNamespace(strangeness_limit=4.0))
+    outputs = {"strangeness": np.array([[strange]])}
+    if known:
+        check_strangeness(card, outputs)
+    else:
+        with pytest.raises(Refusal, match="strangeness"):
+            check_strangeness(card, outputs)

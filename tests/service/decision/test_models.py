@@ -5,9 +5,12 @@ import onnx
 import pytest
 
 from service.contract import CARD_KEY, ContractError
+from service.contract.model_card import CONDITIONS
 from service.decision.evidence import DecisionRun, Refusal
 from service.decision.models import load_models
 from tests.service import tiny_models
+
+RELEASED = Path(__file__).parents[3] / "models" / "pressing"
 
 
 def test_a_missing_folder_says_what_to_do(tmp_path: Path) -> None:
@@ -73,6 +76,18 @@ def test_a_decision_run_needs_all_its_frames_and_their_shape(tmp_path: Path) -> 
     assert evidence.sigma is not None
     with pytest.raises(ContractError, match="reads uint8"):
         run.step(frame[:, :100])
+
+
+def test_what_is_not_known_of_an_attempt_is_read_as_nothing() -> None:
+    """By the released networks that read depth, as their cards promise."""
+    (step,) = load_models(RELEASED).steps
+    still, state = np.zeros((2, *step.card.input_shape), np.float32), step.fresh_state()
+    nothing = dict.fromkeys(CONDITIONS, 0.0)
+    answers = [step.step(still, still, state, 56.0, *known)[0] for known in ((None, {}), (0.0, nothing))]
+    other = step.step(still, still, state, 56.0, 40.0, nothing | {"grip_n": 30.0})[0]
+    for name, value in answers[0].items():
+        assert np.array_equal(value, answers[1][name])
+    assert any(not np.array_equal(value, other[name]) for name, value in answers[0].items())
 
 
 def test_state_is_passed_on_through_onnxruntime(tmp_path: Path) -> None:

@@ -154,6 +154,39 @@ def test_a_finger_that_shows_half_of_its_markers_tells_nothing() -> None:
     assert math.isnan(push_of(pair, REST).mean_pitch)
 
 
+@pytest.mark.parametrize(("push", "bears", "seated"), [(0.0075, 0.0, True), (0.0085, 0.0, False), (0.0085, 0.3, True)])
+@pytest.mark.parametrize("share", [0.028, 0.032])
+def test_a_push_counts_from_the_noise_on_or_from_three_hundredths_of_what_the_grasp_bears(
+    push: float, bears: float, seated: bool, share: float
+) -> None:
+    assert SeatingEvidence(push, bears).seated == seated
+    assert SeatingEvidence(share, 1.0).seated == (share < 0.03)
+
+
+@pytest.mark.parametrize(("from_share", "seated"), [(0.62, False), (0.72, True)])
+def test_a_push_is_lasting_where_it_fills_the_last_third_of_the_way(from_share: float, seated: bool) -> None:
+    """But for a tenth of its frames."""
+    pushes = [Push(k * 10_000_000, 0.2 * (k >= 100 * from_share), 0.2) for k in range(101)]
+    assert seating_evidence(pushes, 0, 0.2).seated == seated
+
+
+@pytest.mark.parametrize(("missing_n", "seated"), [(2, False), (5, True)])
+def test_a_tenth_of_the_frames_may_show_nothing_of_a_push(missing_n: int, seated: bool) -> None:
+    pushes = [Push(k * 10_000_000, 0.2 * (not 70 <= k < 70 + missing_n), 0.2) for k in range(101)]
+    assert seating_evidence(pushes, 0, 0.2).seated == seated
+
+
+@pytest.mark.parametrize(("rows_n", "known"), [(9, False), (11, True)])
+def test_half_of_the_markers_of_each_finger_are_enough_to_tell_a_push(rows_n: int, known: bool) -> None:
+    pair = pair_of((3.0, 3.0))
+    pair.left.field.valid[rows_n:] = False
+    assert math.isfinite(push_of(pair, REST).mean_pitch) == known
+
+
+def test_how_far_the_markers_moved_counts_every_way() -> None:
+    assert push_of(pair_of((3.0, 6.0)), REST).moved_pitch == pytest.approx(math.sqrt((0.2**2 + 0.4**2) / 2))
+
+
 def test_no_frame_is_no_claim() -> None:
     assert not seating_evidence([], 0, 0.0).seated
 

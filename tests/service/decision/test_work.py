@@ -1,14 +1,21 @@
 """What keeps the networks from deciding is an answer, not an error of the thread that asks them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from service.contract import MarkerSpec, wire
-from service.decision.attempt import Attempt
-from service.decision.work import plan_work
+from service.decision.attempt import Attempt, Stage, implausible_width
+from service.decision.evidence import Evidence, Refusal
+from service.decision.work import check_evidence, enough_message, latencies, overdue, plan_work, slip_message
 from service.perception.markers.field import empty_field
+from service.perception.observation import PairObservation
+from service.settings import Deadlines
 from tests.service import tiny_models
+from tests.service.decision.test_claim import descent, pair
 
 
 @pytest.mark.parametrize("referenced", [False, True])
@@ -26,3 +33,101 @@ def test_a_grid_that_is_not_the_networks_is_refused_as_any_other_stranger(*, ref
     assert (result.attempt, result.generation, result.evidence) == (3, 7, None)
     assert result.refusal is not None
     assert result.refusal.reason == "out_of_distribution"
+
+
+def shows(share: float, status: str = "") -> PairObservation:
+    """A pair whose left finger shows this share of its markers."""
+    both = pair()
+    field, seen_n = both.left.field, round(share * both.left.field.valid.size)
+    valid = np.arange(field.valid.size).reshape(field.valid.shape) < seen_n
+    return replace(both, left=replace(both.left, field=replace(field, valid=valid, status=status or field.status)))
+
+
+@pytest.mark.parametrize(
+    ("share", "status", "confidence", "reason"),
+    [
+        (0.45, "", 0.9, "out_of_distribution"),
+        (0.55, "", 0.9, ""),
+        (0.45, "duplicate", 0.9, ""),
+        (0.55, "", 0.29, "low_confidence"),
+        (0.55, "", 0.31, ""),
+    ],
+)
+def test_evidence_of_half_a_picture_or_of_no_class_moves_nothing(
+    share: float, status: str, confidence: float, reason: str
+) -> None:
+    card = tiny_models.card("direction", "step", min_confidence=0.3)
+    models: Any = SimpleNamespace(steps=[SimpleNamespace(card=card)])
+    probabilities = np.full(9, (1 - confidence) / 8)
+    probabilities[4] = confidence
+    attempt = descent(decision_pairs=[shows(share, status)])
+    try:
+        check_evidence(models, attempt, Evidence(tiny_models.CLASSES, probabilities, (1.0, 1.0)))
+        refused = ""
+    except Refusal as refusal:
+        refused = refusal.reason
+    assert refused == reason
+
+
+@pytest.mark.parametrize(
+    ("pairs_n", "fed", "waited_s", "reason"),
+    [
+        (8, False, 9.9, ""),
+        (8, False, 10.1, "stale"),
+        (3, True, 9.9, ""),
+        (3, True, 10.1, "stale"),
+        (3, False, 1.9, ""),
+        (3, False, 2.1, "too_few_frames"),
+        (7, False, 2.1, "too_few_frames"),
+        (0, False, 2.1, "no_motion"),
+    ],
+)
+def test_a_decision_is_overdue_by_what_it_waits_for(pairs_n: int, fed: bool, waited_s: float, reason: str) -> None:
+    attempt = descent(decision_pairs=[pair()] * pairs_n, fed=fed)
+    refusal = overdue(attempt, waited_s, 8, Deadlines())
+    assert (refusal.reason if refusal else "") == reason
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "empty"), [("hold", "hold", 0), ("no_contact", "no_contact", 1), ("hold", "no_contact", 0)]
+)
+def test_why_nothing_moved_is_told_from_why_nothing_is_touched(left: Any, right: Any, empty: int) -> None:
+    attempt = descent()
+    fingers = [
+        replace(one, slip=replace(one.slip, state=state))
+        for one, state in zip(pair().fingers, (left, right), strict=True)
+    ]
+    attempt.ring.append(PairObservation(*fingers))
+    why = str(overdue(attempt, 3.0, 8, Deadlines()))
+    assert why == ["neither finger saw the object move", "nothing touches the gels"][empty]
+
+
+def test_a_slip_is_as_old_as_its_frame() -> None:
+    shown = replace(pair().left, seq=7, captured_ns=40_000_000)
+    slip = slip_message("one", descent(), shown, 47_500_000)
+    assert (slip.frame_seq, slip.captured_ns, slip.age_ms, slip.score) == (7, 40_000_000, 7.5, 0.0)
+
+
+def test_a_pair_took_as_long_as_its_slower_finger() -> None:
+    both = pair()
+    slow = PairObservation(
+        replace(both.left, cost_ms={"markers": 2.0, "slip": 1.0}), replace(both.right, cost_ms={"markers": 3.0})
+    )
+    run: Any = SimpleNamespace(step_ms=4.0)
+    assert latencies(run, slow) == {"markers": 3.0, "slip": 1.0, "networks_last_step": 4.0}
+
+
+@pytest.mark.parametrize(("width_mm", "refused"), [(None, False), (1.9, True), (2.1, False)])
+def test_fingers_that_meet_hold_nothing(width_mm: float | None, refused: bool) -> None:
+    arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0, gripper_width_mm=width_mm)
+    assert bool(implausible_width(arm)) == refused
+
+
+def test_nobody_is_told_that_it_is_enough_twice_or_at_rest() -> None:
+    enough: Any = SimpleNamespace(enough=True, pressed_mm=1.2)
+    attempt = descent(descent=enough)
+    assert [*enough_message(attempt)] == [], "the arm stands"
+    attempt.stage = Stage.ARMED
+    (message,) = enough_message(attempt)
+    assert message.pressed_mm == 1.2
+    assert [*enough_message(attempt)] == []

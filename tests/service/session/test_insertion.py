@@ -1,5 +1,6 @@
 """What a running insertion does first and what it leaves for later."""
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from service.recordings.reader import Recording
 from service.recordings.writer import Recorder
 from service.session.factory import make_session
 from service.session.insertion import Insertion
+from tests.kept import is_as_kept
 from tests.service import drawn, tiny_models
 
 WRITERS = ("frame", "observation", "message", "call", "attempt")
@@ -95,3 +97,38 @@ def test_an_end_is_written_down_before_it_is_published_and_the_recording_is_whol
     assert kinds[-2:] == ["abort", "finished"]
     assert (path.parent / "attempt_01.npz").exists()
     assert isinstance(witness.insertion.session.finished, wire.Finished)
+
+
+def sample(at_ns: int) -> wire.RobotSample:
+    return wire.RobotSample(at_ns=at_ns, phase="descending", attempt=1)
+
+
+def test_where_the_robot_was_is_recorded_on_this_machines_clock_by_its_fastest_message(witness: Witness) -> None:
+    """The client's clock is 7 s ahead; its messages took 5, 1 and 3 ms."""
+    witness.insertion.message(wire.ClientHello(insertion_id="first", client="test"))
+    for number, took_ms in enumerate((5, 1, 3)):
+        at_ns = 1_000_000_000 * (number + 1)
+        witness.now_ns = at_ns + took_ms * 1_000_000
+        sent_ns = at_ns + 7_000_000_000
+        witness.insertion.message(
+            wire.Telemetry(insertion_id="first", sent_ns=sent_ns, samples=(sample(sent_ns),), left_out_n=number)
+        )
+    assert witness.events.count("robot") == 3
+    witness.insertion.opened_ns = 0
+    assert witness.insertion.facts["robot_samples_lost_n"] == 3
+    assert witness.insertion.facts["seconds"] == 3.0
+    path = witness.recorder.close({})
+    stamps_ns = [entry.log_ns for entry in Recording(path).of("/robot")]
+    assert [round((b - a) / 1e6) for a, b in itertools.pairwise(stamps_ns)] == [996, 1000]
+
+
+def test_the_summary_says_what_was_decided_in_which_object_and_by_which_start(witness: Witness) -> None:
+    pose = wire.ToolPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
+    witness.insertion.message(wire.ClientHello(insertion_id="first", client="test"))
+    witness.insertion.message(wire.Episode(insertion_id="first", object="box", start=pose, approach=pose))
+    witness.until_stopped()
+    witness.show(17)
+    witness.insertion.continues = "before"
+    facts = witness.insertion.facts
+    del facts["seconds"]
+    is_as_kept(__file__, "summary", facts)

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_client.grippers.wsg50 import codec
+from robot_client.grippers.wsg50 import codec, codes
 from robot_client.grippers.wsg50.codec import Frame, StreamParser, WsgError
-from robot_client.grippers.wsg50.codes import Command, GraspingState, MoveFlag, Status
+from robot_client.grippers.wsg50.codes import Command, GraspingState, MoveFlag, Status, SystemState
+from tests.kept import is_as_kept
 
 LIMITS = (10.0, 100.0, 400.0, 1.0, 10.0, 11.0, 30.0, 40.0)
 REQUESTS = [
@@ -163,3 +164,14 @@ def test_the_ambiguous_relative_bit_is_never_sent(flags):
 def test_the_states_of_a_grasp_have_the_numbers_of_the_manual():
     names = ["IDLE", "GRASPING", "NO_PART", "PART_LOST", "HOLDING", "RELEASING", "POSITIONING", "ERROR"]
     assert [GraspingState(number).name for number in range(8)] == names
+
+
+@pytest.mark.parametrize("table", [codes.Status, codes.Command, codes.HomingDirection, codes.UpdateFlag, SystemState])
+def test_the_protocols_numbers_stay_as_they_are(table):
+    is_as_kept(__file__, table.__name__, {entry.name: int(entry) for entry in table})
+
+
+@pytest.mark.parametrize("bit", SystemState)
+def test_a_state_is_a_fault_where_the_manual_says_that_it_stops_the_fingers(bit):
+    names = {"FAST_STOP", "TEMP_FAULT", "POWER_FAULT", "CURRENT_FAULT", "FINGER_FAULT"}
+    assert bool(bit & codes.FAULT_BITS) == (bit.name in names)

@@ -2,21 +2,15 @@
 
 import asyncio
 import contextlib
-import math
 import time
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from robot_client.insertion.events import Arrived, Failure, Standstill
-from robot_client.insertion.geometry import Pose as WirePose
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Phase
-from robot_client.robots.abb_rapid import codec
-from robot_client.robots.abb_rapid.codec import RapidTextError, TextParser
 from robot_client.robots.abb_rapid.driver import SocketArm
 from robot_client.robots.abb_rapid.settings import Settings
 from simulation.cell.emulators.abb.cabinet import Cabinet, Delays
@@ -213,36 +207,3 @@ def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop(t
             assert cell.report.rows[0].overtravel_mm < 10.0 * (REACTION_S + 0.06)
 
     asyncio.run(asyncio.wait_for(story(), 90.0))
-
-
-@given(st.integers(1, 99999), st.tuples(*[st.floats(-999, 999)] * 3), st.floats(0.1, 999))
-def test_a_move_fits_a_rapid_string(number, position, speed):
-    text = codec.encode_move(number, WirePose(*position, -0.5, 0.5, -0.5, 0.5), speed)
-    assert len(text) <= 80
-    assert text.endswith(b"#")
-
-
-@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -1.0, 0.0])
-def test_bad_numbers_never_become_text(bad):
-    with pytest.raises(RapidTextError):
-        codec.encode_move(1, WirePose(0, 0, 0), bad)
-    if not math.isfinite(bad):
-        with pytest.raises(ValueError, match="finite"):
-            codec.encode_move(1, WirePose(bad, 0, 0), 10.0)
-
-
-@given(st.lists(st.binary(max_size=120), max_size=10))
-def test_random_bytes_are_refused_without_harm(chunks):
-    parser = TextParser()
-    for chunk in chunks:
-        for text in parser.feed(chunk):
-            for decode in (codec.decode_guard, codec.decode_motion):
-                with contextlib.suppress(ValueError):
-                    decode(text)
-    assert len(parser._rest) <= 80
-
-
-@given(st.text(st.characters(codec="ascii"), max_size=80))
-def test_a_guard_answer_is_read_or_refused(text):
-    with contextlib.suppress(ValueError):
-        codec.decode_guard("P " + text)

@@ -1,0 +1,260 @@
+"""The driver against the emulated gripper, over a real socket: what it asks for, in which order, what it reports."""
+
+import asyncio
+import contextlib
+import itertools
+from itertools import product
+
+import pytest
+
+from robot_client.grippers.wsg50.codes import GraspingState
+from robot_client.grippers.wsg50.driver import GripperError, Wsg50
+from robot_client.grippers.wsg50.settings import Settings
+from robot_client.insertion.events import Failure, Grasped, PartLost, Width
+from simulation.cell.emulators.faults import FaultBoard
+from simulation.cell.emulators.net import bind_tcp, port_of
+from simulation.cell.emulators.wsg50 import Wsg50Emulator
+from simulation.cell.emulators.wsg50_gripper import Gripper
+from tests.robot_client.live_cell import Part
+
+
+class Bench:
+    def __init__(self, board, mechanism, emulator, driver):
+        self.board, self.mechanism, self.emulator, self.driver = board, mechanism, emulator, driver
+        self.events = asyncio.Queue()
+
+    async def started(self):
+        await self.driver.start(self.events.put_nowait)
+
+    async def until(self, kind):
+        """The next event of that kind."""
+        while True:
+            event = await asyncio.wait_for(self.events.get(), 20.0)
+            if isinstance(event, kind):
+                return event
+
+    async def anew(self):
+        """The next client of the gripper: it serves one at a time."""
+        await self.driver.close()
+        self.driver = Wsg50(self.driver.settings)
+
+    @property
+    def asked(self):
+        """All but the queries of states, in order."""
+        return self.emulator.counters.commands
+
+
+@contextlib.asynccontextmanager
+async def bench(*, present=True, holding=True, **settings):
+    board, part = FaultBoard(), Part(present=present)
+    mechanism = Gripper(part, board, holding=holding)
+    mechanism.width_mm = min(mechanism.width_mm, 56.0)  # what is open is so by a little: no time is waited for
+    emulator, sock = Wsg50Emulator(mechanism, board), bind_tcp(0, "gripper")
+    await emulator.start(sock)
+    made = Settings(
+        host="127.0.0.1", port=port_of(sock), **{"grasp_speed_mm_s": 150.0, "reply_timeout_s": 20.0} | settings
+    )
+    cell = Bench(board, mechanism, emulator, Wsg50(made))
+    try:
+        yield cell
+    finally:
+        await cell.driver.close()
+        await emulator.stop()
+
+
+def story(work, **options):
+    async def played():
+        async with bench(**options) as cell:
+            return await work(cell)
+
+    return asyncio.run(asyncio.wait_for(played(), 60.0))
+
+
+def test_what_is_held_is_accepted_as_it_is_and_left_as_it_was():
+    async def work(cell):
+        await cell.started()
+        assert cell.driver.held
+        cell.driver.grasp()
+        return await cell.until(Grasped), cell
+
+    grasped, cell = story(work)
+    assert grasped.width_mm == 50.0
+    assert cell.asked == ["SYSTEM_LIMITS", "DISCONNECT"]
+    assert cell.mechanism.holding
+    assert cell.emulator.counters.fast_stops_by_disconnect == 0, "it said that it leaves"
+
+
+def test_an_open_hand_closes_with_the_force_asked_for_and_is_watched():
+    async def work(cell):
+        await cell.started()
+        assert not cell.driver.held
+        cell.driver.grasp()
+        return await cell.until(Grasped), cell
+
+    grasped, cell = story(work, holding=False, force_limit_n=25.0)
+    assert (grasped.width_mm, cell.mechanism.force_n, cell.driver.held) == (50.0, 25.0, True)
+    assert cell.asked == ["SYSTEM_LIMITS", "SET_FORCE_LIMIT", "GRASP", "DISCONNECT"]
+
+
+def test_what_is_held_is_let_go_of_by_a_release_and_open_fingers_move():
+    async def work(cell):
+        await cell.driver.connect()
+        return [await cell.driver.release(54.0), await cell.driver.release(58.0)], cell.asked
+
+    reached_mm, asked = story(work)
+    assert reached_mm == pytest.approx([54.0, 58.0], abs=0.01)
+    assert asked == ["SYSTEM_LIMITS", "RELEASE", "MOVE"]
+
+
+def test_each_width_that_differs_by_a_tenth_is_told():
+    async def work(cell):
+        await cell.started()
+        await cell.driver.release(60.0)
+        widths = []
+        while not cell.events.empty():
+            widths.append(cell.events.get_nowait())
+        return [event.width_mm for event in widths if isinstance(event, Width)]
+
+    widths = story(work, holding=False, grasp_speed_mm_s=40.0)
+    assert len(widths) > 2
+    assert all(b - a >= 0.1 for a, b in itertools.pairwise(widths))
+    assert (widths[0], widths[-1]) == (pytest.approx(56.0, abs=1.0), pytest.approx(60.0, abs=0.1))
+
+
+@pytest.mark.parametrize(("present", "empty"), [(True, False), (False, True)])
+def test_closing_finds_nothing_only_where_nothing_is(present, empty):
+    async def work(cell):
+        await cell.started()
+        return await cell.driver.finds_nothing(), cell.driver.state
+
+    nothing, state = story(work, present=present, holding=False, grasp_width_mm=48.0)
+    assert (nothing, state) == (empty, GraspingState.NO_PART if empty else GraspingState.HOLDING)
+
+
+REFUSED = {
+    "opens too far": ({}, lambda driver: driver.release(111.0), "cannot open to 111 mm, this gripper allows 0 .. 110"),
+    "opens beyond closed": ({}, lambda driver: driver.release(-1.0), "cannot open to -1 mm"),
+    "homes a part away": ({}, lambda driver: driver.home("default"), "holds a part; homing would drop it"),
+    "too fast": ({"grasp_speed_mm_s": 421.0}, lambda driver: driver.finds_nothing(), "grasp_speed_mm_s = 421"),
+    "too slow": ({"grasp_speed_mm_s": 4.9}, lambda driver: driver.finds_nothing(), "allows 5 .. 420"),
+    "too hard": ({"force_limit_n": 81.0}, lambda driver: driver.finds_nothing(), "force_limit_n = 81"),
+    "too wide": ({"grasp_width_mm": 111.0}, lambda driver: driver.finds_nothing(), "grasp_width_mm = 111"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_the_gripper_does_not_allow_is_refused_before_it_is_asked_for(name):
+    settings, call, expected = REFUSED[name]
+
+    async def work(cell):
+        await cell.started()
+        with pytest.raises(GripperError, match=expected):
+            await call(cell.driver)
+        assert not {"MOVE", "RELEASE", "GRASP", "HOMING"} & set(cell.asked)
+
+    story(work, **settings)
+
+
+def test_fingers_that_are_not_homed_close_on_nothing_and_homing_says_where_they_are():
+    async def work(cell):
+        cell.board.update({"gripper": {"not_homed": True}})
+        await cell.started()
+        with pytest.raises(GripperError, match="not homed; run"):
+            await cell.driver.finds_nothing()
+        await cell.anew()
+        findings = await cell.driver.checks()["gripper"]()
+        cell.board.update({"gripper": {"not_homed": False}})
+        return findings, await cell.driver.home("outward")
+
+    findings, width_mm = story(work, holding=False)
+    assert [good for good, _ in findings] == [True, False, True, True]
+    assert width_mm == pytest.approx(110.0)
+
+
+@pytest.mark.parametrize(("force_n", "good"), [(5.0, True), (4.9, False), (80.0, True), (80.1, False)])
+def test_a_check_names_faults_force_state_and_width(force_n, good):
+    async def work(cell):
+        return await cell.driver.checks()["gripper"]()
+
+    findings = story(work, force_limit_n=force_n)
+    assert [one.good for one in findings] == [True, True, good, True]
+    texts = [
+        "no fault",
+        "homed",
+        f"force limit {force_n:g} N of (5.0, 80.0) N",
+        "grasping state HOLDING, width 50.0 mm",
+    ]
+    assert [one.text for one in findings] == texts
+
+
+def test_a_latched_fault_is_named_and_only_the_operator_clears_it():
+    async def work(cell):
+        cell.mechanism.fast_stop()
+        with pytest.raises(GripperError, match="fault FAST_STOP; find the cause"):
+            await cell.started()
+        with pytest.raises(GripperError, match="nothing is opened"):
+            await cell.driver.release(55.0)
+        await cell.anew()
+        (fault, *_) = await cell.driver.checks()["gripper"]()
+        await cell.driver.acknowledge()
+        await cell.anew()
+        await cell.started()
+        return fault
+
+    fault = story(work)
+    assert (fault.good, fault.text) == (False, "faults: FAST_STOP")
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "code"),
+    [
+        ({"gripper": {"part_lost": True}}, PartLost, ""),
+        ({"gripper": {"fast_stop": True}}, Failure, "error"),
+        ({"wsg": {"reset_now": True}}, Failure, "link"),
+        ({"wsg": {"silent": True}}, Failure, "silent"),
+    ],
+)
+def test_trouble_during_an_insertion_is_told(fault, kind, code):
+    async def work(cell):
+        await cell.started()
+        await cell.until(Width)
+        assert cell.events.empty(), "fingers that rest are told of once"
+        cell.board.update(fault)
+        event = await cell.until((PartLost, Failure))
+        cell.board.update({"wsg": {"silent": False}})
+        return event
+
+    event = story(work)
+    assert isinstance(event, kind)
+    assert getattr(event, "code", "") == code
+
+
+def test_each_change_of_the_grasping_state_means_what_it_says():
+    quiet = {
+        (before, after) for before, after in product(GraspingState, repeat=2) if before is not GraspingState.HOLDING
+    }
+    for before, after in product(GraspingState, repeat=2):
+        driver, events = Wsg50(Settings()), []
+        driver._on_state(float(before))
+        driver._post = events.append
+        driver._on_state(float(after))
+        assert driver.state is after
+        if before is after:
+            assert events == []
+        elif after is GraspingState.ERROR:
+            assert [event.code for event in events] == ["error"]
+        elif (before, after) in quiet:
+            assert events == []
+        elif after in {GraspingState.PART_LOST, GraspingState.NO_PART}:
+            assert [type(event) for event in events] == [PartLost]
+        else:
+            assert [event.code for event in events] == ["released"]
+
+
+@pytest.mark.parametrize("value", [-1.0, 8.0, 2.5])
+def test_a_grasping_state_that_is_none_is_a_fault_of_the_protocol(value):
+    driver, events = Wsg50(Settings()), []
+    driver._post = events.append
+    driver._on_state(value)
+    driver._on_state(value)
+    assert [event.code for event in events] == ["protocol"], "told once"

@@ -1,0 +1,24 @@
+"""What a device's table of the configuration ships with, and its bounds: a time may be short, but never nothing."""
+
+import pytest
+from pydantic import ValidationError
+
+from tests.kept import is_as_kept
+
+
+def is_bounded_and_as_kept(test_file, settings):
+    """Times and forces are above zero, however little, and a port is one of 2^16; the rest is as it shipped."""
+    kind, shipped = type(settings), settings.model_dump(mode="json")
+    for name in shipped:
+        if name.endswith("port"):
+            good, bad = (0, 65_535), (-1, 65_536)
+        elif (name.endswith("_s") and not name.endswith("_mm_s")) or name == "force_limit_n":
+            good, bad = (1e-3,), (0.0,)
+        else:
+            continue
+        for value in good:
+            assert getattr(kind(**{name: value}), name) == value
+        for value in bad:
+            with pytest.raises(ValidationError, match=name):
+                kind(**{name: value})
+    is_as_kept(test_file, f"shipped: {kind.__module__}", shipped)
