@@ -70,6 +70,14 @@ def test_non_finite_targets_never_reach_the_wire(bad):
         codec.decode_robot(message.SerializeToString())
 
 
+@given(st.integers(0, 2**31))
+def test_the_controllers_clock_is_told_in_seconds_and_microseconds(time_ms):
+    message = pb.EgmRobot.FromString(codec.encode_robot(RobotState(1, time_ms, Pose(0, 0, 0))))
+    assert message.header.tm == time_ms
+    assert message.feedBack.time.sec * 1_000_000 + message.feedBack.time.usec == 1000 * time_ms
+    assert message.feedBack.time.usec < 1_000_000
+
+
 def test_a_quaternion_that_is_no_rotation_is_refused():
     with pytest.raises(EgmError, match="norm"):
         codec.encode_guidance(Guidance(1, pose=Pose(0, 0, 0, 0.5, 0, 0, 0)))
