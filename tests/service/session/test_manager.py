@@ -1,11 +1,13 @@
 """How insertions open and are handed over: whoever asks is answered, and whoever loses an insertion is told."""
 
+import json
 import threading
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydantic import SecretStr
 
 from service.cameras.capture import CameraFrame
 from service.contract import FINGERS, Finger, TactileFrame, wire
@@ -135,3 +137,54 @@ def test_another_client_is_refused_while_one_drives_and_takes_over_once_it_is_go
     assert shared.active.session.insertion_id == "second"
     shared.abort("operator", "done")
     wait_for_recorders()
+
+
+@pytest.mark.parametrize(("continues", "knows"), [("one", True), ("another", False), (None, False)])
+def test_an_insertion_goes_on_with_what_the_one_before_knew_where_it_names_it(
+    models: ModelSet, tmp_path: Path, continues: str | None, knows: bool
+) -> None:
+    shared = manager(models, tmp_path)
+    client = Client(shared)
+    client.connect("one")
+    arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    shared.receive(arm, client.send)
+    decider = shared.active.session.decider
+    shared.abort("afresh", "turned")
+    wait_for_recorders()
+    shared.connect(wire.ClientHello(insertion_id="two", client="test", continues=continues), Client(shared).send)
+    session = shared.active.session
+    assert (session.decider is not None) == knows
+    if knows:
+        assert session.decider.controller is decider.controller
+        assert session.decider.insertion_id == "two"
+    (recorded,) = [path for path in tmp_path.glob("r/*/insertion.mcap*") if "two" in str(path)]
+    shared.abort("operator", "done")
+    wait_for_recorders()
+    assert Recording(next(recorded.parent.glob("insertion.mcap"))).metadata["continues"] == ("one" if knows else "")
+    assert shared.opened_n == 2
+
+
+def test_an_insertion_ends_once_its_client_has_been_silent_for_too_long(models: ModelSet, tmp_path: Path) -> None:
+    shared = manager(models, tmp_path)
+    client = Client(shared)
+    client.connect("one")
+    heard_ns, allowed_ns = shared.active.received_ns, round(shared.settings.client_timeout_s * 1e9)
+    shared.tick(heard_ns + allowed_ns)
+    assert shared.active is not None
+    shared.tick(heard_ns + allowed_ns + 1_000_000)
+    assert shared.active is None
+    wait_for_recorders()
+    assert (client.heard[-1].outcome, client.heard[-1].cause) == ("failed", "link")
+
+
+def test_no_token_is_kept_in_a_recording(models: ModelSet, tmp_path: Path) -> None:
+    shared = manager(models, tmp_path)
+    shared.settings = shared.settings.model_copy(update={"token_drive": SecretStr("swordfish")})
+    Client(shared).connect("one")
+    attached = shared._attachments(shared.active.session)
+    shared.abort("operator", "done")
+    wait_for_recorders()
+    assert "configuration.json" in attached
+    assert not {"token_watch", "token_drive", "token_admin"} & set(json.loads(attached["configuration.json"]))
+    (recorded,) = tmp_path.glob("r/*/insertion.mcap")
+    assert b"swordfish" not in recorded.read_bytes()
