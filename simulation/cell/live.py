@@ -112,7 +112,7 @@ class LiveCell:
         self.cabinet = Cabinet(Follower(at_start, limits), self.board)
         self.frames = CellFrames()
         self.guide_port = options.egm_guide_port or free_port(socket.SOCK_DGRAM)
-        self.egm = EgmEmulator(self.cabinet, self.frames, self.guide_port, joint_mode=options.egm_joint_mode)
+        self.egm = EgmEmulator(self.cabinet, self.frames, self.guide_port)
         self.stop_watch = StopWatch(self.cabinet)
         self.rapid = RapidServers(self.cabinet)
         self.egm.on_cycle += [self.rapid.cycle, self.stop_watch, self._set_lag, self._note_height]

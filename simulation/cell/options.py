@@ -56,8 +56,6 @@ class CellOptions:
     """MJPEG of the right finger."""
     admin_port: int = 0
     """Truth and faults over HTTP."""
-    egm_joint_mode: bool = False
-    """EGM takes joint targets instead of poses."""
 
     def check(self) -> None:
         """Raise CellError naming the option that cannot be."""

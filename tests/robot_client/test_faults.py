@@ -14,10 +14,11 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from robot_client.insertion.events import Hold, Move
+from robot_client.insertion.geometry import normalised
 from robot_client.insertion.state import Phase
 from robot_client.session.recorder import read_log
 from service.contract import wire
-from simulation.cell.emulators.abb.motion import Follower, Pose, normalised
+from simulation.cell.emulators.abb.motion import Follower, Pose
 from tests.robot_client.live_cell import Bench, bench
 
 EGM_S = 0.25 + 0.15  # silence bound, watchdog grain, and a loaded machine

@@ -12,11 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from robot_client.insertion.geometry import Pose as WirePose
-from robot_client.robots.abb_egm.codec import EgmError, Guidance, RobotState, decode_guidance, encode_robot
+from robot_client.insertion.geometry import normalised
+from robot_client.robots.abb_egm.codec import RobotState, decode_guidance, encode_robot
 from simulation.cell.emulators.abb.cabinet import Cabinet
 from simulation.cell.emulators.abb.frames import CellFrames
-from simulation.cell.emulators.abb.irb1600 import ReachError
-from simulation.cell.emulators.abb.motion import Pose, normalised
+from simulation.cell.emulators.abb.motion import Pose
 from simulation.cell.emulators.net import HOST
 
 CYCLE_S = 0.004
@@ -45,10 +45,9 @@ class EgmEmulator(asyncio.DatagramProtocol):
     ones are skipped and counted, as if their datagrams had been lost. The arm moves by the clock, not by the count.
     """
 
-    def __init__(self, cabinet: Cabinet, frames: CellFrames, guide_port: int, *, joint_mode: bool = False) -> None:
+    def __init__(self, cabinet: Cabinet, frames: CellFrames, guide_port: int) -> None:
         self.cabinet = cabinet
         self.frames = frames
-        self.joint_mode = joint_mode
         self.counters = EgmCounters()
         self.on_cycle: list[Callable[[], None]] = []
         self._guide = (HOST, guide_port)
@@ -159,22 +158,14 @@ class EgmEmulator(asyncio.DatagramProtocol):
         if self.cabinet.egm == "off":
             return
         try:
-            guidance = decode_guidance(data)
-            target = self._target(guidance)
-        except (EgmError, ReachError, ValueError) as error:
+            pose = decode_guidance(data).pose
+            target = None if pose is None else Pose((pose.x_mm, pose.y_mm, pose.z_mm), normalised(pose.quaternion))
+        except ValueError as error:
             self.counters.refused += 1
-            if "finite" in str(error) or isinstance(error, ReachError):
+            if "finite" in str(error):
                 self.cabinet.guidance_error(str(error))
             return
         if target is None:
             self.cabinet.keep_alive()
             return
         self.cabinet.guide(target)
-
-    def _target(self, guidance: Guidance) -> Pose | None:
-        if self.joint_mode:
-            return self.frames.pose_of_joints(guidance.joints_deg) if len(guidance.joints_deg) == 6 else None
-        pose = guidance.pose
-        if pose is None:
-            return None
-        return Pose((pose.x_mm, pose.y_mm, pose.z_mm), normalised(pose.quaternion))

@@ -6,34 +6,12 @@ Poses are in the work-object frame, mm; quaternions are (w, x, y, z). Everything
 import math
 from dataclasses import dataclass, field
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-
-TOOL_DOWN: Quaternion = (0.0, 1.0, 0.0, 0.0)
-"""The tool's z axis along -z of the work object, its x axis along x: the pose with yaw 0."""
-
-
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product: the rotation b followed by a."""
-    return (
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    )
-
-
-def normalised(q: Quaternion) -> Quaternion:
-    """The unit quaternion along ``q``; raise ValueError if it has no direction."""
-    norm = math.sqrt(sum(c * c for c in q))
-    if not (math.isfinite(norm) and norm > 1e-9):
-        raise ValueError(f"{q} is no rotation")
-    return (q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm)
+from robot_client.insertion.geometry import TOOL_DOWN, Quaternion, Vector, conjugate, multiply, normalised
 
 
 def rotation_between(start: Quaternion, end: Quaternion) -> Vector:
     """Rotation vector (rad) that takes ``start`` to ``end`` the short way; exact at any angle."""
-    w, x, y, z = multiply(end, (start[0], -start[1], -start[2], -start[3]))
+    w, x, y, z = multiply(end, conjugate(start))
     sine = math.sqrt(x * x + y * y + z * z)
     if sine < 1e-12:
         return (0.0, 0.0, 0.0)

@@ -11,9 +11,10 @@ import socket
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 
+from robot_client.insertion.geometry import normalised
 from robot_client.robots.abb_rapid.codec import MAX_TEXT, TextParser
 from simulation.cell.emulators.abb.cabinet import Cabinet
-from simulation.cell.emulators.abb.motion import Pose, normalised, rotated, rotation_between
+from simulation.cell.emulators.abb.motion import Pose, rotated, rotation_between
 
 SILENCE_S = 0.1  # silenceLimit of TactileGuard.mod
 TOP_SPEED_MM_S = 80.0  # topSpeed and turnSpeed of TactileMotion.mod
