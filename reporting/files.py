@@ -1,4 +1,4 @@
-"""Files that survive a kill: temporary file, fsync, rename, fsync of the folder; and JSON on top of them."""
+"""Files that survive a kill: temporary file, fsync, rename, fsync of the folder; JSON on top of them; and logs."""
 
 import json
 import os
@@ -23,6 +23,17 @@ def write_durably(path: Path, data: bytes) -> None:
 
 def write_json(path: Path, data: Any) -> None:
     write_durably(path, (json.dumps(data, indent=1) + "\n").encode())
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """The rows of a log, a line of JSON each; none without the file, and without a line that a kill cut short."""
+    rows = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return rows
 
 
 def read_json(path: Path, made_by: str) -> Any:

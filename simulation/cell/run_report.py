@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from reporting.files import read_rows
 from simulation.optics import attempt_picture
 
 
@@ -41,19 +42,6 @@ class Result:
         return json.dumps(asdict(self), indent=1)
 
 
-def _events(log: Path) -> list[dict[str, Any]]:
-    if not log.is_file():
-        return []
-    lines = log.read_text(encoding="utf-8").splitlines()
-    entries = []
-    for line in lines:
-        try:
-            entries.append(json.loads(line))
-        except json.JSONDecodeError:  # the client died while it wrote this line
-            break
-    return entries
-
-
 def _slips(events: list[dict[str, Any]]) -> list[int]:
     """Capture stamps (steady clock, ns) of the frames that showed slip, one an attempt."""
     first: dict[tuple[str, int], int] = {}
@@ -69,7 +57,7 @@ def collect(
 ) -> Result:
     """Put episode log and truth together; ``start``: ``object_name``, ``x_mm``, ``theta_deg`` and ``seed`` of it."""
     logs = [log, *sorted(log.parent.glob(f"{log.stem}-*{log.suffix}"), key=lambda path: path.stat().st_mtime)]
-    events = [entry for one in logs for entry in _events(one)]  # one for each time that the object was taken
+    events = [entry for one in logs for entry in read_rows(one)]  # one for each time that the object was taken
     ends = [entry["end"] for entry in events if "end" in entry] or [{}]
     end, refused_n = ends[-1], len(ends) - 1  # of each earlier one the last attempt was not armed
     body, course = truth.get("object", {}), truth["course"]

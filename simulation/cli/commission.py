@@ -17,7 +17,7 @@ from simulation.closed_loop.campaign import fingerprint
 from simulation.data.sources import sources_sha256
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World, files_in, load_objects, load_scene, load_world
-from simulation.studies.commissioning import Cell, Plan, commission, mistaken, write
+from simulation.studies.commissioning import Cell, Plan, commission, mistaken
 from simulation.studies.commissioning_page import commissioning_page
 from simulation.studies.identify import cells as pressing
 from simulation.studies.identify import posterior, study
@@ -89,7 +89,7 @@ def main(arguments: list[str]) -> int:
     rows = []
     for cell, its_plan in cells:
         rows.append(commission(cell, its_plan))
-        write(rows, options.json)
+        write_json(options.json, rows)
         print(json.dumps(rows[-1]))
     if options.docs:
         data = {"simulated": True, "note": "", "rows": rows}

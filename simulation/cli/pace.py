@@ -1,6 +1,5 @@
 """`python -m simulation pace` and `choose`: what settings cost in seconds a box, and those for what a cell needs."""
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ from typing import Any
 
 import tyro
 
-from reporting.files import write_durably
+from reporting.files import read_json, write_durably
 from reporting.machine import commit
 from service.contract.shipped import released_models
 from simulation.cli.drawn_worlds import drawn_objects, drawn_worlds_of
@@ -20,7 +19,9 @@ from simulation.studies.drawn_worlds import Start, starts
 from simulation.studies.pace import choose as choosing
 from simulation.studies.pace import report
 from simulation.studies.pace.kept import kept as kept_results
-from simulation.studies.pace.points import BEFORE, POINTS, Point, tasks
+from simulation.studies.pace.points import POINTS, tasks
+
+MADE_BY = "make pace"
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,6 @@ class Options(PlayOptions):
     count: int = 200
     """starts"""
     seed: int = 85
-    points: tuple[str, ...] = ()
-    """names of choices to play beside the first; all if left out"""
     draw: bool = False
     """play nothing: write the page and its figure again from DOCS/pace.json"""
 
@@ -51,34 +50,20 @@ def main(arguments: list[str]) -> int:
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion pace")
     kept = kept_results(options.kept)
     if options.draw:
-        data = _kept(options.docs / "pace.json")
+        data = read_json(options.docs / "pace.json", MADE_BY)
     else:
         options.check()
         worlds = drawn_worlds_of(options.count, options.seed, layer_share=0.0)
         objects = drawn_objects(options.out, options.count, options.seed)
-        data = _played(options, starts(worlds, objects, options.count, options.seed), _points(options.points))
+        data = _played(options, starts(worlds, objects, options.count, options.seed))
     sys.stdout.write(report.write({**data, "kept": kept}, options.docs, options.html))
     return 0
 
 
-def _kept(path: Path) -> dict[str, Any]:
-    if not path.exists():
-        raise ValueError(f"{path}: no such file; make pace writes it")
-    kept: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return kept
-
-
-def _points(names: Sequence[str]) -> list[Point]:
-    if unknown := sorted(set(names) - {point.name for point in POINTS}):
-        known = "; ".join(point.name for point in POINTS)
-        raise ValueError(f"--points {'; '.join(unknown)}: expected some of: {known}")
-    return [point for point in POINTS if not names or point.name in {BEFORE, *names}]
-
-
-def _played(options: PlayOptions, begun: Sequence[Start], points: Sequence[Point]) -> dict[str, Any]:
-    todo = tasks(points, begun, options.seed, options.models)
+def _played(options: PlayOptions, begun: Sequence[Start]) -> dict[str, Any]:
+    todo = tasks(POINTS, begun, options.seed, options.models)
     rows = options.play(todo, campaign.fingerprint({"belief": options.models}))
-    return {"seed": options.seed, "commit": commit(), **report.report_of(rows, points)}
+    return {"seed": options.seed, "commit": commit(), **report.report_of(rows, POINTS)}
 
 
 @dataclass(frozen=True)
@@ -108,12 +93,12 @@ def choose(arguments: list[str]) -> int:
     options = tyro.cli(ChooseOptions, args=arguments, prog="tactile-insertion choose")
     wanted = choosing.Wanted(options.seconds_a_box, options.success, options.max_force)
     if options.world is None:
-        data = _kept(options.report)
+        data = read_json(options.report, MADE_BY)
     else:
         out = Path("runs/choose") / options.world.stem
         played = PlayOptions(out=out, docs=out, models=released_models(), count=options.count)
         begun = _in_world(load_world(options.world), played)
-        data = _played(played, begun, POINTS)
+        data = _played(played, begun)
     best, kept = choosing.choose(data, wanted)
     write_durably(options.out, choosing.settings_toml(best, data["insertions"]).encode())
     print(choosing.summary(best, data["insertions"], wanted, kept=kept), f"written to {options.out}", sep="\n")

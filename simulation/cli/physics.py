@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from reporting.files import write_json
+from reporting.files import read_rows, write_json
 from reporting.page import publish
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
@@ -144,8 +144,7 @@ def foreign_check(arguments: list[str]) -> int:
 def _kept_rows(log: Path, parts: list[tuple[str, list[Any]]]) -> dict[str, Any]:
     """The rows of every part, by name; those that the log holds already are not made again."""
     log.parent.mkdir(parents=True, exist_ok=True)
-    lines = [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
-    done, data = {(each["part"], each["number"]): each["rows"] for each in lines}, dict[str, Any]()
+    done, data = {(each["part"], each["number"]): each["rows"] for each in read_rows(log)}, dict[str, Any]()
     with log.open("a") as file, progress("probes", sum(len(todo) for _, todo in parts)) as show:
         for name, todo in parts:
             for number, make in enumerate(todo):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from reporting.files import write_durably
+from reporting.files import read_rows, write_durably
 from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
@@ -58,17 +58,6 @@ def play(task: Task) -> Row:
     return row | {"made_by": task.made_by} if task.made_by else row
 
 
-def read_log(path: Path) -> list[Row]:
-    """What earlier calls finished; a line cut short by a kill is dropped."""
-    rows = []
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return rows
-
-
 def fingerprint(folders: Mapping[str, Path]) -> dict[str, str]:
     """SHA-256 of every deciding network, by controller, and of all the code and scenes that play an insertion."""
     hashes = {PLAYED_BY: sources_sha256("simulation.closed_loop.play")}
@@ -109,7 +98,7 @@ def _setup(path: Path) -> dict[str, str]:
 def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "") -> list[Row]:
     """Play what the log lacks, with progress and ETA; the row of each of ``tasks`` once, in their order."""
     wanted = {task.key: task for task in tasks}
-    rows = {key: row for row in read_log(log) if (key := key_of(row)) in wanted and wanted[key].made(row)}
+    rows = {key: row for row in read_rows(log) if (key := key_of(row)) in wanted and wanted[key].made(row)}
     missing = [task for key, task in wanted.items() if key not in rows]
     _end_line(log)
     with log.open("a", encoding="utf-8") as file, progress("insertions (simulated)", len(missing)) as show:

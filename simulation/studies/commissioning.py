@@ -248,8 +248,3 @@ def _call(package: str, *words: str) -> str:
     if done.returncode not in {0, REFUSED, STAYS}:
         raise ContractError(f"python -m {package} {words[0]}: exit status {done.returncode}: {text[-2000:]}")
     return text
-
-
-def write(rows: Sequence[Row], path: Path) -> None:
-    """Write the rows as JSON."""
-    write_json(path, list(rows))

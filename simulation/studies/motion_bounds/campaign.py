@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from reporting.files import read_rows
 from service.contract.shipped import released_models
 from simulation.cell.run import RunOptions
 from simulation.studies.motion_bounds.faults import FAULTS, Fault, Phase
@@ -32,10 +33,7 @@ def cases(only: str = "") -> list[tuple[Fault, Phase]]:
 
 def rows_in(runs: Path) -> dict[tuple[str, str], dict[str, Any]]:
     """The rows measured so far, by fault and phase."""
-    path = runs / "rows.jsonl"
-    lines = path.read_text().splitlines() if path.is_file() else []
-    rows = [json.loads(line) for line in lines]
-    return {(row["fault"], row["phase"]): row for row in rows}
+    return {(row["fault"], row["phase"]): row for row in read_rows(runs / "rows.jsonl")}
 
 
 def measure(options: BoundsOptions, tell: Callable[[str], None]) -> list[dict[str, Any]]:

@@ -1,14 +1,20 @@
 """What other pages measured, as the figures of this one need it."""
 
-import json
 from pathlib import Path
 
+from reporting.files import read_json
 from reporting.statistics import wilson
 from service.contract.shipped import released_models
 from simulation.closed_loop.play import models_of
 from simulation.closed_loop.statistics import Row
 
-PARTS = ("benchmark", "depths", "foreign_check", "slip_report")
+PARTS = {
+    "benchmark": "make bench",
+    "depths": "python -m training depths",
+    "foreign_check": "python -m simulation foreign-check",
+    "slip_report": "python -m simulation slip-report",
+}
+"""What the figures read, and what makes it."""
 
 
 def kept(docs: Path) -> Row:
@@ -16,7 +22,7 @@ def kept(docs: Path) -> Row:
 
     Raises ValueError where a file is missing.
     """
-    bench, depths, check, slip = (_read(docs / f"{name}.json") for name in PARTS)
+    bench, depths, check, slip = (read_json(docs / f"{name}.json", made_by) for name, made_by in PARTS.items())
     pressing = models_of(released_models()).card.pressing
     return {
         "ships_mm": round(pressing.depth_mm, 6) if pressing else None,
@@ -41,13 +47,6 @@ def kept(docs: Path) -> Row:
             **{name: slip["slip"][name] for name in ("images", "true fields")},
         },
     }
-
-
-def _read(path: Path) -> Row:
-    if not path.exists():
-        raise ValueError(f"{path}: no such file; expected the published results, as in docs/")
-    results: Row = json.loads(path.read_text(encoding="utf-8"))
-    return results
 
 
 def _of_test(name: str) -> bool:

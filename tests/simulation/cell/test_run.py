@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from reporting.files import read_rows
 from simulation.__main__ import main
 from simulation.cell import run, run_report
 from simulation.cell.children import Child, ChildError
@@ -127,7 +128,7 @@ def test_a_claim_that_is_not_true_says_what_speaks_against_it(tmp_path):
 def test_a_log_that_breaks_off_still_counts(tmp_path):
     log = tmp_path / "episode.jsonl"
     log.write_text('{"plan": {}}\n{"event": {"ki')
-    assert len(run_report._events(log)) == 1
+    assert len(read_rows(log)) == 1
 
 
 def test_the_last_decided_attempt_is_drawn(tmp_path):

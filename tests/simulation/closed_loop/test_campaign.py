@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from reporting.files import read_rows
 from simulation.cli import evaluate
 from simulation.closed_loop import campaign
 from tests.service import tiny_models
@@ -83,7 +84,7 @@ def test_a_disturbance_that_was_changed_is_played_again_and_nothing_counts_twice
     tasks = [campaign.Task(tmp_path, now), campaign.Task(tmp_path, now)]
     for _ in range(2):
         assert campaign.run(tasks, tmp_path / "log", workers=1) == [now | {"attempts": 2}]
-    assert len(campaign.read_log(tmp_path / "log")) == 2
+    assert len(read_rows(tmp_path / "log")) == 2
 
 
 @pytest.mark.slow
@@ -98,10 +99,10 @@ def test_a_killed_run_goes_on_where_it_was(models, tmp_path):
                 break
             time.sleep(0.02)
         os.killpg(first.pid, signal.SIGKILL)
-    before = campaign.read_log(log)
+    before = read_rows(log)
     assert 2 <= len(before) < 40
     assert evaluate.main(arguments(models, rows, 3, "oracle")) == 0
-    after = campaign.read_log(log)
+    after = read_rows(log)
     keys = [campaign.key_of(row) for row in after]
     assert len(keys) == len(set(keys)) >= 3
     assert after[: len(before)] == before
