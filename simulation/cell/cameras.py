@@ -22,7 +22,6 @@ class CameraFeed:
 
     def __init__(self, camera: CameraEmulator, index: int, draw: Draw, loop: asyncio.AbstractEventLoop) -> None:
         self.error: BaseException | None = None
-        self.overruns = 0
         self.drawn_ns = 0  # capture time of the last picture that shows the gel, and not an earlier picture
         self._camera = camera
         self._index = index
@@ -49,7 +48,6 @@ class CameraFeed:
     def expose(self, exposure: Exposure) -> None:
         """Take an exposure; one that is still waiting is dropped (the sensor is overrun)."""
         with self._wake:
-            self.overruns += self._waiting is not None
             self._waiting = exposure
             self._wake.notify()
 

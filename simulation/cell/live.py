@@ -133,7 +133,6 @@ class LiveCell:
         self.course = Course(self.world, plant.fps)
         self.world.on_exposure(self.course)
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._started_s = time.monotonic()
 
     def _pose(self) -> Pose:
         return self.cabinet.arm.pose
@@ -205,7 +204,6 @@ class LiveCell:
         urls = {f: f"http://{HOST}:{p}/stream.mjpg" for f, p in zip(FINGERS, ports[3:5], strict=True)}
         return {
             "egm_guide_port": self.guide_port,
-            "egm_robot_port": ports[0],
             "rws_url": f"http://{HOST}:{ports[1]}",
             "rapid": {"host": HOST, "motion_port": ports[6], "guard_port": ports[7]},
             "gripper": f"{HOST}:{ports[2]}",
@@ -215,7 +213,6 @@ class LiveCell:
             "calibration": str(calibration),
             "object": self.options.object,
             "gap_width_mm": self.plant.gap_width_mm,
-            "part_width_mm": self.plant.part_width_mm,
             "expected_depth_mm": APPROACH_MM + INSERTION_MM,
             "creep_allowance_mm": CREEP_ALLOWANCE_MM,
             "approach": {"x_mm": x, "y_mm": y, "z_mm": z, "yaw_deg": self.plant.start.yaw_deg},
@@ -236,7 +233,6 @@ class LiveCell:
         """What only a simulator knows, and what went over the wires."""
         arm, state, course = self.cabinet.arm, self.world.state, self.world.course
         truth: dict[str, Any] = {
-            "uptime_s": time.monotonic() - self._started_s,
             "tcp": {"position_mm": arm.pose.position_mm, "yaw_deg": arm.pose.yaw_deg, "tilt_deg": arm.pose.tilt_deg},
             "moving": not arm.at_rest,
             "controller": {"state": self.cabinet.state, "running": self.cabinet.running, "egm": self.cabinet.egm},
@@ -245,10 +241,6 @@ class LiveCell:
             "egm": {f.name: getattr(self.egm.counters, f.name) for f in fields(self.egm.counters)},
             "wsg": {f.name: getattr(self.wsg.counters, f.name) for f in fields(self.wsg.counters)},
             "course": {f.name: getattr(course, f.name) for f in fields(course)},
-            "left_behind": [
-                {"inserted": bool(s.inserted), "shortfalls": list(s.shortfalls)} for s in self.world.left_behind
-            ],
-            "camera_overruns": [feed.overruns for feed in self.feeds],
             "camera_drawn_ns": [feed.drawn_ns for feed in self.feeds],
         }
         if state is not None:

@@ -61,8 +61,6 @@ class CellOptions:
         """Raise CellError naming the option that cannot be."""
         if self.fps not in (None, 30, 60, 90):
             raise CellError(f"--fps {self.fps}: expected 30, 60 or 90")
-        if self.seed < 0:
-            raise CellError(f"--seed {self.seed}: expected 0 or more")
         for name, (low, high) in _RANGES.items():
             if not low <= getattr(self, name) <= high:
                 raise CellError(f"--{name.replace('_', '-')} {getattr(self, name)}: expected {low:g} to {high:g}")

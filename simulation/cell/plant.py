@@ -12,8 +12,9 @@ from simulation.cell.emulators.abb.motion import Pose, tool_down
 from simulation.cell.live import Plant
 from simulation.cell.options import CellOptions, draw_start
 from simulation.cell.world import Gel
-from simulation.data.probe import QuasiStaticCell
-from simulation.optics.renderer import Appearance, Renderer
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.effects import dropped_share
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene, load_world

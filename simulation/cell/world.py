@@ -77,7 +77,6 @@ class World:
         self._last: tuple[float, float, float, float] | None = None
         self._offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self.part_n = 0
-        self.left_behind: list[CellState] = []
         self._gel: Gel = np.zeros((2, sensor.marker_rows, sensor.marker_columns, 3), np.float32)
 
     def on_exposure(self, sink: Callable[[Exposure], None]) -> None:
@@ -122,8 +121,6 @@ class World:
         def do() -> None:
             if self.held and put_back:
                 self.part_n -= 1
-            elif self.held and self.state is not None:
-                self.left_behind.append(self.state)
             self.held = False
 
         self._todo.put(do)

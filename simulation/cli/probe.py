@@ -57,8 +57,6 @@ def probe(arguments: list[str]) -> int:
     parser.add_argument("--save", type=Path, help="both fingers' frames: last one as .png or all as .mp4")
     given = parser.parse_args(arguments)
     CellOptions(x_mm=given.x_mm, theta_deg=given.theta_deg).check()
-    if given.seed < 0:
-        raise ValueError(f"--seed {given.seed}: expected 0 or more")
     scene = load_scene(given.scene, **({"gel__tier": given.tier} if given.tier else {}))
     done = run_probe(scene, given.x_mm, given.theta_deg, seed=given.seed)
     print(
