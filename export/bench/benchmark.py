@@ -7,14 +7,15 @@ from typing import Any
 
 from export.bench import paper
 from export.bench.fresh import measure_fresh
-from export.bench.measure import example_inputs, time_in_turn, undisturbed
-from export.bench.report import write
+from export.bench.measure import time_in_turn, together, undisturbed
+from export.bench.report import NAME, benchmark_page
 from export.onnx.decisions import Decision
 from export.onnx.golden import golden_frames
 from export.onnx.model import Model, open_model
 from export.quantise.agreement import same_commands
 from export.quantise.quantise import CALIBRATION_DECISIONS, MODES, quantise
 from reporting.machine import commit, cpu_name
+from reporting.page import publish
 from service.contract import ContractError, Sensor
 
 Row = dict[str, Any]
@@ -47,15 +48,14 @@ def benchmark(
     if alexnet is not None:
         steps = [model for model in models if model.card.form == "step"]
         report["alexnet"] = paper.compare(steps, alexnet, 10 * seconds)
-    print(write(report, docs))
+    print(publish(docs, NAME, benchmark_page(report), report))
     return report
 
 
 def measure(model: Model, seconds: float) -> Row:
     """Size, first call and the cost of each further one of a file."""
-    inputs = example_inputs(model)
     with undisturbed():
-        timing, _ = time_in_turn({"": lambda: model(inputs)}, seconds=seconds)[""]
+        timing, _ = time_in_turn({"": together([model])}, seconds=seconds)[""]
     size_mb = model.file.stat().st_size / 1e6
     return {"file": str(model.file), "size_mb": size_mb, **timing._asdict(), "fresh": measure_fresh(model.file)}
 
@@ -75,7 +75,7 @@ def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: 
             ]
         except ContractError as error:
             refused[f"int8 {mode}"] = str(error)
-    calls = {name: _together(models) for name, models in sets.items()}
+    calls = {name: together(models) for name, models in sets.items()}
     times = time_in_turn(calls, seconds=len(calls) * seconds, warm=True)
     rows = []
     for name, models in sets.items():
@@ -83,11 +83,6 @@ def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: 
         shares = {"same_commands": same_commands(sources, models, decisions), "decisions": len(decisions)}
         rows.append({"precision": name, "cpu_p50_ms": times[name][0].cpu_p50_ms, "size_mb": size_mb, **shares})
     return rows + [{"precision": name, "refused": why} for name, why in refused.items()]
-
-
-def _together(models: Sequence[Model]) -> Any:
-    inputs = [example_inputs(model) for model in models]
-    return lambda: [model(given) for model, given in zip(models, inputs, strict=True)]
 
 
 def golden_decisions() -> list[Decision]:

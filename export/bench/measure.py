@@ -3,7 +3,7 @@
 import gc
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -39,6 +39,12 @@ def example_inputs(model: Model) -> Arrays:
     state = np.zeros((1, card.state_size), np.float32)
     step: Arrays = {"frame": frames[:, -1], "reference": frames[:, 0], "state": state}
     return step | geometry_inputs(card, 1)
+
+
+def together(models: Sequence[Model]) -> Callable[[], Any]:
+    """A call of all models, one after the other, on golden inputs."""
+    inputs = [example_inputs(model) for model in models]
+    return lambda: [model(given) for model, given in zip(models, inputs, strict=True)]
 
 
 @contextmanager

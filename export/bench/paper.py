@@ -7,7 +7,7 @@ report says so.
 from pathlib import Path
 from typing import Any
 
-from export.bench.measure import example_inputs, quartiles, time_in_turn
+from export.bench.measure import quartiles, time_in_turn, together
 from export.onnx.model import Model, open_model
 from service.contract import ContractError
 
@@ -28,7 +28,7 @@ def compare(steps: list[Model], folder: Path, seconds: float) -> dict[str, Any]:
     folders = sorted({model.file.parent for model in steps})
     sets = {str(home): [model for model in steps if model.file.parent == home] for home in folders}
     sets[PASSES] = [open_model(file) for file in exported(folder)]
-    rows = time_in_turn({name: _all(models) for name, models in sets.items()}, seconds=seconds, least=12, warm=True)
+    rows = time_in_turn({name: together(models) for name, models in sets.items()}, seconds=seconds, least=12, warm=True)
     base = rows.pop(PASSES)
     return {
         "trained": not sets[PASSES][0].card.name.startswith(RANDOM),
@@ -38,11 +38,6 @@ def compare(steps: list[Model], folder: Path, seconds: float) -> dict[str, Any]:
             for name, (timing, spent) in rows.items()
         ],
     }
-
-
-def _all(models: list[Model]) -> Any:
-    inputs = [example_inputs(model) for model in models]
-    return lambda: [model(given) for model, given in zip(models, inputs, strict=True)]
 
 
 def exported(folder: Path) -> list[Path]:

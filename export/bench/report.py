@@ -1,11 +1,10 @@
 """docs/benchmark.md from benchmark.json."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from export.bench.paper import RELEASED_SHARE
-from reporting.page import page, publish
+from reporting.page import page
 from reporting.statistics import wilson
 from reporting.table import Table, table
 
@@ -13,11 +12,6 @@ NAME = "benchmark"
 PAYS = 0.9
 """A build that takes more than this share of the processor time of fp32 does not pay."""
 Row = dict[str, Any]
-
-
-def write(report: Row, docs: Path) -> str:
-    """Write benchmark.md and .json; returns the page."""
-    return publish(docs, NAME, benchmark_page(report), report)
 
 
 def benchmark_page(report: Row) -> str:

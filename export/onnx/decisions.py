@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.onnx.model import Arrays, Model, geometry_inputs
+from export.onnx.model import steps as stepped
 from service.contract import ContractError, ModelCard, Sensor
 from service.perception.markers.sequence import track_pairs
 from training.data.dataset import SPLITS, open_source
@@ -76,16 +77,7 @@ def _collided(trial: object, split: str) -> bool:
 
 def steps(model: Model, decisions: Sequence[Decision]) -> Iterator[Arrays]:
     """Outputs of a step model after each frame of several decisions made together, one row a decision."""
-    state = np.zeros((len(decisions), model.card.state_size), np.float32)
-    geometry = _geometry(model, decisions)
-    frames = np.stack([decision.input_of(model.card) for decision in decisions])
-    for step in range(frames.shape[1]):
-        inputs: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
-        outputs = model(inputs | geometry)
-        state = outputs["next_state"]
-        yield outputs
-
-
-def _geometry(model: Model, decisions: Sequence[Decision]) -> Arrays:
     rows = [geometry_inputs(model.card, 1, row.gap_width_mm, row.grasp_height_mm) for row in decisions]
-    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    geometry = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    frames = np.stack([decision.input_of(model.card) for decision in decisions])
+    yield from stepped(model, frames, frames.shape[1], geometry)

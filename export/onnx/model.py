@@ -1,5 +1,6 @@
 """An opened model file: its card, and a call that checks what it is given."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -63,6 +64,20 @@ def open_model(file: Path, threads: int = 1) -> Model:
     if got != expected:
         raise ContractError(f"{file.name} takes {sorted(got)}, its card promises {sorted(expected)}")
     return Model(file, card, run)
+
+
+def steps(model: Model, frames: NDArray[Any], count: int, geometry: Arrays | None = None) -> Iterator[Arrays]:
+    """Outputs of a step model after each of ``count`` steps from a fresh state.
+
+    ``frames`` [B, T, 2, ...] come round again, the first is the reference; ``geometry``: the usual one unless given.
+    """
+    state = np.zeros((len(frames), model.card.state_size), np.float32)
+    conditions = geometry_inputs(model.card, len(frames)) if geometry is None else geometry
+    for step in range(count):
+        inputs: Arrays = {"frame": frames[:, step % frames.shape[1]], "reference": frames[:, 0], "state": state}
+        outputs = model(inputs | conditions)
+        state = outputs["next_state"]
+        yield outputs
 
 
 def geometry_inputs(card: ModelCard, batch: int, gap_width_mm: float = 56.0, grasp_height_mm: float = 30.0) -> Arrays:

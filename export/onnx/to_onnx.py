@@ -20,12 +20,12 @@ from export.onnx.runtime import session
 from export.onnx.verify import verify_forms
 from reporting.machine import cpu_name
 from service.contract import Calibration, ContractError, ModelCard
-from service.contract.model_card import UNTRAINED
+from service.contract.model_card import UNTRAINED, Role
 from service.contract.self_test import CONDITIONS, make_self_test
 from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
 from training.fit.checkpoint import Checkpoint
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
-from training.networks.forms import Role, SequenceForm, StepForm
+from training.networks.forms import SequenceForm, StepForm
 from training.networks.preprocessing import CHANNELS, selector
 from training.networks.settings import FRAMES_PER_DECISION
 

@@ -1,6 +1,5 @@
 """Released files checked: card, graph, both forms equal, batches and threads equal, outputs bounded on hard inputs."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ import onnx
 from numpy.typing import NDArray
 
 from export.onnx.golden import golden_input, hard_input
-from export.onnx.model import Arrays, Model, geometry_inputs, open_model
+from export.onnx.model import Arrays, Model, geometry_inputs, open_model, steps
 from service.contract import ContractError
 from service.contract.self_test import check_self_test
 
@@ -21,13 +20,8 @@ CROWD = {"step": 64, "sequence": 8}
 
 
 def run_steps(model: Model, frames: NDArray[Any]) -> Arrays:
-    """Run a step model over frames [B, T, 2, H, W, 3], the first one being the reference."""
-    state = np.zeros((len(frames), model.card.state_size), np.float32)
-    outputs: Arrays = {}
-    for step in range(frames.shape[1]):
-        inputs: Arrays = {"frame": frames[:, step], "reference": frames[:, 0], "state": state}
-        outputs = model(inputs | geometry_inputs(model.card, len(frames)))
-        state = outputs["next_state"]
+    """What a step model gives in the end for frames [B, T, 2, H, W, 3], the first one being the reference."""
+    *_, outputs = steps(model, frames, frames.shape[1])
     return outputs
 
 
@@ -117,20 +111,11 @@ def _verify_states(model: Model, frames: NDArray[Any]) -> str:
     return "finite on states of +-1e4, denormal states equal zero ones"
 
 
-def _verify_stream(model: Model, frames: NDArray[Any], steps: int) -> str:
-    for outputs in stream(model, frames, steps):
-        _bounded(model, f"stream of {steps} steps", outputs)
-    return f"bounded at every step of a stream of {steps}"
-
-
-def stream(model: Model, frames: NDArray[Any], steps: int) -> Iterator[Arrays]:
-    """Outputs after each of many steps without a fresh state; frames [1, T, 2, H, W, 3] come round again."""
-    state = np.zeros((1, model.card.state_size), np.float32)
-    for step in range(steps):
-        inputs: Arrays = {"frame": frames[:, step % frames.shape[1]], "reference": frames[:, 0], "state": state}
-        outputs = model(inputs | geometry_inputs(model.card, 1))
-        state = outputs["next_state"]
-        yield outputs
+def _verify_stream(model: Model, frames: NDArray[Any], count: int) -> str:
+    """Bounded at every one of many steps without a fresh state."""
+    for outputs in steps(model, frames, count):
+        _bounded(model, f"stream of {count} steps", outputs)
+    return f"bounded at every step of a stream of {count}"
 
 
 def _bounded(model: Model, what: str, outputs: Arrays) -> None:

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from service.contract import ContractError, Sensor
-from training.networks.forms import Role
+from service.contract.model_card import Role
 from training.networks.settings import NetworkConfig
 
 INPUT_PX = 224

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from service.contract import Sensor
+from service.contract.model_card import Role
 from training.networks.affine import AffineFit
 from training.networks.density import MixtureDensity
-from training.networks.forms import Role
 from training.networks.settings import NetworkConfig
 
 FIELD_CHANNELS = 3

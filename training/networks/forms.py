@@ -4,14 +4,13 @@
 so that they agree to rounding. Inputs and outputs are those of :class:`service.contract.ModelCard`.
 """
 
-from typing import Literal, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
+from service.contract.model_card import Role
 from training.networks.settings import FRAMES_PER_DECISION
-
-Role = Literal["direction", "magnitude", "joint", "pair"]
 
 
 class Recurrent(Protocol):
@@ -27,27 +26,21 @@ class Recurrent(Protocol):
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
         """Features of a frame pair against its reference."""
-        ...
 
     def advance(self, features: Tensor, geometry: Tensor | None, state: Tensor) -> Tensor:
         """One recurrent step; ``geometry`` [B, 2] is gap width and grasp height in mm."""
-        ...
 
     def strangeness(self, features: Tensor) -> Tensor:
         """How unlike training a step is, [B, 1]; of networks that read steps of depth."""
-        ...
 
     def logits(self, state: Tensor) -> Tensor:
         """Class logits of a state."""
-        ...
 
     def error(self, state: Tensor) -> tuple[Tensor, Tensor]:
         """Position error and log sigma of a state."""
-        ...
 
     def log_density(self, state: Tensor) -> Tensor:
         """Log density of the position error on a grid."""
-        ...
 
 
 class _Form(nn.Module):

@@ -9,10 +9,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from service.contract import Sensor
-from service.contract.model_card import CONDITIONS, Lattice
+from service.contract.model_card import CONDITIONS, Lattice, Role
 from training.networks.affine import AffineFit
 from training.networks.decider import Decider
-from training.networks.forms import Role
 from training.networks.settings import NetworkConfig
 
 LATTICE = Lattice(rows=13, columns=13, pitch_mm=1.5)
