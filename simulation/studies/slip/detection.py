@@ -19,11 +19,12 @@ from reporting.statistics import percentiles, wilson
 from service.contract import FINGERS
 from service.perception.markers.field import MarkerField, field_from_gel
 from service.perception.markers.tracker import MarkerTracker, TrackerSettings
+from service.perception.rectification import Rectifier
 from service.perception.slip.detector import SlipDetector, SlipSettings
 from service.perception.slip.onset import OnsetDetector
-from simulation.optics.renderer import Appearance, Renderer
-from simulation.studies.slip.baselines import rule_2019
-from simulation.studies.slip.cost import cost_ms
+from service.perception.slip.open_gel import OpenGel
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
 from simulation.studies.slip.trials import NO_SLIP_SHARE, SlipTrial, draw_trials
 
 LATE_N = 3
@@ -118,8 +119,25 @@ def alarm_2019(fields: Iterable[Sequence[MarkerField]]) -> int | None:
     """The same by the rule of 2019."""
     firsts = []
     for sequence in fields:
-        firsts += [k for k, field in enumerate(sequence) if field.usable and rule_2019(field, sequence[0])][:1]
+        firsts += [k for k, field in enumerate(sequence) if field.usable and _rule_2019(field, sequence[0])][:1]
     return min(firsts, default=None)
+
+
+def _rule_2019(field: MarkerField, reference: MarkerField) -> bool:
+    """Dong et al. 2019: slip if more than 7 markers deviate by more than 0.30 pitch from the rigid prediction.
+
+    The prediction is one least-squares rigid motion of all valid markers.
+    """
+    may = (field.valid & reference.valid).reshape(-1)
+    x = (reference.rest_px + reference.displacement_px).reshape(-1, 2)[may].astype(np.float64)
+    y = (field.rest_px + field.displacement_px).reshape(-1, 2)[may].astype(np.float64)
+    if len(x) < 8:
+        return False
+    a, b = x - x.mean(0), y - y.mean(0)
+    angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+    c, s = np.cos(angle), np.sin(angle)
+    off = np.sort(np.linalg.norm(b - a @ np.array([[c, s], [-s, c]]), axis=1))
+    return bool(off[-8] > 0.30 * field.pitch_px)
 
 
 def onset_of(fields: Iterable[Sequence[MarkerField]]) -> int | None:
@@ -130,6 +148,31 @@ def onset_of(fields: Iterable[Sequence[MarkerField]]) -> int | None:
         detector.rearm(sequence[0])
         firsts += [onset.index + 1 for onset in map(detector.update, sequence[1:]) if onset][:1]
     return min(firsts, default=None)
+
+
+def cost_ms(trials: int, seed: int, fps: int) -> dict[str, float]:
+    """CPU ms a frame of one finger to rectify, track, detect contact, slip and onset, one thread, on raw frames.
+
+    Median and 95th percentile over ``trials`` descents.
+    """
+    spent = []
+    for trial in draw_trials(trials, seed, fps):
+        for finger, name in enumerate(FINGERS):
+            renderer = Renderer(Appearance.draw(trial.scene, name, trial.seed))
+            rectifier = Rectifier(renderer.calibration)
+            tracker, free, slip, onset = MarkerTracker(), OpenGel(), SlipDetector(), OnsetDetector()
+            for k, gel in enumerate(trial.gel):
+                raw = renderer.raw(gel[finger], trial.seed + k)
+                begun = time.process_time()
+                field = tracker.update(rectifier.apply(raw), round(k * 1e9 / fps))
+                if k == 0:
+                    slip.rearm(field)
+                    onset.rearm(field)
+                    continue
+                slip.update(free.mark(field))
+                onset.update(field)
+                spent.append(1e3 * (time.process_time() - begun))
+    return {"median": float(np.median(spent)), "p95": float(np.percentile(spent, 95)), "frames": len(spent)}
 
 
 def evaluate(count: int, seed: int, fps: int, show: Callable[[int], None]) -> dict[str, Any]:

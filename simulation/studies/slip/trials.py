@@ -12,9 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.physics.quasistatic import PhysicsError, QuasiStaticCell
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.randomisation import randomised
 from simulation.scene.scene import Scene
+from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import load_scene, object_names
 
 Kind = Literal["slip", "hold", "free"]
