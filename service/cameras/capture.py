@@ -49,7 +49,6 @@ class Source(Protocol):
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
         """Connect and yield frames; returns when ``stop`` is set."""
-        ...
 
 
 def decode_jpeg(jpeg: bytes) -> NDArray[np.uint8]:

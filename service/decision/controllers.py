@@ -43,11 +43,9 @@ class Controller(Protocol):
 
     def decide(self, evidence: Evidence, attempt: int) -> Command:
         """The move after ``attempt`` (1-based) was blocked; raise Refusal on a non-finite estimate."""
-        ...
 
     def blocked_without_evidence(self) -> None:
         """An attempt was blocked but its frames decided nothing; the pose is still known to have failed."""
-        ...
 
 
 def axis_command(sign: int, estimate: float, *, first: bool) -> float:

@@ -56,15 +56,12 @@ class FingerWatch(Protocol):
 
     def rearm(self) -> None:
         """The next frame shows the held object at rest: it becomes the reference of slip and onset."""
-        ...
 
     def learn_open(self, frame: TactileFrame) -> str:
         """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing."""
-        ...
 
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if its size is neither raw nor rectified."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from fastapi.staticfiles import StaticFiles
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -47,7 +48,7 @@ def create_app(station: Station) -> FastAPI:
     app.include_router(status.router(page_status, access))
     for module in (api, cameras, oip, playback, recordings, versions):
         app.include_router(module.router(station, access))
-    app.mount("/dashboard", live.static_files())
+    app.mount("/dashboard", StaticFiles(directory=live.FOLDER))
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=station.settings.hosts, www_redirect=False)
     app.add_middleware(RequestLimits, requests_per_s=station.settings.requests_per_s, access=access)
     _refuse_in_one_form(app)

@@ -34,11 +34,9 @@ class Source(Protocol):
 
     def trial(self, index: int) -> Any:
         """One trial: labels, provenance and gel states."""
-        ...
 
     def frames(self, index: int, start: int, count: int) -> NDArray[np.uint8]:
         """Rendered frames [count, 2, H, W, 3]."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

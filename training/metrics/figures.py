@@ -29,15 +29,12 @@ class Sample(Protocol):
 
     def take(self, chosen: NDArray[np.bool_]) -> Self:
         """The chosen trials."""
-        ...
 
     def calibration(self) -> Scales:
         """The scales that fit these trials."""
-        ...
 
     def rescaled(self, scales: Scales) -> "Predictions":
         """Calibrated predictions."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -110,18 +110,14 @@ class Encoded:
         key, stamp = (frame.frame.finger, form), frame.frame.captured_ns
         made = self._newest.get(key)
         if made is None or made[0] < stamp:
-            encode = encode_jpeg if form == "jpeg" else encode_raw
-            made = stamp, asyncio.get_running_loop().run_in_executor(_pictures, encode, frame)
+            work = (encode_jpeg, frame) if form == "jpeg" else (encode_frame, frame.frame)
+            made = stamp, asyncio.get_running_loop().run_in_executor(_pictures, *work)
             self._newest[key] = made
         return await asyncio.shield(made[1])  # one viewer's leaving is no reason for the others to go without
 
 
 def encode_jpeg(frame: CameraFrame) -> bytes:
     return bytes(cv2.imencode(".jpg", frame.frame.pixels)[1].tobytes())
-
-
-def encode_raw(frame: CameraFrame) -> bytes:
-    return encode_frame(frame.frame)
 
 
 async def _parts(station: Station, finger: Finger, max_hz: float, encoded: Encoded) -> AsyncIterator[bytes]:

@@ -4,7 +4,6 @@ from pathlib import Path
 
 from fastapi import APIRouter, WebSocket
 from fastapi.responses import FileResponse
-from fastapi.staticfiles import StaticFiles
 
 from service.session.station import Station
 from service.web.access import Access
@@ -14,10 +13,6 @@ from service.web.page.status import Status
 
 FOLDER = Path(__file__).parent.parent / "dashboard"
 MAX_PAGES = 24
-
-
-def static_files() -> StaticFiles:
-    return StaticFiles(directory=FOLDER)
 
 
 def router(station: Station, access: Access, status: Status) -> APIRouter:
