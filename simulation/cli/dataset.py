@@ -15,8 +15,8 @@ from service.contract import ContractError, Sensor
 from service.contract.toml import read_toml
 from simulation.data import drawn_cells, lerobot
 from simulation.data.collect import Plan, make_shard, scene_of, scene_sha256, shard_of
-from simulation.data.dataset import Dataset, DatasetError, DatasetWriter, Manifest, ShardEntry, slice_of
-from simulation.data.manifest import MANIFEST, read_manifest
+from simulation.data.dataset import Dataset, DatasetWriter, slice_of
+from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest
 from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
@@ -58,9 +58,9 @@ def asked_manifest(options: CollectOptions) -> Manifest:
         per_shard = _shard_size(options)
     if options.trials_per_object < 1 or per_shard < 1:
         raise DatasetError("--trials-per-object and --trials-per-shard must be at least 1")
-    if options.workers < 0 or options.seed < 0 or not 0.0 <= options.held_out_share <= 1.0:
-        given = f"{options.workers}, {options.seed} and {options.held_out_share}"
-        raise DatasetError(f"expected --workers and --seed from 0 on, --held-out-share from 0 to 1, got {given}")
+    if options.workers < 0 or not 0.0 <= options.held_out_share <= 1.0:
+        given = f"{options.workers} and {options.held_out_share}"
+        raise DatasetError(f"expected --workers from 0 on, --held-out-share from 0 to 1, got {given}")
     names = Counter(Path(name).stem for name in set(options.objects))
     if not names or max(names.values()) > 1:
         given = ", ".join(options.objects) or "none"

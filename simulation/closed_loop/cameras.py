@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from service.contract import FINGERS
 from service.perception.rectification import CameraCalibration
-from simulation.optics.renderer import Appearance, Renderer
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
 from simulation.scene.effects import active_effects
 from simulation.scene.scene import Scene
 

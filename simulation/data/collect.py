@@ -21,12 +21,15 @@ import numpy as np
 from reporting.files import write_durably
 from service.contract import FINGERS, Sensor
 from simulation.data import drawn_cells
-from simulation.data.dataset import DatasetError, ShardEntry, Trial, encode_shard, split_of
-from simulation.data.manifest import shard_file_name
-from simulation.data.probe import PhysicsError, Probe, QuasiStaticCell, descend
+from simulation.data.dataset import encode_shard
+from simulation.data.manifest import DatasetError, ShardEntry, shard_file_name
+from simulation.data.probe import Probe, descend
+from simulation.data.trial import Trial, split_of
 from simulation.optics.appearance import Appearance
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.randomisation import randomised
 from simulation.scene.scene import Scene
+from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import load_scene
 
 POKES_PER_FIXTURE = 5

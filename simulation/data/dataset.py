@@ -8,7 +8,7 @@ This module is all of the simulator that training may import.
 
 import fcntl
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -21,28 +21,13 @@ from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntr
 from simulation.data.trial import (
     LABELS,
     SCALARS,
-    SPLITS,
-    Split,
     Trial,
     from_row,
     parquet_schema,
     render_frames,
-    split_of,
     to_row,
 )
 from simulation.optics.appearance import Appearance
-
-__all__ = [
-    "Dataset",
-    "DatasetError",
-    "DatasetWriter",
-    "Manifest",
-    "ShardEntry",
-    "Split",
-    "Trial",
-    "slice_of",
-    "split_of",
-]
 
 _ROWS_PER_GROUP = 10
 _CACHED_GROUPS = 16
@@ -165,32 +150,22 @@ class Dataset:
     finite: by name, before anything is used.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        splits: Iterable[Split] | None = None,
-        *,
-        verify: bool = True,
-    ) -> None:
-        """Open ``path``, keep only ``splits`` if given; ``verify`` compares every shard's SHA-256 (0.1 s each)."""
+    def __init__(self, path: str | Path, *, verify: bool = True) -> None:
+        """Open ``path``; ``verify`` compares every shard's SHA-256 (0.1 s each)."""
         self.path = Path(path)
         self.manifest = read_manifest(self.path)
-        wanted = set(SPLITS if splits is None else splits)
-        self.labels: dict[str, NDArray[Any]] = {}
         self._groups: OrderedDict[tuple[int, int], list[dict[str, Any]]] = OrderedDict()
         self._renderers: OrderedDict[Appearance, Any] = OrderedDict()
         self._files: dict[int, Any] = {}
         columns: dict[str, list[Any]] = {name: [] for name in SCALARS}
-        where: list[tuple[int, int]] = []
+        self._where: list[tuple[int, int]] = []
         for shard, entry in enumerate(self.manifest.shards):
             entry.must_be_whole(self.path, verify=verify)
             own = self._label_columns(shard)
             for name in SCALARS:
                 columns[name] += own[name]
-            where += [(shard, row) for row in range(entry.trials)]
-        keep = [i for i, split in enumerate(columns["split"]) if split in wanted]
-        self._where = [where[i] for i in keep]
-        self.labels = {name: np.asarray([values[i] for i in keep]) for name, values in columns.items()}
+            self._where += [(shard, row) for row in range(entry.trials)]
+        self.labels: dict[str, NDArray[Any]] = {name: np.asarray(values) for name, values in columns.items()}
 
     def __len__(self) -> int:
         return len(self._where)

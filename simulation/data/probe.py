@@ -7,10 +7,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import Scene
-
-__all__ = ["CellState", "Outcome", "PhysicsError", "Probe", "QuasiStaticCell", "run_probe"]
+from simulation.scene.state import CellState
 
 Outcome = Literal["blocked", "inserted", "grasp_lost"]
 INSERTION_DEPTH_MM = 25.0

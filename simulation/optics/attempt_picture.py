@@ -7,8 +7,6 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Decision", "draw", "save"]
-
 ARROW_SCALE = 3.0  # motions are a few px of a picture: drawn three times longer than they are
 Motion = tuple[NDArray[np.floating], NDArray[np.floating]]
 """Where dots rest and how far they moved, both ([2,] rows, cols, 2) in px: (u, v)."""

@@ -17,8 +17,6 @@ from simulation.optics import texture as tx
 from simulation.optics.appearance import Appearance
 from simulation.optics.lighting import illumination
 
-__all__ = ["Appearance", "Renderer"]
-
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 

@@ -24,8 +24,6 @@ from simulation.scene.ground_truth import Pose, reasons_against
 from simulation.scene.scene import APPROACH_MM, Scene
 from simulation.scene.state import CellState, PhysicsError, Reason
 
-__all__ = ["CellState", "PhysicsError", "QuasiStaticCell"]
-
 Array = NDArray[np.float64]
 
 LOST_MM, LOST_GRIP, MAX_HALVINGS = 12.0, 0.1, 6

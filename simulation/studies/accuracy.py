@@ -20,8 +20,9 @@ from service.contract import FINGERS
 from simulation.data.probe import run_probe
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
-from simulation.physics.quasistatic import CellState, QuasiStaticCell
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import Scene
+from simulation.scene.state import CellState
 from simulation.scene.worlds import load_scene, training_objects
 
 Tier = Literal["bristle", "layer"]

@@ -15,8 +15,9 @@ import numpy as np
 
 from simulation.data.parallel import results
 from simulation.foreign.cell import ForeignCell
-from simulation.physics.quasistatic import CellState, PhysicsError, QuasiStaticCell
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import Scene
+from simulation.scene.state import CellState, PhysicsError
 from simulation.scene.worlds import load_scene, object_names
 
 RESIDUAL_N, CONE_N_PER_MM2 = 1e-6, 1e-9  # what a solved probe must keep

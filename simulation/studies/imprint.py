@@ -11,7 +11,8 @@ import tyro
 from reporting.figure import drawing
 from simulation.data.probe import run_probe
 from simulation.optics import attempt_picture
-from simulation.optics.renderer import Appearance, Renderer
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
 
 COLUMNS = ("raw, held", "raw, after the collision", "rectified, after", "difference", "motion of the dots")

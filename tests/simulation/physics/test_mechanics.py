@@ -9,8 +9,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from simulation.data.probe import PhysicsError, QuasiStaticCell, run_probe
-from simulation.scene.state import Reason
+from simulation.data.probe import QuasiStaticCell, run_probe
+from simulation.scene.state import PhysicsError, Reason
 from simulation.scene.worlds import load_scene
 from simulation.studies.hard_probes import ImpossibleStateError, Tally, _check, hard_probe, run
 
