@@ -100,7 +100,7 @@ class World:
     def grip(self, force_n: float, *, fed: bool = False) -> None:
         """The fingers close on the object with this force (carried out at the next tick).
 
-        A fed object is another one each time: it is off by what the fixture left, which nobody is told.
+        A fed object is a new one each time, off by an error of the fixture that the software does not know.
         """
 
         def do() -> None:

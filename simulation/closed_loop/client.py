@@ -34,7 +34,7 @@ def client_of(job: Job) -> Settings | None:
 def plan_of(
     cell: LockstepCell, approach: WorkPose, limits: Limits, reach_mm: float | None, client: Settings | None
 ) -> Plan:
-    """What the client is told, which need not be so."""
+    """The plan as the client knows the cell, which may be wrong."""
     scene, unstated, ramps = cell.scene, cell.unstated, Ramps()
     top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
     limits = limits.model_copy(update={"max_descent_speed_mm_s": top_mm_s})

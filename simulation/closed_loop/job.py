@@ -24,8 +24,8 @@ MEASURED = 0.15
 class Job:
     """One insertion to play: object, start error, seed, who decides, what it perceives, and the world.
 
-    ``scene`` is an object by name or path. The start error is the one that the arm was told to stand at: it is the
-    object's, too, unless the world misplaces the hand. ``condition`` names the world or disturbance; ``changes`` are
+    ``scene`` is an object by name or path. The start error is the one that the arm was commanded to. It is also
+    the object's, unless the world misplaces the hand. ``condition`` names the world or disturbance; ``changes`` are
     its dotted keys of the scene, ``unstated`` those of its table `[world]`.
     ``told_reach``: the client also tells the gel's shear reach, with the error of a cell that has measured it.
     ``controller``: one of the service's, or the oracle, which moves by the true error: what is left is the first

@@ -98,7 +98,7 @@ class LockstepCell:
 
     @property
     def unstated(self) -> Unstated:
-        """What nobody tells the software."""
+        """What the software does not know of the cell."""
         return self.misplaced.unstated
 
     @property

@@ -1,6 +1,6 @@
 """What a result was computed with: one hash of a module, all that it imports from here, objects and sensors.
 
-What an earlier run left is gone on with only where this has not changed. Comments and docstrings do not count.
+An earlier run is continued only if this hash has not changed. Comments and docstrings do not count.
 """
 
 import ast

@@ -1,4 +1,4 @@
-"""What nobody tells the software: errors of its calibration, and the mistakes of a first day.
+"""What the software does not know: errors of its calibration, and the mistakes of a first day.
 
 Frames. *Told*: poses of the TCP as the arm and the client name them, in the work-object frame that they were taught.
 *True*: where the middle between the fingers (and with it the object) is, in the frame of the blocks as they stand.

@@ -20,7 +20,7 @@ STEPS = 11
 """Trained on; how many of them a decision takes is stated in the card."""
 DECISION_STEPS = 8
 USUAL = (60.0, 60.0, 25.0, 0.8, 10.0, 0.2)
-"""A middle value of each condition: they are read as logarithms of what is told over it."""
+"""A middle value of each condition: the network reads the logarithm of the stated value over it."""
 KNOWN_FEATURES = 2 * len(CONDITIONS)
 SHARE_FEATURES = 64
 VISIBLE = 0.5

@@ -39,7 +39,7 @@ class Relay:
 
     @property
     def url(self) -> str:
-        """What the client is told."""
+        """The address to give to the client."""
         return f"http://{HOST}:{self.own_port}"
 
     def misbehave(self, way: Way, late_s: float = 0.0) -> None:
