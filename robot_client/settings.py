@@ -19,6 +19,7 @@ from robot_client.insertion.state import Timeouts
 from robot_client.ports import Arm, DeviceSettings, Gripper
 from robot_client.session.cycle import CycleSettings
 from robot_client.session.service_link import ServiceSettings
+from robot_client.session.travel import Errands
 from service.contract.frames import Contract, ContractError
 from service.contract.refusals import describe, nearest
 from service.contract.toml import read_toml
@@ -80,6 +81,11 @@ class Settings(Contract):
     def make_gripper(self) -> Gripper:
         """The gripper behind its port; nothing is connected yet."""
         return devices.make_gripper(self.gripper)
+
+    @property
+    def errands(self) -> Errands:
+        """What the devices do outside an insertion."""
+        return Errands(self.make_arm, self.make_gripper, self.limits, self.ramps, self.timeouts.motion_s)
 
 
 def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) -> Settings:

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from robot_client.cli.insert import fixture_of, live_ports, make_plan
-from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
+from robot_client.cli.terminal import Outcome, rehearsed, show, stop_on_signals, warning
 from robot_client.insertion.events import Event, FromService
 from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import State
@@ -25,7 +25,7 @@ from robot_client.session.commission import (
     probe_of,
     read_record,
 )
-from robot_client.session.cycle import CycleSettings, is_empty, with_gripper
+from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
 from robot_client.settings import Settings, SettingsError
@@ -65,10 +65,7 @@ def _rehearse(probes_n: int, path: Path, record: Record | None, *, presses: bool
         f"{probes_n - done_n} probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
         f"keep what was seen in {path} after each",
     ]
-    show("would:")
-    for step in steps:
-        show(f"  {step}")
-    return Outcome(True, {"live": False, "steps": steps})
+    return rehearsed("would:", steps)
 
 
 def _places(of: tuple[tuple[float, float], ...]) -> str:
@@ -116,7 +113,7 @@ class Probing:
 
     async def begin(self) -> None:
         """Raise DriverError where the hand is not empty: what it holds is not the object in the fixture."""
-        if not await with_gripper(self._settings.make_gripper, lambda gripper: is_empty(gripper, self._taught.open_mm)):
+        if not await self._settings.errands.with_gripper(lambda gripper: is_empty(gripper, self._taught.open_mm)):
             raise DriverError("gripper: holds something; put the object into the fixture and open the fingers")
 
     async def fetch(self) -> None:

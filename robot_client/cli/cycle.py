@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from robot_client.cli.insert import fixture_of, live_ports, make_plan, with_commissioning
-from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
+from robot_client.cli.terminal import Outcome, rehearsed, show, stop_on_signals, warning
 from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import Plan, State
 from robot_client.ports import DriverError
@@ -48,10 +48,7 @@ def _rehearse(settings: Settings, taught: CycleSettings) -> Outcome:
         f"open to {taught.open_mm:g} mm, {taught.retreat_mm:g} mm straight up, close on nothing",
         f"if it is not inserted: {rejected}",
     ]
-    show("would, for each part:")
-    for step in steps:
-        show(f"  {step}")
-    return Outcome(True, {"live": False, "steps": steps})
+    return rehearsed("would, for each part:", steps)
 
 
 async def _cycle(
@@ -78,17 +75,7 @@ async def _cycle(
         raise SettingsError("cycle.plc: this robot has no signals")
     plc = Handshake(taught.plc, signals) if taught.plc and signals else None
     stop_on_signals()
-    running = Cycle(
-        taught,
-        settings.make_arm,
-        settings.make_gripper,
-        insert,
-        settings.limits,
-        settings.ramps,
-        settings.timeouts.motion_s,
-        show,
-        plc=plc,
-    )
+    running = Cycle(taught, settings.errands, insert, show, plc=plc)
     _take_orders(running.pace)
     try:
         await running.run(parts_n)

@@ -81,8 +81,7 @@ def fixture_of(settings: Settings) -> Fixture | None:
     taught = settings.cycle
     if taught is None:
         return None
-    make, limits, ramps = (settings.make_arm, settings.make_gripper), settings.limits, settings.ramps
-    return Fixture(taught.pick, taught.open_mm, taught.retreat_mm, *make, limits, ramps, settings.timeouts.motion_s)
+    return Fixture(taught.pick, taught.open_mm, taught.retreat_mm, settings.errands)
 
 
 async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> Outcome:

@@ -6,7 +6,7 @@ from robot_client.cli.terminal import DRY_RUN, Outcome, show, stop_on_signals, w
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import check_pose
 from robot_client.insertion.motion import check_ramps
-from robot_client.session.travel import over_to, pose_text, travel
+from robot_client.session.travel import over_to, pose_text
 from robot_client.settings import Settings
 
 
@@ -24,7 +24,6 @@ def jog(settings: Settings, target: WorkPose, *, live: bool) -> Outcome:
 
 async def _jog(settings: Settings, target: WorkPose) -> Outcome:
     stop_on_signals()
-    motion_s, arm = settings.timeouts.motion_s, settings.make_arm()
-    here = await travel(arm, over_to(target), settings.limits, settings.ramps, motion_s, show, show)
+    here = await settings.errands.go(over_to(target), show)
     show(f"at   {pose_text(here)}")
     return Outcome(True, {"live": True, "target": target.model_dump(), "pose": here.model_dump()})

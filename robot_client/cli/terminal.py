@@ -33,10 +33,18 @@ def show(text: str, *, whole: bool = False) -> None:
 
 
 def warning(*, live: bool, simulated: bool) -> str:
-    """What a person is told before anything may move."""
+    """The warning before anything may move."""
     if not live:
         return DRY_RUN
     return SIMULATED if simulated else NOT_A_SAFETY_FUNCTION
+
+
+def rehearsed(heading: str, steps: list[str]) -> Outcome:
+    """Print what a live run would do; done."""
+    show(heading)
+    for step in steps:
+        show(f"  {step}")
+    return Outcome(True, {"live": False, "steps": steps})
 
 
 def stop_on_signals() -> None:

@@ -6,32 +6,25 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.limits import Limits, Motion
-from robot_client.insertion.motion import Ramps
+from robot_client.insertion.limits import Motion
 from robot_client.insertion.state import Plan, State
-from robot_client.ports import Arm, Gripper
-from robot_client.session.cycle import with_gripper
-from robot_client.session.travel import over_to, straight_up, travel
+from robot_client.session.travel import Errands, over_to, straight_up
 
 
 @dataclass(frozen=True, slots=True)
 class Fixture:
-    """Where objects are taken from, and what it takes to get there. ``open_mm``: how far the fingers open there."""
+    """Where objects are taken from. ``open_mm``: how far the fingers open there."""
 
     pick: WorkPose
     open_mm: float
     retreat_mm: float
-    make_arm: Callable[[], Arm]
-    make_gripper: Callable[[], Gripper]
-    limits: Limits
-    ramps: Ramps
-    motion_s: float
+    errands: Errands
 
     async def put_back(self, up: Motion = "retract") -> None:
         """Straight up, slowly from between the blocks, over, down, and open; raises DriverError, LimitError."""
         for way in (straight_up(self.retreat_mm, up), over_to(self.pick)):
-            await travel(self.make_arm(), way, self.limits, self.ramps, self.motion_s, lambda _text: None)
-        await with_gripper(self.make_gripper, lambda gripper: gripper.release(self.open_mm))
+            await self.errands.go(way)
+        await self.errands.with_gripper(lambda gripper: gripper.release(self.open_mm))
 
 
 async def upright(

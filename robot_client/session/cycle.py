@@ -11,13 +11,11 @@ from dataclasses import dataclass, field
 from pydantic import Field
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.limits import Limits
-from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Phase, State
-from robot_client.ports import Arm, DriverError, Gripper
+from robot_client.ports import DriverError, Gripper
 from robot_client.session.handshake import Handshake, HandshakeSettings
 from robot_client.session.runner import to_the_end
-from robot_client.session.travel import Way, over_to, straight_up, travel
+from robot_client.session.travel import Errands, over_to, straight_up
 from service.contract.frames import Contract
 
 PATIENCE_S = 0.1
@@ -83,12 +81,8 @@ class Cycle:
     """Runs parts one after the other. ``insert`` does one insertion from wherever the arm stands."""
 
     settings: CycleSettings
-    make_arm: Callable[[], Arm]
-    make_gripper: Callable[[], Gripper]
+    errands: Errands
     insert: Callable[[int], Awaitable[State]]
-    limits: Limits
-    ramps: Ramps
-    motion_s: float
     show: Callable[[str], None]
     pace: Pace = field(default_factory=Pace)
     count: Count = field(default_factory=Count)
@@ -116,7 +110,7 @@ class Cycle:
     async def _begin(self) -> None:
         if self.plc:
             await self.plc.begin()
-        if not await self._with_gripper(self._is_empty):
+        if not await self.errands.with_gripper(lambda gripper: is_empty(gripper, self.settings.open_mm)):
             raise CycleHeldError(
                 "gripper: holds something before the first part; take it out, or insert it with `insert`"
             )
@@ -140,21 +134,21 @@ class Cycle:
         number = self.count.inserted_n + self.count.rejected_n + 1
         self.show(f"part {number}: picking")
         await self._open()
-        await self._go(over_to(self.settings.pick))
+        await self.errands.go(over_to(self.settings.pick))
         state = await self.insert(number)
         if state.phase is not Phase.INSERTED:
             await self._reject(number, state)
             return
         self.show(f"part {number}: letting go")
         await self._open()
-        await self._go(straight_up(self.settings.retreat_mm))
+        await self.errands.go(straight_up(self.settings.retreat_mm))
         await self._check_stayed(number)
         self.count.inserted_n, self.count.in_a_row_n = self.count.inserted_n + 1, 0
         self.show(f"part {number}: done after {state.attempt} attempt{'s' * (state.attempt != 1)}; {self.count}")
 
     async def _check_stayed(self, number: int) -> None:
         """An object that came along with the fingers is felt by closing them again."""
-        if not await self._with_gripper(lambda gripper: gripper.finds_nothing()):
+        if not await self.errands.with_gripper(lambda gripper: gripper.finds_nothing()):
             raise CycleHeldError(f"part {number}: the object came along with the fingers; it is not in the gap")
 
     async def _reject(self, number: int, state: State) -> None:
@@ -164,40 +158,19 @@ class Cycle:
             raise CycleHeldError(f"part {number}: {state.reason or 'not inserted'}")
         if self.count.in_a_row_n >= self.settings.max_rejects_in_a_row:
             raise CycleHeldError(f"part {number}: {self.count.in_a_row_n + 1} in a row; the last one: {state.reason}")
-        if await self._with_gripper(lambda gripper: gripper.finds_nothing()):
+        if await self.errands.with_gripper(lambda gripper: gripper.finds_nothing()):
             raise CycleHeldError(f"part {number}: not inserted, and no longer in the hand; {state.reason}")
         self.show(f"part {number}: rejected ({state.reason})")
-        await self._go(lambda here: [*straight_up(self.settings.retreat_mm)(here)])
-        await self._go(over_to(reject))
+        await self.errands.go(straight_up(self.settings.retreat_mm))
+        await self.errands.go(over_to(reject))
         await self._open()
-        await self._go(straight_up(self.settings.retreat_mm))
+        await self.errands.go(straight_up(self.settings.retreat_mm))
         self.count.rejected_n, self.count.in_a_row_n = self.count.rejected_n + 1, self.count.in_a_row_n + 1
 
-    # ---- one thing at a time ----------------------------------------------------------------------------------------
-
-    async def _go(self, way: Way) -> None:
-        await travel(self.make_arm(), way, self.limits, self.ramps, self.motion_s, lambda _text: None)
-
     async def _open(self) -> None:
-        await self._with_gripper(lambda gripper: gripper.release(self.settings.open_mm))
-
-    async def _is_empty(self, gripper: Gripper) -> bool:
-        return await is_empty(gripper, self.settings.open_mm)
-
-    async def _with_gripper(self, work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
-        return await with_gripper(self.make_gripper, work)
+        await self.errands.with_gripper(lambda gripper: gripper.release(self.settings.open_mm))
 
 
 async def is_empty(gripper: Gripper, open_mm: float) -> bool:
     """Fingers as far apart as taught hold nothing; of others only closing tells: a link that ended says no more."""
     return await gripper.width_mm() >= open_mm - OPEN_MM or await gripper.finds_nothing()
-
-
-async def with_gripper(make: Callable[[], Gripper], work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
-    """Connect, do one thing, close whatever happens."""
-    gripper = make()
-    try:
-        await gripper.connect()
-        return bool(await work(gripper))
-    finally:
-        await to_the_end(gripper.close())

@@ -1,13 +1,14 @@
-"""Taking the arm somewhere outside an insertion: one connection, straight lines in free air, then a stop."""
+"""What happens outside an insertion: the arm goes straight lines in free air, the gripper does one thing."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 
 from robot_client.insertion.events import Arrived, Event, Failure
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits, Motion, check_pose
 from robot_client.insertion.motion import Ramps
-from robot_client.ports import Arm, DriverError
+from robot_client.ports import Arm, DriverError, Gripper
 from robot_client.session.runner import to_the_end
 
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
@@ -29,48 +30,62 @@ def straight_up(by_mm: float, motion: Motion = "retract") -> Way:
     return lambda here: [(here.at_height(here.z_mm + by_mm), motion)]
 
 
-async def travel(
-    arm: Arm,
-    way: Way,
-    limits: Limits,
-    ramps: Ramps,
-    motion_s: float,
-    show: Callable[[str], None],
-    tell: Callable[[str], None] = lambda _how: None,
-) -> WorkPose:
-    """Start the arm, go the way, and close it whatever happens; returns where it stands then, measured.
+@dataclass(frozen=True, slots=True)
+class Errands:
+    """What arm and gripper do outside an insertion; each errand connects, does one thing and closes whatever happens.
 
-    ``motion_s`` is added to what each line is planned to take; ``show`` is told where it begins, ``tell`` how it ended.
-    Raises LimitError before anything moves if a corner is not allowed, DriverError if the arm fails or is interrupted.
+    ``motion_s`` is added to what each line of a way is planned to take.
     """
-    events: asyncio.Queue[Event] = asyncio.Queue()
-    interrupted = False
-    try:
-        here = await arm.start(events.put_nowait)
-        show(f"from {pose_text(here)}")
-        corners = way(here)
-        for corner, _ in corners:
-            check_pose(limits, corner)
-        for corner, motion in corners:
-            arm.move(corner, motion)
-            wait_s = 1.5 * ramps.duration_s(here, corner, motion) + motion_s
-            event = await asyncio.wait_for(events.get(), wait_s)
-            if isinstance(event, Failure):
-                raise DriverError(f"{event.source}: {event.code}: {event.detail}")
-            assert isinstance(event, Arrived)
-            here = event.pose
-    except TimeoutError:
-        raise DriverError("robot: the arm did not arrive in time") from None
-    except asyncio.CancelledError:
-        interrupted = True
-        raise DriverError("operator: interrupted, the arm is stopped") from None
-    finally:
-        await to_the_end(_end(arm, tell), interrupted=interrupted)
-    return here
+
+    make_arm: Callable[[], Arm]
+    make_gripper: Callable[[], Gripper]
+    limits: Limits
+    ramps: Ramps
+    motion_s: float
+
+    async def go(self, way: Way, show: Callable[[str], None] = lambda _text: None) -> WorkPose:
+        """Go the way; returns where the arm stands then, measured. ``show`` prints where it begins and how it ended.
+
+        Raises LimitError before anything moves if a corner is not allowed, DriverError if the arm fails or is
+        interrupted.
+        """
+        events: asyncio.Queue[Event] = asyncio.Queue()
+        arm, interrupted = self.make_arm(), False
+        try:
+            here = await arm.start(events.put_nowait)
+            show(f"from {pose_text(here)}")
+            corners = way(here)
+            for corner, _ in corners:
+                check_pose(self.limits, corner)
+            for corner, motion in corners:
+                arm.move(corner, motion)
+                wait_s = 1.5 * self.ramps.duration_s(here, corner, motion) + self.motion_s
+                event = await asyncio.wait_for(events.get(), wait_s)
+                if isinstance(event, Failure):
+                    raise DriverError(f"{event.source}: {event.code}: {event.detail}")
+                assert isinstance(event, Arrived)
+                here = event.pose
+        except TimeoutError:
+            raise DriverError("robot: the arm did not arrive in time") from None
+        except asyncio.CancelledError:
+            interrupted = True
+            raise DriverError("operator: interrupted, the arm is stopped") from None
+        finally:
+            await to_the_end(_end(arm, show), interrupted=interrupted)
+        return here
+
+    async def with_gripper(self, work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
+        """Connect the gripper, do the work, close; returns the work's answer as bool."""
+        gripper = self.make_gripper()
+        try:
+            await gripper.connect()
+            return bool(await work(gripper))
+        finally:
+            await to_the_end(gripper.close())
 
 
-async def _end(arm: Arm, tell: Callable[[str], None]) -> None:
-    tell(await arm.close())
+async def _end(arm: Arm, show: Callable[[str], None]) -> None:
+    show(await arm.close())
 
 
 def pose_text(pose: WorkPose) -> str:

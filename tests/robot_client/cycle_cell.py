@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import random
+from dataclasses import replace
 from functools import partial
 
 from robot_client.cli.insert import live_ports, make_plan
@@ -85,8 +86,7 @@ def cycle_of(cell, lines=None, **settings):
         return await upright(plan, partial(insertion, cell), fixture(cell), spoken.append)
 
     plc = Handshake(taught.plc, cell.settings.make_arm().signals()) if taught.plc else None
-    given = cell.settings.limits, cell.settings.ramps, 20.0, spoken.append
-    return Cycle(taught, cell.settings.make_arm, cell.settings.make_gripper, insert, *given, plc=plc)
+    return Cycle(taught, errands(cell), insert, spoken.append, plc=plc)
 
 
 async def insertion(cell, plan):
@@ -98,9 +98,12 @@ def turned(arm):
     return wire.Refused(**name, reason="turned_in_hand", detail="by about 1.4 deg")
 
 
+def errands(cell):
+    return replace(cell.settings.errands, motion_s=20.0)
+
+
 def fixture(cell):
-    given = cell.settings.make_arm, cell.settings.make_gripper, cell.settings.limits, cell.settings.ramps
-    return Place(PICK, OPEN_MM, RETREAT_MM, *given, 20.0)
+    return Place(PICK, OPEN_MM, RETREAT_MM, errands(cell))
 
 
 def run(work, timeout_s=110.0):

@@ -14,7 +14,7 @@ from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
-from robot_client.session.travel import travel
+from robot_client.session.travel import Errands
 from robot_client.settings import Settings
 from tests.robot_client.insertion.stories import PLAN, TO_ARMING
 
@@ -94,7 +94,7 @@ def test_an_interrupt_while_a_step_closes_by_itself_keeps_the_next_step_from_beg
         arm.start = lambda _post: asyncio.sleep(0, PLAN.approach)
         steps = {
             "insertion": run.run,
-            "way": lambda: travel(arm, lambda _here: [], PLAN.limits, PLAN.ramps, 1.0, notes.append),
+            "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0).go(lambda _here: []),
         }
         task = asyncio.ensure_future(steps[moving]())
         await asyncio.sleep(0.05)
