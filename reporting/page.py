@@ -2,7 +2,7 @@
 
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,16 @@ def _filled(paragraph: str) -> str:
     tied = TIED.sub("\N{NO-BREAK SPACE}", paragraph)
     text = textwrap.fill(tied, COLUMNS, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     return text.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def missed_first(checks: Iterable[tuple[bool, str]], between: str = "; ") -> str:
+    """What was asked for and came of it, as sentences: first what does not hold, then what does."""
+    rows = list(checks)
+    paragraphs = (
+        (heading, between.join(text for holds, text in rows if bool(holds) is wanted))
+        for heading, wanted in (("**Missed:**", False), ("Reached:", True))
+    )
+    return "\n\n".join(f"{heading} {texts}." for heading, texts in paragraphs if texts)
 
 
 def publish(folder: Path, name: str, text: str, data: Any = None) -> str:

@@ -21,7 +21,6 @@ class AttemptRow(Contract):
     yaw_deg: float = 0.0
     slip_depth_mm: float | None = None
     slip_finger: str = ""
-    slip_age_ms: float | None = None
     stop_depth_mm: float | None = None
     overtravel_mm: float | None = None
     probabilities: dict[str, float] = Field(default_factory=dict)
@@ -79,7 +78,7 @@ class Report:
         here = self._position()
         if here is not None and state.armed is not None:
             depth_mm = state.armed.z_mm - here.z_mm
-            self._update(slip_depth_mm=depth_mm, slip_finger=message.finger, slip_age_ms=message.age_ms)
+            self._update(slip_depth_mm=depth_mm, slip_finger=message.finger)
 
     def _on_standstill(self, armed: WorkPose, event: Standstill) -> None:
         self._stopped_s = event.at_s

@@ -24,20 +24,17 @@ class Telemetry:
     _samples: list[wire.RobotSample] = field(default_factory=list)
 
     def begin(self, start: WorkPose) -> None:
-        versions = {"client": _version(), "protocol": str(wire.PROTOCOL), "python": platform.python_version()}
-        task, approach = self.plan.object, pose(self.plan.approach)
-        named = self.plan.insertion_id
-        purpose = self.plan.purpose
-        self.send(
-            wire.Episode(
-                insertion_id=named,
-                purpose=purpose,
-                object=task,
-                start=pose(start),
-                approach=approach,
-                versions=versions,
-            )
+        """Say what is to be done, from where, and by which client."""
+        plan = self.plan
+        episode = wire.Episode(
+            insertion_id=plan.insertion_id,
+            purpose=plan.purpose,
+            object=plan.object,
+            start=pose(start),
+            approach=pose(plan.approach),
+            versions={"client": _version(), "protocol": str(wire.PROTOCOL), "python": platform.python_version()},
         )
+        self.send(episode)
 
     def sample(self, state: State, width_mm: float | None) -> None:
         """Take one sample; every fifth sends them."""

@@ -1,6 +1,5 @@
 """`commission`: cells that probe, adapt and learn from work; `scene`: what a commissioning's presses tell of a gel."""
 
-import hashlib
 import json
 import sys
 from collections.abc import Callable
@@ -13,7 +12,7 @@ import tyro
 from reporting.files import write_durably, write_json
 from reporting.page import publish
 from service.contract.shipped import released_models
-from simulation.closed_loop.campaign import fingerprint
+from simulation.closed_loop import campaign
 from simulation.data.sources import sources_sha256
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World, files_in, load_objects, load_scene, load_world
@@ -80,7 +79,7 @@ def main(arguments: list[str]) -> int:
         raise ValueError(f"--checkpoint {checkpoint}: no such file; expected the release as `training` saved it")
     counts = options.probes, options.insertions, options.workers, options.work, options.around
     plan = Plan(checkpoint, models, *counts)
-    made_by = hashlib.sha256(json.dumps(fingerprint({"belief": models}), sort_keys=True).encode()).hexdigest()[:12]
+    made_by = campaign.made_by({"belief": models})
     worlds = [load_world(file) for file in files_in(options.worlds)]
     cells = [(_cell(options, world, made_by), plan) for world in worlds]
     if options.mistakes:

@@ -1,7 +1,5 @@
 """`python -m simulation evaluate`: every world with every object in lock step, on all cores, resumable, as rows."""
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -103,8 +101,7 @@ def tasks(options: Options) -> list[Task]:
         [load_world(file) for file in files_in(options.worlds)] or [World()],
         load_objects(options.objects),
     )
-    setup = json.dumps(campaign.fingerprint({options.controller: options.models}), sort_keys=True)
-    made_by = hashlib.sha256(setup.encode()).hexdigest()[:16]
+    made_by = campaign.made_by({options.controller: options.models})
     asked: dict[str, Any] = {"controller": options.controller, "perception": options.perception}
     if options.told_reach:
         asked["told_reach"] = True

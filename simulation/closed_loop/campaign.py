@@ -67,6 +67,11 @@ def fingerprint(folders: Mapping[str, Path]) -> dict[str, str]:
     return hashes
 
 
+def made_by(folders: Mapping[str, Path]) -> str:
+    """A short name for code and networks, for logs that keep results of several."""
+    return hashlib.sha256(json.dumps(fingerprint(folders), sort_keys=True).encode()).hexdigest()[:16]
+
+
 def claim(out: Path, setup: Mapping[str, str]) -> None:
     """Make the folder this run's; ValueError if what lies there was made with other networks or other code."""
     out.mkdir(parents=True, exist_ok=True)

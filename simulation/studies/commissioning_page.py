@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from reporting.page import page
+from reporting.page import missed_first, page
 from reporting.statistics import Estimate, number, wilson
 from reporting.table import Table, table
 from simulation.closed_loop.statistics import Row
@@ -100,8 +100,7 @@ def _conclusion(asked: Sequence[Row], learnt: Sequence[Row]) -> str:
     right = sum(_rightly(row) for row, mistake in named if mistake)
     minutes = max((row["robot_minutes"] for row in learnt), default=0.0)
     adapt_s = max((row["adapt_s"] for row in learnt), default=0.0)
-    missed, reached = list[str](), list[str]()
-    for holds, text in (
+    checks = (
         (wrong == 0, f"{wrong} of {good_n} good cells were accused of a mistake; asked for: none"),
         (
             right == len(asked) - good_n,
@@ -109,11 +108,8 @@ def _conclusion(asked: Sequence[Row], learnt: Sequence[Row]) -> str:
         ),
         (minutes <= MOST_MINUTES, f"{minutes:.1f} min of robot time at most; asked for: {MOST_MINUTES:.0f}"),
         (adapt_s <= MOST_ADAPT_S, f"{adapt_s:.0f} s for adapting at most; asked for: {MOST_ADAPT_S:.0f}"),
-        *(_reached(learnt) if learnt else ()),
-    ):
-        (reached if holds else missed).append(text)
-    lines = [f"**Missed:** {'; '.join(missed)}."] if missed else []
-    return "\n\n".join([*lines, *([f"Reached: {'; '.join(reached)}."] if reached else [])])
+    )
+    return missed_first([*checks, *(_reached(learnt) if learnt else ())])
 
 
 def _reached(learnt: Sequence[Row]) -> list[tuple[bool, str]]:

@@ -4,7 +4,7 @@ import re
 from collections import Counter
 from typing import Any
 
-from reporting.page import page
+from reporting.page import missed_first, page
 from reporting.statistics import number, wilson
 from reporting.table import Table, table
 from simulation.studies.drawn_worlds import COLUMNS
@@ -81,29 +81,26 @@ def _asked_and_reached(whole: Row) -> str:
     inserted, wrong = wilson(whole["inserted"], count), wilson(whole["claimed_wrongly"], count)
     covered = min(share if share is not None else 0.0 for share in (whole["covered_x"], whole["covered_theta"]))
     wrongly, done = whole["claimed_wrongly"], whole["inserted"]
-    sentences = (
-        f"{wrongly} of {count} insertions ended in a claim that was not true, {wrong:.1%}; asked for: none",
-        f"{done} of {count} were inserted, {inserted:.1%}; asked for: a lower bound of {number(LEAST_INSERTED, '.0%')}",
-        f"{whole['mean_trials']:.2f} trials on the mean; asked for: at most {MOST_TRIALS}",
+    least, held = number(LEAST_INSERTED, ".0%"), number(covered, ".0%")
+    checks = (
         (
-            f"90 % intervals of first decisions hold the truth in {number(covered, '.0%')}; asked for: "
-            f"{number(LEAST_COVERED, '.0%')}"
+            wrongly == 0,
+            f"{wrongly} of {count} insertions ended in a claim that was not true, {wrong:.1%}; asked for: none",
+        ),
+        (
+            inserted.low >= LEAST_INSERTED,
+            f"{done} of {count} were inserted, {inserted:.1%}; asked for: a lower bound of {least}",
+        ),
+        (
+            whole["mean_trials"] <= MOST_TRIALS,
+            f"{whole['mean_trials']:.2f} trials on the mean; asked for: at most {MOST_TRIALS}",
+        ),
+        (
+            covered >= LEAST_COVERED,
+            f"90 % intervals of first decisions hold the truth in {held}; asked for: {number(LEAST_COVERED, '.0%')}",
         ),
     )
-    holds = (
-        whole["claimed_wrongly"] == 0,
-        inserted.low >= LEAST_INSERTED,
-        whole["mean_trials"] <= MOST_TRIALS,
-        covered >= LEAST_COVERED,
-    )
-    missed, reached = (
-        [text for text, good in zip(sentences, holds, strict=True) if good is asked] for asked in (False, True)
-    )
-    paragraphs = [
-        f"**Missed:** {'. '.join(missed)}." if missed else "",
-        f"Reached: {'. '.join(reached)}." if reached else "",
-    ]
-    return "\n\n".join(paragraphs)
+    return missed_first(checks, between=". ")
 
 
 def cause(row: Row) -> str:

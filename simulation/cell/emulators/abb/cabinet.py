@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Literal
 
-from simulation.cell.emulators.abb.motion import Follower, MotionLimits, Pose
+from simulation.cell.emulators.abb.motion import Follower, Pose
 from simulation.cell.emulators.faults import FaultBoard
 
 ControllerState = Literal["init", "motoroff", "motoron", "guardstop", "emergencystop", "emergencystopreset"]
@@ -71,11 +71,6 @@ class Cabinet:
     _last_guide_s: float = 0.0
     _now_s: float = 0.0
     _entries: int = 0
-
-    @property
-    def limits(self) -> MotionLimits:
-        """Limits of the arm as configured."""
-        return self.arm.limits
 
     @property
     def motors_on(self) -> bool:
