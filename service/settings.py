@@ -89,7 +89,6 @@ class Settings(BaseSettings):
     controller: ControllerName = Field("belief", description="heuristic (the paper's) or belief (remembers attempts)")
     imprint_slip: bool = Field(True, description="stop for a sliding imprint, too, not for the markers' slip alone")
     frame_rate_hz: float | None = Field(None, gt=0, le=240, description="asked of V4L2 cameras; default the sensor's")
-    max_skew_ms: float | None = Field(None, gt=0, description="largest skew of a pair; default 0.6 frame periods")
     max_dx_mm: float = Field(15.0, gt=0, le=50, description="largest correction across the gap ever sent")
     max_dtheta_deg: float = Field(15.0, gt=0, le=45, description="largest yaw correction ever sent")
     max_frame_age_ms: float = Field(150.0, gt=0, description="an older newest frame during a descent is a fault")

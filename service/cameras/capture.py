@@ -216,11 +216,10 @@ def _size(shape: tuple[int, ...]) -> str:
 class Pairer:
     """Pairs the two fingers' frames by capture time: each frame is used once, skew is bounded, newest wins.
 
-    Thread safe. The allowed skew is ``max_skew_ms`` or, where None, 0.6 of the slower camera's frame period.
+    Thread safe. The allowed skew is 0.6 of the slower camera's frame period.
     """
 
-    def __init__(self, max_skew_ms: float | None = None) -> None:
-        self._max_skew_ms = max_skew_ms
+    def __init__(self) -> None:
         self._waiting: dict[Finger, TactileFrame] = {}
         self._last: dict[Finger, int] = {}
         self._period_ns: dict[Finger, float] = {}
@@ -228,8 +227,6 @@ class Pairer:
         self.dropped_n = 0
 
     def _allowed_ns(self) -> float:
-        if self._max_skew_ms is not None:
-            return self._max_skew_ms * 1e6
         return 0.6 * max(self._period_ns.values(), default=33e6)
 
     def add(self, frame: TactileFrame) -> FramePair | None:

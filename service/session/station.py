@@ -53,7 +53,7 @@ class Station:
         self.settings = settings
         self.hub = Hub()
         self.counters = Counters()
-        self.pairer = Pairer(settings.max_skew_ms)
+        self.pairer = Pairer()
         rate_hz = settings.frame_rate_hz or models.card.profile.fps
         urls = {"left": settings.camera_left, "right": settings.camera_right}
         self.cameras: dict[Finger, Camera] = {
