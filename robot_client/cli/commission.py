@@ -1,4 +1,4 @@
-"""`commission`: the first day of a cell, by probes from known errors; only told unless --live is typed."""
+"""`commission`: the first day of a cell, by probes from known errors; a dry run unless --live is typed."""
 
 import asyncio
 import time

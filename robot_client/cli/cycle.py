@@ -92,7 +92,7 @@ def _result(count: Count) -> dict[str, int | str]:
 
 
 def _take_orders(pace: Pace) -> None:
-    """From the terminal: pause, resume, stop. From another program: SIGUSR1 pauses or goes on, SIGUSR2 stops."""
+    """From the terminal: pause, resume, stop. From another program: SIGUSR1 pauses or resumes, SIGUSR2 stops."""
     loop = asyncio.get_running_loop()
 
     def read() -> None:

@@ -1,4 +1,4 @@
-"""An object that has turned in the hand goes back into its fixture, is taken upright, and the insertion goes on."""
+"""An object that has turned in the hand goes back into its fixture, is picked upright, and the insertion continues."""
 
 import secrets
 import time

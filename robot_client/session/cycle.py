@@ -172,5 +172,5 @@ class Cycle:
 
 
 async def is_empty(gripper: Gripper, open_mm: float) -> bool:
-    """Fingers as far apart as taught hold nothing; of others only closing tells: a link that ended says no more."""
+    """Fingers as far apart as taught hold nothing; at any other width only closing them shows it."""
     return await gripper.width_mm() >= open_mm - OPEN_MM or await gripper.finds_nothing()

@@ -61,7 +61,7 @@ class Child:
         return self.process.poll()
 
     def cpu_s(self) -> float:
-        """CPU seconds used so far; nan where the system does not tell (or once it ended)."""
+        """CPU seconds used so far; nan where the system does not report them or the child has ended."""
         try:
             fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
             return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -177,7 +177,7 @@ def terminate_as_interrupt() -> None:
 
 
 class Compiling:
-    """Counts what the compiler has put into its cache, and tells it every few seconds while it grows."""
+    """Counts what the compiler has put into its cache, and reports it every few seconds while it grows."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say

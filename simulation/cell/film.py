@@ -53,7 +53,7 @@ class Course:
 
 
 def draw(course: Path, path: Path, sensor: Sensor) -> Path | None:
-    """An animated GIF of a saved course: arrows of both gels, and the object beside the gap; None without a course."""
+    """An animated GIF of a saved course: arrows of both gels, and the object next to the gap; None without a course."""
     from PIL import Image as Pillow
 
     if not course.is_file():

@@ -116,7 +116,7 @@ def start_cell(start: Start, options: RunOptions, folder: Path, *, fed: bool = F
 
 
 def ready_cell(cell: Child, folder: Path) -> dict[str, Any]:
-    """What the cell says of itself once it is ready; tells how far the compiler is, where it has to compile."""
+    """What the cell reports once it is ready; shows the compiler's progress where it has to compile."""
     compiling = Compiling(_say)
     cell.until("cell: ready", CELL_READY_S, compiling.look)
     facts: dict[str, Any] = json.loads((folder / "cell" / "cell.json").read_text())

@@ -1,4 +1,4 @@
-"""`commission`: cells that probe, adapt and learn from work; `scene`: what a commissioning's presses tell of a gel."""
+"""`commission`: cells that probe, adapt and learn from work; `scene`: what its presses say about a gel."""
 
 import json
 import sys
@@ -42,7 +42,7 @@ class Options:
     objects: tuple[str, ...]
     """names, TOML files or folders of them"""
     json: Path
-    """file for the rows; what is played comes beside it"""
+    """file for the rows; insertions are kept next to it"""
     cell: Literal["own", "foreign"] = "own"
     """whose mechanics: the project's own, or finite elements that it was not built on"""
     mistakes: bool = False
@@ -60,7 +60,7 @@ class Options:
     models: Path = field(default_factory=released_models)
     """folder with the networks to begin with"""
     checkpoint: Path | None = None
-    """release that is adapted; beside the models unless given"""
+    """release that is adapted; default: the one next to the models"""
     workers: int = 0
     """processes; 0 takes every core"""
     docs: Path | None = None
@@ -144,7 +144,7 @@ class Play:
     """What plays drawn cells."""
 
     out: Path = Path("runs/identify")
-    """folder for what is played; the same command goes on where it was interrupted"""
+    """folder for the insertions; the same command continues after an interruption"""
     models: Path = field(default_factory=released_models)
     """networks that decide the probes; nothing of what they say is used"""
     workers: int = 0

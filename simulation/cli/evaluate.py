@@ -76,7 +76,7 @@ class Options(Played):
     controller: Who = "belief"
     """the service's, or the oracle: what is left if every move were the true error"""
     told_reach: bool = False
-    """the client tells the gel's shear reach, with the error (15 %) of a cell that has measured it"""
+    """the client sends the gel's shear reach, with the error (15 %) of a cell that has measured it"""
     json: Path = Path("runs/evaluation.json")
     """file for the rows"""
 

@@ -35,7 +35,7 @@ class Options(PlayOptions):
     out: Path = Path("runs/pace")
     docs: Path = Path("runs/pace")
     kept: Path = Path("docs")
-    """folder of the other pages' results, which the figures show beside these"""
+    """folder of the other pages' results, which the figures also show"""
     html: Path | None = None
     """file for the figures to hover and zoom in, 5 MB; needs plotly"""
     count: int = 200

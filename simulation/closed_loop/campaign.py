@@ -1,4 +1,4 @@
-"""Many insertions on all cores or on a cluster, logged a line each, so that a killed run goes on where it was.
+"""Many insertions on all cores or on a cluster, logged a line each, so that a killed run can continue.
 
 The log is only valid for the networks, the physics, the service and the client it was made with: `claim` refuses to
 go on with others.

@@ -57,7 +57,7 @@ class Job:
         return load_scene(self.scene, blocks__free=True).varied(self.changes)
 
     def measured_reach_mm(self, scene: Scene) -> float | None:
-        """What the client tells of the gel's shear reach; None where nobody measured it."""
+        """The gel's shear reach as the client sends it, mm; None where nobody measured it."""
         if not self.told_reach:
             return None
         factor = math.exp(MEASURED * float(np.random.default_rng((self.seed, 2)).normal()))

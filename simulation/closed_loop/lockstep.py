@@ -86,7 +86,7 @@ class LockstepCell:
         make: Callable[[Scene, int], Cell] = QuasiStaticCell,
         cameras: Callable[[Scene, int], tuple[Camera, Camera]] = own_cameras,
     ) -> "LockstepCell":
-        """A cell with the object grasped, told to be at the error given, at approach height; ``make``: mechanics."""
+        """A cell with the object grasped, commanded to the start error at approach height; ``make``: mechanics."""
         cell = make(scene, seed)
         cell.regrasp(x_mm, theta_deg)
         misplaced = Misplacement(unstated or Unstated(), _pose_of(cell))

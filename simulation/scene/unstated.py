@@ -55,7 +55,7 @@ class Unstated(Part):
 
     @property
     def well_placed(self) -> bool:
-        """Whether told and true poses are the same."""
+        """Whether commanded and true poses are the same."""
         straight = self.tcp_offset_mm == (0.0, 0.0) and self.frame_yaw_deg == 0.0 and self.blocks_up_mm == 0.0
         return straight and self.x_sign == self.yaw_sign == 1
 
@@ -77,7 +77,7 @@ class Unstated(Part):
 
 @dataclass(frozen=True, slots=True)
 class Misplacement:
-    """Told and true poses of one insertion; ``approach`` is the told pose that its corrections start from."""
+    """Commanded and true poses of one insertion; ``approach`` is the commanded pose that its corrections start from."""
 
     unstated: Unstated
     approach: Pose

@@ -23,7 +23,7 @@ LOG_SIGMA_SPAN = 3.0
 STATE_REACH = 1.001
 """A GRU's state is a mean of its last state and a tanh, so it cannot leave +-1 by more than rounding."""
 GEOMETRY_FEATURES = 3
-"""Gap width, whether the grasp height is known, grasp height: what the cell gives beside the pictures."""
+"""Gap width, whether the grasp height is known, grasp height: what the cell gives besides the pictures."""
 
 
 def geometry_features(geometry: Tensor) -> Tensor:

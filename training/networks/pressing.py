@@ -1,4 +1,4 @@
-"""The network that reads depth: the gel's motion on a lattice in mm, a step of depth at a time, and what the cell told.
+"""The network that reads depth: the gel's motion on a lattice in mm, a step of depth at a time, and the cell's numbers.
 
 Beside the motion it is shown the motion over its own size, which says where the object goes before it has gone far,
 and the motion over the grasp's shear reach where that is known. It decides after every step, and is trained to.
@@ -111,7 +111,7 @@ class PressingNetwork(Decider):
         return torch.cat([read, raw[:, SHARES], self.strange(moved)], 1)
 
     def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
-        """One step; ``geometry`` [B, 6] as `CONDITIONS`, 0 where not told."""
+        """One step; ``geometry`` [B, 6] as `CONDITIONS`, 0 where unknown."""
         count = SHARES.stop - SHARES.start + 1
         known = (geometry > 0).to(geometry.dtype)
         usual = torch.tensor(USUAL, dtype=geometry.dtype)

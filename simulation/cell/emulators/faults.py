@@ -1,4 +1,4 @@
-"""Every fault that the emulated devices can be told to show, as one typed record.
+"""Every fault that the emulated devices can be made to show, as one typed record.
 
 ``POST /faults`` of the cell's admin port replaces the named fields and leaves the others; ``DELETE /faults`` restores
 health. Switches stay on until they are taken back; counts are used up by the next bytes that leave the device.

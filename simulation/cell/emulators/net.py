@@ -45,7 +45,7 @@ def port_of(sock: socket.socket) -> int:
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    """A port that was free a moment ago, for a process that insists on being told one."""
+    """A port that was free a moment ago, for a process that cannot choose one itself."""
     with contextlib.closing(_bind(kind, 0, "a probe for a free port")) as sock:
         return port_of(sock)
 

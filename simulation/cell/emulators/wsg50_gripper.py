@@ -97,7 +97,7 @@ class Gripper:
     def move(
         self, command: Command, width_mm: float, speed_mm_s: float, finish: Finish, *, clamps: bool = True
     ) -> Status:
-        """MOVE, GRASP or RELEASE towards a width; ``clamps``: a MOVE that meets a part goes on pressing it.
+        """MOVE, GRASP or RELEASE towards a width; ``clamps``: a MOVE that meets a part keeps pressing it.
 
         [M] 3.2.2: beyond the physical limits, width and speed are taken as the limit; beyond soft limits, refused.
         """

@@ -25,7 +25,7 @@ FOLDS, AXES, RANDOM, STEEP = 10, 40, 400, 2.0
 UNCALIBRATED = "coarse"
 FAR = 5.0  # deviations from the middle, beyond which a number counts no more
 WIDEST = 0.8
-"""Of what nine of ten drawn cells span: an interval as wide tells nothing that was not known before."""
+"""Of what nine of ten drawn cells span: an interval as wide adds nothing to what was known before."""
 STRANGE = 1.5
 """Times the strangest cell that it was fitted to; see `Posterior.strangeness`."""
 
@@ -93,7 +93,7 @@ class Interval(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether the probes tell anything of it."""
+        """Whether the probes narrow it down."""
         return self.width < WIDEST
 
 

@@ -1,4 +1,4 @@
-"""Every fault in each of its phases, kept row by row, so that an interrupted campaign goes on."""
+"""Every fault in each of its phases, kept row by row, so that an interrupted campaign can continue."""
 
 import json
 from collections.abc import Callable

@@ -27,7 +27,7 @@ class RefusedError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Delays:
-    """How long the cabinet takes to do as told."""
+    """How long the cabinet takes to carry out a request."""
 
     motors_s: float = 0.20
     program_start_s: float = 0.10

@@ -120,7 +120,7 @@ def _add_modules(app: FastAPI, answer: Answer) -> None:
 
 
 def _add_configuration(app: FastAPI, answer: Answer) -> None:
-    """Reading only: what is configured here is the simulator's, and not to be changed over this door."""
+    """Read-only: the configuration belongs to the simulator, and clients cannot change it."""
 
     @app.get("/rw/cfg")  # cfg_page
     async def domains(request: Request) -> Response:

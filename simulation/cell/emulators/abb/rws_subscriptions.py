@@ -1,6 +1,6 @@
-"""Subscription Service (ABB's reference, 3HAC050973-001 rev M): a resource list becomes a WebSocket that tells changes.
+"""Subscription Service (ABB's reference, 3HAC050973-001 rev M): a resource list becomes a WebSocket that sends changes.
 
-As on the controller they are slow: states are compared every 0.2 s. What EGM and polling tell is newer.
+As on the controller they are slow: states are compared every 0.2 s. EGM and polling are quicker.
 """
 
 import asyncio
@@ -74,7 +74,7 @@ class Subscriptions:
         return number
 
     async def serve(self, socket: WebSocket, number: int) -> None:
-        """Tell every change of a subscription until the client leaves."""
+        """Send every change of a subscription until the client leaves."""
         resources = self._open.get(number)
         if resources is None:
             await socket.close(1008)
