@@ -1,6 +1,7 @@
 """`python -m service judge`: recorded grasps of real sensors, a row of phases for each run."""
 
 import argparse
+import io
 import json
 import sys
 from collections.abc import Sequence
@@ -8,12 +9,15 @@ from pathlib import Path
 
 import cv2
 
-from service.tools.judge import RunError, report_of, runs_of
+from service.tools.judge import report_of, runs_of
 
 
 def main(arguments: Sequence[str]) -> int:
     """Judge every run and write the rows, 1 if a run could not be read; raises RunError where there is none."""
     options = _parse(arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a run's name may have letters that a terminal lacks
     cv2.setNumThreads(1)  # the milliseconds of a frame are those of one core
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text("[]\n", encoding="utf-8")
@@ -21,11 +25,13 @@ def main(arguments: Sequence[str]) -> int:
     for folder in runs_of(options.folder):
         try:
             run = report_of(folder)
-        except RunError as error:
+        except (ValueError, cv2.error) as error:
             print(f"{folder.name}: {error}", file=sys.stderr)
             unread_n += 1
             continue
         rows.append(row := run.row)
+        if len(row["fingers"]) < 2:
+            print(f"{folder.name}: one finger's video alone: whether the object slides is not known", file=sys.stderr)
         evidence[row["run"]] = run.evidence
         phases = ", ".join(f"{name} {row[f'{name}_frame']}" for name in ("contact", "hold", "slip", "lost"))
         print(f"{row['run']:<32} {row['frames_n']:>4} frames: {phases}; {row['ms_a_frame']:.1f} ms a frame")

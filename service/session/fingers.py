@@ -40,7 +40,7 @@ class Fingers:
         observation = self.watch(frame.finger).observe(frame)
         self._observations[frame.finger] = observation
         if self._slides() and not observation.slip.stop and observation.informative:
-            slip = replace(observation.slip, state="gross_slip", score=1.0, reason="the imprint slides, held lightly")
+            slip = replace(observation.slip, state="gross_slip", score=1.0, reason="the imprint slides")
             self._observations[frame.finger] = replace(observation, slip=slip)
         return self._observations[frame.finger]
 

@@ -63,7 +63,9 @@ class FingerRun:
 
 
 def watched(clip: Path) -> FingerRun:
-    """One finger's recording through tracker, grasp watch and imprint. RunError: no frames, or too small ones."""
+    """One finger's recording through tracker, grasp watch and imprint. RunError: no frames, small ones, or its name."""
+    if any("\ud800" <= letter <= "\udfff" for letter in str(clip)):
+        raise RunError(f"the name {str(clip)!a} is no UTF-8, and OpenCV would crash on it: rename it")
     run, tracker, watch, imprint = FingerRun(), MarkerTracker(), GraspWatch(), ImprintWatch()
     for k, (image, _) in enumerate(clip_images(clip)):
         if min(image.shape[:2]) < _LEAST_PX:
@@ -99,7 +101,7 @@ def report_of(folder: Path) -> RunReport:
     frames_n = min(len(finger.fields) for finger in fingers)
     opened = open_frame([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
     evidence = _evidence(fingers, frames_n)
-    slides = [terms is not None and slide_score(terms) >= 0 for terms in evidence]
+    slides = [terms is not None and bool(slide_score(terms) >= 0) for terms in evidence]
     statuses = [markers.status for finger in fingers for markers in finger.fields]
     touches = [finger.touches(opened) for finger in fingers]
     whole, *alone = _stories(fingers, touches, slides)

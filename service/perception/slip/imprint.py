@@ -28,6 +28,7 @@ _LEAST = 1.0  # power of an imprint, (percent of the light)^2; a share of less t
 _WHERE = 0.05  # of the gel, which a rim or a pen that slides changes
 _STRONG = 0.1  # of the gel, by which the grip's strength is told
 _LITTLE = 0.15  # percent; relief won or lost that is none
+_RIDGE = np.diag([0.05, 0.05, 0.05, 5.0])  # (percent of the light)^2; an imprint fainter than this does not move
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,7 @@ class ImprintChange:
     ``changed`` and ``changed_later`` 0 .. 2: share of the imprint that is another one than a frame, and three frames,
     before, where it has changed most. ``let_go`` -1 .. 1: relief lost rather than won within three frames.
     ``relief``: of the imprint, percent of the light. ``irregular_pitch``: how far the markers are from a regular print.
+    ``walked_pitch``: how far the imprint as a whole has moved over the gel since the last look, right and down.
     """
 
     changed: float
@@ -44,6 +46,7 @@ class ImprintChange:
     let_go: float
     relief: float
     irregular_pitch: float
+    walked_pitch: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +100,7 @@ class ImprintWatch:
             float((lost - won) / (lost + won + _LITTLE)),
             _all_but(_STRONG, now.relief),
             irregular_pitch(field),
+            self._grid.walk(before.imprint, now.imprint),
         )
 
     def _changed(self, before: _Look, now: _Look, moved: FloatArray) -> float:
@@ -131,6 +135,8 @@ class _Grid:
         self._unmarked, self._fine, self._slow = (
             np.repeat(one[..., None], channels, 2) for one in (unmarked, fine, slow)
         )
+        cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+        self._inner = np.nonzero(cv2.erode(unmarked, cross, borderType=cv2.BORDER_CONSTANT, borderValue=0))
         side = 2 * int(_AROUND * samples / 2) + 1
         self._box = (side, side)
         self._boxed = cv2.boxFilter(unmarked, cv2.CV_32F, self._box)
@@ -151,6 +157,21 @@ class _Grid:
         )
         imprint = np.asarray(100 * (fine / np.maximum(slow, _DARK) - 1) * self._unmarked, np.float32)
         return _Look(imprint, np.sqrt(self.power(imprint)))
+
+    def walk(self, before: FloatArray, now: FloatArray) -> tuple[float, float]:
+        """How far the imprint [h, w, channels] moved to the right and down, in pitches, in the middle of what is seen.
+
+        Least squares on the slopes of the imprint. Being pressed more, and turning about that middle, are no walk.
+        """
+        y, x = self._inner
+        mean = (before + now) / 2
+        here = mean[y, x]
+        left, up = (mean[y, x - 1] - mean[y, x + 1]) / 2, (mean[y - 1, x] - mean[y + 1, x]) / 2
+        relief = np.square(here).sum(1) + np.float32(1e-6)
+        u, v = ((at - relief @ at / relief.sum())[:, None] for at in (x, y))
+        terms = np.stack([here, left, up, up * u - left * v], -1).reshape(-1, len(_RIDGE)).astype(np.float64)
+        moved = np.linalg.solve(terms.T @ terms + len(terms) * _RIDGE, terms.T @ (now - before)[y, x].ravel())
+        return float(moved[1] / self._samples), float(moved[2] / self._samples)
 
     def power(self, imprint: FloatArray) -> FloatArray:
         """Mean square [h, w] of what is seen around, of an imprint [h, w, channels]."""

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.slip.slide import TERMS
+from service.perception.slip.slide import READ_N, TERMS, slide_score
 
 Row = Mapping[str, Any]
 Float64 = NDArray[np.float64]
 SETTLED_N = 4  # frames after contact, or after a recording begins in one
 AHEAD_N = 5  # frames by which a slide has to be told before the loss
 LET_GO_N = 6  # last frames before a held object is let go, which count as neither
+FURTHER = 1.25  # times as far as any held object walked is too far
 FALSE_RUNS = 2  # alarms in the held runs that a limit is chosen on; one more may come from others
 WINDOW_N = 16  # frames in 2 s
 _RIDGE = 1.0
@@ -26,29 +27,34 @@ _ROUNDS, _POSITIVE_N, _NEGATIVE_N, _EVERY = 8, 2, 4, 25
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One grasp's terms [frames, terms], the frames in which an alarm counts, and whether it ends in a loss."""
+    """One grasp's terms [frames, terms], the frames it is fitted on, and when its slide begins if it is lost.
+
+    ``live``: the frames in which a slide turns the phase to slip; ``before``: from where on an alarm comes too late.
+    """
 
     name: str
     terms: Float64
     begin: int
     end: int
     slide: int | None
+    live: tuple[int, int]
+    before: int
 
     @property
     def object(self) -> str:
         return self.name.rsplit("_", 2)[0]
 
-    def scores(self, model: Float64) -> Float64:
-        """The logistic of the frames that count."""
-        return np.asarray(self.terms[self.begin : self.end] @ model[:-1] + model[-1])
+    def alarms(self, scores: Float64) -> NDArray[np.intp]:
+        """Frames in which the grasp is said to slip."""
+        return np.arange(*self.live)[scores[slice(*self.live)] >= 0]
 
 
-def runs_of(rows: Sequence[Row], labels: Row, evidence: Mapping[str, Any], columns: int = len(TERMS)) -> list[Run]:
-    """Held runs, and those with a visible slide before a loss; of the witness' terms the first ``columns``."""
+def runs_of(rows: Sequence[Row], labels: Row, evidence: Mapping[str, Any]) -> list[Run]:
+    """Held runs, and those with a visible slide before a loss."""
     runs = []
     for row in rows:
         name, hold = row["run"], row["hold_frame"]
-        terms = np.array([[np.nan] * len(TERMS) if one is None else one for one in evidence[name]])[:, :columns]
+        terms = np.array([[np.nan] * len(TERMS) if one is None else one for one in evidence[name]])
         known = int(np.isfinite(terms).all(1).argmax())
         if label := labels["slip"].get(name):
             if label["lost"] is None or label["slide"] is None:
@@ -58,15 +64,19 @@ def runs_of(rows: Sequence[Row], labels: Row, evidence: Mapping[str, Any], colum
             emptied = labels["held"].get(name, {}).get("emptied") or len(terms)
             begin, end = hold if hold is not None and hold < 60 else SETTLED_N, emptied - LET_GO_N
         begin = max(begin, known + 1, 6)
-        runs.append(Run(name, terms, begin, max(begin, end), label["slide"] if label else None))
+        over = len(terms) if row["lost_frame"] is None else row["lost_frame"]
+        live = (over, over) if hold is None else (hold + 1, over)
+        runs.append(Run(name, terms, begin, max(begin, end), label["slide"] if label else None, live, end))
     return runs
 
 
 def fitted(runs: Sequence[Run]) -> Float64:
-    """Weights and bias of the logistic; with it, at most ``FALSE_RUNS`` of the held runs score above 0."""
-    slides = [run.terms[max(run.begin, run.slide) : run.end] for run in runs if run.slide is not None]
+    """The model of `slide_score`; by its logistic, at most ``FALSE_RUNS`` of the held runs score above 0."""
+    slides = [run.terms[max(run.begin, run.slide) : run.end, :READ_N] for run in runs if run.slide is not None]
     slides = [one for one in slides if len(one)]
-    holds = [run.terms[run.begin : run.end] for run in runs if run.slide is None]
+    held = [run.terms[run.begin : run.end] for run in runs if run.slide is None]
+    furthest = max(float(one[:, -1].max()) for one in held)
+    holds = [one[:, :READ_N] for one in held]
     every = np.concatenate([*slides, *holds])
     mean, spread = every.mean(0), every.std(0)
     slides, holds = ([(one - mean) / spread for one in ones] for ones in (slides, holds))
@@ -80,7 +90,8 @@ def fitted(runs: Sequence[Run]) -> Float64:
         weights = _logistic(np.concatenate([positive, negative, usual]), labels, shares)
     raw = weights / spread
     highest = np.sort([float((one @ weights).max()) for one in holds])[::-1]
-    return np.append(raw, -raw @ mean - highest[min(FALSE_RUNS, len(highest) - 1)])
+    limit = highest[min(FALSE_RUNS, len(highest) - 1)]
+    return np.array([*raw, -raw @ mean - limit, furthest + np.log(FURTHER)])
 
 
 def _most(frames: Float64, weights: Float64, count: int) -> Float64:
@@ -101,30 +112,29 @@ def _logistic(terms: Float64, labels: NDArray[np.bool_], shares: Float64) -> Flo
 
 
 def without_each_object(runs: Sequence[Run]) -> dict[str, Any]:
-    """Every run judged by a model and a limit that never saw its object."""
-    margins: dict[str, Float64] = {}
+    """Every run judged by a model and limits that never saw its object."""
+    scores: dict[str, Float64] = {}
     for left_out in sorted({run.object for run in runs}):
         model = fitted([run for run in runs if run.object != left_out])
-        margins |= {run.name: run.scores(model) for run in runs if run.object == left_out}
+        scores |= {run.name: slide_score(run.terms, model) for run in runs if run.object == left_out}
     slides = [run for run in runs if run.slide is not None]
     holds = [run for run in runs if run.slide is None]
-    alarmed = {run.name: bool((margins[run.name] > 0).any()) for run in runs}
+    alarms = {run.name: run.alarms(scores[run.name]) for run in runs}
+    alarmed = {run.name: bool((alarms[run.name] < run.before).any()) for run in runs}
     frames_n = sum(run.end - run.begin for run in holds)
+    counted = {run.name: scores[run.name][run.begin : run.end] for run in runs}
     return {
         "warned": [alarmed[run.name] for run in slides],
-        "early": sum(_first(margins[run.name]) + run.begin < (run.slide or 0) for run in slides if alarmed[run.name]),
+        "early": sum(bool(alarms[run.name][0] < (run.slide or 0)) for run in slides if alarmed[run.name]),
         "untellable": sum(max(run.begin, run.slide or 0) >= run.end for run in slides),
         "false": [alarmed[run.name] for run in holds],
+        "false_anywhere": [len(alarms[run.name]) > 0 for run in holds],
         "false_runs": sorted(run.name for run in holds if alarmed[run.name]),
-        "false_frames_per_1000": 1000 * sum(int((margins[run.name] > 0).sum()) for run in holds) / frames_n,
-        "auc": _auc([margins[run.name] for run in slides], [margins[run.name] for run in holds]),
+        "false_frames_per_1000": 1000 * sum(int((alarms[run.name] < run.before).sum()) for run in holds) / frames_n,
+        "auc": _auc(*([counted[run.name] for run in some] for some in (slides, holds))),
         "short": _of(alarmed, slides, holds, short=True),
         "long": _of(alarmed, slides, holds, short=False),
     }
-
-
-def _first(margins: Float64) -> int:
-    return int((margins > 0).argmax())
 
 
 def _of(alarmed: Mapping[str, bool], slides: Sequence[Run], holds: Sequence[Run], *, short: bool) -> list[list[bool]]:

@@ -68,6 +68,21 @@ def test_pictures_without_markers_show_no_grasp_and_a_run_that_cannot_be_read_is
     assert {row[f"{phase}_frame"] for phase in ("contact", "hold", "slip", "lost")} == {None}
 
 
+def test_odd_runs_are_named_in_one_line_each_and_the_others_judged(tmp_path, capsys):
+    runs = tmp_path / "runs"
+    for name, frames in (("one frame", 1), ("una_caña_1_hold", 24), ("no one", 1), ("unnamed", 1)):
+        record(runs / name, (10, 18), frames)
+    (runs / "unnamed").rename(runs / "un\udcffnamed")
+    (runs / "no one" / "camera_2.avi").unlink()
+    assert main(["judge", str(runs), "--json", str(tmp_path / "rows.json")]) == 1
+    rows = {row["run"]: row for row in json.loads((tmp_path / "rows.json").read_text())}
+    assert {name: (row["frames_n"], len(row["fingers"])) for name, row in rows.items()} == {
+        "one frame": (1, 2), "una_caña_1_hold": (24, 2), "no one": (1, 1)
+    }  # fmt: skip
+    assert rows["una_caña_1_hold"]["lost_frame"] is not None
+    assert [line.split(":")[0] for line in capsys.readouterr().err.splitlines()] == ["no one", "un\\udcffnamed"]
+
+
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_real_objects_that_leave_the_hand_are_lost(tmp_path):

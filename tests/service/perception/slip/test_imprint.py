@@ -49,6 +49,31 @@ def test_an_imprint_that_walks_over_the_gel_slides_and_one_that_the_gel_carries_
     assert max(carried[2:]) < 0
 
 
+def test_an_imprint_that_creeps_over_both_gels_slides_once_it_has_gone_far():
+    creep = [*STILL, *np.arange(1.0, 36.0)]
+    crept = list(scores(creep, [0.0] * len(creep)))
+    assert max(crept[2:24]) < 0
+    assert min(crept[36:]) >= 0
+
+
+def test_the_walk_of_an_imprint_is_measured_and_a_stronger_press_is_none():
+    rng, tracker, watch = np.random.default_rng(3), MarkerTracker(), ImprintWatch()
+    walks = []
+    for k, (way, height) in enumerate([(0.0, 0.8), (0.0, 1.0), (3.0, 1.0), (3.0, 1.2)]):
+        change = watch.update(image := picture(rng, way, 0.0, height), tracker.update(image, k * PERIOD_NS))
+        walks.append(change.walked_pitch if change else (0.0, 0.0))
+    assert walks[1:] == [pytest.approx(way, abs=0.03) for way in ((0.0, 0.0), (3.0 / 32.0, 0.0), (0.0, 0.0))]
+
+
+def test_where_one_imprint_stays_the_object_does_not_slide():
+    def score(*walks):
+        witness = SlideWitness()
+        return [witness.update([ImprintChange(1.0, 1.0, 1.0, 6.0, 0.03, walk) for walk in walks]) for _ in range(3)][-1]
+
+    assert score((0.1, 0.0), (0.05, 0.0)) >= 0
+    assert score((0.1, 0.0), (0.0, 0.0)) < 0
+
+
 @pytest.mark.parametrize("height", [0.0, 1.0])
 def test_noise_of_the_camera_is_no_slide(height):
     assert max(list(scores([0.0] * 16, [0.0] * 16, height, noise=6.0))[2:]) < 0
@@ -56,7 +81,8 @@ def test_noise_of_the_camera_is_no_slide(height):
 
 def test_the_same_slide_in_a_strong_grip_is_less_sure_to_end_in_a_loss():
     faint, light, strong = (
-        SlideWitness().update([ImprintChange(0.8, 1.0, 0.2, relief, 0.03)] * 2) for relief in (1.0, 6.0, 12.0)
+        SlideWitness().update([ImprintChange(0.8, 1.0, 0.2, relief, 0.03, (0.03, 0.0))] * 2)
+        for relief in (1.0, 6.0, 12.0)
     )
     assert strong < light
     assert faint - light < 0.5  # no sensor showed an imprint as faint; that it is hardly held is not known
@@ -73,7 +99,7 @@ def test_a_rim_that_slides_is_seen_beside_an_imprint_that_stays():
 
 
 def test_one_finger_alone_tells_no_slide():
-    assert SlideWitness().update([ImprintChange(1.0, 1.0, 1.0, 3.0, 0.01)]) is None
+    assert SlideWitness().update([ImprintChange(1.0, 1.0, 1.0, 3.0, 0.01, (0.1, 0.0))]) is None
 
 
 def test_frames_close_in_time_are_looked_at_once():
