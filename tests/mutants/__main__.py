@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import Queue
@@ -120,12 +121,36 @@ def mutants_page(report: dict) -> str:
 
         A change takes the opposite comparison, the inverse operator, another truth value, the next whole number, or
         one and a half times a constant and a little more. `<` becomes `<=` only between whole numbers: a measured
-        quantity never equals its limit, so there both are the same program. Tests were written against other seeds;
-        this one was drawn once, after them. These survived:
+        quantity never equals its limit, so there both are the same program. Tests are written against the survivors
+        of other seeds, never against those of the seed that is published.
         """
+    rooms = table(report["rooms"], ("room", "room"), ("changes", "count", "d"), ("killed", "killed", "d"))
     change = ("change", lambda row: f"`{row['before']}` -> `{row['after']}`")
     place = ("where", lambda row: f"`{row['module']}:{row['line']}`")
-    return page(opening, table(report["survivors"], place, change, ("what it shows", "judged")))
+    survivors = table(report["survivors"], place, change, ("what it shows", "judged"))
+    return page(opening, rooms, "## What survives", survivors)
+
+
+def by_room(chosen: list[Mutant], survivors: list[Mutant]) -> list[dict]:
+    """How many were drawn in each room, and how many of them were killed."""
+    drawn_n, left_n = (Counter(home_of(change) for change in some) for some in (chosen, survivors))
+    return [{"room": room, "count": drawn_n[room], "killed": drawn_n[room] - left_n[room]} for room in ROOMS]
+
+
+def home_of(change: Mutant) -> str:
+    return next(room for room in ROOMS if change.module.startswith(f"{room}/"))
+
+
+def report_of(seed: int, chosen: list[Mutant], survivors: list[Mutant], known: list[dict]) -> dict:
+    """What is published; what a person wrote about a survivor that is ``known`` stays."""
+    known_as = {(row["module"], row["before"], row["after"]): row["judged"] for row in known}
+    rows = []
+    for change in survivors:
+        row = {key: value for key, value in change._asdict().items() if key != "source"}
+        rows.append(row | {"judged": known_as.get((change.module, change.before, change.after), UNJUDGED)})
+    count, killed = len(chosen), len(chosen) - len(survivors)
+    rooms = by_room(chosen, survivors)
+    return {"seed": seed, "count": count, "killed": killed, "rooms": rooms, "survivors": rows}
 
 
 def main() -> int:
@@ -137,21 +162,18 @@ def main() -> int:
     parser.add_argument("--timeout-s", type=float, default=900, help="for the tests of a room (900)")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of the page and the JSON (docs/)")
     parser.add_argument("--scratch", type=Path, help="folder to keep copies and what they compile in (none)")
+    parser.add_argument("--page", action="store_true", help="try nothing: the page of the JSON, once it is judged")
     options = parser.parse_args()
-    chosen = drawn(options.count, options.seed)
-    with tempfile.TemporaryDirectory() as scratch:
-        survivors = tried(chosen, options.workers, options.timeout_s, options.scratch or Path(scratch))
-    survivors = [change._asdict() for change in survivors]
     path = options.out / f"{NAME}.json"
-    known = json.loads(path.read_text())["survivors"] if path.exists() else []
-    known_as = {(row["module"], row["before"], row["after"]): row["judged"] for row in known}
-    for row in survivors:
-        del row["source"]
-        row["judged"] = known_as.get((row["module"], row["before"], row["after"]), UNJUDGED)
-    killed = len(chosen) - len(survivors)
-    report = {"seed": options.seed, "count": len(chosen), "killed": killed, "survivors": survivors}
+    report = json.loads(path.read_text()) if path.exists() else {"survivors": []}
+    if not options.page:
+        chosen = drawn(options.count, options.seed)
+        with tempfile.TemporaryDirectory() as scratch:
+            survivors = tried(chosen, options.workers, options.timeout_s, options.scratch or Path(scratch))
+        report = report_of(options.seed, chosen, survivors, report["survivors"])
     publish(options.out, NAME, mutants_page(report), report)
-    print(f"{killed} of {len(chosen)} killed, {wilson(killed, len(chosen)):.1%}")
+    killed, count = report["killed"], report["count"]
+    print(f"{killed} of {count} killed, {wilson(killed, count):.1%}")
     return 0
 
 

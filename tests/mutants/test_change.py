@@ -1,4 +1,6 @@
 import ast
+import subprocess
+import sys
 
 import pytest
 
@@ -17,6 +19,28 @@ def test_comparisons_operators_and_booleans_are_among_the_changes() -> None:
         drawn.add(ast.unparse(node))
         setattr(node, field, kept)
     assert {"attempt != 1", "lost and late", "a * b + c", "1 + share * hit"} <= drawn
+
+
+@pytest.mark.parametrize(
+    ("compared", "both"), [("len(way) < 3", True), ("tried_n >= left_n", True), ("slid_mm < most_mm", False)]
+)
+def test_the_edge_itself_is_tried_between_whole_numbers_only(compared: str, both: bool) -> None:
+    compare = ast.parse(compared, mode="eval").body
+    assert sum(field == "ops" for node, field, _ in changes(compare) if node is compare) == 1 + both
+
+
+FORGETS = """
+import sys
+from robot_client.insertion import geometry, lease, machine
+from tests.mutants.forked import forget, importers
+forget("robot_client.insertion.lease", importers())
+from robot_client.insertion import geometry as same, lease as other, machine as anew
+sys.exit(not (same is geometry and other is not lease and anew is not machine and anew.ClockMap is other.ClockMap))
+"""
+
+
+def test_what_imports_a_changed_module_is_imported_anew_and_nothing_else() -> None:
+    assert subprocess.run([sys.executable, "-c", FORGETS], cwd=ROOT, check=False).returncode == 0
 
 
 def test_each_mutant_differs_from_the_module_in_one_line() -> None:
