@@ -22,7 +22,8 @@ import pytest
 PACKAGES = ("service", "robot_client", "simulation", "reporting", "training", "export", "tactile_insertion", "tests")
 FOLDERS = ("tests/service", "tests/robot_client")
 WARM = ("tests/service/decision/test_kept.py", "tests/service/perception/slip/test_open_gel.py")  # compile the physics
-USUAL = ["-x", "--tb=no", "--timeout=60", "-n", "0", "-m", "not slow", "-p", "no:cacheprovider", "--no-header"]
+USUAL = ["-x", "--tb=no", "--timeout=100", "-n", "0", "-m", "not slow", "-p", "no:cacheprovider", "--no-header"]
+POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # a fork has none of their threads
 FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/.*?)(?: - .*)?$", re.MULTILINE)
 
 
@@ -31,7 +32,7 @@ class Copy:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        quiet = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(root)}
+        quiet = dict.fromkeys(POOLS, "1") | {"PYTHONPATH": str(root)}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.mutants.forked"],
             cwd=root,
