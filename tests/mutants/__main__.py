@@ -58,22 +58,22 @@ def nearest_first(module: str) -> list[str]:
     return [str(file.relative_to(ROOT)) for file in files]
 
 
-def killer(change: Mutant, copy: Copy, timeout_s: float, sound: set[str]) -> str:
-    """The test that fails with the mutant and passes without it; empty if there is none.
+def killer(change: Mutant, copy: Copy, timeout_s: float, flaky: list[str]) -> str:
+    """The first test that fails with the mutant, but for those that are ``flaky``; empty if there is none."""
+    path, files = Path(change.module), nearest_first(change.module)
+    (copy.root / path).write_text(change.source)
+    failed = copy.failure(change.module, [*files, *(f"--deselect={test}" for test in flaky)], timeout_s)
+    shutil.copy2(ROOT / path, copy.root / path)
+    return failed
 
-    ``sound``: tests that have passed without any; it grows.
-    """
-    path, flaky, files = Path(change.module), list[str](), nearest_first(change.module)
-    while True:
-        (copy.root / path).write_text(change.source)
-        failed = copy.failure(change.module, [*files, *(f"--deselect={test}" for test in flaky)], timeout_s)
-        shutil.copy2(ROOT / path, copy.root / path)
-        if "tests/" not in failed or failed in sound:
-            return failed
-        if not copy.failure(change.module, [failed], timeout_s):
-            sound.add(failed)
-            return failed
-        flaky.append(failed)
+
+def failing(copy: Copy, tests: set[str], timeout_s: float) -> set[str]:
+    """Those of the tests that fail without any mutant, too."""
+    left, bad = set(tests), set[str]()
+    while left and (failed := copy.failure("", sorted(left), timeout_s)):
+        bad |= {failed} & left or left
+        left -= bad
+    return bad
 
 
 def copied(target: Path) -> Path:
@@ -86,27 +86,33 @@ def copied(target: Path) -> Path:
 
 
 def tried(chosen: list[Mutant], workers: int, timeout_s: float, scratch: Path) -> list[Mutant]:
-    """The mutants that survive; copies are made in ``scratch``."""
-    copies, sound = Queue[Copy](), set[str]()
+    """The mutants that survive; copies are made in ``scratch``. A test that fails without them kills none."""
+    copies, flaky, left, killed_by = Queue[Copy](), list[str](), chosen, dict[Mutant, str]()
 
     def attempt(change: Mutant) -> str:
         copy = copies.get()
         try:
-            return killer(change, copy, timeout_s, sound)
+            return killer(change, copy, timeout_s, flaky)
         finally:
             copies.put(copy)
 
-    survivors = []
     with ThreadPoolExecutor(workers) as pool:
         for worker in range(workers):
             copies.put(Copy(copied(scratch / str(worker))))
-        for change, failed in zip(chosen, pool.map(attempt, chosen), strict=True):
-            outcome = f"killed by {failed}" if failed else "SURVIVED"
-            print(f"{change.module}:{change.line}: {change.before} -> {change.after}: {outcome}", flush=True)
-            survivors += [] if failed else [change]
+        while left:
+            for change, failed in zip(left, pool.map(attempt, left), strict=True):
+                killed_by[change] = failed
+                outcome = f"killed by {failed}" if failed else "SURVIVED"
+                print(f"{change.module}:{change.line}: {change.before} -> {change.after}: {outcome}", flush=True)
+            copy = copies.get()
+            bad = failing(copy, {test for test in killed_by.values() if test.startswith("tests/")}, timeout_s)
+            copies.put(copy)
+            flaky += bad
+            left = [change for change in left if killed_by[change] in bad]
+            print("".join(f"fails without a mutant, too: {test}\n" for test in sorted(bad)), end="", flush=True)
         for _ in range(workers):
             copies.get().close()
-    return survivors
+    return [change for change in chosen if not killed_by[change]]
 
 
 def mutants_page(report: dict) -> str:

@@ -21,7 +21,10 @@ import pytest
 
 PACKAGES = ("service", "robot_client", "simulation", "reporting", "training", "export", "tactile_insertion", "tests")
 FOLDERS = ("tests/service", "tests/robot_client")
-WARM = ("tests/service/decision/test_kept.py", "tests/service/perception/slip/test_open_gel.py")  # compile the physics
+WARM = (  # compiles the physics; no session of onnxruntime, which does not live through a fork
+    "tests/service/perception/slip/test_open_gel.py",
+    "tests/golden/test_golden.py::test_probes_are_as_recorded",
+)
 USUAL = ["-x", "--tb=no", "--timeout=100", "-n", "0", "-m", "not slow", "-p", "no:cacheprovider", "--no-header"]
 POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # a fork has none of their threads
 FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/.*?)(?: - .*)?$", re.MULTILINE)
@@ -97,7 +100,7 @@ def run(request: dict, output: int, by: dict[str, set[str]]) -> None:
     os.dup2(output, 1)
     os.dup2(output, 2)
     sys.dont_write_bytecode = True
-    forget(request["module"].removesuffix(".py").replace("/", "."), by)
+    forget(request["module"].removesuffix(".py").replace("/", "."), by)  # no module: the tests alone
     code = pytest.main([*USUAL, *request["tests"]])
     sys.stdout.flush()
     os._exit(int(code))

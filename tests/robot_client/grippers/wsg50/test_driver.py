@@ -106,7 +106,7 @@ def test_what_is_held_is_let_go_of_by_a_release_and_open_fingers_move():
     assert asked == ["SYSTEM_LIMITS", "RELEASE", "MOVE"]
 
 
-def test_each_width_that_differs_by_a_tenth_is_told():
+def test_each_width_that_differs_by_a_tenth_is_reported():
     async def work(cell):
         await cell.started()
         await cell.driver.release(60.0)
@@ -215,11 +215,11 @@ def test_a_latched_fault_is_named_and_only_the_operator_clears_it():
         ({"wsg": {"silent": True}}, Failure, "silent"),
     ],
 )
-def test_trouble_during_an_insertion_is_told(fault, kind, code):
+def test_trouble_during_an_insertion_is_reported(fault, kind, code):
     async def work(cell):
         await cell.started()
         await cell.until(Width)
-        assert cell.events.empty(), "fingers that rest are told of once"
+        assert cell.events.empty(), "fingers that rest are reported once"
         cell.board.update(fault)
         event = await cell.until((PartLost, Failure))
         cell.board.update({"wsg": {"silent": False}})
@@ -258,4 +258,4 @@ def test_a_grasping_state_that_is_none_is_a_fault_of_the_protocol(value):
     driver._post = events.append
     driver._on_state(value)
     driver._on_state(value)
-    assert [event.code for event in events] == ["protocol"], "told once"
+    assert [event.code for event in events] == ["protocol"], "reported once"

@@ -1,7 +1,6 @@
 """Guidance datagram by datagram: what is answered, what is reported, and what freezes the arm for good."""
 
 import asyncio
-import math
 
 import pytest
 
@@ -168,19 +167,6 @@ def test_a_stream_that_is_no_longer_fit_freezes_the_arm_in_its_move(changes, cod
         cell.cycles(20, **changes)
         assert cell.codes == ([code] if code else [])
         assert (cell.arm.target().distance_mm(frozen) < 0.3) == bool(code)
-
-    played(story)
-
-
-def test_two_tilts_are_told_by_their_angle():
-    """From 2 deg on; the limit holds before guidance begins and during it."""
-
-    def story(cell):
-        half = math.radians(180.0 - 2.1) / 2.0
-        tilted = codec.Pose(5.0, 0.0, 60.0, math.cos(half), math.sin(half), 0.0, 0.0)
-        cell.cycles(2)
-        cell.arm._on_datagram(codec.encode_robot(codec.RobotState(9, 36, tilted)), 0.1)
-        assert cell.codes == ["tilt"]
 
     played(story)
 

@@ -126,9 +126,9 @@ def test_what_the_motion_server_answers_in_a_move_ends_it_where_that_is_no_arriv
     guard_says(arm, 1, stopped=False)
     arm._on_motion(answer)
     assert [event.code for event in events] == ([code] if code else [])
-    assert (arm._guard.sent[-1][0] == "S") == bool(code), "the guard is told to stop"
+    assert (arm._guard.sent[-1][0] == "S") == bool(code), "the guard is asked to stop"
     arm._on_motion(answer)
-    assert len(events) == len([code] if code else []), "told once"
+    assert len(events) == len([code] if code else []), "reported once"
 
 
 def test_an_arrival_is_reported_with_the_position_that_was_asked_for_after_it(clock):
