@@ -115,6 +115,15 @@ def test_no_stamp_is_ever_taken_for_younger_than_it_is(offset_s, trips):
         now_s += pause_s
 
 
+@pytest.mark.parametrize(("millionths", "holds"), [(100, True), (-100, True), (300, False), (-300, False)])
+def test_two_quartz_clocks_may_drift_apart_by_a_hundred_millionths_and_not_by_three(millionths, holds):
+    """Over 1,000 s, both read without any delay."""
+    begun = ClockMap.read(wire.Clock(sent_ns=0, service_ns=0), 0.0)
+    service_ns = 10**12 + millionths * 10**6
+    later = ClockMap.read(wire.Clock(sent_ns=10**12, service_ns=service_ns), 1000.0)
+    assert (begun.narrowed(later) is not None) == holds
+
+
 def test_a_clock_that_stood_still_or_jumped_holds_the_arm():
     """A suspended client comes back with a clock behind: a frame from before would look young."""
     state, _ = descending()

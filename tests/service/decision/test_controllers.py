@@ -1,3 +1,4 @@
+import itertools
 import time
 
 import numpy as np
@@ -6,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.contract.wire import Limits
-from service.decision.belief import USUAL, stated
+from service.decision.belief import USUAL, _peaks, stated
 from service.decision.controllers import Belief, Heuristic, axis_command, make_controller
 from service.decision.evidence import Density, Evidence, Refusal
 from tests.service.decision.toy_loop import LIMITS, evidence, mean_trials
@@ -115,6 +116,16 @@ def test_a_moves_cost_counts_the_next_attempt_its_miss_and_the_miss_of_the_best_
     hits = grid._outlines.hits(by_outline)
     expected = 1 + after_one.sum() + both
     assert grid._two_step_cost(by_outline, hits, row, column) == pytest.approx(expected, abs=1e-9)
+
+
+@given(st.integers(0, 10**6))
+def test_the_candidates_of_a_move_lie_apart_best_first(seed: int) -> None:
+    """By more than 4 mm or 6 deg, in cells of a half."""
+    hits = np.random.default_rng(seed).random((89, 89))
+    peaks = _peaks(hits)
+    for (row, column), (other_row, other_column) in itertools.combinations(peaks, 2):
+        assert abs(row - other_row) > 8 or abs(column - other_column) > 12
+        assert hits[row, column] > hits[other_row, other_column]
 
 
 def test_contradicting_evidence_falls_back_to_the_heuristic() -> None:

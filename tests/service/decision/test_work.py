@@ -131,3 +131,13 @@ def test_nobody_is_told_that_it_is_enough_twice_or_at_rest() -> None:
     (message,) = enough_message(attempt)
     assert message.pressed_mm == 1.2
     assert [*enough_message(attempt)] == []
+
+
+def test_of_an_attempt_that_nothing_moved_in_its_reference_is_kept() -> None:
+    attempt = descent()
+    assert attempt.arrays()["frames"].shape[:2] == (1, 2)
+    assert attempt.arrays()["frame_seq"].tolist() == [0]
+    assert str(attempt.arrays()["decision"]) == "{}"
+    assert descent(reference=None).arrays() == {}
+    moved = [replace(pair(), left=replace(pair().left, seq=seq)) for seq in (4, 5)]
+    assert descent(decision_pairs=moved).arrays()["frames"].shape[:2] == (2, 2)
