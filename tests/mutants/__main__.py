@@ -127,8 +127,8 @@ def mutants_page(report: dict) -> str:
 
         A change takes the opposite comparison, the inverse operator, another truth value, the next whole number, or
         one and a half times a constant and a little more. `<` becomes `<=` only between whole numbers: a measured
-        quantity never equals its limit, so there both are the same program. Tests are written against the survivors
-        of other seeds, never against those of the seed that is published.
+        quantity never equals its limit, so there both are the same program. The figure counts because the tests were
+        written before the seed was drawn; what its survivors taught came after.
         """
     rooms = table(report["rooms"], ("room", "room"), ("changes", "count", "d"), ("killed", "killed", "d"))
     change = ("change", lambda row: f"`{row['before']}` -> `{row['after']}`")
