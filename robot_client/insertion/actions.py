@@ -103,6 +103,7 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
         gripper_width_mm=state.width_mm,
         grip_n=plan.grip_n,
         shear_reach_mm=plan.shear_reach_mm,
+        press_mm=plan.pace.press_mm,
         until_slip=plan.until_slip and plan.purpose == "probe",
     )
     deadline_s = at_s + plan.timeouts.arming_s

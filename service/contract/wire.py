@@ -100,7 +100,9 @@ class Arm(_Message):
     ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them, the lever arm
     of the edge's friction; None if nobody knows it. ``gripper_width_mm``: how far apart the fingers are; None if the
     gripper does not tell. ``grip_n`` is their force, ``shear_reach_mm`` how far the gel shears before it slides.
-    ``until_slip``: press on until the gel slides, deeper than a decision needs, to learn what the gel is like.
+    ``press_mm``: how far to press before the arm is stopped, None for the service's choice: further tells more, and
+    leaves the object more turned in the hand. ``until_slip``: press on until the gel slides, deeper than a decision
+    needs, to learn what the gel is like.
     """
 
     type: Literal["arm"] = "arm"
@@ -111,6 +113,7 @@ class Arm(_Message):
     shear_reach_mm: float | None = Field(default=None, gt=0, le=100)
     expected_depth_mm: float = Field(gt=0, le=1000)
     gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
+    press_mm: float | None = Field(default=None, ge=0.6, le=3.0)
     until_slip: bool = False
 
 

@@ -267,7 +267,7 @@ class Attempt:
                 return []
             pairs = list(self.ring)
             self.decision_pairs += pairs[index:]
-            self.descent = Descent(card, self.conditions(), self.arm.until_slip)
+            self.descent = Descent(card, self.conditions(), self.arm.press_mm, self.arm.until_slip)
             fresh = self.descent.begin(pairs, index)
         self.steps += fresh
         return fresh

@@ -20,7 +20,8 @@ from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
 Floats = NDArray[np.float32]
 FELT, FELT_BY_N = 0.1, 10  # a press moves so many lattice points by this share of itself; an object that sags, fewer
 UNTIL_SLIP_N = 20  # steps of a press until slip, at most
-REACHES, FEWEST_N = 2.0, 4  # an attempt presses by so many shear reaches where they are told, and steps at least
+PRESS_MM = 0.75  # more tells little, and leaves more turn in the hand
+REACHES, FEWEST_N = 2.0, 4  # an attempt presses by no more shear reaches where they are known, but by these steps
 
 
 def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
@@ -60,11 +61,13 @@ class PressedFinger:
 class Descent:
     """The steps of depth of one attempt. ``speed_mm_s`` None: the client did not tell, and no depth is known.
 
-    ``until_slip``: it presses on after the last step that the networks read.
+    ``press_mm``: how far it presses, `PRESS_MM` where nobody asks for more or less. ``until_slip``: it presses on after
+    the last step that the networks read.
     """
 
     card: ModelCard
     conditions: dict[str, float | None]
+    press_mm: float | None = None
     until_slip: bool = False
     problem: Refusal | None = None
     _steps: DepthSteps | None = None
@@ -93,14 +96,15 @@ class Descent:
 
     @property
     def worth_n(self) -> int:
-        """As many steps as the networks read, fewer where the gel slides before: what turns then stays turned."""
+        """As many steps as is pressed by, fewer where the gel slides before: what turns then stays turned."""
         spec, reach_mm = self.card.pressing, self.conditions.get("shear_reach_mm")
         assert spec is not None
         if self.until_slip:
             return UNTIL_SLIP_N
-        if not reach_mm:
-            return spec.steps_n
-        return min(spec.steps_n, max(FEWEST_N, round(REACHES * reach_mm / spec.step_mm)))
+        press_mm = self.press_mm or PRESS_MM
+        if reach_mm:
+            press_mm = min(press_mm, REACHES * reach_mm)
+        return min(spec.steps_n, max(FEWEST_N, round(press_mm / spec.step_mm)))
 
     @property
     def pressed_mm(self) -> float:

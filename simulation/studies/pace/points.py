@@ -36,11 +36,13 @@ def client(
     *,
     air_mm_s: float = 80.0,
     lift_mm: float = 3.0,
+    press_mm: float | None = None,
     brisk: bool = False,
 ) -> Tables:
     """Tables of a client, by default what ships; ``brisk``: harder ramps."""
+    pace = {"fast_mm_s": fast_mm_s, "fast_travel_mm": longest_travel_mm(fast_mm_s), "lift_mm": lift_mm}
     return {
-        "pace": {"fast_mm_s": fast_mm_s, "fast_travel_mm": longest_travel_mm(fast_mm_s), "lift_mm": lift_mm},
+        "pace": pace | ({"press_mm": press_mm} if press_mm else {}),
         "ramps": {
             "travel": ramp(air_mm_s, 600.0, 10000.0) if brisk else ramp(air_mm_s, 300.0, 5000.0),
             "retract": ramp(40.0, 600.0, 10000.0) if brisk else ramp(25.0, 200.0, 4000.0),
@@ -51,7 +53,7 @@ def client(
 
 
 POINTS = (
-    Point(BEFORE, client(10.0, NO_LEGS_MM_S, air_mm_s=55.0, lift_mm=APPROACH_MM)),
+    Point(BEFORE, client(10.0, NO_LEGS_MM_S, air_mm_s=55.0, lift_mm=APPROACH_MM, press_mm=1.2)),
     Point(SHIPPED, client()),
     Point("quick: legs of 25 mm/s, 120 in the air", client(5.0, 25.0, air_mm_s=120.0, brisk=True)),
 )

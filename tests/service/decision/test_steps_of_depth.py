@@ -45,15 +45,21 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
 
 
 def first_attempt(
-    models: ModelSet, *, told_reach: bool = False, until_slip: bool = False, **changes: float
+    models: ModelSet,
+    *,
+    told_reach: bool = False,
+    until_slip: bool = False,
+    press_mm: float | None = None,
+    **changes: float,
 ) -> tuple[Insertion, Messages]:
     """An insertion that is blocked at first, played until its first answer, and all that the service said."""
     soft = {"gel.friction": 1.0, "gel.shear_modulus_n_per_mm2": 0.08}
     job = Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", soft | changes, told_reach=told_reach)
     insertion, replies = stage(job, models), Messages()
-    if until_slip:
-        plan = insertion.state.plan.model_copy(update={"purpose": "probe", "until_slip": True})
-        insertion.state = State(plan)
+    plan = insertion.state.plan
+    asked = {"purpose": "probe", "until_slip": True} if until_slip else {}
+    pace = plan.pace.model_copy(update={"press_mm": press_mm})
+    insertion.state = State(plan.model_copy(update={"pace": pace, **asked}))
     hear = insertion._hear
 
     def listen(messages: Messages) -> None:
@@ -79,26 +85,34 @@ def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..
     assert answers(replies)[:2] == ["enough", "correction"]
     enough = next(message for message in replies if isinstance(message, wire.Enough))
     spacing_mm = 10.0 / fps
-    depth_mm = models.card.pressing.depth_mm
-    assert depth_mm <= enough.pressed_mm < depth_mm + spacing_mm
+    assert network_input.PRESS_MM <= enough.pressed_mm < network_input.PRESS_MM + spacing_mm
 
 
-@pytest.mark.parametrize(("reach_mm", "steps_n"), [(None, 8), (0.05, 4), (0.3, 4), (0.45, 6), (2.0, 8)])
-def test_a_gel_that_slides_soon_is_pressed_less_where_that_is_told(made, reach_mm: float | None, steps_n: int) -> None:
+@pytest.mark.parametrize(
+    ("reach_mm", "press_mm", "steps_n"),
+    [
+        (None, None, 5), (0.05, None, 4), (0.3, None, 4), (2.0, None, 5),
+        (None, 1.2, 8), (0.45, 1.2, 6), (None, 3.0, 8),
+    ],
+)  # fmt: skip
+def test_a_press_goes_as_far_as_asked_but_no_deeper_than_the_gel_sticks_and_the_networks_read(
+    made, reach_mm: float | None, press_mm: float | None, steps_n: int
+) -> None:
     card = made().steps[0].card
-    assert network_input.Descent(card, {"shear_reach_mm": reach_mm}).worth_n == steps_n
+    assert network_input.Descent(card, {"shear_reach_mm": reach_mm}, press_mm).worth_n == steps_n
 
 
 def test_a_press_until_slip_goes_on_after_what_the_networks_read(made: Callable[..., ModelSet]) -> None:
     models = made()
-    _, usual = first_attempt(models)
+    _, usual = first_attempt(models, press_mm=1.2)
     insertion, replies = first_attempt(models, until_slip=True)
     attempt, read_n = insertion.session.attempt, models.card.pressing.steps_n
     assert answers(replies)[0] == "slip"
     assert read_n < len(attempt.steps) < network_input.UNTIL_SLIP_N
     assert attempt.descent.pressed_mm > models.card.pressing.depth_mm
-    decided = [next(one for one in heard if isinstance(one, wire.Correction)) for heard in (usual, replies)]
-    assert decided[0].estimate == decided[1].estimate
+    decided = next(one for one in replies if isinstance(one, wire.Correction))
+    as_deep = next(one for one in usual if isinstance(one, wire.Correction))
+    assert decided.estimate == as_deep.estimate
 
 
 def test_a_press_until_slip_ends_where_nothing_slips(made: Callable[..., ModelSet]) -> None:
