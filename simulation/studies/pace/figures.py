@@ -48,13 +48,13 @@ def _percent(right: list[float]) -> Estimate:
 def _pressing(data: Row) -> Panel:
     """Direction over the time that pressing takes, and what deciding as soon as it is sure would give."""
     speed = next(p for p in data["points"] if p["name"] == SHIPPED)["client"]["ramps"]["descend"]["speed_mm_s"]
-    kept, ships_mm = data["kept"], data["kept"]["ships_mm"]
+    kept, reads_mm = data["kept"], data["kept"]["reads_mm"]
     fixed = []
     for name, right in kept["depths"].items():
         depth = float(name.removeprefix("test, ").removesuffix(" mm"))
-        fixed.append(Mark(f"{depth:g} mm", exact(depth / speed), _percent(right), depth == ships_mm))
+        fixed.append(Mark(f"{depth:g} mm", exact(depth / speed), _percent(right), depth == kept["press_mm"]))
     sure = [
-        Mark(_how_sure(name), exact(ships_mm * (1 - row["saved"]) / speed), _percent(row["right"]))
+        Mark(_how_sure(name), exact(reads_mm * (1 - row["saved"]) / speed), _percent(row["right"]))
         for name, row in kept["sure"].items()
         if name in EARLY
     ]

@@ -5,6 +5,7 @@ from pathlib import Path
 from reporting.files import read_json
 from reporting.statistics import wilson
 from service.contract.shipped import released_models
+from service.decision.network_input import PRESS_MM
 from simulation.closed_loop.play import models_of
 from simulation.closed_loop.statistics import Row
 
@@ -25,7 +26,8 @@ def kept(docs: Path) -> Row:
     bench, depths, check, slip = (read_json(docs / f"{name}.json", made_by) for name, made_by in PARTS.items())
     pressing = models_of(released_models()).card.pressing
     return {
-        "ships_mm": round(pressing.depth_mm, 6) if pressing else None,
+        "reads_mm": round(pressing.depth_mm, 6) if pressing else None,
+        "press_mm": PRESS_MM,
         "networks": [_network(row["folder"], row["cpu_p50_ms"]) for row in bench["alexnet"]["rows"]],
         "builds": [
             {
