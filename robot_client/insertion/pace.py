@@ -10,6 +10,7 @@ from pydantic import Field
 
 from robot_client.insertion.limits import Leg, LimitError, Limits, Positive
 from service.contract.frames import Contract
+from service.contract.wire import PRESS_MM
 
 
 class Tops(NamedTuple):
@@ -29,8 +30,7 @@ class Pace(Contract):
     ``fast_mm_s``: speed away from the tops, None for the probing speed all the way, as for one that is no faster than
     probing. ``fast_travel_mm``: the motion lease of a descent with fast legs, beside ``lease.travel_mm``. ``above_mm``
     and ``below_mm``: how far around the tops the descent probes. ``lift_mm``: how far above the tops an attempt that
-    ended near them is taken up, None for up to the approach. ``press_mm``: how far an attempt presses, None for the
-    service's choice.
+    ended near them is taken up, None for up to the approach. ``press_mm``: how far an attempt presses after its touch.
     """
 
     fast_mm_s: Positive | None = 10.0
@@ -38,7 +38,7 @@ class Pace(Contract):
     above_mm: float = Field(default=2.0, ge=1.0)  # how well the tops are known, and what an object is pressed by
     below_mm: float = Field(default=4.0, ge=3.0)
     lift_mm: float | None = Field(default=3.0, ge=2.0)
-    press_mm: float | None = Field(default=None, ge=0.6, le=3.0)  # as in the message `arm`
+    press_mm: float = Field(default=PRESS_MM, ge=0.6, le=3.0)  # as in the message `arm`
 
     def check(self, limits: Limits) -> None:
         """Raise LimitError for a fast speed beyond the limits."""

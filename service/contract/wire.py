@@ -18,6 +18,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from service.contract.frames import ContractError, Finger, first_error
 from service.contract.wire_parts import (
     MAX_ATTEMPTS,
+    PRESS_MM,
     Attempt,
     CameraEntry,
     Cause,
@@ -45,6 +46,7 @@ from service.contract.wire_parts import InsertionMessage as _Message
 
 __all__ = [
     "MAX_ATTEMPTS",
+    "PRESS_MM",
     "Attempt",
     "CameraEntry",
     "Cause",
@@ -100,9 +102,7 @@ class Arm(_Message):
     ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them, the lever arm
     of the edge's friction; None if nobody knows it. ``gripper_width_mm``: how far apart the fingers are; None if the
     gripper does not tell. ``grip_n`` is their force, ``shear_reach_mm`` how far the gel shears before it slides.
-    ``press_mm``: how far to press before the arm is stopped, None for the service's choice: further tells more, and
-    leaves the object more turned in the hand. ``until_slip``: press on until the gel slides, deeper than a decision
-    needs, to learn what the gel is like.
+    ``press_mm``: how far to press after the touch. ``until_slip``: press on until the gel slides, to learn about it.
     """
 
     type: Literal["arm"] = "arm"
@@ -113,7 +113,7 @@ class Arm(_Message):
     shear_reach_mm: float | None = Field(default=None, gt=0, le=100)
     expected_depth_mm: float = Field(gt=0, le=1000)
     gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
-    press_mm: float | None = Field(default=None, ge=0.6, le=3.0)
+    press_mm: float = Field(default=PRESS_MM, ge=0.6, le=3.0)
     until_slip: bool = False
 
 

@@ -79,6 +79,7 @@ def errors_left(moves: Sequence[tuple[float, float]]) -> list[tuple[float, float
 
 
 MAX_ATTEMPTS = 15
+PRESS_MM = 0.75  # after the touch, unless asked for more or less: docs/decisions/0079-the-depth-of-a-decision.md
 Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
 
 

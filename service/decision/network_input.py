@@ -20,7 +20,6 @@ from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
 Floats = NDArray[np.float32]
 FELT, FELT_BY_N = 0.1, 10  # a press moves so many lattice points by this share of itself; an object that sags, fewer
 UNTIL_SLIP_N = 20  # steps of a press until slip, at most
-PRESS_MM = 0.75  # more tells little, and leaves more turn in the hand
 REACHES, FEWEST_N = 2.0, 4  # an attempt presses by no more shear reaches where they are known, but by these steps
 
 
@@ -61,13 +60,12 @@ class PressedFinger:
 class Descent:
     """The steps of depth of one attempt. ``speed_mm_s`` None: the client did not tell, and no depth is known.
 
-    ``press_mm``: how far it presses, `PRESS_MM` where nobody asks for more or less. ``until_slip``: it presses on after
-    the last step that the networks read.
+    ``press_mm``: how far it presses. ``until_slip``: it presses on after the last step that the networks read.
     """
 
     card: ModelCard
     conditions: dict[str, float | None]
-    press_mm: float | None = None
+    press_mm: float
     until_slip: bool = False
     problem: Refusal | None = None
     _steps: DepthSteps | None = None
@@ -101,9 +99,7 @@ class Descent:
         assert spec is not None
         if self.until_slip:
             return UNTIL_SLIP_N
-        press_mm = self.press_mm or PRESS_MM
-        if reach_mm:
-            press_mm = min(press_mm, REACHES * reach_mm)
+        press_mm = min(self.press_mm, REACHES * reach_mm) if reach_mm else self.press_mm
         return min(spec.steps_n, max(FEWEST_N, round(press_mm / spec.step_mm)))
 
     @property

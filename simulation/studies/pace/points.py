@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from service.contract.wire import PRESS_MM
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.client import longest_travel_mm
 from simulation.closed_loop.job import job_in
@@ -36,13 +37,13 @@ def client(
     *,
     air_mm_s: float = 80.0,
     lift_mm: float = 3.0,
-    press_mm: float | None = None,
+    press_mm: float = PRESS_MM,
     brisk: bool = False,
 ) -> Tables:
     """Tables of a client, by default what ships; ``brisk``: harder ramps."""
-    pace = {"fast_mm_s": fast_mm_s, "fast_travel_mm": longest_travel_mm(fast_mm_s), "lift_mm": lift_mm}
+    fast_travel_mm = longest_travel_mm(fast_mm_s)
     return {
-        "pace": pace | ({"press_mm": press_mm} if press_mm else {}),
+        "pace": {"fast_mm_s": fast_mm_s, "fast_travel_mm": fast_travel_mm, "lift_mm": lift_mm, "press_mm": press_mm},
         "ramps": {
             "travel": ramp(air_mm_s, 600.0, 10000.0) if brisk else ramp(air_mm_s, 300.0, 5000.0),
             "retract": ramp(40.0, 600.0, 10000.0) if brisk else ramp(25.0, 200.0, 4000.0),

@@ -49,7 +49,7 @@ def first_attempt(
     *,
     told_reach: bool = False,
     until_slip: bool = False,
-    press_mm: float | None = None,
+    press_mm: float = wire.PRESS_MM,
     **changes: float,
 ) -> tuple[Insertion, Messages]:
     """An insertion that is blocked at first, played until its first answer, and all that the service said."""
@@ -85,18 +85,18 @@ def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..
     assert answers(replies)[:2] == ["enough", "correction"]
     enough = next(message for message in replies if isinstance(message, wire.Enough))
     spacing_mm = 10.0 / fps
-    assert network_input.PRESS_MM <= enough.pressed_mm < network_input.PRESS_MM + spacing_mm
+    assert wire.PRESS_MM <= enough.pressed_mm < wire.PRESS_MM + spacing_mm
 
 
 @pytest.mark.parametrize(
     ("reach_mm", "press_mm", "steps_n"),
     [
-        (None, None, 5), (0.05, None, 4), (0.3, None, 4), (2.0, None, 5),
+        (None, 0.75, 5), (0.05, 0.75, 4), (0.3, 0.75, 4), (2.0, 0.75, 5),
         (None, 1.2, 8), (0.45, 1.2, 6), (None, 3.0, 8),
     ],
 )  # fmt: skip
 def test_a_press_goes_as_far_as_asked_but_no_deeper_than_the_gel_sticks_and_the_networks_read(
-    made, reach_mm: float | None, press_mm: float | None, steps_n: int
+    made, reach_mm: float | None, press_mm: float, steps_n: int
 ) -> None:
     card = made().steps[0].card
     assert network_input.Descent(card, {"shear_reach_mm": reach_mm}, press_mm).worth_n == steps_n
