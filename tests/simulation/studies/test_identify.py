@@ -78,8 +78,8 @@ def test_the_recordings_of_a_cell_become_a_world_file(played, tmp_path, capsys):
     assert set(content["gel"]) == {one.key for one in posterior.PARAMETERS}
     assert content["posterior"]["made_by"].startswith("python -m simulation scene fit")
     unknown = [key for key, one in content["gel"].items() if not one["known"]]
-    assert out.read_text().count("not told by the probes") == len(unknown)
-    assert capsys.readouterr().out.count("not told by the probes") == len(unknown)
+    assert out.read_text().count("not determined by the probes") == len(unknown)
+    assert capsys.readouterr().out.count("not determined by the probes") == len(unknown)
 
 
 def test_the_shipped_posterior_knows_the_stiffness_of_a_cell_that_it_was_not_fitted_to(played):
