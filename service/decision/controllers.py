@@ -132,7 +132,7 @@ class Belief:
 
 
 def _pair(values: tuple[float, float]) -> str:
-    return f"({values[0]:+.1f} mm, {values[1]:+.1f} deg)"
+    return f"({values[0]:+z.1f} mm, {values[1]:+z.1f} deg)"
 
 
 def make_controller(
