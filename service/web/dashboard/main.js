@@ -5,6 +5,7 @@ import { drawAbove, drawSide } from "/dashboard/place.js";
 import { listPast } from "/dashboard/history.js";
 
 const clock = (seconds) => new Date(1000 * seconds).toLocaleTimeString("en-GB");
+const SILENT_MS = 5000;
 let newest = null;
 let grew = { count: undefined, at: -Infinity };
 
@@ -86,18 +87,26 @@ function view() {
   if (history) listPast();
 }
 
+// The service sends its state every second. A link that is half open never closes, so silence ends it, too.
 function connect() {
   const socket = new WebSocket(withToken(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/v1/live`));
-  socket.onmessage = ({ data }) => {
-    const { kind, content } = JSON.parse(data);
-    if (kind === "status") show(content);
-    else drawFelt(at(content.finger), at(`${content.finger}-state`), content);
-  };
-  socket.onclose = () => {
+  let patience = setTimeout(lost, SILENT_MS);
+  function lost() {
+    clearTimeout(patience);
+    socket.onmessage = socket.onclose = null;
+    socket.close();
     at("headline").className = "stop";
     at("words").textContent = "The page has no connection to the service";
     at("detail").textContent = "What is shown below is old. It connects again by itself.";
     setTimeout(connect, 1000);
+  }
+  socket.onclose = lost;
+  socket.onmessage = ({ data }) => {
+    clearTimeout(patience);
+    patience = setTimeout(lost, SILENT_MS);
+    const { kind, content } = JSON.parse(data);
+    if (kind === "status") show(content);
+    else drawFelt(at(content.finger), at(`${content.finger}-state`), content);
   };
 }
 

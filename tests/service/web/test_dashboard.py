@@ -6,6 +6,7 @@ import re
 import shutil
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -14,6 +15,7 @@ import httpx
 import pytest
 
 from service.contract import wire
+from simulation.studies.motion_bounds.relay import Relay
 from tests.service import tiny_models
 from tests.service.client import Driver
 from tests.service.conftest import LiveService
@@ -250,6 +252,17 @@ def test_a_cut_camera_is_seen_at_once_and_stays_an_alarm(live: LiveService, page
     wait_until(page, "document.getElementById('open-alarms').textContent === ''")
     assert page.request.get(live.url("/favicon.ico")).status == 200
     assert page.problems == []
+
+
+def test_a_link_that_hangs_is_no_state_of_the_cell(live: LiveService, browser: Any) -> None:
+    """Of a half-open link the page would show for ever what was last; it says so, and connects again by itself."""
+    with closing(Relay.to(live.url(""))) as relay, closing(browser.new_page()) as page:
+        page.goto(f"{relay.url}/")
+        wait_until(page, "document.querySelectorAll('#health .good').length >= 2")
+        relay.misbehave("half open")
+        says(page, "no connection to the service")
+        relay.misbehave("fair")
+        wait_until(page, "document.getElementById('headline').className !== 'stop'")
 
 
 def test_the_policy_stops_what_is_not_ours(live: LiveService, page: Any, browser: Any) -> None:
