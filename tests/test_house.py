@@ -15,7 +15,7 @@ FILES = [
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 VAGUE = {"told", "said", "seen", "found", "judge", "judged", "verdict", "plate", "seat"}
 KEYS = {"robot_client/session/commission.py: said"}  # of files that cells have written
-MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, P90_FUNCTION_LINES = 12, 300, 50, 20
+MOST_MODULES, MOST_LINES, MOST_FUNCTION_LINES, P90_FUNCTION_LINES, MOST_COLUMNS = 12, 300, 50, 20, 100
 
 
 def functions(path: Path) -> list[tuple[int, str]]:
@@ -64,3 +64,20 @@ def test_names_say_what_they_hold():
         if name.strip("_").lower() in VAGUE
     }
     assert sorted(vague - KEYS) == []
+
+
+def test_prose_wraps_at_a_hundred_columns():
+    """But for code, tables, pictures and headings, which have no line ends to choose, and single long words."""
+    pages = [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").rglob("*.md"),
+        *(page for p in PACKAGES for page in (ROOT / p).rglob("*.md")),
+    ]
+    wide = [
+        f"{page.relative_to(ROOT)}: {line}"
+        for page in pages
+        for block in page.read_text().split("```")[::2]
+        for line in block.splitlines()
+        if len(line) > MOST_COLUMNS and " " in line.strip() and not line.lstrip().startswith(("|", "!", "#", "<"))
+    ]
+    assert wide == []
