@@ -28,7 +28,7 @@ APPROACH_MM, CLEAR_MM = 5.0, 50.0
 CLOSING_STEPS = 6
 TOUCH_MM = 0.05  # how far the fingers close beyond first touch before they push
 THROUGH = 0.9  # of the thickness: small strains mean nothing there
-HALVINGS = 4
+DIVISIONS, FIRST = 4, 0.125  # where the hand turns back, a stiff contact gives its force away within micrometres
 FAILED_N = 120  # solves of a grasp. Insertions that end need none, each costs seconds; one took minutes a millimetre
 LOST_MM, LOST_GRIP = 12.0, 0.1
 YAW_ARM_MM = 40.0  # a yaw counts as the arc at this radius
@@ -184,7 +184,7 @@ class ForeignCell:
         return float(heights.min() - max(0.0, float(self.bodies.block_place[:, 2].max())))
 
     def _advance(self, target: Array, depth: int = 0) -> None:
-        """One load step, halved where it must be. Raises PhysicsError."""
+        """One load step, its first part alone where it must be. Raises PhysicsError."""
         if self._drops():
             self.grasp_lost, self.pose = True, target.copy()
             self.bodies.hand = hand_at(target)
@@ -197,13 +197,13 @@ class ForeignCell:
             return
         self.bodies.beside, self.bodies.hand = beside, before
         self._failed_n += 1
-        if depth == HALVINGS or self._failed_n > FAILED_N:
+        if depth == DIVISIONS or self._failed_n > FAILED_N:
             raise PhysicsError(
                 f"scene {self.scene.name!r}: no equilibrium within {TOLERANCE_N} N at TCP "
                 f"{np.round(target[:3], 3).tolist()} mm",
                 "forces unbalanced",
             )
-        self._advance(0.5 * (self.pose + target), depth + 1)
+        self._advance(self.pose + FIRST * (target - self.pose), depth + 1)
         if not self.grasp_lost:
             self._advance(target, depth + 1)
 

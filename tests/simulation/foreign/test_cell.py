@@ -180,3 +180,25 @@ def test_a_grasp_that_seldom_comes_to_rest_ends_before_it_costs_an_hour(monkeypa
     monkeypatch.setattr(ForeignCell, "_rests", lambda self, *step: next(calls) % 3 != 0 and solve(self, *step))
     with pytest.raises(PhysicsError, match="no equilibrium"):
         lowered(cell, 2.0)
+
+
+STIFF_AND_SLIPPERY = {
+    "object__size_x_mm": 110.0, "object__size_y_mm": 110.0, "object__mass_kg": 0.356,
+    "gel__poisson_ratio": 0.457849, "gel__crown_mm": 0.079925, "gel__wear": 0.052874, "gel__margin_mm": [1.222, 0.605],
+    "gel__friction": 0.5035, "gel__thickness_mm": 1.834, "gel__shear_modulus_n_per_mm2": 0.145,
+    "grasp__height_mm": 39.243308, "grasp__force_n": 15.39, "blocks__friction": 0.23444,
+    "blocks__stiffness_n_per_mm": 2565.0, "blocks__mass_kg": 0.8458, "blocks__free": True, "blocks__gap_mm": 114.0,
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_hand_that_turns_back_leaves_a_stiff_edge():
+    """Of the sealed test: the edge gives its 8 N away within 4 um of the way up, and no longer step found rest."""
+    cell = ForeignCell(load_scene("hexagon", **STIFF_AND_SLIPPERY), 235987039957034)
+    cell.regrasp(1.059766456402902, 5.91789177702516)
+    x, y, yaw = 2.577501653717265, 1.3244280139746556, 4.843439691756368
+    for z in (44.2433, 38.1566, 38.0784, 38.0373, 37.9591, 37.918, 37.8397, 37.7987, 37.7204, 37.6793, 37.6389):
+        assert cell.move_to(x, y, z, yaw).residual_n <= TOLERANCE_N
+    assert cell.bodies.touching
+    assert cell.move_to(x, y, 44.0, yaw).residual_n <= TOLERANCE_N
+    assert not cell.bodies.touching
