@@ -1,7 +1,10 @@
-"""Files that survive a kill: temporary file, fsync, rename, fsync of the folder; JSON on top of them; and logs."""
+"""Files that survive a kill: temporary file, fsync, rename, fsync of the folder; JSON and CSV on top; and logs."""
 
+import csv
+import io
 import json
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,16 @@ def write_durably(path: Path, data: bytes) -> None:
 
 def write_json(path: Path, data: Any) -> None:
     write_durably(path, (json.dumps(data, indent=1) + "\n").encode())
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """A table with a line of titles, those of the first row; sequences are joined by semicolons."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({k: "; ".join(map(str, v)) if isinstance(v, list | tuple) else v for k, v in row.items()})
+    write_durably(path, text.getvalue().encode())
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:

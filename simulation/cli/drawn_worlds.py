@@ -1,20 +1,21 @@
 """`drawn-worlds` and `sealed`: the closed loop where nobody trained; `draw-worlds`, `draw-objects`: files for it."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from reporting.files import write_durably
+from reporting.files import write_csv, write_durably
 from reporting.page import publish
 from service.contract.shipped import released_models
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
 from simulation.closed_loop.campaign import fingerprint
 from simulation.closed_loop.job import Perception
+from simulation.closed_loop.statistics import Row
 from simulation.scene import drawn
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.worlds import World, load_scene
@@ -103,8 +104,8 @@ class SealedOptions:
     """Play the sealed test of a release: worlds and starts follow from the networks' bytes and a counter.
 
     Results go to OUT/insertions.jsonl as they come; the same command goes on where it was interrupted, and a larger
-    --count adds to it. The report goes to DOCS/foreign_world.md and .json, the last pictures of what
-    failed to foreign_failures.png. All figures are simulated.
+    --count adds to it. The report goes to DOCS/foreign_world.md and .json, every insertion to
+    .csv, the last pictures of what failed to foreign_failures.png. All figures are simulated.
     """
 
     out: Path = Path("runs/sealed")
@@ -117,8 +118,12 @@ class SealedOptions:
     """which test of this release; a release is judged by the first"""
     count: int = 100
     """insertions a family, at most 500"""
-    beside: tuple[Literal["bristle", "layer"], ...] = ("bristle",)
-    """tiers of our own physics that play the same starts, after the finite elements"""
+    beside: tuple[Literal["bristle", "layer", "older", "oracle"], ...] = ("bristle",)
+    """who plays the first starts afterwards: tiers of our own physics; in the elements OLDER and an oracle"""
+    beside_count: int = 0
+    """insertions a family of each of these, a multiple of 5; 0 for all"""
+    older: Path = Path("models")
+    """folder of an earlier release"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
     """processes; 0 takes every core"""
 
@@ -128,20 +133,36 @@ def sealed(arguments: list[str]) -> int:
     options = tyro.cli(SealedOptions, args=arguments, prog="tactile-insertion sealed")
     if not 1 <= options.count <= test.WORLDS * test.EACH:
         raise ValueError(f"--count {options.count}: expected 1 to {test.WORLDS * test.EACH}")
+    if options.beside_count % test.EACH or options.beside_count < 0:
+        raise ValueError(f"--beside-count {options.beside_count}: expected a multiple of {test.EACH}, or 0 for all")
     if not list(options.models.glob("*.step.onnx")):
         raise ValueError(f"--models {options.models}: no *.step.onnx there; expected the folder of a release")
-    seal, cells = test.seal(options.models, options.counter), (test.WITNESS, *options.beside)
-    campaign.claim(options.out, {**campaign.fingerprint({"release": options.models}), "seal": seal})
-    begun = test.opened(seal, drawn_objects(options.out, test.WORLDS, test.seed_of(seal, "objects")), options.count)
-    todo = test.tasks(seal, options.models, begun, cells)
-    rows = campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers)
-    setup = {"seal": seal, "counter": options.counter, "count": options.count}
-    data = test.report_of(rows, begun, cells, setup)
-    if failed := [row for row in rows[: len(begun)] if not (row["inserted"] or row["void"])]:
+    seal = test.seal(options.models, options.counter)
+    networks = {"release": options.models, **({"older": options.older} if "older" in options.beside else {})}
+    campaign.claim(options.out, {**campaign.fingerprint(networks), "seal": seal})
+    objects = drawn_objects(options.out, test.WORLDS, test.seed_of(seal, "objects"))
+    begun = test.opened(seal, objects, options.count)
+    played = dict(_sealed_rows(options, seal, begun))
+    data = test.report_of(played, begun, {"seal": seal, "counter": options.counter, "count": options.count})
+    if failed := [row for row in played[test.WITNESS] if not (row["inserted"] or row["void"])]:
         data["pictures"] = "foreign_failures.png"
         failures.draw(failed, options.models, options.docs / data["pictures"])
     sys.stdout.write(publish(options.docs, "foreign_world", foreign_world_page(data), data))
+    write_csv(options.docs / "foreign_world.csv", test.table_of(played, begun))
     return 0
+
+
+def _sealed_rows(options: SealedOptions, seal: str, begun: Sequence[test.Opened]) -> Iterator[tuple[str, list[Row]]]:
+    """The rows of the release in the elements, then of who plays beside it: of the first of the same starts."""
+    first = begun[: len(test.FAMILIES) * (options.beside_count or options.count)]
+    for cell in (test.WITNESS, *options.beside):
+        todo = test.tasks(
+            seal,
+            options.older if cell == "older" else options.models,
+            begun if cell == test.WITNESS else first,
+            cell,
+        )
+        yield cell, campaign.run(todo, options.out / "insertions.jsonl", workers=options.workers)
 
 
 @dataclass(frozen=True)

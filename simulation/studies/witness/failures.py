@@ -16,12 +16,16 @@ from simulation.closed_loop.statistics import Row
 from simulation.scene.state import PhysicsError
 from simulation.studies.witness.sealed_page import cause
 
-ACROSS = 3
+ACROSS, MOST = 3, 6
 Image = NDArray[np.uint8]
 
 
 def draw(rows: Sequence[Row], models: Path, file: Path) -> None:
-    """Write both fingers' last frames of rows that failed, each under its world and cause, to a PNG."""
+    """Write both fingers' last frames of rows that failed, each under its world and cause, to a PNG.
+
+    Of many the first, untrue claims before all others.
+    """
+    rows = sorted(rows, key=lambda row: not row["claimed"])[:MOST]
     down = -(-len(rows) // ACROSS)
     with drawing(file, down, ACROSS, size=(11, 2.6 * down)) as panels:
         for panel in panels.flat:

@@ -1,6 +1,6 @@
 """The sealed test: worlds and starts that follow from the released networks' own bytes, so that nobody chooses them.
 
-Played in the cell of finite elements, and in our own tiers beside it from the same starts.
+Played in the cell of finite elements. Our own tiers, an earlier release and the oracle play the first starts beside it.
 """
 
 import hashlib
@@ -30,6 +30,15 @@ FAMILIES: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "stiff and slippery": {**RUBBER, "reach": (0.0, 0.3), "friction": (0.0, 0.3)},
 }
 WITNESS = "finite elements"
+ALIKE = "the same starts"  # of WITNESS, where what plays beside it plays fewer
+FOREIGN = {"cell": "foreign"}
+BESIDE: Mapping[str, Mapping[str, str]] = {
+    "bristle": {},
+    "layer": {},
+    "older": FOREIGN,
+    "oracle": {**FOREIGN, "controller": "oracle"},
+}
+"""What plays beside the release, and fields of its jobs: tiers of our own physics; in the elements other deciders."""
 
 
 class Opened(NamedTuple):
@@ -70,41 +79,47 @@ def opened(sealed: str, objects: Sequence[str], count: int) -> list[Opened]:
     ]
 
 
-def tasks(sealed: str, models: Path, begun: Sequence[Opened], cells: Sequence[str]) -> list[Task]:
-    """Every start in every cell: WITNESS or a tier of our own physics."""
-    return [
-        Task(models, _job(seed_of(sealed) + index, index, start, cell))
-        for cell in cells
-        for index, (_, start) in enumerate(begun)
-    ]
+def tasks(sealed: str, models: Path, begun: Sequence[Opened], cell: str) -> list[Task]:
+    """Every start in one cell: WITNESS or one of BESIDE."""
+    return [Task(models, _job(seed_of(sealed) + index, index, start, cell)) for index, (_, start) in enumerate(begun)]
 
 
 def _job(seed: int, index: int, start: Start, cell: str) -> dict[str, Any]:
-    own = cell != WITNESS
-    changes = {**start.world.changes, **({"gel.tier": cell} if own else {})}
+    fields = FOREIGN if cell == WITNESS else BESIDE[cell]
+    changes = {**start.world.changes, **({} if fields else {"gel.tier": cell})}
     at, title = (start.x_mm, start.theta_deg), f"{start.world.name}: {cell}"
-    options = {"condition": title, "changes": changes, "cell": "" if own else "foreign"}
+    options = {"condition": title, "changes": changes, "cell": "", **fields}
     return job_in(start.world, start.scene, index, at, seed, **options)
 
 
-def report_of(rows: Sequence[Row], begun: Sequence[Opened], cells: Sequence[str], setup: Row) -> Row:
-    """What the page is written from: every insertion, and the figures of each cell and family."""
-    by_cell = {cell: rows[place * len(begun) : (place + 1) * len(begun)] for place, cell in enumerate(cells)}
+def report_of(played: Mapping[str, Sequence[Row]], begun: Sequence[Opened], setup: Row) -> Row:
+    """What the page is written from: the figures of each cell and family, and every failure in the elements.
+
+    ``played``: the rows of WITNESS of all of ``begun``, and those of others, maybe of its first ones alone.
+    """
+    families, least = [each.family for each in begun], min(map(len, played.values()))
+    alike = {ALIKE: played[WITNESS][:least]} if least < len(begun) else {}
+    shown = {WITNESS: played[WITNESS], **alike, **played}
     return {
         "simulated": True,
         **setup,
-        "figures": list(_figures(by_cell, [each.family for each in begun])),
-        "insertions": {cell: [_compact(row, each) for row, each in zip(mine, begun, strict=True)]
-                       for cell, mine in by_cell.items()},
-    }  # fmt: skip
+        "figures": [row for cell, rows in shown.items() for row in _figures(cell, rows, families)],
+        "failed": [row for row in table_of({WITNESS: played[WITNESS]}, begun) if not row["inserted"]],
+    }
 
 
-def _figures(by_cell: Mapping[str, Sequence[Row]], families: Sequence[str]) -> Iterator[Row]:
-    for cell, rows in by_cell.items():
-        for family in ("all", *FAMILIES):
-            mine = [row for row, of in zip(rows, families, strict=True) if family in ("all", of)]
-            yield {"cell": cell, "family": family, **ends(mine), **first_answers(mine),
-                   "worst_force_n": max(row["course"]["force_n"] for row in mine)}  # fmt: skip
+def table_of(played: Mapping[str, Sequence[Row]], begun: Sequence[Opened]) -> list[Row]:
+    """A row of plain values for every insertion."""
+    return [
+        {"cell": cell, **_compact(*pair)} for cell, rows in played.items() for pair in zip(rows, begun, strict=False)
+    ]
+
+
+def _figures(cell: str, rows: Sequence[Row], families: Sequence[str]) -> Iterator[Row]:
+    for family in ("all", *FAMILIES):
+        mine = [row for row, of in zip(rows, families, strict=False) if family in ("all", of)]
+        yield {"cell": cell, "family": family, **ends(mine), **first_answers(mine),
+               "worst_force_n": max(row["course"]["force_n"] for row in mine)}  # fmt: skip
 
 
 def _compact(row: Row, each: Opened) -> Row:
@@ -113,10 +128,12 @@ def _compact(row: Row, each: Opened) -> Row:
     return {
         "world": each.start.world.name,
         "object": f"{body.shape} {body.size_x_mm:.0f} x {body.size_y_mm:.0f} mm, {body.mass_kg:g} kg",
-        "start": [round(each.start.x_mm, 2), round(each.start.theta_deg, 2)],
+        "start_x_mm": round(each.start.x_mm, 2),
+        "start_yaw_deg": round(each.start.theta_deg, 2),
         "reach_pitches": round(each.start.reach_pitches, 3),
         **{name: row[name] for name in kept},
-        "final_error": [round(value, 2) for value in row["final_error"]],
+        "end_x_mm": round(row["final_error"][0], 2),
+        "end_yaw_deg": round(row["final_error"][1], 2),
         "force_n": round(row["course"]["force_n"], 1),
         "block_mm": round(row["course"]["block_mm"], 2),
     }

@@ -44,15 +44,21 @@ def test_more_insertions_begin_with_the_same_ones_and_families_differ():
 
 
 def test_the_page_begins_with_what_is_missed_and_lists_every_failure(release):
-    begun = sealed.opened("seal", OBJECTS, 5)
-    cells = (sealed.WITNESS, "bristle")
-    rows = [row_of(task.job) for task in sealed.tasks("seal", release, begun, cells)]
+    begun = sealed.opened("seal", OBJECTS, 10)
+    played = {
+        cell: [row_of(task.job) for task in sealed.tasks("seal", release, first, cell)]
+        for cell, first in ((sealed.WITNESS, begun), ("bristle", begun), ("oracle", begun[:15]))
+    }
+    rows = played[sealed.WITNESS]
     rows[3] |= {"inserted": False, "shortfalls": ("it is tilted by 2.5 deg, below 2 counts",)}
     rows[4] |= {"inserted": False, "claimed": False, "reason": "service: contradictory"}
-    data = sealed.report_of(rows, begun, cells, {"seal": "seal", "counter": 1, "count": 5})
-    assert [row["insertions"] for row in data["figures"]] == [15, 5, 5, 5] * 2
+    data = sealed.report_of(played, begun, {"seal": "seal", "counter": 1, "count": 10})
+    by_cell = {row["cell"]: row["insertions"] for row in data["figures"] if row["family"] == "all"}
+    assert by_cell == {sealed.WITNESS: 30, sealed.ALIKE: 15, "bristle": 30, "oracle": 15}
+    assert [row["reason"] for row in data["failed"]] == ["", "service: contradictory"]
+    assert len(sealed.table_of(played, begun)) == 30 + 30 + 15
     text = foreign_world_page(data)
-    assert text.index("**Missed:** 1 of 15 insertions ended in a claim that was not true") < text.index("Reached")
+    assert text.index("**Missed:** 1 of 30 insertions ended in a claim that was not true") < text.index("Reached")
     assert "claimed, but it is tilted by x deg, below 2 counts" in text
     assert "service: contradictory" in text
 
