@@ -95,8 +95,8 @@ def _others(data: Row) -> str:
 
 
 _OTHERS = {
-    "older": "in the elements the [networks before depth](decisions/0075-depth-instead-of-frames.md)",
-    "oracle": "and an oracle, which moves by the true error",
+    "older": "in the elements also the [networks before depth](decisions/0075-depth-instead-of-frames.md)",
+    "oracle": "an oracle, which moves by the true error",
 }
 _TITLES = {ALIKE: f"{WITNESS}, {ALIKE}", "older": f"{WITNESS}, release before", "oracle": f"{WITNESS}, oracle"}
 _FIGURES: tuple[Any, ...] = (
