@@ -25,7 +25,7 @@ from service.contract.wire import (
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.network_input import Descent
 from service.decision.seating import Push, push_of
-from service.decision.turning import hangs_turned
+from service.decision.turning import LastingTurn
 from service.perception.observation import FingerWatch, Observation, PairObservation
 from service.perception.slip.onset import OnsetDetector
 
@@ -82,13 +82,13 @@ class Attempt:
     """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones.
 
     ``fed``: the networks were given the last of their input. ``stop_ns``: capture of the frame that stopped the arm.
-    ``left_deg``: how far earlier attempts have left the object turned.
+    ``turn``: what earlier attempts have left of a turn of the object.
     """
 
     arm: Arm
     armed_ns: int
     generation: int
-    left_deg: float = 0.0
+    turn: LastingTurn = field(default_factory=LastingTurn)
     stage: Stage = Stage.ARMING
     reference: PairObservation | None = None
     armed: Armed | None = None
@@ -149,7 +149,7 @@ class Attempt:
             return self.refusal("nothing_held", why)
         if why := implausible_width(self.arm):
             return self.refusal("implausible_width", why)
-        if why := hangs_turned(both, self.left_deg):
+        if why := self.turn.lifted(both):
             return self.refusal("turned_in_hand", why)
         self.reference, self.stage = both, Stage.ARMED
         self.ring.append(both)

@@ -6,14 +6,14 @@ a doubt. One doubt is enough for "not confirmed".
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from service.contract.wire import Cause, Doubt, DoubtReason
 from service.decision.attempt import Attempt
 from service.decision.seating import Push, seating_evidence, strongest_push
-from service.decision.turning import TURNED_DEG, lasting_turn_deg, turned_going_in
+from service.decision.turning import LastingTurn, turned_going_in
 from service.perception.observation import WEIGHED_SHARE, PairObservation
 
 Doubts = tuple[Doubt, ...]
@@ -22,7 +22,7 @@ FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was
 WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; gel gives way by less
 BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry,
 BLIND_MM = 2.5  # or as long as a slow arm takes for this
-SLID_MM = 0.9  # where the object slid further than this, nothing shows how far it turned
+SLID_MM = 0.8  # where the object slid further than this, nothing shows how far it turned
 LATE_S = 0.075  # that pictures may come late: what the arm turns meanwhile slides before anything shows it
 PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
 
@@ -33,30 +33,20 @@ class GraspRecord:
 
     ``width_mm`` is the gripper's at the first arming. ``blocked_pitch``: the strongest push that the gels carried in
     the attempts that were blocked, marker pitches. ``pressed_mm``: the furthest that a blocked attempt went on after
-    its contact. ``turned_deg``: the expected sum of what those attempts have left of a turn, signed as the left finger
-    shows it.
+    its contact. ``turn``: what those attempts have left of a turn.
     """
 
     width_mm: float | None = None
     blocked_pitch: float = 0.0
     pressed_mm: float = 0.0
-    turned_deg: float = 0.0
+    turn: LastingTurn = field(default_factory=LastingTurn)
 
     def blocked(self, attempt: Attempt) -> None:
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
         late_mm = LATE_S * max(attempt.speed_mm_s or 0.0, went_mm_s(attempt))
         followed = late_mm + slid_mm(attempt) <= SLID_MM
-        self.turned_deg += lasting_turn_deg(attempt.ring[-1] if attempt.ring and followed else None)
-
-    @property
-    def turned(self) -> str:
-        """Why the object has to be taken afresh before the next attempt, or nothing."""
-        if abs(self.turned_deg) <= TURNED_DEG:
-            return ""
-        if math.isnan(self.turned_deg):
-            return "the gels do not show whether the last attempt has turned the object in the hand"
-        return f"the blocked attempts have turned the object in the hand by about {abs(self.turned_deg):.1f} deg"
+        self.turn.pressed(attempt.ring[-1] if attempt.ring and followed else None)
 
 
 def went_mm_s(attempt: Attempt) -> float:
@@ -189,7 +179,7 @@ def _pushed(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
 
 
 def _moved_in_hand(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
-    if attempt.ring and (why := turned_going_in(attempt.ring[-1], attempt.reference, grasp.turned_deg)):
+    if attempt.ring and (why := turned_going_in(attempt.ring[-1], attempt.reference, grasp.turn.deg)):
         yield _doubt("moved_in_hand", why)
     if not grasp.pressed_mm <= PRESSED_MM:
         detail = f"an attempt went on for {grasp.pressed_mm:.1f} mm after its contact: the object was moved in the hand"

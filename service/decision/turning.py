@@ -1,11 +1,13 @@
 """How far an object hangs turned in the hand, and how far a blocked attempt has left it so.
 
-Where the gels still stick in the middle, the markers there turn with the object; nearer to the rim of the contact they
-have let go. What the object has turned beyond what the contact as a whole carries has slid: it stays when the arm goes
-up, and nothing shows it any more. What its own weight turns shows against the open gels, as long as it hangs.
+While an attempt presses, the markers in the middle of the contact turn with the object; nearer to the rim they have let
+go. When the arm goes up, the gels stick and turn the object back by as much as they carry. What it turned beyond that
+has slid: it stays, and nothing shows it any more. What its own weight turns shows against the open gels, as long as it
+hangs.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +17,8 @@ from service.perception.observation import Observation, PairObservation
 TURNED_DEG = 0.6  # an object counts as upright up to 2 deg, and the expectation errs by 0.25 deg an attempt
 HANGS_DEG = 0.5  # shown by the markers; more has slid. Upright ones in drawn cells show 0.15 deg at most
 CARRIED = 0.25  # of the largest motion: markers that move by more are carried by the object
-GIVEN_BACK = 1.1  # of what the contact carries, the gels turn back
-BEYOND_SHOWN = 1.4  # times what the core shows: it follows the object less than all the way
+GIVEN_BACK = 1.08  # times what the markers show, the gels turn the object back;
+BEYOND_SHOWN = 1.3  # times the rest stays: markers follow an object less than all the way
 GOING_IN_DEG = 0.5  # at full depth, since the descent began. Objects that stand free show 0.15 deg at most
 STANDS_DEG = 0.7  # at full depth, with what earlier attempts have left
 FEWEST_N = 4  # markers that determine a turn
@@ -57,32 +59,66 @@ def turned_going_in(both: PairObservation, hung: PairObservation | None, left_de
     return ""
 
 
-def lasting_turn_deg(both: PairObservation | None) -> float:
-    """What stays in the hand of the turn that the markers show at standstill, deg, signed as the left finger shows it.
+@dataclass(slots=True)
+class LastingTurn:
+    """What the blocked attempts with one grasp have left of a turn.
 
-    ``both``: the last pair of a blocked attempt. Both fingers see the same turn from opposite sides; one that has let
-    go shows less of it, so the larger counts. NaN where one does not show it, for want of markers that went with the
-    object: held by an edge, or seen by a slow camera. Against 494 blocked attempts in drawn cells (bristle tier,
-    simulated; BEYOND_SHOWN is fitted to them, GIVEN_BACK to 1,131 presses by 1.65 mm) it correlates by 0.94 with what
-    stayed and errs by 0.25 deg, by 0.8 deg in one of a hundred. No reach has to be known.
+    ``deg``: the expected sum, signed as the left finger shows it, known as soon as the object hangs free again; NaN
+    where the gels do not show it.
     """
-    if both is None:
-        return math.nan
-    left, right = both.fingers
-    object_rad = max(left.slip.angle_rad, -right.slip.angle_rad, key=abs)
-    carried_rad = 0.5 * (_carried_rad(left) - _carried_rad(right))
-    slid_rad = abs(object_rad) - GIVEN_BACK * math.copysign(1.0, object_rad) * carried_rad
-    if not math.isfinite(slid_rad):
-        return math.nan
-    return BEYOND_SHOWN * math.degrees(math.copysign(max(0.0, slid_rad), object_rad))
+
+    deg: float = 0.0
+    _pressed: PairObservation | None = None
+
+    def pressed(self, both: PairObservation | None) -> None:
+        """An attempt was blocked, ``both`` its last pair; None if that does not show how far the object turned."""
+        self._pressed = both
+        if both is None:
+            self.deg = math.nan
+
+    def lifted(self, both: PairObservation) -> str:
+        """Take in how the object hangs, free again; why it has to be taken afresh before the next attempt, or nothing.
+
+        Of the pairs after a blocked attempt the first counts.
+        """
+        if self._pressed is not None:
+            self.deg += lasting_turn_deg(self._pressed, both)
+            self._pressed = None
+        return self._too_far() or hangs_turned(both, self.deg)
+
+    def _too_far(self) -> str:
+        if abs(self.deg) <= TURNED_DEG:
+            return ""
+        if math.isnan(self.deg):
+            return "the gels do not show whether the last attempt has turned the object in the hand"
+        return f"the blocked attempts have turned the object in the hand by about {abs(self.deg):.1f} deg"
 
 
-def _carried_rad(observation: Observation) -> float:
-    """The mean turn of all markers in a finger's contact, by least squares; NaN where there are too few."""
-    slip, contact = observation.slip, observation.slip.sticking | observation.slip.slipping
+def lasting_turn_deg(pressed: PairObservation, lifted: PairObservation) -> float:
+    """What stays in the hand of the turn that a blocked attempt made, deg, signed as the left finger shows it.
+
+    ``pressed``: the last pair of the attempt, ``lifted``: one of the object hanging free after it. Both fingers
+    see the same turn from opposite sides; one that has let go shows less of it, so the larger counts. NaN where one
+    does not show it, for want of markers that went with the object: held by an edge, or seen by a slow camera. The two
+    factors are fitted, see docs/decisions/0112.
+    """
+    left, right = pressed.fingers
+    turns_deg = math.degrees(left.slip.angle_rad), -math.degrees(right.slip.angle_rad)
+    back_deg = _both_deg(*map(_back_rad, pressed.fingers, lifted.fingers))
+    if not np.isfinite([*turns_deg, back_deg]).all():
+        return math.nan
+    return BEYOND_SHOWN * (max(turns_deg, key=abs) - GIVEN_BACK * back_deg)
+
+
+def _back_rad(pressed: Observation, lifted: Observation) -> float:
+    """How far the markers in a finger's contact turned back when the object was lifted; NaN where too few are seen."""
+    slip, before, after = pressed.slip, pressed.field, lifted.field
+    if before.valid.shape != after.valid.shape:
+        return math.nan
+    contact = (slip.sticking | slip.slipping) & before.valid & after.valid
     if contact.sum() < FEWEST_N:
         return math.nan
-    return slip.angle_rad + _turn_rad(observation.field.rest_px[contact], slip.residual_px[contact])
+    return _turn_rad(before.rest_px[contact], (before.displacement_px - after.displacement_px)[contact])
 
 
 def _shown_rad(observation: Observation) -> float:

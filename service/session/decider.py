@@ -35,9 +35,7 @@ class Decider:
     consistency: Consistency | None = field(default_factory=Consistency)
 
     def before_descending(self, attempt: Attempt) -> list[wire.Refused]:
-        """What forbids an attempt whatever its frames will show: the grasp, or a cell that the networks do not know."""
-        if why := self.grasp.turned:
-            return [attempt.refusal("turned_in_hand", why)]
+        """What forbids an attempt whatever its frames will show: a cell that the networks do not know."""
         spec = self.models.card.pressing
         why = spec.outside(attempt.conditions()) if spec else ""
         return [attempt.refusal("untrained", why)] if why else []

@@ -129,7 +129,7 @@ class InsertionSession:
         if message.attempt == 1:
             self.decider.grasp.width_mm = message.gripper_width_mm
         self._generation += 1
-        self.attempt = Attempt(message, now_ns, self._generation, self.decider.grasp.turned_deg)
+        self.attempt = Attempt(message, now_ns, self._generation, self.decider.grasp.turn)
         return [*self.decider.before_descending(self.attempt)]
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:

@@ -21,7 +21,7 @@ from tests.service.decision.test_claim import blocked, descent, pair, reasons
 from tests.service.decision.test_consistency import BLIND, GOOD, REVERSED, correction
 from tests.service.decision.test_consistency import pair as turned_pair
 from tests.service.decision.test_controllers import certain
-from tests.service.decision.test_turning import hanging, last
+from tests.service.decision.test_turning import FREE, hanging, last
 from tests.service.decision.toy_loop import LIMITS
 from tests.service.tiny_models import CLASSES
 
@@ -123,10 +123,12 @@ def test_turns_are_told_from_the_same_size_on() -> None:
     answers = {
         "hangs": [bool(hangs_turned(hanging(turn))) for turn in turns_deg],
         "left": [bool(hangs_turned(hanging(0.0), turn)) for turn in turns_deg],
-        "went in": [bool(turned_going_in(last(math.radians(turn), 0.0), None)) for turn in turns_deg],
-        "stands": [bool(turned_going_in(last(0.0, 0.0), None, turn)) for turn in turns_deg],
+        "went in": [bool(turned_going_in(last(math.radians(turn)), None)) for turn in turns_deg],
+        "stands": [bool(turned_going_in(last(0.0), None, turn)) for turn in turns_deg],
         "around": [hangs_turned(hanging(0.9, around)) for around in (0.0, 0.1, 0.2, 0.3, 0.5)],
-        "lasts": [lasting_turn_deg(last(turn, share * turn)) for turn in (0.02, -0.05) for share in (0.1, 0.4, 0.9)],
+        "lasts": [
+            lasting_turn_deg(last(turn, share * turn), FREE) for turn in (0.02, -0.05) for share in (0.1, 0.4, 0.9)
+        ],
         "one-sided": [one_sided(turned_pair(left, 1.0)) for left in np.arange(0.05, 2.0, 0.05)],
         "one-sided, small": [one_sided(turned_pair(left, 0.9 * left)) for left in np.arange(0.05, 2.0, 0.05)],
     }
@@ -185,9 +187,9 @@ def test_a_simulated_insertion_is_answered_as_it_was(name: str) -> None:
             if message.type in NOTED:
                 content = message.model_dump(mode="json")
                 answers.append([message.type, *(content[field] for field in NOTED[message.type])])
-            if message.type in {"correction", "no_decision"} and insertion.session.decider:
+            if message.type in {"armed", "refused"} and insertion.session.decider:
                 grasp = insertion.session.decider.grasp
-                answers.append([grasp.turned_deg, grasp.blocked_pitch, grasp.pressed_mm])
+                answers.append([grasp.turn.deg, grasp.blocked_pitch, grasp.pressed_mm])
         hear(messages)
 
     insertion._hear = listen  # type: ignore[method-assign]

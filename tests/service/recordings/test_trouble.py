@@ -68,7 +68,8 @@ def test_a_recording_that_is_being_written_is_no_problem(own: LiveService) -> No
     driver = Driver(own, "under-way")
     driver.until("hello")
     assert listed(own) == ([], [])
-    assert driver.insert(1).outcome == "inserted"
+    finished = driver.insert(1)
+    assert finished.outcome == "inserted", finished
     driver.close()
 
 
