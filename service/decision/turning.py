@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.perception.observation import Observation, PairObservation
 
-TURNED_DEG = 0.6  # an object counts as upright up to 2 deg, and the expectation errs by 0.25 deg an attempt
+TURNED_DEG = 0.6  # an object counts as upright up to 2 deg, and the expectation errs by 0.15 deg an attempt
 HANGS_DEG = 0.5  # shown by the markers; more has slid. Upright ones in drawn cells show 0.15 deg at most
 CARRIED = 0.25  # of the largest motion: markers that move by more are carried by the object
 GIVEN_BACK = 1.08  # times what the markers show, the gels turn the object back;
