@@ -27,14 +27,15 @@ def draw(rows: Sequence[Row], models: Path, file: Path) -> None:
     """
     rows = sorted(rows, key=lambda row: not row["claimed"])[:MOST]
     down = -(-len(rows) // ACROSS)
-    with drawing(file, down, ACROSS, size=(11, 2.6 * down)) as panels:
+    with drawing(file, down, ACROSS, size=(11, 2.0 * down)) as panels:
         for panel in panels.flat:
             panel.axis("off")
         for done, (panel, row) in enumerate(zip(panels.flat, rows, strict=False)):
             sys.stderr.write(f"{done}/{len(rows)} failures played again\n")
             panel.imshow(_last_frames(row, models)[..., ::-1])
             world = row["condition"].partition(":")[0]
-            panel.set_title(f"{world}\n{textwrap.shorten(row['reason'] or cause(row), 52)}", fontsize=7)
+            why = textwrap.shorten(row["reason"] or cause(row), 100)
+            panel.set_title(f"{world}\n{textwrap.fill(why, 58)}", fontsize=7)
 
 
 def _last_frames(row: Row, models: Path) -> Image:
