@@ -15,7 +15,6 @@ from simulation.cell.run import RunOptions, Start, loop
 from simulation.studies.motion_bounds.faults import Bench, Fault, Phase
 from simulation.studies.motion_bounds.relay import Relay
 
-SPEED_MM_S = 10.0
 BOUND_MM, MOST_N = 1.5, 25.0
 AIR_MM = 1.5  # below the approach pose
 END_S, SETTLE_S, STOP_S = 60.0, 0.4, 0.3

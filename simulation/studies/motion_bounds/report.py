@@ -4,7 +4,7 @@ from typing import Any
 
 from reporting.page import page
 from reporting.table import table
-from simulation.studies.motion_bounds.play import BOUND_MM, MOST_N, SPEED_MM_S
+from simulation.studies.motion_bounds.play import BOUND_MM, MOST_N
 
 NAME = "motion_bounds"
 Rows = list[dict[str, Any]]
@@ -21,8 +21,8 @@ def bounds_page(data: dict[str, Any]) -> str:
         While it descends, the arm goes on only for frames that were judged
         ([the motion lease](decisions/0051-motion-lease.md)). Here live insertions are broken on purpose: simulated
         cell, service and client are processes of their own and speak over sockets, a relay between service and client
-        makes the bad network, and the arm descends at {SPEED_MM_S:g} mm/s with a lag of 20 ms. Everything is
-        simulated. `make trust-live` writes this page.
+        makes the bad network, and the arm descends as shipped: at 10 mm/s, at 5 mm/s around the blocks' tops, with a
+        lag of 20 ms. Everything is simulated. `make trust-live` writes this page.
         """,
         f"""
         {len(rows)} broken insertions, {met} of them in the phase that was asked for. Of the {len(bounded)} that the
