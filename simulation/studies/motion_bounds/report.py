@@ -17,7 +17,7 @@ def bounds_page(data: dict[str, Any]) -> str:
     worst = max(bounded, key=lambda row: row["travel_mm"])
     return page(
         "# How far the arm moves after nobody looks any more",
-        f"""
+        """
         While it descends, the arm goes on only for frames that were judged
         ([the motion lease](decisions/0051-motion-lease.md)). Here live insertions are broken on purpose: simulated
         cell, service and client are processes of their own and speak over sockets, a relay between service and client
