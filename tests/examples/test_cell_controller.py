@@ -81,7 +81,10 @@ def stop_service(cell, _):
 
 
 def stop_ourselves(_cell, _proxy):
-    """The controller's own process stands still for a second; what ends the descent is the arm's watchdog."""
+    """The controller's own process stands still for a second; what ends the descent is the arm's watchdog.
+
+    These cameras stand still with it: what the service says of them may be read first.
+    """
     ours = os.getpid()
     subprocess.run(["sh", "-c", f"kill -STOP {ours}; sleep 1; kill -CONT {ours}"], check=True)
 
@@ -90,7 +93,7 @@ FIRST_COPY_MM = SLOW_MM_S / 15.0  # it looks new, and a frame is as far from the
 FREQUENT = {"service stopped", "camera stalled", "link half open", "nonsense"}
 FAULTS = {
     "service stopped": (stop_service, "unwatched"),
-    "controller stopped": (stop_ourselves, "unwatched"),
+    "controller stopped": (stop_ourselves, "unwatched|turned_in_hand"),
     "camera stalled": (camera("stalled"), "unwatched|no_reference|turned_in_hand"),
     "camera frozen": (camera("frozen"), "unwatched|no_reference|turned_in_hand"),
     "camera frozen beneath fresh noise": (camera("repeated"), "unwatched|no_reference|turned_in_hand"),

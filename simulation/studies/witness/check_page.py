@@ -44,7 +44,7 @@ def foreign_check_page(data: Row) -> str:
         f"""
         ## Hard probes
 
-        {_hard(data["hard"])}
+        {_hard(data["hard"]) if data["hard"] else "None were played."}
 
         Made by `python -m simulation foreign-check --out docs`, and the last by `hard-probes --tier foreign`.
         """,
