@@ -40,6 +40,7 @@ class Options(PlayOptions):
     docs: Path = Path("runs/drawn_worlds")
     count: int = 300
     """insertions a variant"""
+    objects: tyro.conf.Suppress[tuple[str, ...]] = PlayOptions.objects
     perception: Perception = "fields"
     drawn_n: int = 300
     """how many worlds are drawn by Latin hypercube"""

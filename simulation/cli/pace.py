@@ -14,6 +14,7 @@ from service.contract.shipped import released_models
 from simulation.cli.drawn_worlds import drawn_objects, drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
+from simulation.closed_loop.job import Perception
 from simulation.scene.worlds import World, load_objects, load_world
 from simulation.studies.drawn_worlds import Start, starts
 from simulation.studies.pace import choose as choosing
@@ -41,6 +42,8 @@ class Options(PlayOptions):
     count: int = 200
     """starts"""
     seed: int = 85
+    objects: tyro.conf.Suppress[tuple[str, ...]] = PlayOptions.objects
+    perception: tyro.conf.Suppress[Perception] = "fields"
     draw: bool = False
     """play nothing: write the page and its figure again from DOCS/pace.json"""
 

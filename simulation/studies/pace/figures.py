@@ -11,6 +11,8 @@ CELLS = {"bristle", "layer", "layer with edges", "finite elements, 4 x 4 x 1, lo
     f"finite elements, {mesh} x 2, load step 0.17 mm" for mesh in ("6 x 6", "8 x 8")
 }
 
+FRONT = "on the front"
+FAMILIES = FRONT, "beaten", "not for every cell"
 EARLY = ("test, 0.6", "test, 0.8")  # from how sure on a decision might be made at once
 
 
@@ -18,6 +20,12 @@ def figures(data: Row, front: AbstractSet[str]) -> list[Panel]:
     """All panels of the page, from its data and the names of the choices on the front."""
     kept = data["kept"]
     return [*_boxes(data, front), _pressing(data), _networks(kept), _builds(kept), _tiers(kept)]
+
+
+def _family(point: Row, front: AbstractSet[str]) -> str:
+    if point["needs"]:
+        return FAMILIES[2]
+    return FAMILIES[0] if point["name"] in front else FAMILIES[1]
 
 
 def _boxes(data: Row, front: AbstractSet[str]) -> list[Panel]:
@@ -30,9 +38,10 @@ def _boxes(data: Row, front: AbstractSet[str]) -> list[Panel]:
             short = point["name"].split(":")[0]
             return Mark(short, Estimate(*point["seconds_a_box"]), up, point["name"] == SHIPPED)
 
-        best, rest = ([mark(p) for p in points if (p["name"] in front) == held] for held in (True, False))
-        both = Series("on the front", best, joined=y == "force"), Series("beaten", rest)
-        return [one for one in both if one.marks]
+        def marks(family: str) -> list[Mark]:
+            return [mark(point) for point in points if _family(point, front) == family]
+
+        return [Series(name, marks(name), joined=name == FRONT and y == "force") for name in FAMILIES if marks(name)]
 
     seconds = "seconds a box"
     return [

@@ -94,7 +94,7 @@ def _name(axis: Any, marks: Sequence[Mark]) -> None:
         for offset in OFFSETS:
             text.set_position(offset)
             box = text.get_window_extent()
-            inside = axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1
+            inside = axis.bbox.x0 <= box.x0 and box.x1 <= axis.bbox.x1 and box.y1 <= axis.bbox.y1
             if inside and not any(box.overlaps(other) for other in taken):
                 break
         taken.append(box)

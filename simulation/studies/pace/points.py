@@ -20,10 +20,14 @@ NO_LEGS_MM_S = 3.0  # no faster than any probing: no leg of a descent is fast
 
 
 class Point(NamedTuple):
-    """One choice of settings: tables of the client's configuration as in `cell.toml`."""
+    """One choice of settings: tables of the client's configuration as in `cell.toml`.
+
+    ``needs``: what a cell must have for it that not every cell has; empty where any cell can run it.
+    """
 
     name: str
     client: Tables
+    needs: str = ""
 
 
 def ramp(speed_mm_s: float, acceleration_mm_s2: float, jerk_mm_s3: float) -> dict[str, float]:
@@ -56,8 +60,16 @@ def client(
 POINTS = (
     Point(BEFORE, client(10.0, NO_LEGS_MM_S, air_mm_s=55.0, lift_mm=APPROACH_MM, press_mm=1.2)),
     Point(SHIPPED, client()),
-    Point("quick: legs of 25 mm/s, 120 in the air", client(5.0, 25.0, air_mm_s=120.0, brisk=True)),
+    Point("one speed: 10 mm/s all the way", client(10.0, NO_LEGS_MM_S)),
+    Point("deep: presses by 1.2 mm", client(press_mm=1.2)),
+    Point("high: back up to the approach each time", client(lift_mm=APPROACH_MM)),
+    Point(
+        "quick: legs of 25 mm/s, 120 in the air",
+        client(5.0, 25.0, air_mm_s=120.0, brisk=True),
+        needs="cameras of 38 frames a second and an arm that follows its targets within 83 ms",
+    ),
 )
+"""Before and as shipped; then what ships with one default changed; then what some cells only can run."""
 
 
 def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Path) -> list[Task]:

@@ -56,6 +56,7 @@ def _point(point: Point, rows: Sequence[Row], first: Sequence[Row]) -> Row:
     return {
         "name": point.name,
         "client": point.client,
+        "needs": point.needs,
         "inserted": sum(row["inserted"] for row in rows),
         "gained": sum(row["inserted"] > before["inserted"] for row, before in zip(rows, first, strict=True)),
         "lost": sum(row["inserted"] < before["inserted"] for row, before in zip(rows, first, strict=True)),
@@ -85,7 +86,11 @@ def _spread(values: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
 
 
 def front(points: Sequence[Row]) -> set[str]:
-    """Names of the points that no other beats in seconds a box, in force or in boxes without losing in another."""
+    """Names of the points that no other beats in seconds a box, in force or in boxes without losing in another.
+
+    Only what any cell can run counts: a choice that needs more of a cell is neither on the front nor beats another.
+    """
+    points = [point for point in points if not point["needs"]]
 
     def merits(point: Row) -> tuple[float, float, int, int]:
         wrong = -point["claimed_wrongly"]
@@ -148,8 +153,8 @@ def pace_page(data: Row) -> str:
         them), in lock step, through the service's session and the client's own state machine, ramps and leases. A box
         begins 30 mm above the approach and ends when the insertion is confirmed or given up. *Seconds a box* are all
         seconds over all boxes inserted, so a failure costs what it took. All choices begin from the same starts;
-        intervals are of 95 % (bootstrap over starts, Wilson's for shares). **Bold**: no other choice is better in one
-        of seconds, force, boxes and false claims and as good in the rest.
+        intervals are of 95 % (bootstrap over starts, Wilson's for shares). **Bold**: of the choices that any cell can
+        run, none is better in one of seconds, force, boxes and false claims and as good in the rest.
         """,
         _untrue(data["points"]),
         data.get("note", ""),
@@ -229,7 +234,7 @@ def _early(kept: Row, shipped: Row) -> str:
 
 def _choices(of: Row) -> str:
     """What ships and why, with the figures that it rests on."""
-    before, shipped = of[BEFORE], of[SHIPPED]
+    before, shipped, quick = of[BEFORE], of[SHIPPED], next(point for point in of.values() if point["needs"])
     times, afresh = Estimate(*shipped["faster"]), shipped["parts"]["take afresh"]["mean"]
     wanted = f"{WANTED:g} times fewer seconds were wanted. " if times.value < WANTED else ""
     return f"""
@@ -253,10 +258,10 @@ def _choices(of: Row) -> str:
     **Travel**: 80 mm/s, which the limits have always allowed; a turn keeps to 55 deg/s. **Lift**: 3 mm above the
     highest height at which an attempt was stopped, for no part that is upright to 2 deg reaches lower than that.
 
-    **Not shipped**: legs of 25 mm/s need cameras of 38 frames a second and a PC that judges every one of them;
-    120 mm/s in the air need an arm that follows its targets within 83 ms; harder ramps were never distinguished from
-    the slow ones on a live cell. `choose` writes the settings that keep what you ask for, or the nearest
-    where none does, as none with a false claim; with `--world` it plays all choices in your cell first:
+    **Not shipped**: the quick choice. It needs {quick["needs"]}, and a PC that judges every frame. Harder ramps
+    were never distinguished from the slow ones on a live cell. `choose` writes the settings that keep what you ask
+    for, or the nearest where none does, as none with a false claim; with `--world` it plays all choices in your cell
+    first:
 
     <!-- not executed: writes pace.toml -->
     ```sh

@@ -44,6 +44,7 @@ def point(name="a", seconds=4.0, inserted=48, wrong=0, force=20.0):
         "claimed_wrongly": wrong,
         "force_n": {"95": force, "largest": force + 5.0},
         "client": client(10.0, 25.0),
+        "needs": "",
     }
 
 
@@ -81,6 +82,8 @@ def test_the_client_accepts_every_choice_with_all_its_bounds(chosen):
 def test_the_front_holds_what_no_other_beats():
     points = [point("quick"), point("beaten", 5.0), point("gentle", 6.0, force=10.0), point("safe", 7.0, 49)]
     assert front(points) == {"quick", "gentle", "safe"}
+    not_for_all = {**point("quickest", 3.0), "needs": "faster cameras"}
+    assert front([*points, not_for_all]) == {"quick", "gentle", "safe"}
 
 
 def test_the_quickest_that_keeps_all_three_is_chosen_and_else_the_nearest():
