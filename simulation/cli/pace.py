@@ -65,8 +65,13 @@ def main(arguments: list[str]) -> int:
 
 def _played(options: PlayOptions, begun: Sequence[Start]) -> dict[str, Any]:
     todo = tasks(POINTS, begun, options.seed, options.models)
-    rows = options.play(todo, campaign.fingerprint({"belief": options.models}))
+    rows = options.play(todo, campaign.fingerprint(_folders(options.models)))
     return {"seed": options.seed, "commit": commit(), **report.report_of(rows, POINTS)}
+
+
+def _folders(models: Path) -> dict[str, Path]:
+    """The networks of all choices by their folder's name."""
+    return {point.networks or "belief": models / point.networks for point in POINTS}
 
 
 @dataclass(frozen=True)

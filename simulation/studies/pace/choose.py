@@ -47,6 +47,7 @@ def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
         f" {wilson(point['inserted'], count):.1%} inserted, {point['claimed_wrongly']} false claims,"
         f" force below {point['force_n']['95']:.1f} N in 95 %, largest {point['force_n']['largest']:.1f} N"
         + (f"\n  needs {point['needs']}" if point["needs"] else "")
+        + "".join(f'\n  the service needs {key} = "{value}"' for key, value in point.get("service", {}).items())
     )
 
 

@@ -3,12 +3,13 @@
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from service.contract.wire import PRESS_MM
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.client import longest_travel_mm
-from simulation.closed_loop.job import job_in
+from simulation.closed_loop.job import Who, job_in
 from simulation.scene.drawn import fastest_mm_s
 from simulation.scene.scene import APPROACH_MM
 from simulation.scene.worlds import World, load_scene
@@ -23,11 +24,20 @@ class Point(NamedTuple):
     """One choice of settings: tables of the client's configuration as in `cell.toml`.
 
     ``needs``: what a cell must have for it that not every cell has; empty where any cell can run it.
+    ``controller`` and ``networks`` (a folder below the released models) are the service's, by default what ships.
     """
 
     name: str
     client: Tables
     needs: str = ""
+    controller: Who = "belief"
+    networks: str = ""
+
+    @property
+    def service(self) -> Tables:
+        """The service's settings that differ from what ships."""
+        chosen = {"controller": self.controller} if self.controller != "belief" else {}
+        return MappingProxyType(chosen | ({"models": f"models/pressing/{self.networks}"} if self.networks else {}))
 
 
 def ramp(speed_mm_s: float, acceleration_mm_s2: float, jerk_mm_s3: float) -> dict[str, float]:
@@ -63,6 +73,8 @@ POINTS = (
     Point("one speed: 10 mm/s all the way", client(10.0, NO_LEGS_MM_S)),
     Point("deep: presses by 1.2 mm", client(press_mm=1.2)),
     Point("high: back up to the approach each time", client(lift_mm=APPROACH_MM)),
+    Point("heuristic: the paper's rule decides", client(), controller="heuristic"),
+    Point("joint: one network instead of two", client(), networks="joint"),
     Point(
         "quick: legs of 25 mm/s, 120 in the air",
         client(5.0, 25.0, air_mm_s=120.0, brisk=True),
@@ -79,13 +91,14 @@ def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Pa
     """
     return [
         Task(
-            models,
+            models / point.networks,
             job_in(
                 start.world,
                 start.scene,
                 index,
                 (start.x_mm, start.theta_deg),
                 seed * 1_000_000 + index,
+                controller=point.controller,
                 condition=point.name,
                 client=with_care(point.client, start.world, start.scene),
                 told_reach=True,

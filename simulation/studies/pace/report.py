@@ -56,6 +56,7 @@ def _point(point: Point, rows: Sequence[Row], first: Sequence[Row]) -> Row:
     return {
         "name": point.name,
         "client": point.client,
+        "service": dict(point.service),
         "needs": point.needs,
         "inserted": sum(row["inserted"] for row in rows),
         "gained": sum(row["inserted"] > before["inserted"] for row, before in zip(rows, first, strict=True)),
