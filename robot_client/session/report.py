@@ -24,6 +24,7 @@ class AttemptRow(Contract):
     stop_depth_mm: float | None = None
     overtravel_mm: float | None = None
     probabilities: dict[str, float] = Field(default_factory=dict)
+    confidence: float = 0.0
     estimate: tuple[float, float] | None = None
     correction: tuple[float, float] | None = None
     controller: str = ""
@@ -91,6 +92,7 @@ class Report:
     def _on_correction(self, message: wire.Correction, at_s: float) -> None:
         self._update(
             probabilities=message.class_probabilities,
+            confidence=message.confidence,
             estimate=(message.estimate.dx_mm, message.estimate.dtheta_deg),
             correction=(message.dx_mm, message.dtheta_deg),
             controller=message.controller,
@@ -164,12 +166,11 @@ def _attempt_line(row: AttemptRow) -> str:
 def _correction_lines(row: AttemptRow) -> list[str]:
     assert row.estimate is not None
     assert row.correction is not None
-    likely = sorted(row.probabilities.items(), key=lambda item: -item[1])[:4]
-    classes = "  ".join(f"{name} {share:.0%}" for name, share in likely) or "-"
+    x_mm, yaw_deg = row.estimate
     took = f"service {sum(row.service_ms.values()):.1f} ms, {row.decided_after_ms or 0.0:.0f} ms after standstill"
     moved = f"correction {row.correction[0]:+.2f} mm, {row.correction[1]:+.2f} deg ({row.controller}; {took})"
     return [
         _attempt_line(row),
-        f"            classes {classes}",
-        f"            estimate x {row.estimate[0]:+.2f} mm, theta {row.estimate[1]:+.2f} deg -> {moved}",
+        f"            estimate x {x_mm:+.2f} mm, yaw {yaw_deg:+.2f} deg, {row.confidence:.0%} sure of the direction",
+        f"            {moved}",
     ]

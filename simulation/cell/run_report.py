@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from reporting.files import read_rows
+from simulation.closed_loop.statistics import SIGNS
 from simulation.optics import attempt_picture
 
 
@@ -140,6 +141,12 @@ def telling_recording(folder: Path) -> Path | None:
     return max(entries, key=lambda path: (any(path.glob("attempt_*.npz")), path), default=None)
 
 
+def _direction(probabilities: dict[str, float]) -> list[list[float]]:
+    """Probabilities of the error classes by yaw (anticlockwise first) and x (left first)."""
+    shares = {SIGNS[name]: share for name, share in probabilities.items()}
+    return [[shares.get((x, yaw), 0.0) for x in (-1, 0, 1)] for yaw in (1, 0, -1)]
+
+
 def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | None:
     """Picture of the last attempt that was decided on; None if there was none."""
     attempts = sorted(recording.glob("attempt_*.npz"))
@@ -158,7 +165,7 @@ def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | Non
     if estimate is not None:
         decision["estimate"] = (estimate["dx_mm"], estimate["dtheta_deg"])
         decision["correction"] = (answer["dx_mm"], answer["dtheta_deg"])
-        decision["class_probabilities"] = answer["class_probabilities"]
+        decision["direction"] = _direction(answer["class_probabilities"])
         if estimate.get("interval_x_mm") and estimate.get("interval_theta_deg"):
             decision["interval"] = (tuple(estimate["interval_x_mm"]), tuple(estimate["interval_theta_deg"]))
     return attempt_picture.save(path, frames, decision, motion, valid)

@@ -1,6 +1,6 @@
-"""One picture of one attempt: what both fingers saw, how the dots moved, what was decided."""
+"""One picture of one attempt: what both fingers saw, how the markers moved, what was decided."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 ARROW_SCALE = 3.0  # motions are a few px of a picture: drawn three times longer than they are
 Motion = tuple[NDArray[np.floating], NDArray[np.floating]]
-"""Where dots rest and how far they moved, both ([2,] rows, cols, 2) in px: (u, v)."""
+"""Where markers rest and how far they moved, both ([2,] rows, cols, 2) in px: (u, v)."""
 _FINGER_NAMES = ("left finger (+y)", "right finger (-y)")
 
 
@@ -21,7 +21,7 @@ class Decision(TypedDict, total=False):
     estimate: tuple[float, float]
     correction: tuple[float, float]  # dx_mm, dtheta_deg
     interval: tuple[tuple[float, float], tuple[float, float]]  # 90 %: (x low, high), (theta low, high)
-    class_probabilities: Mapping[str, float]
+    direction: Sequence[Sequence[float]]  # probabilities: left, middle, right; anticlockwise, straight, clockwise
     notes: Sequence[str]
 
 
@@ -33,7 +33,7 @@ def draw(
 ) -> Any:
     """A matplotlib figure of an attempt.
 
-    ``frames`` uint8 [n, 2, H, W, 3] BGR rectified, first to last; ``motion`` of the dots from the first to the last
+    ``frames`` uint8 [n, 2, H, W, 3] BGR rectified, first to last; ``motion`` of the markers from the first to the last
     frame is drawn as arrows; ``valid`` bool [2, rows, cols].
     Raises ValueError on another shape of frames.
     """
@@ -79,7 +79,7 @@ def imprint(
     motion: Motion | None = None,
     valid: NDArray[np.bool_] | None = None,
 ) -> None:
-    """One rectified frame [H, W, 3] on ``axes`` with one finger's dots' motion as arrows."""
+    """One rectified frame [H, W, 3] on ``axes`` with one finger's marker motion as arrows."""
     axes.imshow(frame[..., ::-1])
     axes.set_axis_off()
     if motion is not None:
@@ -89,7 +89,7 @@ def imprint(
         style = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "color": "yellow"}
         axes.quiver(start[:, 0], start[:, 1], step[:, 0], step[:, 1], **style)
         largest = float(np.linalg.norm(moved[shown], axis=-1).max(initial=0.0))
-        caption += f"  dots moved up to {largest:.1f} px (arrows x{ARROW_SCALE:g})"
+        caption += f"  markers moved up to {largest:.1f} px (arrows x{ARROW_SCALE:g})"
     axes.set_title(caption, fontsize=9)
 
 
@@ -110,19 +110,24 @@ def _differences(figure: Any, frames: NDArray[np.uint8]) -> None:
 
 
 def _facts(axes: Any, decision: Decision) -> None:
-    """Class bars above, numbers below."""
-    bars = decision.get("class_probabilities", {})
-    axes.set_title("decision" if bars or "estimate" in decision else "no decision", fontsize=9)
-    if bars:
-        names = list(bars)
-        axes.bar(range(len(names)), [bars[name] for name in names], color="tab:green")
-        axes.set_xticks(range(len(names)), names)
-        axes.set_ylim(0, 2.2)  # the upper half is for the text
-        axes.set_yticks([0, 0.5, 1.0])
-        axes.set_xlabel("class", fontsize=8)
-    else:
-        axes.set_axis_off()
+    """Numbers above, the direction of the error as a grid of probabilities below."""
+    direction = decision.get("direction")
+    axes.set_title("no decision" if direction is None and "estimate" not in decision else "decision", fontsize=9)
+    axes.set_axis_off()
     axes.text(0.03, 0.97, "\n".join(fact_lines(decision)), transform=axes.transAxes, va="top", family="monospace")
+    if direction is not None:
+        _direction(axes.inset_axes((0.3, 0.02, 0.6, 0.42)), np.asarray(direction, float))
+
+
+def _direction(axes: Any, shares: NDArray[np.floating]) -> None:
+    """A grid of three columns (where the object stands) and three rows (how it is turned)."""
+    axes.imshow(shares, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")
+    axes.set_xticks(range(3), ("left", "in line", "right"), fontsize=8)
+    axes.set_yticks(range(3), ("anticlockwise", "straight", "clockwise"), fontsize=8)
+    axes.set_title("where the object stands, seen from above", fontsize=8)
+    for row, column in np.argwhere(shares >= 0.005):
+        share = shares[row, column]
+        axes.text(column, row, f"{share:.0%}", ha="center", va="center", color="white" if share > 0.5 else "black")
 
 
 def fact_lines(decision: Decision) -> list[str]:

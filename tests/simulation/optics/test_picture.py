@@ -17,7 +17,7 @@ DECISION: attempt_picture.Decision = {
     "estimate": (2.5, -3.0),
     "correction": (-1.75, 2.1),
     "interval": ((1.0, 4.0), (-5.0, -1.0)),
-    "class_probabilities": {"1": 0.1, "2": 0.7, "near": 0.2},
+    "direction": [[0.0, 0.0, 0.0], [0.1, 0.2, 0.7], [0.0, 0.0, 0.0]],
 }
 
 
