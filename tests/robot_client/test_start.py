@@ -18,6 +18,7 @@ MUTE_RWS = {
 }  # only what never answers is given up soon
 MUTE_EGM = {"robot": {"ready_timeout_s": 0.3}}
 MUTE_GRIPPER = {"gripper": {"reply_timeout_s": 0.3}}
+PATIENT = {"gripper": {"silence_s": 10.0}}  # a machine that stands still for a second is not what these are about
 
 
 def board(**changes):
@@ -93,7 +94,7 @@ async def _refused(prepare, overrides):
 
 async def _failed(prepare, holding):
     """The state in which an insertion ends that cannot begin."""
-    async with bench(holding=holding) as cell:
+    async with bench(holding=holding, overrides=PATIENT) as cell:
         prepare(cell)
         state = await cell.insert()
         _still(cell)
