@@ -2,8 +2,10 @@
 
 import json
 import tomllib
+from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from robot_client.cli.insert import make_plan
@@ -17,9 +19,10 @@ from simulation.closed_loop.play import insert, models_of
 from simulation.scene.worlds import World
 from simulation.studies.drawn_worlds import Start
 from simulation.studies.pace.choose import Wanted, choose, settings_toml
+from simulation.studies.pace.front import beaten_by, front
+from simulation.studies.pace.groups import groups
 from simulation.studies.pace.kept import kept
-from simulation.studies.pace.points import BEFORE, POINTS, SHIPPED, client, tasks, with_care
-from simulation.studies.pace.report import front
+from simulation.studies.pace.points import BEFORE, POINTS, SHIPPED, Point, client, tasks, with_care
 
 SHIPPED_CLIENT = client()
 FACTS = {
@@ -79,11 +82,52 @@ def test_the_client_accepts_every_choice_with_all_its_bounds(chosen):
     assert state.phase is Phase.GREETING
 
 
-def test_the_front_holds_what_no_other_beats():
-    points = [point("quick"), point("beaten", 5.0), point("gentle", 6.0, force=10.0), point("safe", 7.0, 49)]
-    assert front(points) == {"quick", "gentle", "safe"}
-    not_for_all = {**point("quickest", 3.0), "needs": "faster cameras"}
-    assert front([*points, not_for_all]) == {"quick", "gentle", "safe"}
+def played(seconds, force, inserted=40):
+    """Forty insertions of one choice: seconds and force of each, and how many went in."""
+    spread = np.random.default_rng(0).normal(size=40)
+    return [
+        {
+            "seconds": {"all": seconds + 0.5 * float(at)},
+            "course": {"force_n": force + float(at)},
+            "inserted": index < inserted,
+            "claimed": index < inserted,
+        }
+        for index, at in enumerate(spread)
+    ]
+
+
+def named(name, needs=""):
+    return Point(name, client(), needs)
+
+
+def test_a_choice_is_beaten_only_beyond_chance():
+    rows = {"quick": played(4.0, 20.0), "as good": played(4.0, 20.0, 39), "slow": played(5.0, 20.0)}
+    rows |= {"gentle": played(6.0, 10.0), "quickest": played(3.0, 20.0)}
+    points = [*map(named, ("quick", "as good", "slow", "gentle")), named("quickest", "faster cameras")]
+    beaten = beaten_by(points, rows)
+    assert beaten == {"quick": [], "as good": [], "slow": ["quick", "as good"], "gentle": [], "quickest": []}
+    published = [{"name": point.name, "needs": point.needs, "beaten_by": beaten[point.name]} for point in points]
+    assert front(published) == {"quick", "as good", "gentle"}
+
+
+def test_a_quicker_choice_with_an_untrue_claim_beats_nobody():
+    liar = played(4.0, 20.0, 30)
+    for row in liar[30:]:
+        row["claimed"] = True
+    points = [named("liar"), named("honest")]
+    assert beaten_by(points, {"liar": liar, "honest": played(5.0, 20.0)})["honest"] == []
+
+
+def test_groups_hold_every_insertion_once_for_each_quantity():
+    shapes = ("circle", "rectangle", "hexagon", "circle", "rectangle", "hexagon")
+    more = [{"scene": name, "changes": {"camera.fps": 20.0 + 10.0 * i}} for i, name in enumerate(shapes)]
+    each = groups([row | {"attempts": 1} | place for row, place in zip(played(5.0, 10.0), more, strict=False)])
+    counted = Counter()
+    for group in each:
+        counted[group["by"]] += group["insertions"]
+    assert set(counted.values()) == {6}
+    assert [group["insertions"] for group in each if group["by"] == "object"] == [2, 2, 2]
+    assert [group["name"] for group in each if group["by"].startswith("camera")] == ["20 to 37", "37 to 53", "53 to 70"]
 
 
 def test_the_quickest_that_keeps_all_three_is_chosen_and_else_the_nearest():
