@@ -48,7 +48,7 @@ def test_the_demonstration_inserts_one_object_after_another_and_its_cell_knows_t
     assert done.stdout.rstrip().endswith("2 inserted")
     (listed,) = tmp_path.glob("*/recordings")
     ended = [json.loads(path.read_text())["outcome"] for path in listed.glob("*/summary.json")]
-    assert ended.count("inserted") == 2  # what was taken afresh has one of its own for each time
+    assert ended.count("inserted") == 2  # what was regrasped has one of its own for each time
 
 
 def test_nothing_is_left_running_after_an_interrupt(tmp_path):

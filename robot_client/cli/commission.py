@@ -59,7 +59,7 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
 def _rehearse(probes_n: int, path: Path, record: Record | None, *, presses: bool) -> Outcome:
     done_n = 0 if record is None else len(record.probes)
     steps = [
-        "put the object into the fixture and take it afresh, before each probe",
+        "put the object into the fixture and regrasp it, before each probe",
         f"probe at {_places(SIDES)}: are the signs right?",
         *([f"press at {_places(PRESSES)} until the gel slides"] if presses else []),
         f"{probes_n - done_n} probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
@@ -117,7 +117,7 @@ class Probing:
             raise DriverError("gripper: holds something; put the object into the fixture and open the fingers")
 
     async def fetch(self) -> None:
-        """Put the object back into the fixture, if it is held, and open; the next probe takes it afresh."""
+        """Put the object back into the fixture, if it is held, and open; the next probe regrasps it."""
         fixture = fixture_of(self._settings)
         assert fixture is not None
         await fixture.put_back()

@@ -77,7 +77,7 @@ def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> O
 
 
 def fixture_of(settings: Settings) -> Fixture | None:
-    """Where an object that has turned in the hand is taken afresh; None where nobody taught it."""
+    """Where an object that has turned in the hand is regrasped; None where nobody taught it."""
     taught = settings.cycle
     if taught is None:
         return None

@@ -28,7 +28,7 @@ _CAUSES: dict[str, wire.Cause] = {
     "not_seated": "not_confirmed",
     "not_seen": "not_confirmed",
     "not_confirmed": "not_confirmed",
-    "afresh": "not_confirmed",  # and it cannot be taken afresh any more
+    "afresh": "not_confirmed",  # and it cannot be regrasped any more
 }
 _SERVICE_CAUSES: dict[str, wire.Cause] = {
     "link": "link",

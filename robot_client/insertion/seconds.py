@@ -16,7 +16,7 @@ NAMES = {
     Phase.CORRECTING: "correct",
     Phase.CLOSING: "confirm",
 }
-FAST, DECIDE, AFRESH = "fast descent", "decide", "take afresh"
+FAST, DECIDE, AFRESH = "fast descent", "decide", "regrasp"
 PARTS = (
     *("approach", "arm", FAST, "guarded descent", "stop", "wait for frames", DECIDE),
     *("retract", "correct", "confirm", AFRESH),

@@ -58,8 +58,8 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
-    ``continues``: the insertion that this one goes on with, the object taken afresh. ``fixture``: whether there is
-    one where an object that has turned in the hand is taken afresh.
+    ``continues``: the insertion that this one goes on with, the object regrasped. ``fixture``: whether there is
+    one where an object that has turned in the hand is regrasped.
 
     ``gels``: which gels the cell was commissioned with.
     ``pause_s``: how long a descent whose lease has ended may be taken up again; 0 where the arm cannot stand and go on.

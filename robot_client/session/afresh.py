@@ -30,7 +30,7 @@ class Fixture:
 async def upright(
     plan: Plan, run: Callable[[Plan], Awaitable[State]], fixture: Fixture | None, show: Callable[[str], None]
 ) -> State:
-    """Run an insertion, again with the object taken afresh as often as it has turned in the hand.
+    """Run an insertion, again with the object regrasped as often as it has turned in the hand.
 
     The state at the end counts the attempts of all of them; together they are no more than the plan allows. Without a
     fixture the first one is the last. Raises DriverError or LimitError where the arm cannot get there.

@@ -243,7 +243,7 @@ class Finished(_Message):
     """The insertion is closed and its recording complete. No other outcome than ``inserted`` is an insertion.
 
     ``not_confirmed``: full depth was reached, and ``doubts`` says why that is not claimed to be an insertion. Where
-    they are only that the object has turned, a client that takes it afresh is told ``aborted``, cause ``afresh``.
+    they are only that the object has turned, a client that regrasps it is told ``aborted``, cause ``afresh``.
     """
 
     type: Literal["finished"] = "finished"

@@ -15,7 +15,7 @@ ControllerName = Literal["heuristic", "belief"]
 Cause = Literal[
     "operator",  # a person's wish
     "probed",  # a probe did what it was asked to; this and a person's wish are no failures
-    "afresh",  # the object has turned in the hand; the client takes it afresh and goes on in a new insertion
+    "afresh",  # the object has turned in the hand; the client regrasps it and goes on in a new insertion
     "attempts",  # as many as allowed, and still blocked
     "unwatched",  # the newest judged frame grew older than the lease
     "part_lost",
@@ -211,7 +211,7 @@ class Enough(InsertionMessage):
 
 
 class Refused(InsertionMessage):
-    """Not armed: no descent. What has turned in the hand is taken afresh, in an insertion that ``continues`` this."""
+    """Not armed: no descent. What has turned in the hand is regrasped, in an insertion that ``continues`` this."""
 
     type: Literal["refused"] = "refused"
     attempt: Attempt

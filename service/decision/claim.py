@@ -98,7 +98,7 @@ def doubts(attempt: Attempt, grasp: GraspRecord) -> Doubts:
 def unclaimed(doubts: Doubts, *, afresh: bool) -> Cause | None:
     """What an insertion at full depth ends for, None if nothing was found against it.
 
-    ``afresh``: the client can take an object that has turned upright again, which mends a turn and nothing else.
+    ``afresh``: the client can regrasp an object upright, which mends a turn and nothing else.
     """
     if not doubts:
         return None

@@ -77,7 +77,7 @@ class LastingTurn:
             self.deg = math.nan
 
     def lifted(self, both: PairObservation) -> str:
-        """Take in how the object hangs, free again; why it has to be taken afresh before the next attempt, or nothing.
+        """Take in how the object hangs, free again; why it has to be regrasped before the next attempt, or nothing.
 
         Of the pairs after a blocked attempt the first counts.
         """

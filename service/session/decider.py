@@ -48,7 +48,7 @@ class Decider:
         return decision
 
     def afresh(self, insertion_id: str) -> "Decider":
-        """The decider of an insertion that goes on with the same object, taken afresh: it knows the error as before."""
+        """The decider of an insertion that goes on with the same object, regrasped: it knows the error as before."""
         return replace(self, insertion_id=insertion_id, command=None, grasp=GraspRecord())
 
     def doubts(self, attempt: Attempt, now_ns: int, max_age_ms: float) -> tuple[wire.Doubt, ...] | None:

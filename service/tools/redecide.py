@@ -144,7 +144,7 @@ def _before(recording: Recording) -> Path | None:
 
 
 def _replayed(recording: Recording, models: ModelSet) -> Replay:
-    """A recording decided again; one that goes on with an object taken afresh needs the one before it."""
+    """A recording decided again; one that goes on with a regrasped object needs the one before it."""
     replay = open_replay(recording, models)
     if before := _before(recording):
         decider = _replayed(Recording(before), models).session.decider

@@ -136,7 +136,7 @@ def screen(
 
 
 def telling_recording(folder: Path) -> Path | None:
-    """The newest recording that holds an attempt: the last one of an object taken afresh is often inserted at once."""
+    """The newest recording that holds an attempt: the last one of a regrasped object is often inserted at once."""
     entries = sorted(path for path in folder.glob("*") if path.is_dir())
     return max(entries, key=lambda path: (any(path.glob("attempt_*.npz")), path), default=None)
 

@@ -17,7 +17,7 @@ SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client t
 
 
 FIXTURE_MM, RETREAT_MM, GRIPPER_S = 300.0, 40.0, 1.0
-"""From the gap to where an object is taken afresh, how far up before that, and what opening or closing the fingers
+"""From the gap to where an object is regrasped, how far up before that, and what opening or closing the fingers
 takes, as a cell may be."""
 
 

@@ -61,7 +61,7 @@ class Fault:
 
 
 class Trouble:
-    """What a fault does to one finger of one insertion, also where the object is taken afresh on the way.
+    """What a fault does to one finger of one insertion, also where the object is regrasped on the way.
 
     ``copies``: how many pictures a stuck camera has handed out more than once.
     """

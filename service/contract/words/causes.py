@@ -15,7 +15,7 @@ class Ending(NamedTuple):
 CAUSES: dict[Cause, Ending] = {
     "operator": Ending("stopped by a person", "Start a new insertion when the cell is clear."),
     "probed": Ending("a probe, done", "Nothing is to be done: go on with the next one."),
-    "afresh": Ending("it had turned in the hand and is taken afresh", "The arm does that by itself: keep clear."),
+    "afresh": Ending("it had turned in the hand and is regrasped", "The arm does that by itself: keep clear."),
     "attempts": Ending("all attempts used", "Look for a worn gel, a wrong gap width, or something in the gap."),
     "unwatched": Ending("the pictures came too late", "Check the cameras' cables and the load of this PC."),
     "part_lost": Ending("the object slipped out of the fingers", "Pick it up by hand. Check grip force and gel."),

@@ -3,5 +3,5 @@ const token = new URLSearchParams(location.search).get("token");
 
 export const at = (id) => document.getElementById(id);
 export const element = (kind, properties = {}, ...children) => { const made = Object.assign(document.createElement(kind), properties); made.append(...children); return made; };
-export const ending = ({ outcome, cause }) => (cause === "afresh" ? "taken afresh" : (outcome ?? "").replaceAll("_", " "));
+export const ending = ({ outcome, cause }) => (cause === "afresh" ? "regrasped" : (outcome ?? "").replaceAll("_", " "));
 export const withToken = (path) => (token ? `${path}${path.includes("?") ? "&" : "?"}token=${encodeURIComponent(token)}` : path);

@@ -20,7 +20,7 @@ export async function listPast() {
   show();
 }
 
-// Attempts before the object was taken afresh; the one that was refused for it is none.
+// Attempts before the object was regrasped; the one that was refused for it is none.
 const earlier = ({ continues }) => (continues && all.find((one) => one.insertion_id === continues)?.attempts) || 0;
 
 function options(select, values) {

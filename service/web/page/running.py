@@ -18,7 +18,7 @@ class Running:
     """What is known of one insertion; poses are (x mm, yaw deg) of the object relative to the gap, None: not known.
 
     ``ghosts`` are poses drawn from the belief, evenly by probability: the more alike, the surer. ``target`` is where
-    the move leads. ``afresh_n``: how often the object was taken afresh, after ``earlier_n`` attempts in all, which
+    the move leads. ``afresh_n``: how often the object was regrasped, after ``earlier_n`` attempts in all, which
     ``attempt`` counts, too. ``depth_mm`` is below the start of the descent.
     """
 

@@ -58,10 +58,10 @@ def shift(dx_mm: float, dtheta_deg: float) -> str:
 
 
 def ended(outcome: str, cause: str | None, attempts_n: int, named: str = "", afresh_n: int = 0) -> str:
-    """How an insertion ended; ``afresh_n``: how often the object was put back and taken afresh for it."""
+    """How an insertion ended; ``afresh_n``: how often the object was put back and regrasped for it."""
     if outcome == "inserted":
         what = named[:1].upper() + named[1:] if named else "Object"
-        again = f", taken afresh {TIMES.get(afresh_n, f'{afresh_n} times')}" if afresh_n else ""
+        again = f", regrasped {TIMES.get(afresh_n, f'{afresh_n} times')}" if afresh_n else ""
         return f"{what} inserted after {attempts_n} attempt{'s' * (attempts_n != 1)}{again}"
     if outcome == "aborted":
         words = what_of(cause)
@@ -83,7 +83,7 @@ LINES: dict[type, Callable[[Any], str]] = {
 def event(message: Any, earlier_n: int = 0) -> str:
     """One line for the list of what happened; empty for what a person need not know.
 
-    ``earlier_n``: attempts before the object was taken afresh.
+    ``earlier_n``: attempts before the object was regrasped.
     """
     if isinstance(message, wire.Armed):
         return f"attempt {earlier_n + message.attempt} begins"

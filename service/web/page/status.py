@@ -44,7 +44,7 @@ class Status:
         self._alarms = Alarms(station.settings.recordings / FILE)
         self._lock = threading.Lock()
         self._running: Running | None = None
-        self._put_back: Running | None = None  # its object is on the way to be taken afresh
+        self._put_back: Running | None = None  # its object is on the way to be regrasped
         self._continues: str | None = None
         self._last = _newest(station)
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
@@ -97,7 +97,7 @@ class Status:
             self._running.from_service(message)
 
     def _begin(self, insertion_id: str) -> None:
-        """An insertion opens: a new one, or one that goes on with an object taken afresh."""
+        """An insertion opens: a new one, or one that goes on with a regrasped object."""
         before, self._put_back = self._put_back, None
         if before is not None and before.insertion_id == self._continues:
             self._running = before.goes_on(insertion_id)
@@ -199,12 +199,12 @@ class Status:
             }
 
     def _note_overdue(self) -> None:
-        """The arm that should take an object afresh may have stopped on its way, where the service hears nothing."""
+        """The arm that should regrasp an object may have stopped on its way, where the service hears nothing."""
         waiting, last = self._put_back, self._last
         if waiting is None or last is None or last.at_s is None or time.time() - last.at_s < AFRESH_S:
             return
         self._put_back, named = None, waiting.insertion_id
-        title, detail = "Holding: the object was to be taken afresh", f"Nothing went on within {AFRESH_S:g} s."
+        title, detail = "Holding: the object was to be regrasped", f"Nothing went on within {AFRESH_S:g} s."
         remedy = "Look at the pendant and at what the robot client says; start a new insertion."
         facts = {"detail": detail, "remedy": remedy, "insertion_id": named}
         self._alarms.sound(f"insertion {named}", "stop", title, **facts)
@@ -217,7 +217,7 @@ class Status:
             running = self._running
             counted = f"Attempt {running.attempt} of {wire.MAX_ATTEMPTS}: " if running.attempt else ""
             if running.afresh_n and running.attempt == running.earlier_n:
-                counted = "Taken afresh: "
+                counted = "Regrasped: "
             words = PHASES.get(running.phase, running.phase)
             text = words[0].lower() + words[1:] if counted else words
             level = "warning" if running.phase in {"no_decision", "refused"} or bad else "busy"

@@ -117,7 +117,7 @@ def _ended(client: Child) -> bool:
 
 
 def _entries(folder: Path) -> list[dict[str, Any]]:
-    """Of all logs of the insertion: an object that is taken afresh begins one of its own."""
+    """Of all logs of the insertion: an object that is regrasped begins one of its own."""
     logs = sorted(folder.glob("episode*.jsonl"), key=lambda log: (len(log.name), log.name))
     entries = []
     for line in [line for log in logs for line in log.read_text(errors="replace").splitlines()]:

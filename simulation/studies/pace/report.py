@@ -218,7 +218,7 @@ def _early(kept: Row, shipped: Row) -> str:
 def _choices(of: Row) -> str:
     """What ships and why, with the figures that it rests on."""
     before, shipped, quick = of[BEFORE], of[SHIPPED], next(point for point in of.values() if point["needs"])
-    regrasps = shipped["parts"]["take afresh"]["mean"] / shipped["seconds"]["mean"]
+    regrasps = shipped["parts"]["regrasp"]["mean"] / shipped["seconds"]["mean"]
     return f"""
     ## What ships, and why
 

@@ -107,12 +107,12 @@ def test_an_object_that_is_taken_afresh_holds_nothing_up_and_its_attempts_are_co
     arm(driver, 2)
     give_up(driver, "afresh", "service: refused: turned_in_hand: by about 1.4 deg")
     shown = until(live, lambda shown: shown["running"] is None)
-    words = "It had turned in the hand and is taken afresh"
+    words = "It had turned in the hand and is regrasped"
     assert shown["headline"] == {"level": "busy", "words": words, "detail": CAUSES["afresh"].remedy}
     assert [alarm for alarm in shown["alarms"] if alarm["insertion_id"] == "turned"] == []
     again = Driver(live, "again", continues="turned")
     again.until("hello")
-    assert until(live, lambda shown: shown["running"])["headline"]["words"].startswith("Taken afresh: ")
+    assert until(live, lambda shown: shown["running"])["headline"]["words"].startswith("Regrasped: ")
     arm(again, 1)
     shown = until(live, lambda shown: shown["headline"]["words"] == "Attempt 2 of 15: ready to go down")
     assert next(event["text"] for event in shown["events"] if "begins" in event["text"]) == "attempt 2 begins"
@@ -121,7 +121,7 @@ def test_an_object_that_is_taken_afresh_holds_nothing_up_and_its_attempts_are_co
     listed = {one["insertion_id"]: one for one in httpx.get(live.url("/v1/recordings")).json()["recordings"]}
     assert (listed["turned"]["outcome"], listed["turned"]["cause"]) == ("aborted", "afresh")
     assert listed["again"]["continues"] == "turned"
-    assert ended("inserted", None, 3, "rectangle", 1) == "Rectangle inserted after 3 attempts, taken afresh once"
+    assert ended("inserted", None, 3, "rectangle", 1) == "Rectangle inserted after 3 attempts, regrasped once"
     finished = wire.Finished(insertion_id="again", outcome="inserted", attempts=2)
     assert event(finished, earlier_n=1) == "object inserted after 3 attempts", "as the headline counts"
 
@@ -135,7 +135,7 @@ def test_an_object_that_nobody_takes_afresh_becomes_an_alarm(
     assert until(live, lambda shown: shown["running"] is None)["headline"]["level"] == "busy"
     monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
     shown = status(live)
-    assert shown["headline"]["words"] == "Holding: the object was to be taken afresh"
+    assert shown["headline"]["words"] == "Holding: the object was to be regrasped"
     assert shown["alarms"][0]["insertion_id"] == "left"
     httpx.post(live.url(f"/v1/alarms/{shown['alarms'][0]['number']}/acknowledge"))
     assert status(live)["headline"]["level"] == "good"
