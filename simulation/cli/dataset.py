@@ -34,7 +34,8 @@ class CollectOptions:
     trials_per_object: int = 7500
     """Collisions to keep of each object; beyond one shard rounded up to whole shards."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = training_objects()
-    """Scene names or TOML files; or `drawn` for worlds and objects drawn over all that cells are."""
+    """Scene names or TOML files; or `drawn` for worlds and objects drawn over all that cells are, and `drawn-bristle`,
+    `drawn-layer` and `drawn-foreign` for those of one tier or of finite elements."""
     sensor: str = ""
     """Name or TOML file of the fingers' sensor, where it is not the scenes' own."""
     around: Path | None = None
@@ -90,7 +91,7 @@ def _known(options: CollectOptions) -> dict[str, Any] | None:
     """The tables of the world file, checked."""
     if options.around is None:
         return None
-    if drawn_cells.NAME in options.objects:
+    if not drawn_cells.KNOWN.keys().isdisjoint(options.objects):
         raise DatasetError(f"--around {options.around}: expected the objects that the cell packs, not drawn ones")
     load_world(options.around)
     return read_toml(options.around)

@@ -11,7 +11,7 @@ unfinished shards again and gets the same bits.
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,10 +29,11 @@ from simulation.optics.appearance import Appearance
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.randomisation import randomised
 from simulation.scene.scene import Scene
-from simulation.scene.state import PhysicsError
+from simulation.scene.state import Cell, PhysicsError
 from simulation.scene.worlds import load_scene
 
 POKES_PER_FIXTURE = 5
+GEL = 3  # of a marker: du, dv, pressure. The foreign cell also says how far its gel bulges
 MAX_STOP_DELAY_FRAMES = 2
 MAX_OVERTRAVEL_MM = 0.15
 LIFT_MM = 0.5
@@ -82,8 +83,8 @@ class Fixture:
 
 def scene_of(name: str, sensor: Sensor | None) -> Scene:
     """The scene to collect from, with another sensor than its own if one is given."""
-    if name == drawn_cells.NAME:
-        return drawn_cells.base()
+    if name in drawn_cells.KNOWN:
+        return drawn_cells.base(name)
     return load_scene(name, **({"camera__sensor": sensor} if sensor else {}))
 
 
@@ -100,8 +101,8 @@ def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.rand
     drawn = ""
     if plan.known is not None:
         scene, drawn = drawn_cells.draw_cell(rng, plan.known, base)
-    elif plan.scene_name == drawn_cells.NAME:
-        scene, drawn = drawn_cells.draw_cell(rng)
+    elif plan.scene_name in drawn_cells.KNOWN:
+        scene, drawn = drawn_cells.draw_cell(rng, drawn_cells.KNOWN[plan.scene_name])
     else:
         scene = randomised(base, rng, held_out=held_out)
     look_seed, cell_seed = (int(n) for n in rng.integers(2**31, size=2))
@@ -123,7 +124,7 @@ def pokes(plan: Plan, base: Scene) -> Iterator[tuple[Fixture, int, int, Probe | 
             theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))
             seed = int(rng.integers(2**31))
             try:
-                hand = hand or Hand(fixture)
+                hand = hand or Hand(fixture, drawn_cells.mechanics(plan.scene_name))
                 hand.aim(x_mm, theta_deg)
                 probe = hand.press(rng) if fixture.drawn else hand.poke(rng)
             except PhysicsError:
@@ -137,8 +138,8 @@ def pokes(plan: Plan, base: Scene) -> Iterator[tuple[Fixture, int, int, Probe | 
 class Hand:
     """A cell between two fixtures: pokes follow one another and the object keeps its drift in the hand."""
 
-    def __init__(self, fixture: Fixture) -> None:
-        self._cell = QuasiStaticCell(fixture.scene, seed=fixture.cell_seed)
+    def __init__(self, fixture: Fixture, mechanics: Callable[[Scene, int], Cell] = QuasiStaticCell) -> None:
+        self._cell = mechanics(fixture.scene, fixture.cell_seed)
         self._cell.regrasp(0.0, 0.0)
         self._zero = self._cell.pose.copy()  # TCP x, y, z (mm) and yaw (rad) that put the fresh object at no error
 
@@ -202,7 +203,7 @@ def trial_of(fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: 
         outcome=probe.outcome,
         split=split_of(fixture.group, held_out=fixture.held_out),
         appearances=fixture.appearances,
-        gel=np.asarray(probe.gel, np.float16),
+        gel=np.asarray(probe.gel[..., :GEL], np.float16),
         depth_mm=np.asarray(probe.depth_mm, np.float32),
         wrench=np.asarray(probe.wrench, np.float32),
         in_hand=np.asarray(probe.in_hand, np.float32),

@@ -7,17 +7,26 @@ cameras of all rates can be drawn from it when it is read; the arm's speed count
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene import drawn
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import Scene, SceneError
+from simulation.scene.state import Cell
 
 NAME = "drawn"
-"""In place of an object's name."""
+KNOWN: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
+    NAME: {},
+    "drawn-bristle": {"gel": {"tier": "bristle"}},
+    "drawn-layer": {"gel": {"tier": "layer"}},
+    "drawn-foreign": {"gel": {"relaxation_share": 0.0}, "grasp": {"finger_stiffness_n_per_mm": 0.0}},
+}
+"""In place of an object's name: what is not drawn. The first mixes the tiers; the others have one tier, or the finite
+elements of the foreign cell, which know neither relaxation nor fingers that give way."""
 PRESS_MM, FRAME_MM = 1.65, 0.15
 LAYER_SHARE = 0.08
 """Of cells: a press of theirs costs several of the bristle tier's. Worlds that are judged on have half of each."""
@@ -30,9 +39,18 @@ MOST_DRAWS = 1000
 """Of cells that do not fit together, until what is known of one must be what does not fit."""
 
 
-def base() -> Scene:
+def base(name: str = NAME) -> Scene:
     """What stands for all of them where a dataset names its scenes."""
-    return drawn.scene_of_tables({"object": {"shape": "rectangle", "size_x_mm": 60.0, "size_y_mm": 50.0}}, NAME)
+    return drawn.scene_of_tables({"object": {"shape": "rectangle", "size_x_mm": 60.0, "size_y_mm": 50.0}}, name)
+
+
+def mechanics(name: str) -> Callable[[Scene, int], Cell]:
+    """What makes a cell's mechanics of a scene and a seed."""
+    if name != "drawn-foreign":
+        return QuasiStaticCell
+    from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem
+
+    return ForeignCell
 
 
 def draw_cell(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.scene import Scene
-from simulation.scene.state import CellState
+from simulation.scene.state import Cell, CellState
 
 Outcome = Literal["blocked", "inserted", "grasp_lost"]
 INSERTION_DEPTH_MM = 25.0
@@ -83,7 +83,7 @@ def run_probe(
 
 
 def descend(
-    cell: QuasiStaticCell,
+    cell: Cell,
     x_mm: float,
     theta_deg: float,
     *,
@@ -102,20 +102,21 @@ def descend(
     """
     rate, speed = fps or cell.scene.fps, cell.scene.speed_mm_s
     cell.pace_mm_s = speed
-    if cell.coasting is not None:
-        cell.coasting.speed_mm_s = speed
+    coasting = cell.coasting if isinstance(cell, QuasiStaticCell) else None
+    if coasting is not None:
+        coasting.speed_mm_s = speed
     record = _Recorder(cell.look())
     late_mm = stop_delay_frames * speed / rate + overtravel_mm
     slip, outcome = _lower(cell, record, speed / rate, phase, late_mm, press_mm)
     stop = len(record.states) - 1
-    still_moves = cell.coasting is not None or cell.relaxes
+    still_moves = coasting is not None or cell.relaxes
     while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
         record.add(cell.wait(1.0 / rate) if still_moves else record.states[-1], record.depth_mm[-1])
     return _keep(record, slip, stop, outcome, x_mm, theta_deg)
 
 
 def _lower(
-    cell: QuasiStaticCell,
+    cell: Cell,
     record: _Recorder,
     pitch_mm: float,
     phase: float,
