@@ -129,7 +129,7 @@ def pace_page(data: Row) -> str:
         *{BEFORE}*, start by start. *Regrasps*: how often a part that may have [turned in the
         hand](decisions/0112-an-object-that-has-turned-is-taken-afresh.md) was put back and grasped again, 300 mm away.
         *Unseen*: the furthest that the arm went down between the captures of two judged frames;
-        {_within_the_lease(data["points"])}
+        {_within_the_lease(data)}
 
         Where the time goes, mean seconds:
         """,
@@ -153,10 +153,16 @@ def _result(data: Row, of: Row) -> str:
         {shipped["seconds"]["95"]:.1f} s: those are boxes that were regrasped several times."""
 
 
-def _within_the_lease(points: Sequence[Row]) -> str:
-    if any(point["unseen_too_far"] for point in points):
-        return "**a choice went further than its lease allows.**"
-    return "no choice went beyond its lease."
+def _within_the_lease(data: Row) -> str:
+    beyond = ", ".join(
+        f"{point['unseen_too_far']} of {data['insertions']} insertions of *{point['name'].split(':')[0]}*"
+        f" ({point['unseen_mm']:.2f} mm)"
+        for point in data["points"]
+        if point["unseen_too_far"]
+    )
+    if not beyond:
+        return "no choice went beyond its lease."
+    return f"**beyond the lease in {beyond}.** Drawn arms stop within 10 to 80 ms, and the lease reckons with 40."
 
 
 def _untrue(points: Sequence[Row]) -> str:
