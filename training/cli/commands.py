@@ -80,6 +80,18 @@ def depths(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs"))
     print(write_depths(run, out))
 
 
+def transfer(plan: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs")) -> None:
+    """Judge networks that were trained in one tier of the gel on presses in others: what accurate physics is worth.
+
+    Args:
+        plan: TOML file that names the networks and the datasets to judge them on; see training/configs/transfer.toml.
+        out: folder of transfer.md and transfer.json.
+    """
+    from training.report.transfer import write_transfer
+
+    print(write_transfer(plan, out))
+
+
 def adapt(
     recordings: Annotated[Path, tyro.conf.Positional],
     start: Annotated[Path, tyro.conf.arg(name="from")],
@@ -150,6 +162,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "recipe": recipe,
             "board": board,
             "depths": depths,
+            "transfer": transfer,
             "expect": expect,
             "adapt": adapt,
         }

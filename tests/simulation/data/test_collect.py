@@ -14,8 +14,9 @@ import pytest
 
 from simulation.__main__ import main
 from simulation.cli.dataset import CollectOptions, asked_manifest
-from simulation.data.collect import POKES_PER_FIXTURE, Plan, draw_fixture, make_shard, pokes
+from simulation.data.collect import POKES_PER_FIXTURE, Hand, Plan, draw_fixture, make_shard, pokes
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
+from simulation.data.drawn_cells import base, mechanics
 from simulation.data.manifest import read_manifest
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import load_scene
@@ -56,6 +57,28 @@ def test_around_a_cell_what_is_known_is_kept_and_the_rest_is_drawn(tmp_path: Pat
     assert len({cell.scene.gel.shear_modulus_n_per_mm2 for cell in cells}) == 5
     with pytest.raises(SceneError, match="fits to what is known"):
         draw_fixture(circle, plan(tmp_path, known={"grasp": {"height_mm": 1e6}}), 0)
+
+
+@pytest.mark.parametrize("tier", ["bristle", "layer"])
+def test_cells_of_one_tier_are_all_of_it(tmp_path: Path, tier: str) -> None:
+    of_tier = plan(tmp_path, scene_name=f"drawn-{tier}")
+    cells = [draw_fixture(base(of_tier.scene_name), of_tier, number)[0] for number in range(8)]
+    assert {cell.scene.gel.tier for cell in cells} == {tier}
+
+
+def test_a_press_in_finite_elements_moves_the_markers_as_our_own_gel_does(tmp_path: Path) -> None:
+    """The same cell, pressed in both: the fields agree in direction, and are not the same."""
+    of_elements = plan(tmp_path, scene_name="drawn-foreign")
+    fixture, _ = draw_fixture(base("drawn-foreign"), of_elements, 1)
+    moved = []
+    for name in ("drawn-bristle", "drawn-foreign"):
+        hand = Hand(fixture, mechanics(name))
+        hand.aim(0.4 * fixture.scene.x_range_mm, 0.0)
+        probe = hand.press(np.random.default_rng(0))
+        assert probe.outcome == "blocked"
+        moved.append((probe.gel[-1, ..., :2] - probe.gel[0, ..., :2]).astype(float).ravel())
+    own, elements = moved
+    assert 0.8 < own @ elements / np.linalg.norm(own) / np.linalg.norm(elements) < 0.9999
 
 
 def test_presses_around_one_cell_are_not_continued_around_another(

@@ -1,0 +1,138 @@
+"""What the accuracy of the physics is worth: networks of one tier each, judged in cells of another."""
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from reporting.machine import commit
+from reporting.page import page, publish
+from reporting.statistics import Estimate, mean, wilson
+from reporting.table import Table, table
+from service.contract import ContractError
+from service.contract.frames import Contract
+from service.contract.toml import read_toml
+from service.contract.wire import PRESS_MM
+from training.config import DataConfig, RunConfig, StageConfig
+from training.data.labels import CLASSES, class_of
+from training.data.pressed import Pressed, load_pressed
+from training.fit.checkpoint import Checkpoint
+from training.fit.train import Trainer
+from training.metrics.figures import Predictions, figures
+from training.networks.pressing import STEP_MM
+
+NAME = "transfer"
+Row = dict[str, Any]
+
+
+class Trained(Contract):
+    """One network: its checkpoint, how many presses of which cells it saw, and the CPU time of collecting one."""
+
+    name: str
+    checkpoint: str
+    presses: int = Field(ge=1)
+    cpu_ms: float = Field(gt=0)
+
+
+class Judge(Contract):
+    """Presses that no network was trained on: a dataset folder of cells in one physics."""
+
+    name: str
+    data: str
+
+
+class Comparison(Contract):
+    """The first network is what the others are compared with."""
+
+    trained: tuple[Trained, ...] = Field(min_length=2)
+    judges: tuple[Judge, ...] = Field(min_length=1)
+    note: str = ""
+
+
+def write_transfer(plan: Path, out: Path) -> Path:
+    """Judge all networks of a plan, and write ``<out>/transfer.md`` and ``.json``; ContractError names a wrong key."""
+    try:
+        comparison = Comparison.model_validate_json(json.dumps(read_toml(plan)))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ContractError(f"{plan}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    judges = {judge.name: load_pressed(DataConfig(path=judge.data, views=1)) for judge in comparison.judges}
+    data = {
+        "commit": commit(),
+        "note": comparison.note,
+        "press_mm": PRESS_MM,
+        "judges": {name: len(presses) for name, presses in judges.items()},
+        "rows": [row for name, presses in judges.items() for row in _judged(comparison.trained, name, presses)],
+    }
+    publish(out, NAME, transfer_page(data), data)
+    return out / f"{NAME}.md"
+
+
+def _judged(trained: Sequence[Trained], judge: str, presses: Pressed) -> Iterator[Row]:
+    """A row of each network on the same presses."""
+    first: NDArray[np.bool_] | None = None
+    for one in trained:
+        predictions = predicted(Checkpoint.load(Path(one.checkpoint)), presses)
+        right = predictions.logits.argmax(1) == class_of(predictions.truth.astype(np.float32))
+        first = right if first is None else first
+        yield {
+            "judge": judge,
+            **one.model_dump(exclude={"checkpoint"}),
+            "direction": list(wilson(float(right.sum()), len(right))),
+            "gained": list(mean((right.astype(float) - first).tolist())),
+            **{key: figures(predictions)[key] for key in ("mae_x_mm", "mae_theta_deg")},
+            **{key: figures(predictions)[key] for key in ("coverage90_x", "coverage90_theta")},
+        }
+
+
+def predicted(checkpoint: Checkpoint, presses: Pressed) -> Predictions:
+    """Calibrated predictions of all presses, read as deep as the software presses."""
+    idle = StageConfig(epochs=0)
+    config = RunConfig(name=NAME, data=DataConfig(path=NAME), network=checkpoint.network, trunk=idle)
+    untrained = torch.ones(len(CLASSES)), torch.zeros(2, 3)
+    trainer = Trainer(config, presses, checkpoint.build(), *untrained, most_steps=round(PRESS_MM / STEP_MM))
+    return trainer.predict(np.arange(len(presses)), pictures=False).rescaled(checkpoint.scales)
+
+
+def transfer_page(data: Row) -> str:
+    """The whole of docs/transfer.md from transfer.json."""
+    return page(*_parts(data))
+
+
+def _parts(data: Row) -> Iterator[str | Table]:
+    counts = ", ".join(f"{count} in {name}" for name, count in data["judges"].items())
+    yield f"""
+        # What the accuracy of the physics is worth
+
+        Written by `make transfer` at commit `{data["commit"][:12]}`. Everything is simulated. Networks of one
+        architecture and one training recipe were trained on presses of drawn cells and objects, each in one tier of the
+        gel. All were judged on the same fresh draws in every physics: {counts}. They read {data["press_mm"]:g} mm of
+        pressing, as shipped. *Gained*: directions right beyond those of the first row, press by press, with the 95 %
+        interval. Shares have Wilson intervals.
+        """
+    yield data["note"]
+    for judge in data["judges"]:
+        yield f"## Judged in {judge}"
+        yield table(
+            [row for row in data["rows"] if row["judge"] == judge],
+            ("trained in", "name"),
+            ("presses", "presses", ",d"),
+            ("CPU ms a press", "cpu_ms", ".0f"),
+            ("CPU min of collecting", lambda row: row["presses"] * row["cpu_ms"] / 60e3, ".0f"),
+            ("direction", "direction", ".1%"),
+            ("gained", lambda row: _points(row["gained"])),
+            ("MAE x mm", "mae_x_mm", ".2f"),
+            ("MAE yaw deg", "mae_theta_deg", ".2f"),
+            ("90 % holds x", "coverage90_x", ".0%"),
+            ("90 % holds yaw", "coverage90_theta", ".0%"),
+        )
+
+
+def _points(gained: Sequence[float]) -> str:
+    of = Estimate(*(100.0 * value for value in gained))
+    return f"{of:+.1f} points"
