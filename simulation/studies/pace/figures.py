@@ -7,10 +7,6 @@ from simulation.closed_loop.statistics import Row
 from simulation.studies.pace.panels import Mark, Panel, Series, exact
 from simulation.studies.pace.points import SHIPPED
 
-CELLS = {"bristle", "layer", "layer with edges", "finite elements, 4 x 4 x 1, load step 0.17 mm"} | {
-    f"finite elements, {mesh} x 2, load step 0.17 mm" for mesh in ("6 x 6", "8 x 8")
-}
-
 FRONT = "on the front"
 FAMILIES = FRONT, "beaten", "not for every cell"
 EARLY = ("test, 0.6", "test, 0.8")  # from how sure on a decision might be made at once
@@ -19,7 +15,7 @@ EARLY = ("test, 0.6", "test, 0.8")  # from how sure on a decision might be made 
 def figures(data: Row, front: AbstractSet[str]) -> list[Panel]:
     """All panels of the page, from its data and the names of the choices on the front."""
     kept = data["kept"]
-    return [*_boxes(data, front), _pressing(data), _networks(kept), _builds(kept), _tiers(kept)]
+    return [*_boxes(data, front), _pressing(data), _networks(kept), _builds(kept), _transfer(kept)]
 
 
 def _family(point: Row, front: AbstractSet[str]) -> str:
@@ -105,18 +101,21 @@ def _builds(kept: Row) -> Panel:
     )
 
 
-def _tiers(kept: Row) -> Panel:
-    def series(own: bool) -> list[Mark]:
+def _transfer(kept: Row) -> Panel:
+    """Networks of one tier each, judged in a physics that none of them was trained in."""
+
+    def marks(presses: int) -> list[Mark]:
         return [
-            Mark(_short(row["name"]), exact(row["cpu_ms"]), exact(row["um"]), row["name"] == "bristle")
-            for row in kept["tiers"]
-            if row["name"] in CELLS and row["name"].startswith("finite") != own
+            Mark(row["name"], exact(row["cpu_ms"]), _percent(row["right"]), row["name"].startswith("release"))
+            for row in kept["transfer"]
+            if row["presses"] == presses
         ]
 
-    title, y = "(d) physics against the foreign cell", "markers apart, um RMS"
-    both = [Series("tiers", series(True)), Series("finite elements, of the foreign cell", series(False))]
-    return Panel(title, "CPU ms of a descent", y, both, log_x=True)
-
-
-def _short(name: str) -> str:
-    return name.removeprefix("finite elements, ").removesuffix(", load step 0.17 mm")
+    counts = sorted({row["presses"] for row in kept["transfer"]})
+    return Panel(
+        "(d) training physics, judged in another",
+        "CPU ms of collecting a press",
+        "direction right, %",
+        [Series(f"{count:,} presses", marks(count)) for count in counts],
+        y_from=40.0,
+    )

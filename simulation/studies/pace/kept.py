@@ -12,18 +12,20 @@ from simulation.closed_loop.statistics import Row
 PARTS = {
     "benchmark": "make bench",
     "depths": "python -m training depths",
-    "foreign_check": "python -m simulation foreign-check",
+    "transfer": "make transfer",
     "slip_report": "python -m simulation slip-report",
 }
 """What the figures read, and what makes it."""
+ELSEWHERE = "finite elements"
+"""The physics that no network was trained in, as its page calls it."""
 
 
 def kept(docs: Path) -> Row:
-    """Networks, builds, depths, tiers and slip from ``docs/*.json`` and the cards of the released networks.
+    """Networks, builds, depths, transfer and slip from ``docs/*.json`` and the cards of the released networks.
 
     Raises ValueError where a file is missing.
     """
-    bench, depths, check, slip = (read_json(docs / f"{name}.json", made_by) for name, made_by in PARTS.items())
+    bench, depths, transfer, slip = (read_json(docs / f"{name}.json", made_by) for name, made_by in PARTS.items())
     pressing = models_of(released_models()).card.pressing
     return {
         "reads_mm": round(pressing.depth_mm, 6) if pressing else None,
@@ -43,7 +45,11 @@ def kept(docs: Path) -> Row:
             for name, row in depths["sure"].items()
             if _of_test(name)
         },
-        "tiers": [{"name": row["cell"], "cpu_ms": row["cpu_ms"], "um": row["markers_um"]} for row in check["costs"]],
+        "transfer": [
+            {"name": row["name"], "cpu_ms": row["cpu_ms"], "presses": row["presses"], "right": row["direction"]}
+            for row in transfer["rows"]
+            if row["judge"] == ELSEWHERE
+        ],
         "slip": {
             "ms": slip["path_ms"]["median"],
             **{name: slip["slip"][name] for name in ("images", "true fields")},
